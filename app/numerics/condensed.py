@@ -46,9 +46,10 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import on_root
 from app.numerics.factor import library
 from app.numerics.lifetime import python_mat
+from app.numerics.preconditioners import Options
 from app.numerics.root_work import blas_threads, cores, wait
 from app.numerics.substructures import Substructures, own_rows, unknowns_of
-from app.numerics.system import Measure, Reduced
+from app.numerics.system import Exact, Measure, Reduced
 from app.numerics.untied import Untied
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
@@ -111,6 +112,8 @@ class Condensed:
     Attributes:
         reduced: The system of the jumps alone.
     """
+
+    reduced: Reduced | None
 
     def __init__(self, contact: Condensable) -> None:
         self._contact = contact
@@ -322,7 +325,7 @@ class JumpSystem(Reduced):
     prefix = "mantle_jump_"
     # One step at least: states that are only just in balance would drift from cycle to cycle.
     least_iterations = 1
-    reduced = None
+    reduced: Reduced | None = None
 
     def __init__(self, condensed: Condensed, contact: Condensable) -> None:
         self._condensed, self._contact = condensed, contact
@@ -367,9 +370,16 @@ class JumpSystem(Reduced):
         """The Jacobian as an operator."""
         return [[self._operator]]
 
-    def exact(self, linear: str) -> JumpSystem:
+    def options(self, linear: str) -> dict[str, Options]:
+        """None: its inverse is exact."""
+        return {}
+
+    def exact(self, linear: str) -> Exact:
         """The dense factors of the Jacobian."""
         return self
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Do nothing: jumps that are prescribed have been set at the beginning."""
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Residual of the law at the jumps and at the equilibrium that they lead to."""

@@ -165,11 +165,12 @@ class Solver:
         scales: Scales of the residuals of the last converged state, by part.
         tolerance: Residual over scale at which a run has converged.
         augmentation: Multiple of the case's augmentation at the start of the next solve.
+        timing: Seconds by phase.
+        stop: Returns the name of a pending stop signal, or "".
         reduced: Solver of the system in which linear unknowns are eliminated, if there is one.
 
     Args:
         max_iterations: Newton iterations allowed in a run.
-        stop: Returns the name of a pending stop signal, or "".
     """
 
     saved = ("scales", "augmentation")
@@ -186,7 +187,7 @@ class Solver:
     ) -> None:
         self.system, self.tolerance = system, tolerance
         self.active = ActiveSet(system.comm)
-        self._timing, self._stop = timing, stop
+        self.timing, self.stop = timing, stop
         self._templates = system.blocks()
         self.linear = Linear(system, linear, options, timing)
         defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
@@ -293,7 +294,7 @@ class Solver:
         self.active.forget()
         self.converged = False
         reduced = 0
-        with self._timing.phase("solve"):
+        with self.timing.phase("solve"):
             if self.reduced and self._reducing:
                 reduced = self._run_reduced(self.reduced, self._reducing)
             try:
@@ -330,7 +331,7 @@ class Solver:
         f, dx, ksp = self.vector(), self.vector(), self.snes.getKSP()
         contact.linear_about = forces
         try:
-            with self._timing.phase("solve"):
+            with self.timing.phase("solve"):
                 self.system.residual(self.blocks(), self.blocks(f))
                 self.linear.update(self.blocks())
                 if self._adapts:
@@ -375,7 +376,7 @@ class Solver:
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         # Every rank sees the same signal, so that none is left waiting for the others.
-        names = [name for name in self.system.comm.allgather(self._stop()) if name]
+        names = [name for name in self.system.comm.allgather(self.stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
         log.debug("     Newton iteration %d, residual %.1e", iteration, self.residuals[-1])

@@ -9,7 +9,6 @@ less what it takes in the whole is of second order, and is kept.
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -23,13 +22,17 @@ from app.numerics.newton import NewtonResult
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.failure import explain
+from app.stepping.advance import Growth, Step, advance
 from app.stepping.load_steps import LoadStepper
 
-# The most solves of a step, and the part of its tolerance by which strains may still change at its
-# end. Mostly three solves suffice: Anderson's acceleration saves 8 % of them (measured).
-SOLVES, SETTLED = 40, 0.02
-# Share of the tolerance that steps aim at, limits of their growth, and the error of a failure.
-AIM, LEAST, MOST, FAILED = 0.8, 0.2, 10.0, 16.0
+# The most solves of a step. Mostly three suffice: Anderson's acceleration saves 8 % of them
+# (measured).
+SOLVES = 40
+# Part of the tolerance of a step by which strains may still change at its end.
+SETTLED = 0.02
+# Part of a step by which the last one may be longer than the one before.
+HARDLY = 0.001
+GROWTH = Growth(safety=0.8, least=0.2, most=10.0, failed=0.2)
 
 
 class _FailedError(Exception):
@@ -42,15 +45,17 @@ class CreepStepper:
 
     Attributes:
         load_stepper: Takes the loads of a stage to their end, then commits steps of creep.
+        done: Creep of the stage that is done, in its unit.
+        length: Length of the next step, 0 before the first.
     """
 
-    saved: ClassVar = ("_done", "_length")
+    saved: ClassVar = ("done", "length")
 
     load_stepper: LoadStepper
 
     def __post_init__(self) -> None:
-        """Begin: what is done of the stage, and the length of the next step, 0 before the first."""
-        self._done = self._length = 0.0
+        """Begin before the first stage."""
+        self.done = self.length = 0.0
         self._problem, self._solver = self.load_stepper.problem, self.load_stepper.solver
         history, creep = self._problem.history, self._problem.creep
         assert history is not None and creep is not None
@@ -63,41 +68,21 @@ class CreepStepper:
         Raises:
             ConvergenceError: A step fails however short it is.
         """
-        if not self._length:
+        if not self.length:
             self.load_stepper.run_stage(k, stage, checkpoint_point)
             # At constant stress the first step would be exact whatever its length.
             first = self._creep.first(self._stress(), 10 * stage.creep_tolerance)
-            self._length = first if stage.adaptive else stage.creep / stage.increments
-        failures = 0
-        while self._done < stage.creep:
-            started, left = clock.perf_counter(), stage.creep - self._done
-            h = left if self._length > 0.999 * left else self._length
-            try:
-                error, failures = self._step(stage, h), 0
-            except _FailedError:
-                error, failures = FAILED, failures + 1
-                if failures > stage.max_cut_backs or not stage.adaptive:
-                    why = explain(self._problem, self._solver, self._spent[-1])
-                    raise why.error(stage.name, self._part(stage), []) from None
-            if stage.adaptive:
-                growth = AIM / math.sqrt(error) if error else MOST
-                self._length = h * min(max(growth, LEAST), MOST)
-                if error > 1.0:
-                    self.load_stepper.total.rejected += 1
-                    continue
-            self._done = stage.creep if h == left else self._done + h
-            time = k + self._part(stage)
-            self._problem.set_time(time)
-            self.load_stepper.commit(stage, time, self._outcome(), started, h == left)
-            checkpoint_point()
-        self._done = self._length = 0.0
+            self.length = first if stage.adaptive else stage.creep / stage.increments
+        steps = CreepSteps(self, k, stage)
+        advance(steps, steps, checkpoint_point)
+        self.done = self.length = 0.0
 
-    def _part(self, stage: Stage) -> float:
+    def part(self, stage: Stage) -> float:
         """Part of the stage that is done: its second half is the creep, by its logarithm."""
-        log = math.log1p(self._done) / math.log1p(stage.creep)
-        return stage.loaded + (1 - stage.loaded) * log if self._done < stage.creep else 1.0
+        log = math.log1p(self.done) / math.log1p(stage.creep)
+        return stage.loaded + (1 - stage.loaded) * log if self.done < stage.creep else 1.0
 
-    def _outcome(self) -> NewtonResult:
+    def outcome(self) -> NewtonResult:
         """The last solve, with the iterations of all that the step took."""
         newton = sum(o.iterations for o in self._spent)
         krylov = sum(o.linear_iterations for o in self._spent)
@@ -112,7 +97,7 @@ class CreepStepper:
         found = float(self._creep.crept(taken).max(initial=0.0))
         return float(self._problem.comm.allreduce(found, MPI.MAX))
 
-    def _step(self, stage: Stage, h: float) -> float:
+    def step(self, stage: Stage, h: float) -> float:
         """Solve a step, not yet committed; its error over the tolerance; collective.
 
         Raises:
@@ -176,3 +161,68 @@ class CreepStepper:
         if not self._spent[-1].converged:
             raise _FailedError
         self._problem.update_displacements(*self._solver.u_and_q())
+
+
+class CreepSteps:
+    """Steps of creep through a stage, and their control by the error."""
+
+    def __init__(self, stepper: CreepStepper, k: int, stage: Stage) -> None:
+        self._stepper, self._k, self._stage = stepper, k, stage
+        self._failures = 0
+
+    # Control
+
+    @property
+    def finished(self) -> bool:
+        """Whether the stage is done."""
+        return self._stepper.done >= self._stage.creep
+
+    def propose(self) -> Step:
+        """Return the next step."""
+        done, end = self._stepper.done, self._stage.creep
+        left = end - done
+        if self._stepper.length > (1 - HARDLY) * left:
+            return Step(done, end, left, whole=True)
+        return Step(done, done + self._stepper.length, self._stepper.length, whole=False)
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Accept a step within its tolerance; of equal steps, every one that was solved."""
+        if self._stage.adaptive:
+            self._stepper.length = step.length * GROWTH.factor(error)
+        accepted = error <= 1.0 if self._stage.adaptive else not math.isinf(error)
+        if accepted:
+            self._stepper.done = step.end
+        return accepted
+
+    # Steps
+
+    def try_step(self, step: Step) -> float:
+        """Solve a step; return its error over the tolerance; collective."""
+        try:
+            error = self._stepper.step(self._stage, step.length)
+        except _FailedError:
+            self._failures += 1
+            return math.inf
+        self._failures = 0
+        return error
+
+    def refuse(self, step: Step) -> None:
+        """Count a step that was too long.
+
+        Raises:
+            ConvergenceError: Too many steps in a row were not solved.
+        """
+        stepper, stage = self._stepper, self._stage
+        if self._failures > stage.max_cut_backs or (self._failures and not stage.adaptive):
+            problem, solver = stepper.load_stepper.problem, stepper.load_stepper.solver
+            why = explain(problem, solver, stepper.outcome())
+            raise why.error(stage.name, stepper.part(stage), [])
+        stepper.load_stepper.total.rejected += 1
+
+    def commit(self, step: Step, started: float) -> None:
+        """Commit the step last tried; collective."""
+        stepper, stage = self._stepper, self._stage
+        time = self._k + stepper.part(stage)
+        stepper.load_stepper.problem.set_time(time)
+        outcome = stepper.outcome()
+        stepper.load_stepper.commit(stage, time, outcome, started, step.whole)

@@ -5,11 +5,12 @@ grows is the energy spent. With residual R, state x and part s of the path of lo
 
 .. math:: R(x, s) = 0, \qquad \sum_p W_p w_p(x) = E
 
-with w the energy that damage spends in the step at a point of area W. A Newton iteration takes
-two solutions with the same Jacobian J,
+with w the energy that damage spends in the step at a point of area W. The second equation is one
+more row of the system, and the loop of `numerics.newton` solves both. With the Jacobian J of R, the
+exact inverse takes two solutions by the linear solver of J (bordering),
 
-.. math:: J a = R, \quad J b = \partial R/\partial s, \qquad δx = -a - δs\, b, \quad
-          δs = (\sum W w - E - g·a)/(g·b), \quad g = W \partial w/\partial x.
+.. math:: J a = r, \quad J b = \partial R/\partial s, \qquad δs = (g·a - r_E)/(g·b), \quad
+          δx = a - δs\, b, \quad g = W \partial w/\partial x.
 
 A step begins where points are about to break further: else g is zero and J elastic. The first
 begins at an elastic state a little beyond the onset of damage (`overshoot`).
@@ -20,25 +21,36 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from app.foundation.arrays import Floats
 from app.mechanics.problem import Problem
+from app.numerics.lifetime import python_mat
 from app.numerics.newton import NewtonResult, Solver
+from app.numerics.preconditioners import Options
+from app.numerics.system import Exact, Measure, Reduced, System
 
-# Newton iterations of a step; part of the energy at which it counts as spent; step of the part of
-# the path for the derivative.
-MOST, ENOUGH, SMALL = 25, 1e-6, 1e-4
-# Relative tolerance of the linear solver, how often a failed step is halved, and bisections.
-LINEAR, HALVINGS, BISECTIONS = 1e-9, 6, 40
+# Newton iterations of a step.
+ITERATIONS = 25
+# Part of the energy at which it counts as spent.
+ENOUGH = 1e-6
+# Step of the part of the path for the derivative.
+SMALL = 1e-4
+# Relative tolerance of the linear solver.
+LINEAR = 1e-9
+# Number of times that a failed step is halved.
+HALVINGS = 6
+# Bisections of the start.
+BISECTIONS = 40
 
 
-def spent(problem: Problem, solver: Solver) -> tuple[float, Floats]:
-    """Energy that damage spends in a step to the solver's state [N mm]; collective.
+def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, Floats]:
+    """Energy that damage spends in a step to a state [N mm]; collective.
 
     And its derivative by own jumps (3 n,) [N].
     """
-    u, q = solver.u_and_q()
     contact = problem.contact
     if contact is None or q is None or not contact.law.history:
         return 0.0, np.zeros(0)
@@ -77,81 +89,209 @@ def overshoot(
     contact.freeze(False)
     end = solver.x.copy()
 
-    def at(part: float) -> float:
+    def spent_at(part: float) -> float:
         end.copy(solver.x)
         solver.x.axpby(1.0 - part, part, start)
         solver.system.impose(solver.blocks())
-        return spent(problem, solver)[0]
+        return spent(problem, *solver.u_and_q())[0]
 
     low, high = 0.0, 1.0
-    if (found := at(high)) == 0.0:
+    energy_there = spent_at(high)
+    if energy_there == 0.0:
         return None
     for _ in range(BISECTIONS):
-        if found <= energy:
+        if energy_there <= energy:
             break
         middle = (low + high) / 2
-        if (more := at(middle)) == 0.0:
+        more = spent_at(middle)
+        if more == 0.0:
             low = middle
         else:
-            high, found = middle, more
-    at(high)
+            high, energy_there = middle, more
+    spent_at(high)
     return path[0] + high * (path[1] - path[0])
 
 
-def by_energy(
-    problem: Problem, solver: Solver, energy: float, s: float, set_load: Callable[[float], None]
-) -> tuple[NewtonResult, float]:
-    """Solve for the state that has spent an energy [N mm] since the last one; collective.
+class EnergyControl(System):
+    """Displacement and jumps of a system, and the part of the path of loads as last unknown.
+
+    It is its own operator (MATPYTHON) and inverse (PCPYTHON).
 
     Args:
         problem: The mechanical problem.
-        solver: Its solver, at the last converged state or beyond.
-        energy: Energy of the step.
-        s: Part of the path of loads there.
+        solver: Its solver.
         set_load: Sets the problem to a part of the path.
-
-    Returns:
-        The outcome, and the part of the path found.
     """
-    contact, comm = problem.contact, problem.comm
-    assert contact is not None
-    x, a, b = solver.x, solver.vector(), solver.vector()
-    residuals: list[float] = []
-    ksp, converged, krylov = solver.snes.getKSP(), False, 0
-    contact.scale_augmentation(solver.augmentation)
-    for _ in range(MOST):
-        # Loads are linear in the way to the end of the path, and taken as such beyond.
-        at = min(s, 1.0)
-        h = SMALL if at < 0.5 else -SMALL
-        set_load(at + h)
-        by_load = solver.residual(x.copy())
-        set_load(at)
-        f = solver.residual(x)
-        by_load.axpby(-1 / h, 1 / h, f)
-        f.axpy(s - at, by_load)
-        found, gradient = spent(problem, solver)
-        missing = found - energy
-        parts = solver.measure(x, f)
-        residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
-        if not math.isfinite(residuals[-1]):
-            break
-        converged = all(p.norm <= p.limit(solver.tolerance) for p in parts)
-        if converged := converged and abs(missing) <= ENOUGH * energy:
-            solver.scales = [p.scale for p in parts]
-            break
-        solver.linear.update(solver.blocks())
-        ksp.setOperators(solver.linear.matrix)
+
+    prefix = "mantle_energy_"
+    # A step that lowers the residual may be cut to nothing where damage begins.
+    newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
+    reduced: Reduced | None = None
+
+    def __init__(self, problem: Problem, solver: Solver, set_load: Callable[[float], None]) -> None:
+        self.comm = problem.comm
+        self._problem, self._given, self._set_load = problem, solver, set_load
+        self._energy = 1.0
+        self._load = PETSc.Vec().createMPI((int(self.comm.rank == 0), 1), comm=self.comm)
+        blocks = self.blocks().values()
+        local, every = (sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True))
+        self._operator = python_mat(self, (local, every), self.comm)
+        # State of the last residual with the supports of its load; residual by load, and energy
+        # by jumps there; solution for that residual.
+        self._state = solver.vector()
+        self._by_load = solver.vector()
+        self._by_jump: Floats = np.zeros(0)
+        self._moved = solver.vector()
+        limits = solver.tolerance, ITERATIONS
+        self._solver = Solver(self, *limits, "", {}, solver.timing, solver.stop)
+
+    def solve(self, energy: float, part: float) -> tuple[NewtonResult, float]:
+        """Solve for the state that has spent an energy [N mm] since the last one; collective.
+
+        Without convergence the given solver keeps its state.
+
+        Args:
+            energy: Energy of the step.
+            part: Part of the path of loads at the state of the given solver, to begin with.
+
+        Returns:
+            The outcome, and the part of the path at its end.
+        """
+        given, solver = self._given, self._solver
+        self._energy = energy
+        solver.tolerance = given.tolerance
+        solver.residuals, solver.changes = [], []
+        solver.scales = [*given.scales, 0.0] if given.scales else []
+        if given.system.contact:
+            given.system.contact.scale_augmentation(given.augmentation)
+        *x, load = solver.blocks()
+        for values, start in zip(x, given.blocks(), strict=True):
+            start.copy(values)
+        load.set(part)
+        newton, krylov = solver.run()
+        part = self._part(load)
+        if solver.converged:
+            self._set_load(min(part, 1.0))
+            for values, end in zip(x, given.blocks(), strict=True):
+                values.copy(end)
+            given.system.impose(given.blocks())
+            measured = solver.measure(solver.x, solver.snes.getFunction()[0])
+            given.scales = [p.scale for p in measured[:-1]]
+        residuals = tuple(solver.residuals)
+        return NewtonResult(solver.converged, newton, krylov, residuals, (), False), part
+
+    def _part(self, load: PETSc.Vec) -> float:
+        """Part of the path; collective."""
+        return float(self.comm.bcast(load.array_r[0] if self.comm.rank == 0 else None))
+
+    # As a system
+
+    @property
+    def version(self) -> int:
+        """Number of changes of the matrices."""
+        return self._given.system.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Those of the given system, and the part of the path."""
+        return self._given.system.blocks() | {"load": self._load.duplicate()}
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The Jacobian as an operator."""
+        return [[self._operator]]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """None: its inverse is exact."""
+        return {}
+
+    def exact(self, linear: str) -> Exact:
+        """Bordering."""
+        return self
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Leave the supports to `residual`: their values depend on the load."""
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Residual of a state with the supports of its load, and energy beyond the given one.
+
+        Loads are linear along the path to its end, and are continued so beyond it.
+        """
+        given = self._given
+        part = self._part(x[-1])
+        if not math.isfinite(part):  # see `apply`
+            for of_block in f:
+                of_block.set(math.nan)
+            return
+        on_path = min(part, 1.0)
+        h = SMALL if on_path < 0.5 else -SMALL
+        for values, kept in zip(x[:-1], given.blocks(self._state), strict=True):
+            values.copy(kept)
+        self._set_load(on_path + h)
+        by_load = given.residual(self._state.copy())
+        self._set_load(on_path)
+        r = given.residual(self._state)
+        by_load.axpby(-1 / h, 1 / h, r)
+        r.axpy(part - on_path, by_load)
+        by_load.copy(self._by_load)
+        for values, of_block in zip(given.blocks(r), f[:-1], strict=True):
+            values.copy(of_block)
+        energy, self._by_jump = spent(self._problem, *given.u_and_q(self._state))
+        f[-1].set(energy - self._energy)
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Sizes of the given system, and of the energy that is missing [N mm]."""
+        given = self._given
+        parts = given.system.measure(given.blocks(self._state), f[:-1])
+        # It is met at ENOUGH, whatever the tolerance of forces.
+        scale = self._energy * ENOUGH / given.tolerance
+        return [*parts, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
+
+    # As operator and inverse of PETSc
+
+    def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply the Jacobian to x, into y."""
+        *moved, load = x.getNestSubVecs()
+        *forces, energy = y.getNestSubVecs()
+        given, a, r = self._given, self._given.vector(), self._given.vector()
+        for values, of_block in zip(moved, given.blocks(a), strict=True):
+            values.copy(of_block)
+        given.linear.matrix.mult(a, r)
+        r.axpy(self._part(load), self._by_load)
+        for values, of_block in zip(given.blocks(r), forces, strict=True):
+            values.copy(of_block)
+        energy.set(self._energy_by(a))
+
+    def renew(self) -> None:
+        """Do nothing: the inverse of the given system is its own solver's."""
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Set the Jacobian at the state of the last residual; solve for the load."""
+        given = self._given
+        given.linear.update(given.blocks(self._state))
+        ksp = given.snes.getKSP()
+        ksp.setOperators(given.linear.matrix)
         ksp.setTolerances(rtol=LINEAR, atol=0.0)
-        ksp.solve(f, a)
-        krylov += int(ksp.getIterationNumber())
-        ksp.solve(by_load, b)
-        jumps = [solver.blocks_by_name(v)["jump"].array_r for v in (a, b)]
-        by_a, by_b = comm.allreduce(np.array([gradient @ q for q in jumps]))
-        if by_b == 0.0:
-            break
-        ds = (missing - by_a) / by_b
-        x.axpy(-1.0, a)
-        x.axpy(-ds, b)
-        s += ds
-    newton = len(residuals) - 1
-    return NewtonResult(converged, newton, krylov, tuple(residuals), (), False), s
+        ksp.solve(self._by_load, self._moved)
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Apply the inverse of the Jacobian to r, into z.
+
+        If no energy is spent there is no such step: it is not a number, and the loop ends.
+        """
+        *forces, energy = r.getNestSubVecs()
+        *moved, load = z.getNestSubVecs()
+        given, right, a = self._given, self._given.vector(), self._given.vector()
+        for values, of_block in zip(forces, given.blocks(right), strict=True):
+            values.copy(of_block)
+        given.snes.getKSP().solve(right, a)
+        by_load = self._energy_by(self._moved)
+        missing = self._energy_by(a) - self._part(energy)
+        step = missing / by_load if by_load else math.nan
+        a.axpy(-step, self._moved)
+        for values, of_block in zip(given.blocks(a), moved, strict=True):
+            values.copy(of_block)
+        load.set(step)
+
+    def _energy_by(self, x: PETSc.Vec) -> float:
+        """Change of the energy by a change of the state; collective."""
+        jump = self._given.blocks_by_name(x)["jump"].array_r
+        return float(self.comm.allreduce(float(self._by_jump @ jump)))

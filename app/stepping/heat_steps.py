@@ -6,14 +6,16 @@ part of each of its solves (`stepping.heated_mechanics`).
 
 from __future__ import annotations
 
+import math
 import time as clock
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 
 from app.foundation.errors import ConvergenceError
 from app.numerics.integrator import Controller
 from app.scene.scene import Stage
 from app.soundness.failure import attempts
+from app.stepping.advance import Control, GivenSteps, Step, advance
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, Summary
@@ -23,8 +25,6 @@ SHORTEST = 1e-10
 
 Mechanics = SolvedAfterHeat | SolvedWithHeat
 OnHeat = Callable[[LoadStep, HeatStep], None]
-# Committed steps, the part of the stage that is done then, and whether an increment ends.
-Steps = Iterator[tuple[HeatStep, float, bool]]
 
 
 class HeatStepper:
@@ -54,82 +54,80 @@ class HeatStepper:
         if self.mechanics is not None:
             self.mechanics.begin(k, stage, not self._under_way)
         self._under_way = True
-        if stage.steady:
-            steps = self._steady(stage)
-        elif stage.adaptive:
-            steps = self._adaptive(stage)
-        else:
-            steps = self._fixed(stage)
-        started = clock.perf_counter()
-        for accepted, part, whole in steps:
-            time = k + (1.0 if part > 1 - SHORTEST else part)
-            if self.mechanics is not None:
-                self.mechanics.follow(time, whole)
-            outcome, seconds = accepted.outcome, clock.perf_counter() - started
-            step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
-            self._on_heat(step, accepted)
-            self._steps += 1
-            checkpoint_point()
-            started = clock.perf_counter()
+        self._k, self._stage = k, stage
+        advance(self, self._control_of(stage), checkpoint_point)
         self._under_way = False
 
-    def _steady(self, stage: Stage) -> Steps:
-        """The steady state, unless it has been reached."""
-        if self._steps:
-            return
-        accepted = self.heating.solve_steady()
-        if accepted is None:
+    def _control_of(self, stage: Stage) -> Control:
+        """Lengths of the steps of a stage: one to a steady state, by their error, or equal."""
+        if stage.steady:
+            return GivenSteps([Step(0.0, 1.0, math.inf, whole=True)], self._steps)
+        first = 0.0
+        if not self._steps:
+            first = self.heating.start(stage.seconds / stage.increments)
+        if stage.adaptive:
+            return StepsByError(self.heating, self._controller, stage, self._begin, first)
+        return GivenSteps(self._equal(stage), self._steps)
+
+    def _equal(self, stage: Stage) -> list[Step]:
+        """Equal steps of a stage, divided at events."""
+        length = stage.seconds / stage.increments
+        tiny = SHORTEST * stage.seconds
+        steps: list[Step] = []
+        for n in range(stage.increments):
+            inside = [e - self._begin - n * length for e in self.heating.events]
+            ends = [0.0, *(e for e in inside if tiny < e < length - tiny), length]
+            for a, b in pairwise(ends):
+                places = (n + a / length) / stage.increments, (n + b / length) / stage.increments
+                steps.append(Step(*places, b - a, b == length))
+        return steps
+
+    # Steps
+
+    def try_step(self, step: Step) -> float:
+        """Solve a step of time, or for a steady state; return its error; collective."""
+        if self._stage.steady:
+            self._steady = self.heating.solve_steady()
+            return math.inf if self._steady is None else 0.0
+        self._solved = self.heating.attempt(step.length, fixed=not self._stage.adaptive)
+        if self._solved is None:
+            return math.inf
+        return self.heating.norm(self._solved[0].error)
+
+    def refuse(self, step: Step) -> None:
+        """Count a step that was not accepted.
+
+        Raises:
+            ConvergenceError: It may not be shorter.
+        """
+        stage = self._stage
+        if stage.steady:
             raise ConvergenceError(
                 f"no steady state in stage '{stage.name}': "
                 "heat and the fields coupled to it did not converge\n"
                 "  what to change: give the stage a duration instead"
             )
-        yield accepted, 1.0, True
+        self.total.rejected += 1
+        if not stage.adaptive or step.length < SHORTEST * stage.seconds:
+            raise ConvergenceError(self._failure_text(step))
 
-    def _fixed(self, stage: Stage) -> Steps:
-        """Equal steps, whatever their error, divided at events."""
-        heating, whole = self.heating, stage.seconds / stage.increments
-        if not self._steps:
-            heating.start(whole)
-        tiny, steps = SHORTEST * stage.seconds, []
-        for n in range(stage.increments):
-            inside = [e - self._begin - n * whole for e in heating.events]
-            ends = [0.0, *(e for e in inside if tiny < e < whole - tiny), whole]
-            steps += [(b - a, n + b / whole, b == whole) for a, b in pairwise(ends)]
-        for dt, done, at_end in steps[self._steps :]:
-            found = heating.attempt(dt, fixed=True)
-            if found is None:
-                raise ConvergenceError(self._failure_text(stage, dt))
-            yield heating.accept(*found, dt), done / stage.increments, at_end
+    def commit(self, step: Step, started: float) -> None:
+        """Commit the step last tried, then let the mechanics follow; collective."""
+        if self._stage.steady:
+            accepted = self._steady
+        elif self._solved is not None:
+            accepted = self.heating.accept(*self._solved, step.length)
+        assert accepted is not None
+        time = self._k + (1.0 if step.end > 1 - SHORTEST else step.end)
+        if self.mechanics is not None:
+            self.mechanics.follow(time, step.whole)
+        outcome, seconds = accepted.outcome, clock.perf_counter() - started
+        load_step = LoadStep(self.total.steps, self._stage.name, time, outcome, seconds, step.whole)
+        self._on_heat(load_step, accepted)
+        self._steps += 1
 
-    def _adaptive(self, stage: Stage) -> Steps:
-        heating, begin, controller = self.heating, self._begin, self._controller
-        whole = stage.seconds / stage.increments
-        ends = [begin + (n + 1) * whole for n in range(stage.increments)]
-        controller.events = sorted([*ends, *(e for e in heating.events if begin < e < ends[-1])])
-        if not self._steps:
-            controller.begin(min(heating.start(whole), whole))
-        tiny = SHORTEST * stage.seconds
-        while heating.seconds < ends[-1] - tiny:
-            while True:
-                dt = controller.propose(heating.seconds)
-                found = heating.attempt(dt)
-                if found is None:
-                    controller.failed(dt)
-                elif controller.judge(dt, heating.norm(found[0].error)):
-                    break
-                heating.total.rejected += 1
-                if dt < tiny:
-                    raise ConvergenceError(self._failure_text(stage, dt))
-            accepted = heating.accept(*found, dt)
-            at_end = min(abs(heating.seconds - e) for e in ends) < tiny
-            yield accepted, self._done(stage), at_end
-
-    def _done(self, stage: Stage) -> float:
-        return min((self.heating.seconds - self._begin) / stage.seconds, 1.0)
-
-    def _failure_text(self, stage: Stage, dt: float) -> str:
-        outcome = self.heating.outcome
+    def _failure_text(self, step: Step) -> str:
+        outcome, stage = self.heating.outcome, self._stage
         tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) or "none"
         advice = (
             "a larger time.tolerance or smaller changes (a slower reaction, weaker coupling)"
@@ -137,9 +135,55 @@ class HeatStepper:
             else "more increments, or adaptive: true"
         )
         return (
-            f"no convergence in stage '{stage.name}' at {100 * self._done(stage):.3g} % of it, "
-            f"with a time step of {dt:.3g} s\n"
+            f"no convergence in stage '{stage.name}' at {100 * step.begin:.3g} % of it, "
+            f"with a time step of {step.length:.3g} s\n"
             f"  last residuals (relative to heat or forces): {tail}\n"
             f"  tried: {attempts(outcome.tried)}\n"
             f"  what to change: {advice}"
         )
+
+
+class StepsByError:
+    """Time steps of a stage whose error stays below the tolerance; they end at events.
+
+    Args:
+        heating: The heat.
+        controller: Chooses the lengths; it is saved.
+        begin: Time at which the stage begins [s].
+        first: First step to try [s], 0 if the stage goes on after a restart.
+    """
+
+    def __init__(
+        self, heating: HeatState, controller: Controller, stage: Stage, begin: float, first: float
+    ) -> None:
+        self._heating, self._controller = heating, controller
+        self._stage, self._begin = stage, begin
+        self._tiny = SHORTEST * stage.seconds
+        increment = stage.seconds / stage.increments
+        self._ends = [begin + (n + 1) * increment for n in range(stage.increments)]
+        inside = [e for e in heating.events if begin < e < self._ends[-1]]
+        controller.events = sorted([*self._ends, *inside])
+        if first:
+            controller.begin(min(first, increment))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the stage is done."""
+        return not self._heating.seconds < self._ends[-1] - self._tiny
+
+    def propose(self) -> Step:
+        """Return the next step, as parts of the stage, with its length [s]."""
+        seconds = self._heating.seconds
+        length = self._controller.propose(seconds)
+        end = seconds + length
+        whole = min(abs(end - e) for e in self._ends) < self._tiny
+        done = min((seconds - self._begin) / self._stage.seconds, 1.0)
+        reach = min((end - self._begin) / self._stage.seconds, 1.0)
+        return Step(done, reach, length, whole)
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Accept a step within its tolerance."""
+        if math.isinf(error):
+            self._controller.failed(step.length)
+            return False
+        return self._controller.judge(step.length, error)

@@ -25,9 +25,12 @@ from app.scene.scene import Stage
 from app.soundness.cover import Cover
 from app.soundness.failure import explain, proportional
 from app.soundness.loose_bodies import held_by_facets, runaway
-from app.stepping.energy_control import HALVINGS, by_energy, overshoot, spent
+from app.stepping.advance import Progress, Step, advance
+from app.stepping.energy_control import HALVINGS, EnergyControl, overshoot, spent
 
+# Newton iterations up to which a step is easy, and the next one longer.
 EASY_ITERATIONS = 8
+# Length of the next step over that of an easy one.
 GROWTH = 2.0
 # Times that points which slide far are paired anew in a step; mostly none or one is enough.
 PAIRINGS = 10
@@ -82,49 +85,18 @@ OnStep = Callable[[LoadStep, TrialState | None], None]
 
 
 @dataclass
-class Progress:
+class LoadProgress(Progress):
     """Progress along a path of loads.
 
     Attributes:
-        step: Next step, as a part of the path; 0 if no path has been begun.
-        done: Completed part of the path.
         energy: Fracture energy of the next step where the load follows it, 0 where it is given.
         most: Largest part of the path that has been reached.
         handed: Part of the path at which no step of given energy was found, last.
-        cuts: Number of halvings of the step minus that of its increases since.
     """
 
-    step: float = 0.0
-    done: float = 0.0
-    cuts: int = 0
     energy: float = 0.0
     most: float = 0.0
     handed: float = -1.0
-
-    def goal(self, whole: float) -> float:
-        """End of the current increment, which a shortened step does not exceed."""
-        goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
-        return 1.0 if goal > 1.0 - 1e-9 else goal
-
-    def reach(self, goal: float) -> float:
-        """End of the next step: the goal if hardly anything would be left before it."""
-        return goal if self.done + 1.001 * self.step > goal else self.done + self.step
-
-    def may_halve(self, stage: Stage, free: bool) -> bool:
-        """Whether to try half of a failed step; once only if a body is free, as it hardly helps."""
-        most = min(1, stage.max_cut_backs) if free else stage.max_cut_backs
-        return stage.adaptive and self.cuts < most
-
-    def halve(self, reach: float) -> None:
-        """Try half of a failed step."""
-        self.cuts += 1
-        self.step = (reach - self.done) / 2
-
-    def advance(self, reach: float, whole: float, easy: bool) -> None:
-        """Complete a step, and lengthen the next one if it was easy."""
-        self.done = reach
-        if easy and self.step < whole:
-            self.step, self.cuts = min(GROWTH * self.step, whole), max(self.cuts - 1, 0)
 
 
 @dataclass
@@ -153,9 +125,9 @@ class LoadStepper:
         """Put extrapolation before the other predictors."""
         self._line = Extrapolation(self.solver, self.problem.scene.last_turn)
         self.predictors = (self._line, *self.predictors)
-        self._progress, self._cover = Progress(), Cover(self.problem)
+        self._progress, self._cover = LoadProgress(), Cover(self.problem)
 
-    def _solve(self) -> NewtonResult:
+    def solve(self) -> NewtonResult:
         """Solve, until points that slide far are paired with the surface that they touch."""
         problem, (u, q) = self.problem, self.solver.u_and_q()
         if problem.contact:
@@ -176,13 +148,13 @@ class LoadStepper:
         whole, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
         whole /= self.problem.scene.turns(k, whole)
         if not self._progress.step:
-            self._progress = Progress(whole)
+            self._progress = LoadProgress(whole)
 
         def set_load(s: float) -> None:
             self.problem.set_time(k + s * stage.loaded)
 
         self.run_path(stage, whole, set_load, k, end, self._progress, checkpoint_point)
-        self._progress = Progress()
+        self._progress = LoadProgress()
 
     def run_path(
         self,
@@ -191,7 +163,7 @@ class LoadStepper:
         set_load: Callable[[float], None],
         begin: float,
         end: float,
-        progress: Progress | None = None,
+        progress: LoadProgress | None = None,
         checkpoint_point: Callable[[], None] = lambda: None,
     ) -> None:
         """Follow a path of loads, temperatures and supports.
@@ -208,104 +180,16 @@ class LoadStepper:
         Raises:
             ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
         """
-        problem, solver, progress = self.problem, self.solver, progress or Progress(whole)
+        progress = progress or LoadProgress(whole)
         self._line.begin(begin)
+        path = LoadPath(stage, whole, set_load, begin, end)
+        given_loads = GivenLoads(self, path, progress)
+        given_energy = GivenEnergy(self, path, progress)
         while progress.done < 1.0:
-            started, goal = clock.perf_counter(), progress.goal(whole)
-            start, predictors = solver.x.copy(), self.predictors
-            halved: list[float] = []
-            begun: float | None = None
-            while not progress.energy:
-                reach = progress.reach(goal)
-                time = begin + reach * (end - begin)
-                set_load(reach)
-                problem.update_stiffness()
-                if problem.sliding:
-                    problem.sliding.carry(*solver.u_and_q())
-                for p in predictors:
-                    p.predict(time)
-                predicted = predictors and not same(start, solver.x)
-                outcome = self._solve()
-                most = stage.fracture_step
-                if outcome.converged and (most is None or spent(problem, solver)[0] <= most):
-                    break
-                self.total.rejected += 1
-                start.copy(solver.x)
-                if most is not None:
-                    solver.augmentation = 1.0  # what that step needed is not for smaller ones
-                    path = progress.done, reach
-                    begun = overshoot(problem, solver, most, path, set_load)
-                    if begun is not None:
-                        progress.energy = most
-                        continue
-                    start.copy(solver.x)
-                predictors = ()
-                # From rest, without gaps, smaller steps fail alike.
-                scales = not start.norm() and proportional(solver, set_load, reach)
-                why = explain(problem, solver, outcome, scales)
-                if predicted:
-                    self.on_trouble(f"{why.cause.what}; repeating without extrapolation")
-                    continue
-                if scales or not progress.may_halve(stage, why.free):
-                    raise why.error(stage.name, time - int(begin), halved)
-                progress.halve(reach)
-                halved.append(progress.step)
-                how = f"step halved to {progress.step:.4g} of stage '{stage.name}'"
-                self.on_trouble(f"{why.cause.what}; {how}")
+            advance(given_loads, given_loads, checkpoint_point)
             if progress.energy:
-                self._by_energy(stage, whole, set_load, (begin, end), progress, (start, begun))
-                checkpoint_point()
-                continue
-            self.commit(stage, time, outcome, started, reach == goal)
-            progress.advance(reach, whole, outcome.iterations <= EASY_ITERATIONS)
-            checkpoint_point()
-
-    def _by_energy(
-        self,
-        stage: Stage,
-        whole: float,
-        set_load: Callable[[float], None],
-        times: tuple[float, float],
-        progress: Progress,
-        first: tuple[PETSc.Vec, float | None],
-    ) -> None:
-        """Take a step of given fracture energy from a state, and the part of the path of a guess.
-
-        It hands back to load steps where it is a long one, or where nothing more can break.
-        """
-        problem, solver, started = self.problem, self.solver, clock.perf_counter()
-        (start, begun), energy, most = first, progress.energy, stage.fracture_step or 0.0
-        while energy > most / 2**HALVINGS:
-            at = progress.done if begun is None else begun
-            outcome, reach = by_energy(problem, solver, energy, at, set_load)
-            self.total.count(outcome)
-            if outcome.converged:
-                break
-            start.copy(solver.x)
-            self.total.rejected += 1
-            energy, begun = energy / 2, None
-        else:
-            if progress.handed != progress.done:
-                progress.energy, progress.step, progress.handed = 0.0, whole, progress.done
-                return
-            text = (
-                f"no state was found in which interfaces have used up {energy:.3g} N mm more; the "
-                f"load has reached {100 * max(progress.most, progress.done):.3g} % of the stage"
-            )
-            where = f"stage '{stage.name}' at {100 * progress.done:.3g} % of it"
-            cure = "a shorter `fracture_step`, a finer mesh, or a smaller load, if what holds is "
-            raise ConvergenceError(Verdict(text, where, f"{cure}broken"))
-        longer = reach - progress.done >= whole
-        if reach >= 1.0:
-            start.copy(solver.x)
-            progress.energy, progress.step = 0.0, 1.0 - progress.done
-            return
-        passed = math.floor(reach / whole) > math.floor(progress.done / whole)
-        progress.done, progress.most = reach, max(progress.most, reach)
-        progress.energy = 0.0 if longer else min(2 * energy, most)
-        if longer:
-            progress.step = whole
-        self.commit(stage, times[0] + reach * (times[1] - times[0]), outcome, started, passed)
+                given_energy.begin(given_loads.start, given_loads.begun)
+                advance(given_energy, given_energy, checkpoint_point)
 
     def commit(
         self, stage: Stage, time: float, outcome: NewtonResult, started: float, whole: bool
@@ -340,3 +224,215 @@ class LoadStepper:
         tipped = self._cover.tipped()
         if tipped:
             raise ConvergenceError(replace(tipped, where=where))
+
+
+@dataclass(frozen=True)
+class LoadPath:
+    """A path of loads; arguments of `LoadStepper.run_path`."""
+
+    stage: Stage
+    whole: float
+    set_load: Callable[[float], None]
+    begin: float
+    end: float
+
+    def time(self, part: float) -> float:
+        """Return the time at a part of the path."""
+        return self.begin + part * (self.end - self.begin)
+
+
+class GivenLoads:
+    """Steps of given loads, and their control: halved on failure, longer after an easy one.
+
+    Attributes:
+        start: State at the beginning of the step.
+        begun: Part of the path of a state beyond the onset of damage, from which steps of given
+            energy begin; None if there is none.
+    """
+
+    def __init__(self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress) -> None:
+        self._stepper, self._path, self._progress = stepper, path, progress
+        self._problem, self._solver = stepper.problem, stepper.solver
+        self.begun: float | None = None
+        self.start = self._solver.x.copy()
+        self._predicts = True
+        self._halved: list[float] = []
+
+    # Control
+
+    @property
+    def finished(self) -> bool:
+        """Whether the path is done, or steps of given energy go on."""
+        return self._progress.done >= 1.0 or self._progress.energy > 0.0
+
+    def propose(self) -> Step:
+        """Return the next step."""
+        return self._progress.next(self._path.whole)
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Accept a step that was solved, in a number of iterations; lengthen the next one."""
+        if math.isinf(error):
+            return False
+        p, whole = self._progress, self._path.whole
+        p.done = step.end
+        if error <= EASY_ITERATIONS and p.step < whole:
+            p.step = min(GROWTH * p.step, whole)
+            p.cuts = max(p.cuts - 1, 0)
+        return True
+
+    # Steps
+
+    def try_step(self, step: Step) -> float:
+        """Predict and solve a step; return the number of Newton iterations; collective."""
+        problem, solver, stage = self._problem, self._solver, self._path.stage
+        if not self._halved and self._predicts:
+            solver.x.copy(self.start)
+        self._path.set_load(step.end)
+        problem.update_stiffness()
+        if problem.sliding:
+            problem.sliding.carry(*solver.u_and_q())
+        predictors = self._stepper.predictors if self._predicts else ()
+        for p in predictors:
+            p.predict(self._path.time(step.end))
+        self._predicted = bool(predictors) and not same(self.start, solver.x)
+        self._outcome = self._stepper.solve()
+        if not self._outcome.converged:
+            return math.inf
+        most = stage.fracture_step
+        if most is not None and spent(problem, *solver.u_and_q())[0] > most:
+            return math.inf
+        return float(self._outcome.iterations)
+
+    def refuse(self, step: Step) -> None:
+        """Go on by energy if an interface breaks; else without prediction, or with half a step.
+
+        Raises:
+            ConvergenceError: The step cannot or may not be halved.
+        """
+        problem, solver, p = self._problem, self._solver, self._progress
+        stage, set_load = self._path.stage, self._path.set_load
+        self._stepper.total.rejected += 1
+        self.start.copy(solver.x)
+        if stage.fracture_step is not None:
+            solver.augmentation = 1.0  # a smaller step may not need that of this step
+            ends = step.begin, step.end
+            self.begun = overshoot(problem, solver, stage.fracture_step, ends, set_load)
+            if self.begun is not None:
+                p.energy = stage.fracture_step
+                self._end()
+                return
+            self.start.copy(solver.x)
+        self._predicts = False
+        # From rest, without gaps, smaller steps fail alike.
+        scales = not self.start.norm() and proportional(solver, set_load, step.end)
+        why = explain(problem, solver, self._outcome, scales)
+        if self._predicted:
+            self._stepper.on_trouble(f"{why.cause.what}; repeating without extrapolation")
+            return
+        # If a body is free, halving hardly helps: once only.
+        cuts = min(1, stage.max_cut_backs) if why.free else stage.max_cut_backs
+        if scales or not stage.adaptive or p.cuts >= cuts:
+            time = self._path.time(step.end) - int(self._path.begin)
+            raise why.error(stage.name, time, self._halved)
+        p.cuts += 1
+        p.step = step.length / 2
+        self._halved.append(p.step)
+        how = f"step halved to {p.step:.4g} of stage '{stage.name}'"
+        self._stepper.on_trouble(f"{why.cause.what}; {how}")
+
+    def commit(self, step: Step, started: float) -> None:
+        """Commit the step last tried; collective."""
+        path = self._path
+        self._end()
+        time = path.time(step.end)
+        self._stepper.commit(path.stage, time, self._outcome, started, step.whole)
+
+    def _end(self) -> None:
+        self._predicts, self._halved = True, []
+
+
+class GivenEnergy:
+    """Steps of given fracture energy, and their control: halved on failure, doubled after each one.
+
+    They hand back to steps of given loads where a step is a long one, or nothing more can break.
+    """
+
+    def __init__(self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress) -> None:
+        self._stepper, self._path, self._progress = stepper, path, progress
+        self._solver = stepper.solver
+        self._most = path.stage.fracture_step or 0.0
+        self._control: EnergyControl | None = None
+        self.begin(self._solver.x.copy(), None)
+
+    def begin(self, start: PETSc.Vec, begun: float | None) -> None:
+        """Begin at a committed state, or at the solver's state at a part of the path."""
+        self._start, self._begun = start, begun
+
+    # Control
+
+    @property
+    def finished(self) -> bool:
+        """Whether steps of given loads go on."""
+        return self._progress.energy == 0.0 or self._progress.done >= 1.0
+
+    def propose(self) -> Step:
+        """Return the next step: its length is its energy [N mm], its end unknown."""
+        p = self._progress
+        return Step(p.done, p.done, p.energy, whole=False)
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Accept a step that was solved before the end of the path."""
+        return not math.isinf(error) and self._reach < 1.0
+
+    # Steps
+
+    def try_step(self, step: Step) -> float:
+        """Solve a step; collective."""
+        p = self._progress
+        if self._control is None:
+            arguments = self._stepper.problem, self._solver, self._path.set_load
+            self._control = EnergyControl(*arguments)
+        begin = p.done if self._begun is None else self._begun
+        self._outcome, self._reach = self._control.solve(step.length, begin)
+        self._stepper.total.count(self._outcome)
+        return 0.0 if self._outcome.converged else math.inf
+
+    def refuse(self, step: Step) -> None:
+        """Halve the energy; or hand back to steps of given loads; collective.
+
+        Raises:
+            ConvergenceError: These have handed over from the same place.
+        """
+        p, stage = self._progress, self._path.stage
+        self._start.copy(self._solver.x)
+        self._begun = None
+        if self._outcome.converged:  # beyond the end of the path
+            p.energy, p.step = 0.0, 1.0 - p.done
+            return
+        self._stepper.total.rejected += 1
+        p.energy = step.length / 2
+        if p.energy > self._most / 2**HALVINGS:
+            return
+        if p.handed != p.done:
+            p.energy, p.step, p.handed = 0.0, self._path.whole, p.done
+            return
+        text = (
+            f"no state was found in which interfaces have used up {p.energy:.3g} N mm more; the "
+            f"load has reached {100 * max(p.most, p.done):.3g} % of the stage"
+        )
+        where = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"
+        cure = "a shorter `fracture_step`, a finer mesh, or a smaller load, if what holds is broken"
+        raise ConvergenceError(Verdict(text, where, cure))
+
+    def commit(self, step: Step, started: float) -> None:
+        """Commit the step last tried; collective."""
+        p, whole, reach = self._progress, self._path.whole, self._reach
+        longer = reach - p.done >= whole
+        passed = math.floor(reach / whole) > math.floor(p.done / whole)
+        p.done, p.most = reach, max(p.most, reach)
+        p.energy = 0.0 if longer else min(2 * step.length, self._most)
+        if longer:
+            p.step = whole
+        self.begin(self._solver.x.copy(), None)
+        time = self._path.time(reach)
+        self._stepper.commit(self._path.stage, time, self._outcome, started, passed)

@@ -7,7 +7,7 @@ plus what was cut.
 
 from __future__ import annotations
 
-import time as clock
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 import ufl
 
 from app.foundation.arrays import Floats
-from app.foundation.errors import InputError, MantleError
+from app.foundation.errors import ConvergenceError, InputError, MantleError
 from app.laws.remodelling import Remodelling
 from app.laws.supports import Fixed
 from app.laws.values import field
@@ -29,12 +29,20 @@ from app.numerics.saved_state import node_keys
 from app.scene.bodies import FACET_NODES, boundary_facets
 from app.scene.scene import Stage
 from app.soundness.failure import explain
-from app.stepping.load_steps import LoadStepper, Progress
+from app.stepping.advance import Growth, Progress, Step, advance
+from app.stepping.load_steps import LoadStepper
 
-MOST = 0.3  # g/cm3 in a step
-SHORTEST = 1e-8  # part of a stage that is no step any more
-TINY = 1e-300  # stands for zero as a divisor
-GRAM = 1e-3  # of 1 mm3 of 1 g/cm3
+# Largest change of the density in a step [g/cm3].
+MOST = 0.3
+GROWTH = Growth(safety=0.9, least=0.2, most=2.0, failed=0.5)
+# Largest part of a step by which it is repeated.
+SHORTER = 0.9
+# Part of a stage below which a step is too short.
+SHORTEST = 1e-8
+# Stands for zero as a divisor.
+TINY = 1e-300
+# Mass of 1 mm3 of 1 g/cm3 [g].
+GRAM = 1e-3
 
 
 class Remodeller:
@@ -173,24 +181,24 @@ class Remodeller:
         Raises:
             ConvergenceError: A load case cannot be solved even after a short time.
         """
-        problem, stepper, m = self.problem, self._stepper, self.mechanics
+        stepper, m = self._stepper, self.mechanics
         self._begin(k)
         if not self._progress.step:
             self._progress = Progress(1.0 / stage.increments)
-        p, kept = self._progress, (m.density.copy(), stepper.solver.x.copy())
+        self._k, self._stage = k, stage
+        self._kept = m.density.copy(), stepper.solver.x.copy()
         try:
-            while p.done < 1.0:
-                started, goal = clock.perf_counter(), p.goal(1.0 / stage.increments)
-                self._speed = self._step(stage, goal)
-                problem.set_time(k + p.done)
-                stepper.commit(stage, k + p.done, self._outcome, started, p.done == goal)
-                kept = m.density.copy(), stepper.solver.x.copy()
-                checkpoint_point()
+            if self._speed is None:
+                self._speed = self._change()
+            if self._speed is None:
+                raise self._failure()
+            self._limit(self._speed)
+            advance(self, self, checkpoint_point)
         except MantleError:
-            m.density[:] = kept[0]
-            kept[1].copy(stepper.solver.x)
+            m.density[:] = self._kept[0]
+            self._kept[1].copy(stepper.solver.x)
             self._follow()
-            problem.update_displacements(*stepper.solver.u_and_q())
+            self.problem.update_displacements(*stepper.solver.u_and_q())
             raise
         self._progress, self._speed = Progress(), None
 
@@ -203,40 +211,98 @@ class Remodeller:
         S = self.stimulus(self._cases)
         return None if S is None else self._free * self._law.speed(S, self._reference)
 
-    def _step(self, stage: Stage, goal: float) -> Floats:
-        """Take a step that its error allows, to a goal in the stage at most; collective.
+    @property
+    def _duration(self) -> float:
+        """Duration of the stage [s]."""
+        return self._stage.remodels or 0.0
 
-        Returns the change of the density in time at its end [g/(cm3 s)].
-        """
-        p, tolerance, (low, high) = self._progress, self._law.tolerance, self._law.density
-        T, old, m = stage.remodels or 0.0, self.mechanics.density.copy(), self.mechanics
+    def _limit(self, speed: Floats) -> None:
+        """Shorten the next step so that no density changes by more than `MOST`; collective."""
+        old, (low, high) = self.mechanics.density, self._law.density
+        far = np.where(speed > 0, high - old, old - low) > MOST
+        fastest = max(self._largest(speed[far]) * self._duration, TINY)
+        self._progress.step = min(self._progress.step, MOST / fastest)
 
-        def moved(change: Floats) -> Floats:
-            m.density[:] = np.where(self._free, np.clip(old + change, low, high), old)
-            return m.density.copy()
-
-        speed = self._change() if self._speed is None else self._speed
-        while speed is not None and p.step > SHORTEST:
-            far = np.where(speed > 0, high - old, old - low) > MOST
-            p.step = min(p.step, MOST / max(self._largest(speed[far]) * T, TINY))
-            reach = p.reach(goal)
-            part, factor = reach - p.done, 0.5
-            euler = moved(T * part * speed)
-            if (there := self._change()) is not None:
-                change = T * part * (speed + there) / 2
-                heun = moved(change)
-                error = self._largest(heun - euler)
-                factor = min(max(0.9 * (tolerance / max(error, TINY)) ** 0.5, 0.2), 2.0)
-                if error <= tolerance and (end := self._change()) is not None:
-                    self.mass["added"] += self._grams(change)
-                    self.mass["cut"] += self._grams(heun - old - change)
-                    self.seconds, self.steps = self.seconds + T * part, self.steps + 1
-                    p.step, p.done = max(factor * part, p.step if reach == goal else 0.0), reach
-                    return end
-            self._stepper.total.rejected += 1
-            p.step = min(factor, 0.9) * part
+    def _failure(self) -> ConvergenceError:
+        p = self._progress
         why = explain(self.problem, self._stepper.solver, self._outcome)
-        raise why.error(stage.name, p.done, [p.step])
+        return why.error(self._stage.name, p.done, [p.step])
+
+    # Control of the steps
+
+    @property
+    def finished(self) -> bool:
+        """Whether the stage is done."""
+        return self._progress.done >= 1.0
+
+    def propose(self) -> Step:
+        """Return the next step."""
+        return self._progress.next(1.0 / self._stage.increments)
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Accept a step within its tolerance, and choose the next one."""
+        p, factor = self._progress, GROWTH.factor(error)
+        if error > 1.0:
+            p.step = min(factor, SHORTER) * step.length
+            return False
+        # A step shortened by the end of an increment says little about a longer one.
+        p.step = max(factor * step.length, p.step if step.whole else 0.0)
+        p.done = step.end
+        return True
+
+    # Steps
+
+    def try_step(self, step: Step) -> float:
+        """Change the density by Heun's rule; return the error over the tolerance; collective."""
+        self._old = self.mechanics.density.copy()
+        speed = self._speed
+        assert speed is not None
+        seconds = self._duration * step.length
+        euler = self._moved(seconds * speed)
+        there = self._change()
+        if there is None:
+            return math.inf
+        self._added = seconds * (speed + there) / 2
+        self._heun = self._moved(self._added)
+        error = self._largest(self._heun - euler) / self._law.tolerance
+        if error <= 1.0:
+            self._next = self._change()
+            if self._next is None:
+                return math.inf
+        return error
+
+    def _moved(self, change: Floats) -> Floats:
+        """Change the density of the step's beginning, within its bounds; return it."""
+        low, high = self._law.density
+        new = np.where(self._free, np.clip(self._old + change, low, high), self._old)
+        self.mechanics.density[:] = new
+        return self.mechanics.density.copy()
+
+    def refuse(self, step: Step) -> None:
+        """Go back to the density at the beginning of a step.
+
+        Raises:
+            ConvergenceError: The next step would be too short.
+        """
+        self._stepper.total.rejected += 1
+        self.mechanics.density[:] = self._old
+        if self._progress.step <= SHORTEST:
+            raise self._failure()
+
+    def commit(self, step: Step, started: float) -> None:
+        """Commit the step last tried; collective."""
+        stepper, m = self._stepper, self.mechanics
+        self.mass["added"] += self._grams(self._added)
+        self.mass["cut"] += self._grams(self._heun - self._old - self._added)
+        self.seconds += self._duration * step.length
+        self.steps += 1
+        assert self._next is not None
+        self._speed = self._next
+        time = self._k + step.end
+        self.problem.set_time(time)
+        stepper.commit(self._stage, time, self._outcome, started, step.whole)
+        self._kept = m.density.copy(), stepper.solver.x.copy()
+        self._limit(self._speed)
 
     def summary(self) -> dict[str, Any]:
         """Published numbers of the state last committed; collective."""

@@ -1,0 +1,165 @@
+"""The loop over steps: try one, cut it back or let the next one grow, commit, save.
+
+Loads, steps of given energy, heat, creep and remodelling are steppers; each has a control that
+chooses the lengths of its steps.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step along a path: of loads, of time, or of cycles.
+
+    Attributes:
+        begin: Place at which it begins.
+        end: Place at which it ends.
+        length: Its length; of equal steps exactly equal, unlike the difference of their places.
+        whole: Whether it ends an increment of its stage.
+    """
+
+    begin: float
+    end: float
+    length: float
+    whole: bool
+
+
+class Control(Protocol):
+    """Choice of the lengths of steps."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the path is done."""
+
+    def propose(self) -> Step:
+        """Return the next step to try."""
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Return True if a step is accepted, and choose the length of the next one.
+
+        ``error`` is over its tolerance, or a count of iterations; infinite if it was not solved.
+        """
+
+
+class Stepper(Protocol):
+    """Solution of steps along a path."""
+
+    def try_step(self, step: Step) -> float:
+        """Solve a step, not yet committed; return its error, infinite if not solved; collective."""
+
+    def refuse(self, step: Step) -> None:
+        """Go back to the beginning of a step that was not accepted; collective.
+
+        Raises:
+            ConvergenceError: It may not be shorter.
+        """
+
+    def commit(self, step: Step, started: float) -> None:
+        """Commit the step last tried, which began at a wall time; collective."""
+
+
+def advance(
+    stepper: Stepper, control: Control, checkpoint_point: Callable[[], None] = lambda: None
+) -> None:
+    """Take steps to the end of a path.
+
+    ``checkpoint_point`` is called wherever the state may be saved.
+
+    Raises:
+        ConvergenceError: A step fails and may not be shorter, or a body runs away.
+    """
+    while not control.finished:
+        started = clock.perf_counter()
+        step = control.propose()
+        while not control.judge(step, stepper.try_step(step)):
+            stepper.refuse(step)
+            if control.finished:
+                return
+            step = control.propose()
+        stepper.commit(step, started)
+        checkpoint_point()
+
+
+@dataclass
+class Progress:
+    """Progress along a path from 0 to 1 that consists of increments.
+
+    Attributes:
+        step: Length of the next step, as a part of the path; 0 if no path has been begun.
+        done: Completed part of the path.
+        cuts: Number of halvings of the step minus that of its increases since.
+    """
+
+    step: float = 0.0
+    done: float = 0.0
+    cuts: int = 0
+
+    def next(self, whole: float) -> Step:
+        """Return the next step; it does not exceed the end of the current increment.
+
+        It reaches that end if hardly anything would be left before it.
+        """
+        goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
+        if goal > 1.0 - 1e-9:
+            goal = 1.0
+        end = goal if self.done + 1.001 * self.step > goal else self.done + self.step
+        return Step(self.done, end, end - self.done, end == goal)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Next length over that of a step, from its error over the tolerance.
+
+    Attributes:
+        safety: Share of the tolerance that steps aim at, for errors of second order.
+        least: Least factor.
+        most: Largest factor.
+        failed: Factor after a step that was not solved.
+    """
+
+    safety: float
+    least: float
+    most: float
+    failed: float
+
+    def factor(self, error: float) -> float:
+        """Return the factor."""
+        if math.isinf(error):
+            return self.failed
+        if error == 0.0:
+            return self.most
+        return min(max(self.safety / math.sqrt(error), self.least), self.most)
+
+
+class GivenSteps:
+    """Steps of given lengths, none of which may be shorter.
+
+    Args:
+        steps: The steps.
+        number: Number of them that are done.
+    """
+
+    def __init__(self, steps: Sequence[Step], number: int) -> None:
+        self._left = list(steps[number:])
+
+    @property
+    def finished(self) -> bool:
+        """Whether all are done."""
+        return not self._left
+
+    def propose(self) -> Step:
+        """Return the next one."""
+        return self._left[0]
+
+    def judge(self, step: Step, error: float) -> bool:
+        """Accept every step that was solved."""
+        if math.isinf(error):
+            return False
+        self._left.pop(0)
+        return True
