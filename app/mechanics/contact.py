@@ -186,14 +186,12 @@ class ContactInterfaces:
         carried: Committed jumps, with the pairs of now (n, 3) [mm].
         reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
-        linear_about: Forces (n, 3) [MPa] about which the laws are linearized; None: about none.
 
     Raises:
         InputError: An interface has no facets on this mesh.
     """
 
     saved = ("state", "committed_at")
-    linear_about: Floats | None = None
     committed_at: Floats | None = None
     # Resistance of the active supports to rigid motions, by body.
     _held: dict[int, Floats] | None = None
@@ -536,20 +534,10 @@ class ContactInterfaces:
     # Residual and Jacobian
 
     def trial(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> TrialState:
-        """A trial state: displacement and jumps, under forces f_q on the jumps [N].
-
-        Where the law F = P(F + r d) in displacement, jumps and forces is linearized about forces
-        F_0, P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
-        """
+        """A trial state: displacement and jumps, under forces f_q on the jumps [N]."""
         e = self.coupling.equilibrium(u, q, f_q).copy()
-        jump, known = self.with_prescribed(q.array.reshape(-1, 3)), self.linear_about
-        if known is None:
-            return TrialState(self, e, jump, self.evaluate(e, jump))
-        law = self.evaluate(-self.own.weight[:, None] * known, jump)
-        change = self.forces(e) - self.own.project_free(known)
-        by_force = law.by_multiplier @ self.law.multiplier_share
-        force = law.force + np.einsum("pij,pj->pi", by_force, change)
-        return TrialState(self, e, jump, replace(law, force=force))
+        jump = self.with_prescribed(q.array.reshape(-1, 3))
+        return TrialState(self, e, jump, self.evaluate(e, jump))
 
     def forces(self, e: Floats) -> Floats:
         """Interface force per area from equilibrium (n, 3) [MPa]; zero where supports hold."""

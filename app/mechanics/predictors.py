@@ -25,9 +25,10 @@ from app.numerics.newton import Solver
 
 # Earlier states of the run that are kept.
 KEPT = 3
-# Other runs whose states are kept, multiples of another one left out, their first states; nearest
-# states mixed.
-RUNS, STATES, MIXED = 6, 20, 5
+# Other runs whose states are kept, multiples of another one left out.
+RUNS = 6
+# States of a run that are kept, its first ones.
+STATES = 20
 # Friction coefficient below which an interface counts as frictionless.
 LITTLE = 1e-3
 
@@ -54,8 +55,9 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads turn, as where a stage begins: line through the states one and two cycles before,
-    or all states.
+    Where loads turn, as where a stage begins: line through the states one and two cycles before.
+    Without it sliding_block.yaml takes 306 Newton iterations instead of 79, debonding.yaml 105
+    instead of 79, head_cup.yaml 169 instead of 139.
     """
 
     def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
@@ -76,35 +78,14 @@ class Extrapolation:
             s = (time - t1) / (t1 - t0)
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)
-        elif len(self._trail) > KEPT and take_better(self._solver, x0 * 2 - self._trail[-4][1]):
-            return
-        else:
-            x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
-        take_better(self._solver, x)
+            take_better(self._solver, x)
+        elif len(self._trail) > KEPT:
+            take_better(self._solver, x0 * 2 - self._trail[-4][1])
 
     def commit(self, time: float) -> None:
         """Store the state; of two at one time, the later."""
         state = (time, self._solver.x.copy())
         self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
-
-
-def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
-    r"""State of least linearized residual in the span of a state and others; collective.
-
-    With x the state and d_i the differences of the others from it, it is x + sum s_i d_i with the
-    s_i of
-
-    .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
-    """
-    x = x.copy()
-    here = solver.residual(x)
-    steps = [x - state for state in others]
-    changes = [solver.residual(x + step) - here for step in steps]
-    gram = np.array([[a.dot(b) for b in changes] for a in changes])
-    shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
-    for share, step in zip(shares, steps, strict=True):
-        x.axpy(share, step)
-    return x
 
 
 def take_better(solver: Solver, x: PETSc.Vec) -> bool:
@@ -128,8 +109,8 @@ def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
 class WarmStart:
     """Initial guesses from states of other runs with the same unknowns.
 
-    Scaled states are ordered by the distance of their causes; the span of the nearest holds one
-    that is nearer.
+    It is the scaled state whose causes are nearest. Without it variations.yaml takes 70 Newton
+    iterations instead of 39, and twice the time of solution.
     """
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
@@ -137,7 +118,7 @@ class WarmStart:
         self._past: list[dict[float, Neighbour]] = []
         self._now: dict[float, Neighbour] = {}
         self._start: PETSc.Vec | None = None
-        # Whether a state of this run is no multiple or mixture of others.
+        # Whether a state of this run is no multiple of others.
         self._new = False
 
     def begin(self) -> None:
@@ -147,7 +128,7 @@ class WarmStart:
         self._now, self._new = {}, False
 
     def predict(self, time: float) -> None:
-        """Start from the nearest state of another run, or a combination of several, if better."""
+        """Start from the nearest state of another run, if better."""
         self._start = None
         here = self._state()[1]
         forces, gaps, _ = self._products(here, here)
@@ -161,13 +142,9 @@ class WarmStart:
         scaled = [self._scaled(state, here, sizes) for state in known]
         if not scaled:
             return
-        scaled.sort(key=lambda state: self._distance(state[1], here, sizes))
-        # What a mixture costs, it saves only where an iteration takes longer.
-        mixed = 1 if self._solver.linear.exact else MIXED
-        nearest, *others = (x for x, _ in scaled[:mixed])
-        for x in (nearest, *([mixture(self._solver, nearest, others)] if others else [])):
-            if take_better(self._solver, x):
-                self._start = x.copy()
+        nearest = min(scaled, key=lambda state: self._distance(state[1], here, sizes))[0]
+        if take_better(self._solver, nearest):
+            self._start = nearest.copy()
 
     def commit(self, time: float) -> None:
         """Store the state."""

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
-# Estimated time over that of a Krylov method from which no factors are analysed.
-HOPELESS = 1.3
 # Stiffness of weak springs between bodies that nothing holds, as a part of the diagonal of D.
 SPRINGS = 1e-2
 # Motions that nothing resists are rounding below this part of the jumps of a step.
@@ -73,9 +71,8 @@ class BondedSystem(System):
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
-        stiffness, bonded = self._problem.stiffness, self._problem.contact is None
-        options = stiffness_options(linear, stiffness.K, stiffness.inverse.lower, bonded)
-        return {"displacement": options}
+        stiffness = self._problem.stiffness
+        return {"displacement": stiffness_options(linear, stiffness.K, stiffness.inverse.lower)}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements into a state."""
@@ -224,16 +221,17 @@ class ContactSystem(BondedSystem):
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
         foreseen = self._solves, problem.scene.stiffens, self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
-        found: Condensed | None = None
-        if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
+        condensed: Condensed | None = None
+        if choice.condenses(linear):
             from app.numerics.condensed import Condensed, available  # scipy: few need it
 
             if available(comm):
-                found = Condensed(self)
-                choice = replace(choice, factors=found.work)
-        chosen = found if choice.condenses(linear) else None
-        log.info("solver: %s", choice.words(chosen is not None))
-        return chosen
+                condensed = Condensed(self)
+                choice = replace(choice, entries=condensed.entries)
+                if not choice.fits:
+                    condensed = None
+        log.info("solver: %s", choice.words(condensed is not None))
+        return condensed
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """Stiffness, coupling without constrained rows, stiffness of the jumps."""

@@ -129,9 +129,9 @@ class Condensed:
         self._untied: Untied | None = None
 
     @property
-    def work(self) -> tuple[float, float]:
-        """Operations of the rank that has most, and entries of all factors."""
-        return self._bodies.operations, self._bodies.entries
+    def entries(self) -> float:
+        """Entries of all factors of the bodies."""
+        return self._bodies.entries
 
     # Factors
 

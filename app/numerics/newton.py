@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Ints
 from app.foundation.errors import InputError, StoppedError
 from app.numerics.krylov import BLOCKS, Linear
 from app.numerics.lifetime import weak
@@ -199,7 +199,6 @@ class Solver:
         self.scales: list[float] = []
         self.converged = False
         self.augmentation = 1.0
-        self._forces: Floats | None = None
         inverse = self.linear.exact
         self._reducing = inverse.reduced if inverse else None
         self.reduced: Solver | None = None
@@ -318,31 +317,6 @@ class Solver:
         self.residuals += solver.residuals
         self.changes += solver.changes
         return iterations
-
-    def start_linear(self, forces: Floats) -> None:
-        """Begin the next solve with one linear step at forces of own points (n, 3) [MPa]."""
-        self._forces = forces
-
-    def linear_step(self) -> tuple[int, int]:
-        """Take the step of `start_linear`, if any; return Newton and Krylov iterations."""
-        contact, forces, self._forces = self.system.contact, self._forces, None
-        if contact is None or forces is None:
-            return 0, 0
-        f, dx, ksp = self.vector(), self.vector(), self.snes.getKSP()
-        contact.linear_about = forces
-        try:
-            with self.timing.phase("solve"):
-                self.system.residual(self.blocks(), self.blocks(f))
-                self.linear.update(self.blocks())
-                if self._adapts:
-                    ksp.setTolerances(rtol=ROUGH)
-                ksp.setOperators(self.linear.matrix)
-                ksp.solve(f, dx)
-        finally:
-            contact.linear_about = None
-        if math.isfinite(dx.norm()):
-            self.x.axpy(-1.0, dx)
-        return 1, int(ksp.getIterationNumber())
 
     @property
     def usual_search(self) -> str:

@@ -27,11 +27,8 @@ USED: set[str] = set()
 # Unknowns above which a block of nodal unknowns is solved by multigrid. With MUMPS, which several
 # ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns of first order, 7.1
 # against 6.2 at 35 000; with CHOLMOD 2.5 against 2.3 at 24 000 of second, 6.4 against 5.2 at
-# 46 000.
+# 46 000. Bonded bodies, which need one solve, lose less than a tenth by multigrid up to 90 000.
 DIRECT_LIMIT = 25_000
-# The same of bonded bodies on one rank, which need one solve: 1.9 CPU s against 2.1 at 46 000
-# unknowns of second order, 4.5 against 4.8 at 90 000.
-BONDED_LIMIT = 90_000
 FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 FACTORED_SERIALLY: Options = {
     "pc_type": "cholesky",
@@ -73,17 +70,14 @@ INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 FACTORABLE = 300_000
 
 
-def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
-    """Whether a block is factored; ``linear`` is direct, multigrid or auto (by size)."""
-    return linear == "direct" or (linear == "auto" and size <= limit)
+def is_direct(linear: str, size: int) -> bool:
+    """Return True if a block is factored; ``linear`` is direct, multigrid or auto (by size)."""
+    return linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
 
 
-def stiffness_options(
-    linear: str, K: PETSc.Mat, lower: CoarseOrder | None, bonded: bool = False
-) -> Options:
+def stiffness_options(linear: str, K: PETSc.Mat, lower: CoarseOrder | None) -> Options:
     """Options for a stiffness; ``linear`` is direct, multigrid or auto (by size)."""
-    limit = BONDED_LIMIT if bonded and K.comm.size == 1 else DIRECT_LIMIT
-    if is_direct(linear, K.getSize()[0], limit):
+    if is_direct(linear, K.getSize()[0]):
         return factors(K)
     if lower is None:
         return MULTIGRID

@@ -30,7 +30,7 @@ def solve(solver: Solver) -> NewtonResult:
     solver.residuals, solver.changes = [], []
     if contact:
         contact.scale_augmentation(solver.augmentation)
-    runs = [solver.linear_step()]
+    runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
     if contact and contact.freeze(True):
         runs.append(solver.run())

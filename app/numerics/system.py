@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Ints
 from app.numerics.deflation import CoarseSpace
 from app.numerics.lifetime import Preconditioner
 from app.numerics.preconditioners import Inverse, Options
@@ -45,13 +45,7 @@ class Measure:
 
 
 class Contact(Protocol):
-    """Interface between the nonlinear solver and the contact of a system.
-
-    Attributes:
-        linear_about: Forces of own points (n, 3) [MPa] about which laws are linearized, if any.
-    """
-
-    linear_about: Floats | None
+    """Interface between the nonlinear solver and the contact of a system."""
 
     def scale_augmentation(self, factor: float) -> None:
         """Set the multiple of the case's augmentation."""

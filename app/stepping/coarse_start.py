@@ -1,10 +1,12 @@
-r"""Coarse start: a solve starts from the jumps and the interface forces of a cheaper model.
+r"""Coarse start: a solve starts from the jumps of a cheaper model.
 
 A copy of the case on a mesh twice as coarse is solved load step by load step beside the run, itself
 started by a still coarser one if it is large; if no coarser mesh exists, the copy has first order.
-Its jumps and forces are interpolated on the interface. The displacement follows from the jumps,
-K u = f - C q, to a rough tolerance, and a Newton step in displacement, jumps and forces follows:
-contact points then have the states of the coarse model, and Newton corrects those of single points.
+Its jumps are interpolated on the interface. The displacement follows from them, K u = f - C q, to a
+rough tolerance.
+
+A stance of 94,000 unknowns takes 6 Newton iterations instead of 11, and a fifth less time with the
+cheaper model's. A linear step in displacement, jumps and forces before them saves nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ GOOD = 0.1
 
 
 class CoarseModelStart:
-    """Starts from the jumps and forces of a cheaper model, which ``make`` makes at rest."""
+    """Starts from the jumps of a cheaper model, which ``make`` makes at rest."""
 
     def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
         assert problem.contact is not None
@@ -56,27 +58,27 @@ class CoarseModelStart:
         if here <= GOOD * imbalance(solver, solver.vector()):
             return
         try:
-            found = self._found(time)
+            jump = self._jump(time)
         except StoppedError:
             raise
         except MantleError as error:
             self._failed = True
             log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
             return
-        self._start(*np.hsplit(found, 2))
+        self._start(jump)
 
     def commit(self, time: float) -> None:
         """Store the time, through which the cheaper model has to pass when next asked."""
         self._past.append(time)
 
-    def _found(self, time: float) -> Floats:
-        """Jumps and forces of own points at a time, interpolated (n, 6) [mm, MPa]."""
+    def _jump(self, time: float) -> Floats:
+        """Jumps of own points at a time, interpolated (n, 3) [mm]."""
         if self._coarse is None:
             contact, self._coarse = self._contact, self._make()
             source = self._coarse.problem.contact
             assert source is not None
             self._weights = interpolation(source.points, contact.points, contact.own.rows)
-            self._known = [(0.0, np.zeros((len(contact.own), 6)))]
+            self._known = [(0.0, np.zeros((len(contact.own), 3)))]
         for then in [*self._past, time]:
             while then > (last := self._known[-1][0]):
                 # A resumed run has not passed through the stages before.
@@ -100,12 +102,10 @@ class CoarseModelStart:
         assert contact is not None
         surface = contact.points.surface
         jump = surface.true_jumps(contact.whole(contact.state.jump))
-        force = surface.spread(contact.whole(contact.state.force))
-        known = self._weights @ np.hstack([jump, force])
-        self._known = [*self._known[-1:], (time, known)]
+        self._known = [*self._known[-1:], (time, self._weights @ jump)]
 
-    def _start(self, jump: Floats, force: Floats) -> None:
-        """Start from jumps, forces, and a displacement in rough equilibrium with the jumps."""
+    def _start(self, jump: Floats) -> None:
+        """Start from jumps, and a displacement in rough equilibrium with them."""
         problem, solver = self._problem, self._solver
         u, q = solver.u_and_q()
         assert q is not None
@@ -116,7 +116,6 @@ class CoarseModelStart:
         du.zeroEntries()
         problem.stiffness.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
-        solver.start_linear(force)
 
 
 def between(known: list[tuple[float, Floats]], time: float) -> Floats:

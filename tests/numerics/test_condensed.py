@@ -40,27 +40,26 @@ def test_other_ties_are_condensed_without_new_factors() -> None:
     np.testing.assert_allclose(forces, C.T @ m + held @ q - g[9:], atol=1e-9)
 
 
-# Order, unknowns of displacement and jumps, GFlop and million entries of the factors; the number of
-# solves from which it pays: measured on a hip's mesh, beside multigrid.
+# Order, unknowns of displacement and jumps, million entries of the factors; the number of solves
+# from which it pays: measured on a hip's mesh, beside multigrid.
 MEASURED = [
-    ((2, 23_730, 1_488, 17.2, 15.6), 1),
-    ((2, 45_819, 2_412, 60.9, 38.5), 1),
-    ((2, 90_072, 4_242, 222, 96.9), 2),
-    ((2, 120_024, 5_250, 428, 148), 4),
-    ((1, 4_818, 1_584, 1.1, 2.9), 4),
-    ((1, 97_335, 12_774, 655, 213), np.inf),
-    ((2, 853_299, 15_078, 16_560, 2_038), np.inf),
+    ((2, 23_730, 1_488, 15.6), 1),
+    ((2, 45_819, 2_412, 38.5), 1),
+    ((2, 90_072, 4_242, 96.9), 2),
+    ((2, 120_024, 5_250, 148), 4),
+    ((1, 4_818, 1_584, 2.9), 4),
+    ((1, 97_335, 12_774, 213), np.inf),
+    ((2, 853_299, 15_078, 2_038), np.inf),
 ]
 
 
 @pytest.mark.parametrize(("size", "least"), MEASURED)
 def test_it_is_chosen_where_it_was_measured_to_pay(size: tuple[int, ...], least: float) -> None:
-    order, unknowns, jumps, gflop, entries = size
+    order, unknowns, jumps, entries = size
     for solves in (1, 2, 4):
         guessed = SolverChoice(order, unknowns, jumps, solves)
-        known = replace(guessed, factors=(1e9 * gflop, 1e6 * entries))
+        known = replace(guessed, entries=1e6 * entries)
         assert known.condenses("auto") == (solves >= least)
-        assert guessed.condensed == pytest.approx(known.condensed, rel=0.5)
         assert guessed.needed == pytest.approx(known.needed, rel=0.2)
         assert not replace(known, memory=known.needed).condenses("condensed")
 

@@ -127,33 +127,6 @@ def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.Mo
             assert number == pytest.approx(expected[name], rel=1e-6, abs=1e-9), name
 
 
-def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
-    """From the answer itself it leads to it, whatever the displacement that it begins with.
-
-    The states of the points are those of its jumps and forces, so that the system is linear.
-    """
-    model, _ = go("stages.0.increments=1")
-    m = model.mechanics
-    j = m.problem.contact
-    answer, force = m.solver.x.copy(), j.state.force.copy()
-    j.begin(m.problem.scene, model._case.solver.augmentation_factor)
-    m.problem.set_time(1.0)
-    u, _ = m.solver.u_and_q()
-    u.zeroEntries()
-    m.problem.impose(u)
-    m.solver.snes.getKSP().setTolerances(rtol=1e-12)
-    m.solver.options["ksp_rtol"] = 1e-12
-    m.solver.start_linear(force)
-    assert m.solver.linear_step()[0] == 1
-    assert support.difference(m.solver.x.array, answer.array) < 1e-6
-    # At other forces one step is far from enough.
-    u.zeroEntries()
-    m.problem.impose(u)
-    m.solver.start_linear(0 * force)
-    m.solver.linear_step()
-    assert support.difference(m.solver.x.array, answer.array) > 1e-2
-
-
 def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither small nor bonded ones."""
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
