@@ -24,7 +24,8 @@ stages: [{name: pull, increments: 4}]
 
 def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:
     """Its end goes back by N L/E less the end of softening; two iterations a step follow it."""
-    support.run(BAR, tmp_path)
+    # With condensed bodies a step takes one iteration at least.
+    support.run(BAR, tmp_path, "solver.linear=direct")
     run = Run(tmp_path / "out")
     used = np.asarray(run.history["lower_upper dissipation [N mm]"])
     softens, newton = (used > 0) & (used < 1.599), np.asarray(run.history["newton [-]"])
