@@ -65,7 +65,7 @@ time: {tolerance: 0.5 K, mechanical_step: 10 K}
 """
 )
 # What takes time and memory, how the equations were solved, and what rounding leaves of nothing.
-APART = ("timing", "cpu", "memory", "balance", "solver")
+APART = ("timing", "cpu", "memory", "balance", "solver", "verdicts")
 # Columns of the table that depend on the way there.
 WAY = ("wall", "step", "newton", "krylov", "residual", "balance", "augmentation")
 # A restart begins with new preconditioners and without the states before the last: it is right to

@@ -53,7 +53,7 @@ def told(name: str, *changes: str, available: float = 1e10) -> str:
 
 def test_check_tells_how_contact_is_solved_and_why() -> None:
     """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
-    small = told("stance", "mesh.size=9 mm")
+    small = told("stance", "mesh.size=10 mm")
     assert "1 solve, bodies condensed" in small and small.endswith(" GB")
     assert "1 solve by a Krylov method" in told("stance", "mesh.order=1")
     assert "1 solve by a Krylov method" in told("stance", "solver.linear=multigrid")
