@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,17 +29,19 @@ def flattened(data: MeshData, worst: float) -> MeshData:
     random = np.random.default_rng(1)
     x = data.points.copy()
     free = np.ones(x.shape, dtype=bool)
-    low, high = x.min(axis=0), x.max(axis=0)
+    low = x.min(axis=0)
+    high = x.max(axis=0)
     free[np.isclose(x, low) | np.isclose(x, high)] = False
-    of = [np.unique(data.cells[data.cell_tags == tag]) for tag in data.regions.values()]
-    shared = np.bincount(np.concatenate(of), minlength=len(x)) > 1
+    nodes = [np.unique(data.cells[data.cell_tags == tag]) for tag in data.regions.values()]
+    shared = np.bincount(np.concatenate(nodes), minlength=len(x)) > 1
     free[shared, 2] = False
     size = np.cbrt(6 * np.sqrt(2) * np.prod(high - low) / len(data.cells))
     touching: list[list[int]] = [[] for _ in x]
     for (c, _), n in np.ndenumerate(data.cells):
         touching[n].append(c)
     for n in np.tile(np.flatnonzero(free.any(axis=1)), ROUNDS):
-        cells, old = data.cells[touching[n]], x[n].copy()
+        cells = data.cells[touching[n]]
+        old = x[n].copy()
         before = sicn(x, cells).min()
         x[n] += 0.5 * size * random.standard_normal(3) * free[n]
         if not worst <= sicn(x, cells).min() < before:
@@ -50,8 +51,11 @@ def flattened(data: MeshData, worst: float) -> MeshData:
 
 def mirrored(data: MeshData) -> MeshData:
     """Mirror a quarter about x = 0 and y = 0 to the whole."""
-    x, cells = data.points, data.cells
-    tags, facets, marks = data.cell_tags, data.facets, data.facet_tags
+    x = data.points
+    cells = data.cells
+    tags = data.cell_tags
+    facets = data.facets
+    marks = data.facet_tags
     planes = [data.boundaries[f"symmetry_{a}"][0] for a in "xy"]
     for axis in (0, 1):
         other = x * np.where(np.arange(3) == axis, -1.0, 1.0)
@@ -60,7 +64,8 @@ def mirrored(data: MeshData) -> MeshData:
         x = np.concatenate([x, other[~on]])
         cells = np.concatenate([cells, number[cells][:, [1, 0, 2, 3]]])
         facets = np.concatenate([facets, number[facets][:, [1, 0, 2]]])
-        tags, marks = np.tile(tags, 2), np.tile(marks, 2)
+        tags = np.tile(tags, 2)
+        marks = np.tile(marks, 2)
     keep = ~np.isin(marks, planes)
     boundaries = {n: t for n, t in data.boundaries.items() if not n.startswith("symmetry")}
     return replace(
@@ -90,6 +95,6 @@ def change(case: Case, name: str, folder: Path) -> tuple[str, ...]:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{data.notes['quality']['cells']}_{name}.msh"
     meshes.write_msh(CHANGES[name](data), path)
-    sides: dict[str, Any] = {n: [list(a), list(b)] for n, (a, b) in data.interfaces.items()}
+    sides = {n: [list(a), list(b)] for n, (a, b) in data.interfaces.items()}
     geometry = f"geometry={{kind: file, path: {path.resolve()}, interfaces: {sides}}}"
     return geometry, *(f"regions.{n}.tissue={r.tissue}" for n, r in case.regions.items())

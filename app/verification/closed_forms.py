@@ -43,7 +43,8 @@ class Fibrous:
         Written down from uniaxial and shear tests, one column each (Lekhnitskii, Theory of
         Elasticity of an Anisotropic Body, section 4); nothing of eq. 50 enters.
         """
-        across, along = 1 / self.E_t, 1 / self.E_l
+        across = 1 / self.E_t
+        along = 1 / self.E_l
         S = np.diag([across, across, along, 1 / self.mu_l, 1 / self.mu_l, 0])
         S[0, 1] = S[1, 0] = -self.nu_t * across
         S[:2, 2] = S[2, :2] = -self.nu_l * along
@@ -52,7 +53,8 @@ class Fibrous:
 
     def stress(self, strain: Floats, fibre: Sequence[float]) -> Floats:
         """Stress (3, 3) [MPa] of a tensor strain (3, 3), the fibre along a direction (3,)."""
-        axis, (i, j) = np.asarray([fibre]) / np.linalg.norm(fibre), np.array(VOIGT).T
+        axis = np.asarray([fibre]) / np.linalg.norm(fibre)
+        i, j = np.array(VOIGT).T
         R = np.column_stack([null_space(axis), axis.T])
         engineering = (R.T @ strain @ R)[i, j] * [1, 1, 1, 2, 2, 2]
         σ = np.zeros((3, 3))
@@ -179,27 +181,39 @@ class OvalFit:
 
     def displacement(self, x: Floats, in_core: bool) -> Floats:
         """Displacement (n, 3) [mm]; each body's formula holds beyond it too."""
-        r, θ = np.hypot(x[:, 0], x[:, 1]), np.arctan2(x[:, 1], x[:, 0])
-        E, ν = material = self.core if in_core else self.ring
+        r = np.hypot(x[:, 0], x[:, 1])
+        θ = np.arctan2(x[:, 1], x[:, 0])
+        material = self.core if in_core else self.ring
+        E, ν = material
         p = lame_pressure(self.δ0, self.b, self.c, self.core, self.ring) * (1 + ν) / E
-        b2, c2 = self.b**2, self.c**2
+        b2 = self.b**2
+        c2 = self.c**2
         if in_core:
-            u_r, constants = -p * (1 - 2 * ν) * r, self._michell()[:2]
+            u_r = -p * (1 - 2 * ν) * r
+            constants = self._michell()[:2]
         else:
             u_r = p * b2 / (c2 - b2) * ((1 - 2 * ν) * r + c2 / r)
             constants = self._michell()[2:]
         terms = _michell_motion(r, material)[:, : len(constants)]
         radial, hoop = np.einsum("k,ikn->in", constants, terms)
-        u_r, u_θ = u_r + radial * np.cos(2 * θ), hoop * np.sin(2 * θ)
-        cos, sin = np.cos(θ), np.sin(θ)
+        u_r = u_r + radial * np.cos(2 * θ)
+        u_θ = hoop * np.sin(2 * θ)
+        cos = np.cos(θ)
+        sin = np.sin(θ)
         return np.column_stack([u_r * cos - u_θ * sin, u_r * sin + u_θ * cos, 0 * r])
 
     def _michell(self) -> Floats:
         """A, B of the core and A, B, C, D of the ring."""
-        inner, outer = _michell_stress(self.b), _michell_stress(self.c)
+        inner = _michell_stress(self.b)
+        outer = _michell_stress(self.c)
         core, ring = (_michell_motion(self.b, m)[0] for m in (self.core, self.ring))
         rows = np.zeros((6, 6))
-        rows[0, :2], rows[1, 2:], rows[2:4, 2:] = inner[1, :2], inner[1], outer
+        # No shear on the interface, of either body.
+        rows[0, :2] = inner[1, :2]
+        rows[1, 2:] = inner[1]
+        # No traction on the outer surface.
+        rows[2:4, 2:] = outer
+        # Equal normal traction, and the given jump, on the interface.
         rows[4] = [*-inner[0, :2], *inner[0]]
         rows[5] = [*-core[:2], *ring]
         return np.asarray(np.linalg.solve(rows, [0, 0, 0, 0, 0, self.δ2]))
@@ -208,14 +222,18 @@ class OvalFit:
 def _michell_motion(r: float | Floats, material: Elastic) -> Floats:
     """u_r over cos 2θ and u_θ over sin 2θ of A r², B r⁴, C r⁻² and D (2, 4, ...)."""
     E, ν = material
-    κ, R = 3 - 4 * ν, np.asarray(r)
+    κ = 3 - 4 * ν
+    R = np.asarray(r)
     radial = [-2 * R, (κ - 3) * R**3, 2 / R**3, (κ + 1) / R]
-    return (1 + ν) / E * np.array([radial, [2 * R, (κ + 3) * R**3, 2 / R**3, (1 - κ) / R]])
+    hoop = [2 * R, (κ + 3) * R**3, 2 / R**3, (1 - κ) / R]
+    return (1 + ν) / E * np.array([radial, hoop])
 
 
 def _michell_stress(r: float) -> Floats:
     """σ_rr over cos 2θ and σ_rθ over sin 2θ of the four terms (2, 4)."""
-    return np.array([[-2, 0, -6 / r**4, -4 / r**2], [2, 6 * r**2, -6 / r**4, -2 / r**2]])
+    normal = [-2, 0, -6 / r**4, -4 / r**2]
+    shear = [2, 6 * r**2, -6 / r**4, -2 / r**2]
+    return np.array([normal, shear])
 
 
 # Fibres about an axis
@@ -241,9 +259,12 @@ class FibreRing:
     def stress(self, r: Floats) -> tuple[Floats, Floats]:
         """Radial and hoop stress (n,) at radii (n,) [MPa]."""
         rr, _, tt = self._compliance()
-        k, ρ, c = math.sqrt(rr / tt), r / self.b, self.a / self.b
+        k = math.sqrt(rr / tt)
+        ρ = r / self.b
+        c = self.a / self.b
         A = self.pressure * c ** (k + 1) / (1 - c ** (2 * k))
-        up, down = A * ρ ** (k - 1), A * ρ ** (-k - 1)
+        up = A * ρ ** (k - 1)
+        down = A * ρ ** (-k - 1)
         return up - down, k * (up + down)
 
     def displacement(self, x: Floats) -> Floats:

@@ -75,7 +75,9 @@ class Slab:
 
     def temperature(self, x: Floats) -> Floats:
         """Temperature (n,) at x (n,)."""
-        k, h, L = self.k, self.h, self.L
+        k = self.k
+        h = self.h
+        L = self.L
         m = math.sqrt(self.w / k)
         far = self.T_b + self.s / self.w
         # T = far + A exp(m (x - L)) + B exp(-m x)
@@ -123,12 +125,14 @@ class HalfSpaces:
     @property
     def contact(self) -> float:
         """Temperature of the interface if contact is perfect."""
-        e, f = effusivity(self.first), effusivity(self.second)
+        e = effusivity(self.first)
+        f = effusivity(self.second)
         return (e * self.temperatures[0] + f * self.temperatures[1]) / (e + f)
 
     def temperature(self, x: Floats, t: float, in_first: bool) -> Floats:
         """Temperature (n,) at positions (n,) in one body at a time t > 0."""
-        e, f = effusivity(self.first), effusivity(self.second)
+        e = effusivity(self.first)
+        f = effusivity(self.second)
         start = self.temperatures[0 if in_first else 1]
         k, c = self.first if in_first else self.second
         ξ = np.abs(x) / (2 * math.sqrt(k / c * t))

@@ -1,4 +1,4 @@
-"""A problem with a known answer: what its test receives, and the row that the test leaves.
+"""A problem with a known answer: the object that its test receives, and the row that it leaves.
 
 Problems are the test functions in `app.verification.problems`. Each states what it expects, asks
 once for its runs, and compares::
@@ -89,7 +89,7 @@ class ProblemRun:
         mesh: Change of its mesh before the run, a name in `changed_meshes`, or "".
         ranks: Number of MPI ranks.
         times: Number of repetitions, where its time is measured.
-        share: Whether it may share a process with others of the problem.
+        share: True if it may share a process with others of the problem.
     """
 
     case: str
@@ -113,7 +113,7 @@ class SolvedRun:
         name: Shown to users.
         run: The run as the problem asked for it.
         folder: Run directory.
-        exit_code: That of ``mantle run``.
+        exit_code: Exit code of ``mantle run``.
         message: Why it was refused or failed; else empty.
         seconds: Wall time.
         summary: ``summary.json``; empty unless the run is done.
@@ -256,7 +256,7 @@ def planning(runs: Sequence[ProblemRun]) -> NoReturn:
 
 @dataclass
 class KnownProblem:
-    """What the test of a problem receives as ``problem``."""
+    """The argument ``problem`` of a test: it states, solves and compares."""
 
     row: Row
     runner: Runner

@@ -93,7 +93,7 @@ class Suite:
         return [planned.row for planned in self.problems.values()]
 
     def problem(self, item: pytest.Function) -> KnownProblem:
-        """What the test of a problem receives, with the results of its runs."""
+        """The object that the test of a problem receives, with the results of its runs."""
         planned = self.problems[item.nodeid]
         return KnownProblem(planned.row, lambda runs: planned.results, self.options.tier)
 
@@ -170,7 +170,7 @@ def run(name: str, options: Options) -> bool:
     """Run the problems of a suite, or log the plan of it.
 
     Returns:
-        Whether all passed, were refused as expected, or missed what may be missed.
+        True if all passed, were refused as expected, or missed what may be missed.
 
     Raises:
         InputError: No problem has such a name, or the folder cannot be written.

@@ -126,30 +126,6 @@ class Solved(HeatState):
 # Steady states
 
 
-@pytest.mark.parametrize("h", [0.2, 30.0, 300.0, 1e6, 1e9, 1e12, PERFECT])
-def test_two_bars_with_resistance(h: float) -> None:
-    """physics.md 5.8: q = (T1 - T2)/(L1/k1 + 1/h + L2/k2)."""
-    ends = [fixed("hot", "bottom", 100.0), fixed("cold", "top", 37.0)]
-    s = Solved(scene([CEMENT, BONE], ends, contact(h)), stack(1.5, *CEMENT_ON_BONE)).steady()
-    q = 63.0 / (5.0 / 0.2 + 1e3 / h + 5.0 / 0.58)
-    for region, line in (
-        ("cement", lambda z: 100 - q * z / 0.2),
-        ("bone", lambda z: 37 + q * (10 - z) / 0.58),
-    ):
-        x, T = s.celsius(region)
-        assert T == pytest.approx(line(x[:, 2]), abs=1e-9)
-    assert s.flows["hot"] == pytest.approx(4 * q, rel=1e-9)
-    assert s.flows["cold"] == pytest.approx(-4 * q, rel=1e-9)
-    j = s.operators.jumps
-    if j is not None:
-        # From bone, the master, to cement.
-        assert j.flux(s.x[1].array)[0] == pytest.approx(-q, rel=1e-8)
-    if h == 300.0:
-        assert q == pytest.approx(1.704821, abs=1e-6)
-        assert s.celsius("cement")[1].min() == pytest.approx(57.3795, abs=1e-4)
-        assert s.celsius("bone")[1].max() == pytest.approx(51.6967, abs=1e-4)
-
-
 def test_convection_in_series_with_a_bar() -> None:
     """q = (T0 - Ta)/(L/k + 1/a), exact; more so on cells that are quadratic but straight."""
     heat: list[HeatCondition] = [

@@ -18,35 +18,18 @@ from app.results.stresses import Stresses
 from app.simulation.model import Model
 from app.soundness import well_posedness
 from app.system.timing import Timing
-from app.verification import closed_forms as exact
 from meshes.distribute import TaggedMesh
 from tests import support
 from tests.cases.heated import Heated, cure, setting
 from tests.support import build
 
 RING = support.CONFIGS / "verification" / "fibre_ring.yaml"
-WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)
 LAYS = pytest.mark.parametrize("lay", ["circumferential", "radial"])
 FREE = "{strain: [2e-3, 1e-3, 3e-3, 0, 0, 1e-3]}"
 
 
 def ring(lay: str, *overrides: str) -> Case:
     return load(RING, (f"regions.ring.fibre.kind={lay}", *overrides)).config
-
-
-def error(solved: support.Solved, lay: str) -> float:
-    """Displacement against the closed form, relative."""
-    x, u = solved.displacement("ring")
-    return support.difference(u, exact.FibreRing(5, 10, 10, WOOD, lay == "radial").displacement(x))
-
-
-@LAYS
-def test_pressed_ring(lay: str) -> None:
-    """Of second order on linear cells, and nearly right on few quadratic ones."""
-    coarse, fine = (error(support.solve(ring(lay, f"mesh.size={h} mm")), lay) for h in (1, 0.5))
-    assert fine < 0.02
-    assert coarse / fine > 3
-    assert error(support.solve(ring(lay, "mesh.size=1 mm", "mesh.order=2")), lay) < 4e-3
 
 
 def turned(tagged: TaggedMesh, shift: Floats) -> TaggedMesh:

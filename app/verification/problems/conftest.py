@@ -1,8 +1,7 @@
 """Fixtures and hooks of pytest for the problems.
 
 The same files are run by `mantle verify` (`app.verification.suite`) and with the tests of the
-program, where each problem solves its runs in this process; all but the quick ones of
-`mantle verify` count as slow.
+program, where each problem solves its runs in this process; all but the quick ones count as slow.
 """
 
 from __future__ import annotations
@@ -71,11 +70,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if item.get_closest_marker("condensed") and within(tier_of(item), "default"):
                 items += _condensed(item)
         return
-    # What takes long, or measures time, is for the suites alone.
+    # Problems that take long, or measure time, are for the suites alone.
     suites_alone = [i for i in problems if i.get_closest_marker("bench") or tier_of(i) == "long"]
     items[:] = [item for item in items if item not in suites_alone]
     for item in problems:
-        if tier_of(item) != "quick" or not item.get_closest_marker("verify"):
+        if tier_of(item) != "quick":
             item.add_marker("slow")
 
 

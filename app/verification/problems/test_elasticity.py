@@ -108,7 +108,7 @@ def test_sine(problem: KnownProblem, order: int, sizes: Sequence[float], toleran
 
 
 @verify
-@pytest.mark.parametrize("lay", ["circumferential", "radial"])
+@pytest.mark.parametrize("lay", [pytest.param("circumferential", marks=quick), "radial"])
 def test_fibre_ring(problem: KnownProblem, lay: str) -> None:
     problem.expects(
         f"displacement of a pressed ring of {lay} fibres, relative in L2",
