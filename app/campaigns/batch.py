@@ -47,9 +47,12 @@ log = logging.getLogger("mantle")
 MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "mantle", "run")
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
-BUSY = 0.5  # load of the machine beside runs whose time is compared
-OFTEN = 10.0  # s between reports on all runs that have ended so far
-IDLE = 1.1  # factor for cores that are idle at the end, as runs differ in length
+# Load of the machine from which it is too busy for runs whose times are compared.
+BUSY = 0.5
+# Seconds between reports on all runs that have ended so far.
+OFTEN = 10.0
+# Factor for cores that are idle at the end, as runs differ in length.
+IDLE = 1.1
 
 
 @dataclass(frozen=True)

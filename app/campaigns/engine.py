@@ -30,12 +30,18 @@ from app.system import ranks
 log = logging.getLogger("mantle")
 
 HERE = Path(__file__).parent
-SNAKEFILE, SLURM_STATUS = HERE / "Snakefile", HERE / "slurm_status"
+SNAKEFILE = HERE / "Snakefile"
+# Script that tells Snakemake the status of a Slurm job.
+SLURM_STATUS = HERE / "slurm_status"
 MEGABYTE = 1e6
-POLL = 0.1  # s
-JOBS_AT_ONCE = 1000  # in the queue of Slurm
-TREE_JOB = Path("/run/mantle/job")  # template of the script of a job
-LATENCY = 60  # s after which files that a node wrote are seen here
+# Seconds between looks at Snakemake.
+POLL = 0.1
+# Most jobs in the queue of Slurm.
+JOBS_AT_ONCE = 1000
+# Template of the script of a Slurm job, where mantle runs in the launcher's tree.
+TREE_JOB = Path("/run/mantle/job")
+# Seconds after which files that a node wrote are seen on this machine.
+LATENCY = 60
 
 
 def check(slurm: bool) -> None:
@@ -52,8 +58,11 @@ def check(slurm: bool) -> None:
                 f"Slurm was asked for, but {program} is not here (Debian: slurm-client); "
                 "call mantle where jobs are submitted, not in a container there"
             )
-    if slurm and not (version := metadata.version("snakemake")).startswith("7."):
-        raise EnvironmentProblem(f"Slurm needs Snakemake 7 (as in Debian 13); this is {version}")
+    if slurm:
+        version = metadata.version("snakemake")
+        if not version.startswith("7."):
+            text = f"Slurm needs Snakemake 7 (as in Debian 13); this is {version}"
+            raise EnvironmentProblem(text)
 
 
 def execute(

@@ -22,13 +22,18 @@ from app.soundness import cost, memory
 from app.system import identity
 from app.system.folders import FAILED, saved
 
-# Prefixes of ids: of runs, and of processes shared by several runs.
-CASE, SHARED = "case-", "shared-"
-DIGITS = 10  # of a digest
+# Prefix of the id of a run.
+CASE = "case-"
+# Prefix of the id of a process that several runs share.
+SHARED = "shared-"
+# Digits of a digest in an id.
+DIGITS = 10
 # Ids, checked because they enter shell commands.
 NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{CASE}[0-9a-f]{{10}}", re.ASCII)
+# Last lines of a log that a message shows.
 LOG_LINES = 12
-LOST = 70  # exit code of a run that left none
+# Exit code of a run that left none.
+LOST = 70
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,12 @@ from app.system.layout import duration, percent
 
 log = logging.getLogger("mantle")
 
-QUICK = 2  # points of each line
+# Points of each line in a quick study.
+QUICK = 2
+# Beginning of advice that cannot be given.
 NONE = "no advice on"
-PARTS = (1.0, 0.4, 0.2)  # of the target whose cost is told
+# Parts of the target whose cost is reported.
+PARTS = (1.0, 0.4, 0.2)
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
@@ -104,8 +107,8 @@ def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     for item in key_parts(key):
         if isinstance(value, list | tuple):
             value = {str(k): entry for k, entry in enumerate(value)}
-        found = value if isinstance(value, Mapping) else {}
-        value = next(iter(found.values()), None) if item == "*" else found.get(item)
+        entries = value if isinstance(value, Mapping) else {}
+        value = next(iter(entries.values()), None) if item == "*" else entries.get(item)
     number, _, unit = str(value).partition(" ")
     try:
         x = float(number)
@@ -152,18 +155,19 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(quantities.known_value(name, values[name]), 0.0, None, "given")
-    found = [(r, v) for r in ladder if (v := quantities.read(r.result.summary, name)) is not None]
-    if found and len(ladder) == 1:
-        return wp.ReferenceValue(found[0][1], 0.0, None, "of one run")
-    if len(found) < 2:
+    read = [(r, quantities.read(r.result.summary, name)) for r in ladder]
+    known = [(r, value) for r, value in read if value is not None]
+    if known and len(ladder) == 1:
+        return wp.ReferenceValue(known[0][1], 0.0, None, "of one run")
+    if len(known) < 2:
         return None
-    x = [r.x for r, _ in found if r.x is not None]
+    x = [r.x for r, _ in known if r.x is not None]
     if x and x[0] < x[-1]:
         x = [1.0 / each for each in x]  # a number that grows as the run gets finer
-    last = found[-1][0]
+    last = known[-1][0]
     return wp.extrapolate(
-        x if len(x) == len(found) else [],
-        [v for _, v in found],
+        x if len(x) == len(known) else [],
+        [value for _, value in known],
         last.highest_order,
         last.result.planned.case.solver.tolerance,
     )
@@ -172,18 +176,22 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
 def _costs(
     target: float, what: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
-    """What it costs to have all of these quantities within the target, and within parts of it.
+    """Cost of having all of these quantities within the target, and within parts of it.
 
     A run is as good as the worst of those that follow it in its line: it may be close by chance.
     """
     if any(m.reference and m.reference.method == wp.NOT_CONVERGING for m in measured):
         return f"{NONE} {what}: its reference is {wp.NOT_CONVERGING}; refine study.reference.run"
-    found, worst = zip(*(m.errors for m in measured), strict=True), dict[str, float]()
-    errors = [None if None in own else max(e for e in own if e is not None) for own in found]
+    worst: dict[str, float] = {}
+    errors = [
+        None if None in of_run else max(e for e in of_run if e is not None)
+        for of_run in zip(*(m.errors for m in measured), strict=True)
+    ]
     for i, r in reversed([*enumerate(curve)]):
-        if (error := errors[i]) is not None:
+        error = errors[i]
+        if error is not None:
             errors[i] = worst[r.line] = max(error, worst.get(r.line, 0.0))
-    said: list[str] = []
+    costs: list[str] = []
     for level in (part * target for part in PARTS):
         best = wp.best([r.time for r in curve], errors, level)
         if best is None:
@@ -191,12 +199,12 @@ def _costs(
         r, time, error = curve[best], duration(curve[best].time or 0.0), errors[best] or 0.0
         at = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
         if error <= level:
-            said.append(f"{percent(level)} costs {time} ({at})")
+            costs.append(f"{percent(level)} costs {time} ({at})")
             continue
-        known = max(m.own for m in measured)
+        uncertainty = max(m.own for m in measured)
         why = f"is reached by no run (closest {percent(error)} in {time}, {at})"
-        if known > level:
-            why = f"is below the reference's own {percent(known)}"
-        said.append(f"{percent(level)} {why}")
+        if uncertainty > level:
+            why = f"is below the reference's own {percent(uncertainty)}"
+        costs.append(f"{percent(level)} {why}")
         break
-    return f"{what} within {', '.join(said)}"
+    return f"{what} within {', '.join(costs)}"

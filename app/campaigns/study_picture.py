@@ -22,9 +22,13 @@ EXACT = 1e-16  # drawn in place of an error of zero
 DECADES = 30.0
 # Values smaller than the largest by this factor are zero to rounding.
 ROUNDING = 1e-9
-# Sides of a point where its label may stand, the best first; half the width of a marker [pixels].
+# Sides of a point where its label may stand, the best first: to the right and above is (1, 1).
 SIDES = ((1, 1), (1, -1), (-1, -1), (-1, 1), (0, 1), (0, -1), (1, 0), (-1, 0))
-ACROSS, ALONG = ("center", "left", "right"), ("center", "bottom", "top")
+# Horizontal alignment of a label by its side: 0, 1 or -1.
+ACROSS = ("center", "left", "right")
+# Vertical alignment.
+ALONG = ("center", "bottom", "top")
+# Half the width of a marker [pixels].
 MARKER = 5.0
 
 
@@ -36,7 +40,8 @@ def draw(report: Report, folder: Path) -> list[str]:
     if compared:
         _draw(folder / NAMES[0], compared, partial(_against_time, report), columns, (5.2, 4.2))
         found.append(NAMES[0])
-    if lines := varying_lines(report):
+    lines = varying_lines(report)
+    if lines:
         shown = report.quantities[:MOST_PANELS]
         _draw(folder / NAMES[1], shown, partial(_over_number, report, lines), 2, (4.6, 2.9))
         found.append(NAMES[1])
@@ -138,11 +143,12 @@ def _line(
 
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
     own = [i for i, r in enumerate(report.runs) if r.line == name]
-    good = {
-        i: (time, e)
-        for i in own
-        if (e := error[i]) is not None and (time := report.runs[i].time) is not None
-    }
+    good = {}
+    for i in own:
+        e = error[i]
+        time = report.runs[i].time
+        if e is not None and time is not None:
+            good[i] = (time, e)
     curves.curve(axes, [t for t, _ in good.values()], [e for _, e in good.values()], k, name)
     halo = [withStroke(linewidth=2.0, foreground="white")]
     look = {"textcoords": "offset points", "fontsize": 7, "path_effects": halo, "zorder": 5}
@@ -151,7 +157,8 @@ def _line(
             axes.plot(*at, marker, mfc="white", mec=colour, ms=6, zorder=4)
         label = report.runs[i].label
         axes.annotate(label, at, xytext=(5, 5), color=colour, in_layout=False, **look)
-    if text := exponent_text(report, m, name):
+    text = exponent_text(report, m, name)
+    if text:
         letter = "h" if report.runs[own[0]].key == "mesh.size" else "x"
         order = text if text == NOT_CONVERGING else rf"$\sim {letter}^{{{text}}}$"
         row = 0.02 + 0.055 * (len(m.exponents) - 1 - k)
@@ -184,7 +191,8 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Meas
         axes.axhspan(value - band, value + band, color="0.88", lw=0, zorder=0, label=label)
         axes.axhline(value, color="0.45", lw=1, zorder=1, label=label)
     for k, (name, own) in enumerate(lines.items()):
-        known = {i: factor * v for i in own if (v := m.points[i].value) is not None}
+        values = {i: m.points[i].value for i in own}
+        known = {i: factor * v for i, v in values.items() if v is not None}
         drawn += known.values()
         curves.curve(axes, [report.runs[i].x for i in known], list(known.values()), k, name)
         failed = [report.runs[i].x for i in own if report.runs[i].result.exit_code]

@@ -103,8 +103,8 @@ class Report:
     @property
     def covered(self) -> list[bool]:
         """Whether the truth lies within ±, where the true error is known well enough."""
-        found = [p.effectivity for m in self.quantities for p in m.points]
-        return [index >= 1.0 for index in found if index is not None]
+        indices = [p.effectivity for m in self.quantities for p in m.points]
+        return [index >= 1.0 for index in indices if index is not None]
 
 
 def shown(value: float | None, q: Quantity) -> str:
@@ -146,17 +146,20 @@ def table(report: Report) -> str:
         rows = [_row(r, m, i)[: len(head)] for i, r in enumerate(report.runs)]
         lines.append(layout.table(head, rows))
         keys = {r.line: r.key for r in report.runs}
-        orders = [
-            f"{keys[n]}^{p} along {n}" if p != NOT_CONVERGING else f"{p} along {n}"
-            for n in m.exponents
-            if (p := exponent_text(report, m, n))
-        ]
+        orders = []
+        for name in m.exponents:
+            p = exponent_text(report, m, name)
+            if p == NOT_CONVERGING:
+                orders.append(f"{p} along {name}")
+            elif p:
+                orders.append(f"{keys[name]}^{p} along {name}")
         if orders:
             lines.append(f"  error goes with {', '.join(orders)}")
         if m.compared:
             lines.append(f"  {report.advice[m.name]}")
     lines += ["", "* no other run is both faster and closer"]
-    if known := report.covered:
+    known = report.covered
+    if known:
         lines.append(f"the truth lies within ± for {sum(known)} of {len(known)} numbers")
     if "" in report.advice:
         lines.append(report.advice[""])
@@ -177,7 +180,7 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
 
 
 def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
-    """Write ``study.json``, which begins as told, and ``study.csv``; return their names."""
+    """Write ``study.json``, which begins with ``about``, and ``study.csv``; return their names."""
     record = {
         **about,
         "target": report.target,

@@ -27,30 +27,30 @@ def of_parts(
         By part: ``samples``, and ``numbers`` by name: mean, deviation (standard, of a sample), p5,
         p95 (percentiles), and ``correlation`` with each input (as `correlation`).
     """
-    found = {}
+    spreads = {}
     for part, keys in inputs.items():
         samples = [r for r in rows if r["part"] == part and not r["exit_code"]]
         if len(samples) < FEWEST:
             continue
         values = {key: [r["overrides"][key] for r in samples] for key in keys}
         names = [n for n in samples[0]["numbers"] if all(n in r["numbers"] for r in samples)]
-        found[part] = {
+        spreads[part] = {
             "samples": len(samples),
             "numbers": {n: of_number([r["numbers"][n] for r in samples], values) for n in names},
         }
-    return found
+    return spreads
 
 
 def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
     """Entry of `of_parts` for a number of each sample, over inputs of each sample by key."""
     low, high = np.percentile(numbers, (5, 95))
-    found = {key: correlation(numbers, values) for key, values in inputs.items()}
+    correlations = {key: correlation(numbers, values) for key, values in inputs.items()}
     return {
         "mean": float(np.mean(numbers)),
         "deviation": float(np.std(numbers, ddof=1)),
         "p5": float(low),
         "p95": float(high),
-        "correlation": {key: r for key, r in found.items() if r is not None},
+        "correlation": {key: r for key, r in correlations.items() if r is not None},
     }
 
 
@@ -62,12 +62,13 @@ def correlation(numbers: Sequence[float], inputs: Sequence[Any]) -> float | None
     """
     from scipy.stats import rankdata, spearmanr  # half a second, which only samples need
 
-    found = [m for v in inputs if (m := NUMBER.fullmatch(str(v)))]
-    ordered = len(found) == len(inputs) and len({m[2] for m in found}) == 1
-    if len(set(numbers)) < 2 or (groups := len(set(map(str, inputs)))) < 2:
+    values = [m for m in (NUMBER.fullmatch(str(v)) for v in inputs) if m]
+    ordered = len(values) == len(inputs) and len({m[2] for m in values}) == 1
+    groups = len(set(map(str, inputs)))
+    if len(set(numbers)) < 2 or groups < 2:
         return None
     if ordered:
-        return float(spearmanr(numbers, [float(m[1]) for m in found]).statistic)
+        return float(spearmanr(numbers, [float(m[1]) for m in values]).statistic)
     if groups == len(inputs):
         return None
     ranks, own = rankdata(numbers), np.unique([str(v) for v in inputs], return_inverse=True)[1]
@@ -83,23 +84,23 @@ def rows(of: Mapping[str, Any]) -> list[list[str]]:
     """
     spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
     order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
-    found = []
+    table_rows = []
     for name in order:
         s = spread[name]
         short = short_keys(list(s["correlation"]))
         causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:3]
         follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
         numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
-        found.append([name, quantities.find(name).unit, *numbers, follows])
-    return found
+        table_rows.append([name, quantities.find(name).unit, *numbers, follows])
+    return table_rows
 
 
 HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
 
 
-def table(found: Mapping[str, Mapping[str, Any]]) -> str:
+def table(spreads: Mapping[str, Mapping[str, Any]]) -> str:
     """Tables of all parts."""
     return "\n".join(
         f"{part or 'samples'}: {of['samples']} samples\n{layout.table(HEAD, rows(of))}"
-        for part, of in found.items()
+        for part, of in spreads.items()
     )

@@ -9,14 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-# Orders of convergence accepted in an extrapolation.
-LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
-ROUNDED = 0.05  # by which an order printed as the highest may exceed it
-# What values are whose differences fall faster than their elements allow.
+# Lowest order of convergence accepted in an extrapolation.
+LOWEST_ORDER = 0.5
+# Highest order, unless the elements allow another.
+HIGHEST_ORDER = 4.0
+# Amount by which an order printed as the highest may exceed it.
+ROUNDED = 0.05
+# Words for values whose differences fall faster than their elements allow.
 NOT_CONVERGING = "not yet converging"
-# The true error has to exceed the algebraic one and the reference's own by these factors for the
-# index to mean anything.
-ALGEBRAIC_FACTOR, REFERENCE_FACTOR = 10.0, 3.0
+# Factor by which the true error must exceed the algebraic one for an effectivity index.
+ALGEBRAIC_FACTOR = 10.0
+# Factor by which it must exceed the uncertainty of the reference.
+REFERENCE_FACTOR = 3.0
 
 
 @dataclass(frozen=True)

@@ -84,13 +84,13 @@ Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
 
 def _number(value: object) -> tuple[float, str]:
-    found = NUMBER.fullmatch(str(value)) if isinstance(value, str | int | float) else None
-    if found is None or isinstance(value, bool):
+    match = NUMBER.fullmatch(str(value)) if isinstance(value, str | int | float) else None
+    if match is None or isinstance(value, bool):
         fail(f"{show(value)} is not a number, with its unit if it has one")
-    number = float(found[1])
+    number = float(match[1])
     if not math.isfinite(number):
         fail(f"{show(value)} is not finite")
-    return number, found[2]
+    return number, match[2]
 
 
 class Range(Section):
@@ -159,8 +159,8 @@ class LatinHypercube(Section):
 
         def correlation(design: Any) -> float:
             # For a single input `corrcoef` is a number.
-            found = np.atleast_2d(np.corrcoef(design, rowvar=False))
-            return float(np.abs(np.tril(found, -1)).max())
+            coefficients = np.atleast_2d(np.corrcoef(design, rowvar=False))
+            return float(np.abs(np.tril(coefficients, -1)).max())
 
         shares = min(designs, key=correlation)
         return [
@@ -196,7 +196,8 @@ class SweepPart(Section):
             yield along({key: values}, (*path, "grid"), short)
         if self.lists is not None:
             yield along(self.lists, (*path, "lists"), short)
-        if (hypercube := self.latin_hypercube) is not None:
+        hypercube = self.latin_hypercube
+        if hypercube is not None:
             digits, at = len(str(hypercube.samples)), (*path, "latin_hypercube", "inputs")
             yield [
                 overriding(changes, at, f"sample{i:0{digits}d}")
@@ -266,12 +267,12 @@ def _labels(values: Sequence[Any]) -> list[str]:
 def short_keys(keys: Sequence[str]) -> dict[str, str]:
     """Shorten keys to their last words as far as they stay unique."""
     split = {key: key_parts(key) for key in keys}
-    found = {}
-    for key, own in split.items():
-        endings = (own[-n:] for n in range(1, len(own)) if not own[-n].isdigit())
+    short = {}
+    for key, words in split.items():
+        endings = (words[-n:] for n in range(1, len(words)) if not words[-n].isdigit())
         alone = (e for e in endings if sum(w[-len(e) :] == e for w in split.values()) == 1)
-        found[key] = ".".join(next(alone, own))
-    return found
+        short[key] = ".".join(next(alone, words))
+    return short
 
 
 def as_overrides(changes: Mapping[str, Any]) -> list[str]:
@@ -282,7 +283,8 @@ def as_overrides(changes: Mapping[str, Any]) -> list[str]:
 def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
     """Locate a message about an override in the file; None if it is about something else."""
     for key, place in places.items():
-        if (text := message.removeprefix("--set ")).startswith(f"{key}: "):
+        text = message.removeprefix("--set ")
+        if text.startswith(f"{key}: "):
             return Fault(place, text.removeprefix(f"{key}: "))
     return None
 

@@ -39,7 +39,8 @@ class Sweep(SweepPart):
             if (part.base or self.base) is None:
                 text = "missing; expected the case that is varied, relative to this file"
                 fail(text, at=(*path, "base"))
-            if (number := math.prod(map(len, part.axes(path)))) > MOST_CASES:
+            number = math.prod(map(len, part.axes(path)))
+            if number > MOST_CASES:
                 fail(f"{number} combinations; at most {MOST_CASES} are allowed", at=path)
         return self
 
@@ -49,12 +50,12 @@ class Sweep(SweepPart):
 
     def points(self) -> list[Point]:
         """Every case, in the order of the file."""
-        found: list[Point] = []
+        every: list[Point] = []
         for _, path, part in self._parts():
             common = [points.overriding(self.set, ("set",))]
             common.append(points.overriding(part.set, (*path, "set")))
-            found += points.combine(path, str(part.base or self.base), common, part.axes(path))
-        return found
+            every += points.combine(path, str(part.base or self.base), common, part.axes(path))
+        return every
 
     def uncertain(self) -> dict[str, list[str]]:
         """Uncertain inputs by part, of parts that have any."""
@@ -101,7 +102,7 @@ def plan(
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]
-    # A value that cannot be read is None here, and told where the case is read.
+    # A value that cannot be read is None here, and reported where the case is read.
     given = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
     others = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
@@ -121,8 +122,9 @@ def plan(
             case = load(base, changes).config
         except InputError as error:
             for message in error.messages:
-                if found := points.at_override(message, {key: point.places[key] for key in own}):
-                    problems.append(found)
+                fault = points.at_override(message, {key: point.places[key] for key in own})
+                if fault:
+                    problems.append(fault)
                 else:
                     failed.setdefault((base, message), []).append(point)
             continue

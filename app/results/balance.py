@@ -77,9 +77,8 @@ class Balance:
         dx = mechanics.cells()
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
-        energy = {
-            b: e for b, U in enumerate(displacements) if (e := mechanics.body_energy(b, U, dx)) != 0
-        }
+        energies = [mechanics.body_energy(b, U, dx) for b, U in enumerate(displacements)]
+        energy = {b: e for b, e in enumerate(energies) if e != 0}
         # Energy of all bodies, and its derivatives by body; a rigid body has none. Without free
         # strains it is half the work of the derivatives.
         free = mechanics.swelling or any(e.eigenstrains for e in scene.elastic)
@@ -103,7 +102,8 @@ class Balance:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
-        if s := problem.history:
+        s = problem.history
+        if s:
             self._set = mechanics.form(s.complementary_energy())
             self._setting = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
         # The traction k_i U_i of each bed of springs on each body.
@@ -155,7 +155,8 @@ class Balance:
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
         handed = passed = 0.0 * left
-        if followers := problem.followers:
+        followers = problem.followers
+        if followers:
             handed = followers.handed(left)
         reaction = np.where(constraints.reacting, left + handed, 0.0)
         loose = constraints.vector(PETSc.Vec().createWithArray(left, comm=problem.comm))

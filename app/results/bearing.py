@@ -162,7 +162,8 @@ class Bearing:
         """
         (energy, slid), (energy_there, slid_there) = (of.T for of in self._per_area())
         found, law = {"slid": (slid, slid_there)}, self._contact.law
-        if (k := getattr(law, "wear_coefficient", None)) is not None:
+        k = getattr(law, "wear_coefficient", None)
+        if k is not None:
             found["wear"] = k / law.friction * energy, k / law.friction * energy_there
         return found
 

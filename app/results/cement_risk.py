@@ -32,9 +32,10 @@ from app.results.stresses import Stresses
 from app.stepping.load_steps import LoadStep, OnStep
 from meshes.distribute import TaggedMesh
 
-# Distance from edges within which numbers are apart [mm], and the angle by which such an edge turns
-# in: more than straight facets of a round stem do.
-NEAR, TURN = 1.0, math.radians(60)
+# Distance from re-entrant edges within which numbers are reported apart [mm].
+NEAR = 1.0
+# Angle by which such an edge turns in: more than straight facets of a round stem do.
+TURN = math.radians(60)
 CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 # Vertices of a cell at the ends of each edge, and the two others.
 EDGES = np.array([(*e, *({0, 1, 2, 3} - {*e})) for e in combinations(range(4), 2)])
@@ -77,7 +78,8 @@ class CementRisk:
             turn = stage.turn(done.time)
             if self._fatigue and turn and (turn == stage.ways or turn % 2 == 0):
                 now = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
-                if turn == stage.ways and (cycles := self._fatigue.spectrum.get(stage.name)):
+                cycles = self._fatigue.spectrum.get(stage.name)
+                if turn == stage.ways and cycles:
                     self._add(cycles, *tensions(now, self._valley))
                 self._valley = now
             on_step(done, trial)
@@ -143,7 +145,8 @@ class CementRisk:
         if region not in self._parts:
             x = self._stresses.places(region)[0]
             levels = self._borders(x) if self._borders else {}
-            if len(edges := turning_in(self._tagged, region)):
+            edges = turning_in(self._tagged, region)
+            if len(edges):
                 levels["edge"] = distance(x, edges) - NEAR
             parts = divided(np.ones(len(x), dtype=bool), levels)
             self._parts[region] = {p: a for p, a in parts.items() if self._comm.allreduce(a.sum())}

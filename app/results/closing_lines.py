@@ -148,7 +148,8 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for section in ("fatigue", "thermal.regions", "thermal.interfaces"):
         yield from _table(section, rows[section])
     yield from _necrosis(rows["thermal.regions"])
-    if note := summary.get("thermal", {}).get("note"):
+    note = summary.get("thermal", {}).get("note")
+    if note:
         yield note
     for section in ("cure", "stem"):
         yield from (_sentence(section, *row) for row in rows[section].items())

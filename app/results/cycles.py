@@ -10,8 +10,10 @@ from app.case.quantities import TABLE
 
 # Numbers of an interface where loads turn.
 OF_CYCLES = {"motion_p99", "inducible_p99", "dissipation"}
-# Dissipation per cycle that has vanished, and change per cycle that is none, relative.
-NOTHING, SAME = 0.02, 0.1
+# Dissipation per cycle relative to the first below which it has vanished.
+NOTHING = 0.02
+# Relative change per cycle below which there is none.
+SAME = 0.1
 
 # Numbers by the stem or interface that they are of.
 Turn = dict[str, dict[str, float]]
@@ -111,5 +113,7 @@ def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
     """A line for the log for each stage."""
     for stage, found in cycles.items():
         parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(found))
-        told = [f"permanent / inducible: {parts}"] * bool(parts)
-        yield f"{stage}: {'; '.join([*told, *friction(found)])}"
+        lines = [*friction(found)]
+        if parts:
+            lines.insert(0, f"permanent / inducible: {parts}")
+        yield f"{stage}: {'; '.join(lines)}"

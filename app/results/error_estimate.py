@@ -110,7 +110,8 @@ def companions(case: Case) -> tuple[Companion, ...]:
     # Mesh sizes over that of the run, as far as the geometry can be meshed.
     coarsest = case.geometry.coarsest_size
     limit = coarsest / case.mesh.size if coarsest else 0.0
-    coarsenings = tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
+    possible = dict.fromkeys(min(factor, limit) for factor in COARSER)
+    coarsenings = tuple(c for c in possible if c > LEAST)
     meshes = tuple(_companion(case, c, half) for c in coarsenings)
     if not (frictional or timed) or (len(meshes) == 1 and half < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
@@ -236,7 +237,8 @@ def _put_in_zones(run: Numbers, order: int, solved: Others) -> None:
         density = numbers["strain_energy_density"]
         found = [(c, o.get("strain_energy_density", {})) for c, o in others]
         errors = {region: _error(region, STRESS, order, density, found) for region in density}
-        if known_errors := {region: e for region, e in errors.items() if e is not None}:
+        known_errors = {region: e for region, e in errors.items() if e is not None}
+        if known_errors:
             numbers["strain_energy_density_error"] = known_errors
 
 

@@ -139,9 +139,11 @@ class HeatFields:
         for name in WRITTEN_DOSES if bone else ():
             doses = {region: regions[region].doses.totals[name] for region in bone}
             found[name] = self._of_regions(nodes, doses)
-        if cure := self._heating.degrees():
+        cure = self._heating.degrees()
+        if cure:
             found["degree_of_cure"] = self._of_regions(nodes, cure)
-        if (j := self._operators.jumps) is not None:
+        j = self._operators.jumps
+        if j is not None:
             τ = x[1].array
             every = np.zeros((2, len(j.points.dof)))
             every[:, j.mine] = τ, W_PER_M2 * j.flux(τ)[0]
@@ -228,7 +230,8 @@ class MechanicalFields:
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i])
-                if bearing := self._bearings.get(contact.name):
+                bearing = self._bearings.get(contact.name)
+                if bearing:
                     (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
                     for key, (slave, master) in bearing.fields().items():
                         whole = np.zeros(len(surface.dof))
@@ -362,7 +365,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     }
     if contact.between:
         del fields["motion"], fields["slip"]
-    if strength := contact.law.strength:
+    strength = contact.law.strength
+    if strength:
         fields["failure_index"] = strength.index(s.pressure, s.shear)
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
     return found | {f"{contact.name}_status": status}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from app.case.case import Case
 from app.case.femurs import IntactFemur
@@ -19,9 +20,7 @@ from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene import bodies
-
-if TYPE_CHECKING:
-    from meshes.gruen import Zones
+from meshes.gruen import Zones
 
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6
@@ -56,8 +55,6 @@ class StemMotion:
             for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
         )
         if len(self._stem.x) and len(self._facing.x):
-            from scipy.spatial import cKDTree  # imported late: few runs need it
-
             self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
 
     def __call__(self, side: str) -> dict[str, Any]:
@@ -67,7 +64,8 @@ class StemMotion:
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
             own = np.concatenate(comm.allgather(u[body, rows]))
             found[name] = [float(c) for c in own[first].mean(axis=0)]
-        if (at := self._nearest) is None:
+        at = self._nearest
+        if at is None:
             return found
         # The rigid motion of all bone is subtracted, as it moves stem and bone differently where
         # they are apart. The rest, the bone's deformation, is taken at the nearest point.

@@ -148,7 +148,8 @@ class ContactSamples:
         if since is not None:
             way = surface.true_jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
-        if (far := contact.large) is not None:
+        far = contact.large
+        if far is not None:
             arm = np.zeros((len(own), 3))
             arm[far.rows] = far.paired.arm
             self.arm, self.friction = whole(arm), whole(history.friction)

@@ -38,7 +38,8 @@ class Results:
 
     def __repr__(self) -> str:
         """Folder, title, interfaces with their slip and gap, and what else there is."""
-        if variations := self.variations:
+        variations = self.variations
+        if variations:
             return f"results in {self.folder}: variations {', '.join(variations)}"
         numbers = self.summary.get("interfaces", {}).items()
         lines = [

@@ -147,7 +147,8 @@ class Writer:
 
     def history(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv, which is written now and then; collective."""
-        if new := [name for name in row if name not in self._columns]:
+        new = [name for name in row if name not in self._columns]
+        if new:
             self._columns += new
             self._rows = self._rows.replace("\n", "," * len(new) + "\n")
         full = {name: row.get(name, "") for name in self._columns}

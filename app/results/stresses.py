@@ -93,7 +93,8 @@ class Stresses:
     def _elastic_strain(self, region: str) -> Floats:
         """Strain of a region's law for the stress, without thermal or other free strain [-]."""
         problem, cells = self._problem, self.cells[region]
-        if (expression := self._own.get(region)) is None:
+        expression = self._own.get(region)
+        if expression is None:
             displacement = problem.displacements()[problem.bodies.of_region[region]]
             expression, self._moved.x.array[:] = self._strain, displacement.x.array
         if not len(cells):
@@ -102,7 +103,8 @@ class Stresses:
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
-        if history := self._history.get(region):
+        history = self._history.get(region)
+        if history:
             σ, at = history.stress(region), self.points[region]
             if at is history.points:
                 return σ
@@ -166,7 +168,8 @@ class Stresses:
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
-        if (s := self._history.get(region)) and s.creep:
+        s = self._history.get(region)
+        if s and s.creep:
             found |= s.creep.numbers(region)
         if cement:
             _, _, tension, _, _, volume = values

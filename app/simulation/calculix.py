@@ -41,12 +41,16 @@ from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import distribute
 
-# Of exact contact: pressure per penetration [MPa/mm]. And shear per slip of a point that sticks,
-# in parts of that.
-STIFF, STICK = 1e4, 0.1
-ALIKE = 0.02  # of Young's modulus that varies: what one material of the deck covers
-# Nodes of a C3D10 by those of basix, and the number of the face opposite each corner.
-ORDER, FACE = [0, 1, 2, 3, 9, 6, 8, 7, 5, 4], np.array([3, 4, 2, 1])
+# Pressure per penetration that stands for exact contact [MPa/mm].
+STIFF = 1e4
+# Shear per slip of a point that sticks, relative to the pressure per penetration.
+STICK = 0.1
+# Relative range of a Young's modulus that varies which one material of the deck covers.
+ALIKE = 0.02
+# Nodes of a C3D10 by those of basix.
+ORDER = [0, 1, 2, 3, 9, 6, 8, 7, 5, 4]
+# Number of the face opposite each corner.
+FACE = np.array([3, 4, 2, 1])
 
 
 def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:

@@ -209,7 +209,8 @@ class CheckpointWriter:
         Raises:
             InputError: It is of another mesh, or of other unknowns.
         """
-        if (found := self._found) is None:
+        found = self._found
+        if found is None:
             return 0
         header = found.header
         parts = self._model.saved_parts() | {"recorder": self._recorder}

@@ -6,7 +6,7 @@ import hashlib
 import logging
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mpi4py import MPI
 
@@ -36,6 +36,7 @@ from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
 from app.scene.scene import Scene, Stage, build_scene
+from app.simulation.intact_femur import carried, intact_case
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
@@ -45,15 +46,14 @@ from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
+from app.stepping.remodelling import Remodeller
 from app.stepping.stages import run_stages
 from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
+from meshes.gruen import Zones
 from meshes.pieces import Parts
-
-if TYPE_CHECKING:
-    from app.stepping.remodelling import Remodeller
 
 log = logging.getLogger("mantle")
 
@@ -84,17 +84,20 @@ class Mechanical:
     saved = ("problem", "solver", "bearings")
 
     def __init__(self, problem: Problem, solver: Solver, case: Case) -> None:
-        self.problem, self.solver, self.zones = problem, solver, None
-        self.stem, geometry = StemMotion(problem, case), case.geometry
-        self.surfaces, depth = list[Surface](), None
+        geometry = case.geometry
+        self.problem = problem
+        self.solver = solver
+        self.zones = None
+        self.stem = StemMotion(problem, case)
+        self.surfaces: list[Surface] = []
+        depth = None
         if geometry.has_gruen_zones:
-            from meshes.gruen import Zones  # brings scipy, which few runs need
-
-            self.zones, depth = (zones := Zones(geometry)), zones.depth
+            self.zones = zones = Zones(geometry)
+            depth = zones.depth
             if problem.contact:
                 surface = problem.contact.points.surface
-                levels, every = zones.borders(surface.x), range(len(surface.triangles))
-                self.surfaces = [Surface(surface, i, levels) for i in every]
+                levels = zones.borders(surface.x)
+                self.surfaces = [Surface(surface, i, levels) for i in range(len(surface.triangles))]
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
@@ -207,7 +210,8 @@ class Model:
         case, like = self._case, None
         changes = self.scene.cures or self.scene.remodelling
         for model in self._others if not changes else ():
-            if (m := model.mechanics) is None or m.problem.mechanics.remodels:
+            m = model.mechanics
+            if m is None or m.problem.mechanics.remodels:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
@@ -223,7 +227,8 @@ class Model:
         return Mechanical(problem, solver, case)
 
     def _risk(self) -> CementRisk | None:
-        if (m := self.mechanics) is None:
+        m = self.mechanics
+        if m is None:
             return None
         if not self._case.fatigue and not any(e.weibull for e in self.scene.elastic):
             return None
@@ -234,10 +239,11 @@ class Model:
             return None
         heat = ImplicitStep(HeatOperators(self.scene, self.tagged, self._timing))
         coupled = None
-        if self.scene.coupled and (m := self.mechanics) is not None:
+        m = self.mechanics
+        if self.scene.coupled and m is not None:
             coupled = CoupledSystem(self.scene, heat, m.problem, m.solver.blocks())
         state = HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
-        return ThermalModel(self._case, state, m.problem if (m := self.mechanics) else None)
+        return ThermalModel(self._case, state, m.problem if m else None)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -247,9 +253,11 @@ class Model:
     def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
-        if m := self.mechanics:
+        m = self.mechanics
+        if m:
             groups.append(MechanicalFields(m.problem, m.stresses, self.risk, m.bonds, m.bearings))
-        if t := self.thermal:
+        t = self.thermal
+        if t:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
 
@@ -276,12 +284,17 @@ class Model:
             ConvergenceError: As `run_stages`.
         """
         load_stepper = heat_stepper = creep_stepper = None
-        if risk := self.risk:
+        risk = self.risk
+        if risk:
             on_step = risk.before(on_step)
         begin = on_stage
-        if (t := self.thermal) and (cycle := t.sliding):
-            on_step, begin = cycle.before(on_step), cycle.before_stage(on_stage)
-        if m := self.mechanics:
+        t = self.thermal
+        cycle = t.sliding if t else None
+        if cycle:
+            on_step = cycle.before(on_step)
+            begin = cycle.before_stage(on_stage)
+        m = self.mechanics
+        if m:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
@@ -294,14 +307,13 @@ class Model:
                 on_heat(step, accepted)
 
             beside: SolvedAfterHeat | SolvedWithHeat | None = None
-            if load_stepper and (coupled := t.heating.coupled):
+            coupled = t.heating.coupled
+            if load_stepper and coupled:
                 beside = SolvedWithHeat(load_stepper, t.heating, coupled)
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
         if load_stepper and m and self.scene.remodelling:
-            from app.stepping.remodelling import Remodeller  # few runs need it
-
             self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
         steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         steps = self.remodeller
@@ -338,9 +350,6 @@ class Model:
         law, m = self.scene.remodelling, self.mechanics
         if not (law and law.intact and m):
             return None
-        from app.simulation.intact_femur import carried, intact_case
-        from app.stepping.remodelling import Remodeller
-
         forms, timing = m.problem.mechanics, self._timing.of("intact femur")
         case, comm = intact_case(self._case, forms.remodels), self.tagged.mesh.comm
         other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
@@ -363,7 +372,8 @@ class Model:
     def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
         """All published numbers; collective."""
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
-        if m := self.mechanics:
+        m = self.mechanics
+        if m:
             elastic = m.problem.scene.elastic
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
@@ -371,21 +381,26 @@ class Model:
                 if bearing.numbers:  # none before the first step
                     numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            if found := m.bonds.numbers():
+            found = m.bonds.numbers()
+            if found:
                 numbers["bonds"] = found
-            if creep := m.problem.creep:
+            creep = m.problem.creep
+            if creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             if self.risk:
                 for region, found in self.risk.weibull().items():
                     numbers["regions"][region] |= found
-                if found := self.risk.fatigue():
+                found = self.risk.fatigue()
+                if found:
                     numbers["fatigue"] = found
             numbers["stem"] = m.stem(self._case.side)
-            if found := of_femur(m.problem, self._case):
+            found = of_femur(m.problem, self._case)
+            if found:
                 numbers["femur"] = found
             if self.remodeller:
                 numbers["remodelling"] = self.remodeller.summary()
-        if t := self.thermal:
+        t = self.thermal
+        if t:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             if t.cure:
                 numbers["cure"] = t.cure.summary()
@@ -395,7 +410,8 @@ class Model:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
-        if (m := self.mechanics) and m.zones:
+        m = self.mechanics
+        if m and m.zones:
             found["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
         return found
 

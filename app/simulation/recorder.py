@@ -94,7 +94,8 @@ class Recorder:
         self._balance: Balance | None = None
         self._critical: dict[str, Any] = {}
         self._probes: Probes | None = None
-        if m := model.mechanics:
+        m = model.mechanics
+        if m:
             with timing.phase("assemble"):
                 self._balance = m.balance(about)
                 self._critical, beyond = failure.beyond_critical(m.problem)
@@ -123,7 +124,8 @@ class Recorder:
     def restored(self) -> None:
         """Continue from a restored model; collective."""
         # Until the mechanics have been solved the balance is at rest, without given temperatures.
-        if self._mechanical and (m := self._model.mechanics) and self._balance:
+        m = self._model.mechanics
+        if self._mechanical and m and self._balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
             self._balance.go_on(u, trial)
@@ -162,7 +164,8 @@ class Recorder:
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
             self._mechanical = self._row_of(step, balance)
             self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
-            if r := self._model.remodeller:
+            r = self._model.remodeller
+            if r:
                 self._mechanical |= {"remodelled [s]": r.seconds, "bone mass [g]": r.present}
                 zones = bone_change(m.problem, m.stresses, m.zones) if m.zones else {}
                 changes = {f"zone {z} bone mass change [-]": v["all"] for z, v in zones.items()}
@@ -187,7 +190,8 @@ class Recorder:
         with self._timing.phase("output"):
             self._total.count(accepted.outcome)
             wall = clock.perf_counter() - self._begin
-            if t := self._model.thermal:
+            t = self._model.thermal
+            if t:
                 log.info("%s", text.heat_line(step.number, accepted, t.row(), wall))
             self._row(step)
 
@@ -212,7 +216,8 @@ class Recorder:
             "energy balance [-]": balance.energy,
         }
         m = self._model.mechanics
-        if m and (creep := m.problem.creep):
+        creep = m.problem.creep if m else None
+        if creep:
             row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
             row["creep dissipation [N mm]"] = creep.dissipated
         for name, u in self._displacements().items():
@@ -234,7 +239,8 @@ class Recorder:
         self.time = step.time
         self.step_count += 1
         row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical
-        if t := self._model.thermal:
+        t = self._model.thermal
+        if t:
             row |= t.row()
         wall = clock.perf_counter() - self._begin
         row["wall [s]"] = round(wall, 3)
@@ -248,7 +254,8 @@ class Recorder:
 
     def _displacements(self) -> dict[str, list[float]]:
         """Displacement of each probe [mm]; collective."""
-        if self._probes is None or (m := self._model.mechanics) is None:
+        m = self._model.mechanics
+        if self._probes is None or m is None:
             return {}
         values = self._probes.values(m.problem.displacements())
         return {name: values[k].tolist() for k, name in enumerate(self._probes.names)}
@@ -279,12 +286,15 @@ class Recorder:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples) | model.places(self.samples)
-            cycles, bearings = self._cycles.summary(), m.bearings if m else {}
-            if change := {n: found for n, b in bearings.items() if (found := b.change())}:
+            cycles = self._cycles.summary()
+            changes = {name: b.change() for name, b in m.bearings.items()} if m else {}
+            change = {name: numbers for name, numbers in changes.items() if numbers}
+            if change:
                 cycles.setdefault(self._stage.name, {})["change"] = change
             if cycles:
                 numbers["cycles"] = cycles
-            if sections := section_loads(self._case, model.scene.load_time(self.time)):
+            sections = section_loads(self._case, model.scene.load_time(self.time))
+            if sections:
                 numbers["section_loads"] = [asdict(section) for section in sections]
         result = {
             "status": status,
@@ -324,7 +334,8 @@ class Recorder:
 
     def close(self, status: str, why: Sequence[Verdict]) -> None:
         """Leave the last converged state, and why, on disk, as far as it allows; collective."""
-        if m := self._model.mechanics:
+        m = self._model.mechanics
+        if m:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)
 
