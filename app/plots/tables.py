@@ -1,0 +1,73 @@
+"""A table as a picture: a row for each group, a dot for each member on a logarithmic axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+
+from app.plots import figures
+
+# Height of a row over which its dots are spread.
+SPREAD = 0.7
+# Font size of names of rows and entries of the legend.
+WORDS = 8
+# Font size of the names of dots.
+NAMES = 7
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of dots: its name in the legend, its colour and its marker."""
+
+    name: str
+    colour: str
+    marker: str
+
+
+@dataclass(frozen=True)
+class Dot:
+    """A member of a row: its value, its kind, and its name if that is written."""
+
+    value: float
+    kind: Kind
+    name: str = ""
+
+
+def dots(
+    axes: Axes, rows: Mapping[str, Sequence[Dot]], limits: tuple[float, float], bound: float
+) -> None:
+    """Draw the dots of rows, by the names of the rows.
+
+    Args:
+        axes: Axes to draw in.
+        rows: Dots of each row.
+        limits: Values beyond which a dot stands at the margin.
+        bound: Value of a line through all rows.
+    """
+    low, high = limits
+    counts: dict[Kind, int] = {}
+    for k, members in enumerate(rows.values()):
+        for i, dot in enumerate(members):
+            x = min(max(dot.value, low), high)
+            y = k + SPREAD * ((i + 0.5) / len(members) - 0.5)
+            look = {"color": dot.kind.colour, "markersize": 4.5, "alpha": 0.8}
+            axes.plot(x, y, dot.kind.marker, **look)
+            counts[dot.kind] = counts.get(dot.kind, 0) + 1
+            if dot.name:
+                axes.annotate(f"{dot.name} ", (x, y), ha="right", va="center", fontsize=NAMES)
+    axes.axvline(bound, color="0.27", linewidth=1)
+    axes.set(xscale="log", xlim=(low / 1.5, 1.7 * high), ylim=(len(rows) - 0.4, -0.6))
+    axes.set_yticks(range(len(rows)), list(rows), fontsize=WORDS)
+    for kind, count in counts.items():
+        label = f"{kind.name} ({count})"
+        axes.plot([], [], kind.marker, color=kind.colour, label=label)
+    axes.legend(
+        fontsize=WORDS,
+        frameon=False,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=max(1, len(counts)),
+    )
+    figures.grid(axes)
