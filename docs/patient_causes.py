@@ -18,7 +18,12 @@ from app.case.case import load
 from meshes import femur_stem
 from tests.meshes.bones import own, write
 
-LENGTH, ANGLE, CUT = 130.0, -10.0, "-173.1 mm"  # of the stem; its version to the neck; distal
+# Length of the stem [mm].
+LENGTH = 130.0
+# Version of the stem to the neck [deg].
+ANGLE = -10.0
+# Height of the distal cut.
+CUT = "-173.1 mm"
 # Landmarks of mantle's own femur.
 MARKS = {"lesser_trochanter": [20, -5, 0], "shaft": [[0, 0, -100], [0, 0, -20]]}
 MARKS["condyles"] = [[20, 0, -250], [-20, 0, -250]]

@@ -28,12 +28,15 @@ from meshes import reference_body, swept
 from meshes.layered_surfaces import LayeredSurfaces
 
 DOCS = Path(__file__).resolve().parent
-STANCE, NUMBERS = DOCS.parent / "configs/studies/stance.yaml", DOCS / "study_stance.json"
+STANCE = DOCS.parent / "configs/studies/stance.yaml"
+NUMBERS = DOCS / "study_stance.json"
 CACHED = ("mesh", "compile", "error")  # phases that a study does not count
 TETS = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])  # of a prism with sorted corners
 SIDES = {4: [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]}
 SIDES[6] = [(0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)]
-EYE, LIGHT = np.array([0.42, 0.8, 0.42]), np.array([0.1, 0.75, 0.65])
+# Directions to the viewer and to the light.
+EYE = np.array([0.42, 0.8, 0.42])
+LIGHT = np.array([0.1, 0.75, 0.65])
 RIGHT = np.array([-EYE[1], EYE[0], 0.0]) / np.hypot(*EYE[:2])
 SCREEN = np.stack([RIGHT, np.cross(EYE, RIGHT) / np.linalg.norm(EYE)], axis=1)
 

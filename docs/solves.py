@@ -29,7 +29,8 @@ from app.system.timing import Timing
 from app.verification.cost_figures import FEMUR, STANCE, STEPS
 from app.verification.problem import CONFIGS
 
-KEPT, FIGURE = (Path(__file__).with_name(f"solves.{end}") for end in ("json", "png"))
+KEPT = Path(__file__).with_suffix(".json")
+FIGURE = Path(__file__).with_suffix(".png")
 COUNTS = (1, 4, 24)
 HEAD = (
     *("order", "size", "unknowns", "solves", "condensed", "Krylov"),

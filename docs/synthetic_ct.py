@@ -15,8 +15,15 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from tests.meshes.bones import inside, own, own_canal
 
-VOXEL, LOW = 0.7, -215.0  # mm
-CORTEX, HEAD, BESIDE, MARROW, AIR = 1400.0, 450.0, 40.0, -60.0, -1000.0  # CT numbers
+# Size of a voxel, and the lowest one [mm].
+VOXEL = 0.7
+LOW = -215.0
+# CT numbers of the tissues.
+CORTEX = 1400.0
+HEAD = 450.0
+BESIDE = 40.0
+MARROW = -60.0
+AIR = -1000.0
 SKIN = 20.0  # mm from the bone: air begins there
 
 

@@ -52,8 +52,7 @@ def dots(
         for i, dot in enumerate(members):
             x = min(max(dot.value, low), high)
             y = k + SPREAD * ((i + 0.5) / len(members) - 0.5)
-            look = {"color": dot.kind.colour, "markersize": 4.5, "alpha": 0.8}
-            axes.plot(x, y, dot.kind.marker, **look)
+            axes.plot(x, y, dot.kind.marker, color=dot.kind.colour, markersize=4.5, alpha=0.8)
             counts[dot.kind] = counts.get(dot.kind, 0) + 1
             if dot.name:
                 axes.annotate(f"{dot.name} ", (x, y), ha="right", va="center", fontsize=NAMES)

@@ -169,7 +169,8 @@ def bone_peak(case: SweptCase) -> Number | None:
 
     With perfect conductance: of all bone, from two seconds on.
     """
-    if (found := case.number("cement_bone.temperature_max_second")) is not None:
+    found = case.number("cement_bone.temperature_max_second")
+    if found is not None:
         return found
     late = _column(case, "seconds [s]") >= SETTLED
     known = [T for bone in case.bones for T in _temperature(case, bone)[late] if T == T]

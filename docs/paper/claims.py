@@ -16,7 +16,9 @@ from app.system.layout import plain
 from docs.paper import cases as paper
 from docs.paper.cases import Cases
 
-AGREES, DIFFERS, UNDECIDED = "agrees", "differs", "undecided"
+AGREES = "agrees"
+DIFFERS = "differs"
+UNDECIDED = "undecided"
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
 ROUNDING = 1e-6  # relative difference that is none
