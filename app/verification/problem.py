@@ -446,7 +446,10 @@ def planned_run(name: str, wanted: ProblemRun, folder: Path, *, alone: bool = Fa
 
 
 def solve_here(name: str, folder: Path) -> Runner:
-    """A `Runner` that solves in this process, one run after another, each once."""
+    """A `Runner` that solves in this process, one run after another, each once.
+
+    The log of each run is kept beside its folder, as campaigns do.
+    """
     # Not at the top: the process of `mantle verify` starts ranks and must not initialize MPI.
     from app.simulation import finished_runs, session
 
@@ -455,8 +458,10 @@ def solve_here(name: str, folder: Path) -> Runner:
     def solved(wanted: ProblemRun, folder: Path) -> SolvedRun:
         message = ""
         code = 0
+        kept = logging.FileHandler(folder.with_name(f"{folder.name}.log"), encoding="utf-8")
+        log.addHandler(kept)
         try:
-            planned = planned_run(name, wanted, folder)
+            planned = planned_run(name, wanted, folder.parent)
             case = load(planned.file, planned.overrides)
             finished_runs.prepare(case, folder)
             with ranks.mpi_settings():
@@ -464,6 +469,9 @@ def solve_here(name: str, folder: Path) -> Runner:
         except MantleError as error:
             message = str(error)
             code = error.exit_code
+        finally:
+            log.removeHandler(kept)
+            kept.close()
         return SolvedRun(name, wanted, folder, code, message)
 
     return lambda runs: [solved(wanted, folder / str(k)) for k, wanted in enumerate(runs)]
