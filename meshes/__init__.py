@@ -155,7 +155,8 @@ def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] 
         raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
     component = components(data.neighbours, data.cell_tags)
     pieces = {n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in whole}
-    if broken := ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1):
+    broken = ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
+    if broken:
         raise GeometryError(f"regions in several pieces: {broken}")
 
 

@@ -25,9 +25,11 @@ from meshes.femur_stem import unit
 
 RADII = (14.0, 36.0)  # mm: of heads
 END = 90.0  # mm from an end of the bone within which its head is
-SAMPLES, PAIRS = 2.5, 1500  # mm between samples; pairs of them tried
+SAMPLES = 2.5  # mm between samples
+PAIRS = 1500  # pairs of samples that are tried
 SMOOTH = 4.0  # mm over which normals are averaged
-NEAR, ALONG = 1.0, math.cos(math.radians(18.0))  # mm and normals that belong to a sphere
+NEAR = 1.0  # mm from a sphere within which points belong to it
+ALONG = math.cos(math.radians(18.0))  # cosine of a normal to the radius of its sphere, at least
 COVERED = 0.33  # of a sphere, at least, by a head
 ROBUST = 0.5  # mm: residuals of the head beyond it count less
 STEP = 1.5  # mm between sections that are searched for the lesser trochanter

@@ -137,7 +137,8 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
         near = np.r_[one, one + m], np.r_[other + over, other + m - over]
         sheet = connected(2 * m, *near)
         flipped = sheet[:m] != sheet[0]
-        if less := min(int(flipped.sum()), m - int(flipped.sum())):
+        less = min(int(flipped.sum()), m - int(flipped.sum()))
+        if less:
             notes.append(f"{less} triangles turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))

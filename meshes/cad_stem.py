@@ -228,7 +228,8 @@ class CadStem:
     def _along(self, height: float, slope: float) -> float:
         """Where the path meets a section, of its length; 0 if it begins above."""
         p, q, r = self._path @ [slope, slope * self._lean, 1.0]
-        if (rise := height - p) <= 0:
+        rise = height - p
+        if rise <= 0:
             return 0.0
         return float(rise / (q - p + np.sqrt((q - p) ** 2 + (p - 2 * q + r) * rise)))
 
@@ -310,7 +311,8 @@ class CadStem:
         x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP)], axis=1)
         wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         away = distance(x, self._coarse)
-        if (over := x[:, 2] > self._high).any():
+        over = x[:, 2] > self._high
+        if over.any():
             edge, at = self._kept(self._high, 0.0, 0.0)[:, :2], x[over, :2]
             turn = np.arctan2(at[:, 1], at[:, 0])
             out = np.hypot(*at.T) - np.interp(turn, THETA, np.hypot(*edge.T), period=2 * np.pi)

@@ -22,7 +22,9 @@ from app.foundation.errors import GeometryError
 ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
 FULL = 3.0  # lines on a piece of a quarter over those by its length, at most
 LEAST_WHOLE = 12  # lines around from which each piece has whole lines
-RIM, ZONE = math.sqrt(0.75), 0.5  # cosine and sine of 30 degrees: where a rounded tip gets a bowl
+# A rounded tip becomes a bowl where its ellipsoid has turned by 30 degrees.
+RIM = math.sqrt(0.75)  # cosine of that angle
+ZONE = 0.5  # sine of that angle
 SHALLOW = 0.3  # depth of the bowl over that of the ellipsoid
 BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
 CLEAR = 2.0  # mm that the round neck is above the cut

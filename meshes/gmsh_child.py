@@ -193,13 +193,15 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
                 "quadratic ones, can be used"
             )
         numbers, x, _ = mesh.getNodes()
-        if len(bad := numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]):
+        bad = numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]
+        if len(bad):
             raise GeometryError(f"{path}: node {bad[0]}: its coordinates are no numbers")
         points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
         cells = {name: elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
         full = {mesh_files.word(name) for name, block in cells.items() if len(block)}
-        if absent := [name for name in request["regions"] if name not in full]:
+        absent = [name for name in request["regions"] if name not in full]
+        if absent:
             raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
         _, tags, _ = mesh.getElements(3)
         arrays = {"points": points, "everything": np.array(sum(map(len, tags)))}

@@ -22,18 +22,22 @@ from meshes.femur_stem import unit
 from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
 from meshes.mantle import triangles
 
-# Second-order triangles in a full turn, and what their edges are divided into: a circle of 6 mm
-# is met to 0.008 mm.
-TURN, PARTS = 15, 4
+# A circle of 6 mm is met to 0.008 mm.
+TURN = 15  # second-order triangles in a full turn
+PARTS = 4  # parts into which their edges are divided
 SEWN = 1e-3  # mm between edges of faces that are one
-SHARP, FLATTEST = 0.5, 1.0  # mm: an end that is oblique, or rounded by less; least rounding kept
+SHARP = 0.5  # mm: an end that is oblique, or rounded by less, is flat
+FLATTEST = 1.0  # mm: least rounding that is kept
 FLAT = 1e-3  # mm that nodes of a planar face may be off its plane
 LONG = (60.0, 400.0)  # mm that a stem may be long
 STRAIGHT = (0.05, 0.5)  # of its length: where sections show the axis
 WHOLE = (0.05, 0.75)  # of the height of its shoulder: where the axis is within the metal
 TOP = 0.9  # of the height of its shoulder: where the shoulder is
-BLUNT, WIDE, FULL = 6.0, 0.4, 0.9  # mm of a rounded tip; outlines where it ends over that there
-TAPER, ASIDE = (25.0, 80.0), 10.0  # deg between axis and neck; mm of its end from the axis
+BLUNT = 6.0  # mm above the tip, where its rounding has ended
+WIDE = 0.4  # of the length around there: where the tip's end is
+FULL = 0.9  # of that length: where the rounding ends
+TAPER = (25.0, 80.0)  # deg between axis and neck
+ASIDE = 10.0  # mm of the neck's end from the axis, at least
 
 
 def read(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,8 +112,9 @@ def _faces(request: Mapping[str, Any]) -> tuple[Floats, list[Any]]:
             raise GeometryError(f"{path}: no STEP, IGES or BREP file: {error}") from error
         solids = len(gmsh.model.getEntities(3))
         if solids != 1:
+            count = f"{solids} solids" if solids else "no solid"
             raise GeometryError(
-                f"{path}: {solids or 'no'} solid{'s' * (solids > 1)}; a stem is one:"
+                f"{path}: {count}; a stem is one:"
                 f" {'fuse them, or leave parts out' if solids else 'close its surface'}"
             )
         box = np.array(gmsh.model.getBoundingBox(-1, -1))

@@ -28,9 +28,11 @@ from app.schema.units import Angle, PositiveLength, SizeVector
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "HeadCup", "IntactFemur"]
 __all__ += ["MeshFile", "MeshOptions", "Patient", "Sides"]
 
-# How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
-# it gmsh fails or its cells are flat; rings of 20 and blocks of 25 are solved in `mantle stress`).
-ROUND, THIN, FLAT = 2.0, 20.0, 25.0
+# How long edges of cells may be (measured: beyond it gmsh fails or its cells are flat; rings of 20
+# and blocks of 25 are solved in `mantle stress`).
+ROUND = 2.0  # in radii
+THIN = 20.0  # in thicknesses of rings
+FLAT = 25.0  # in thicknesses of blocks
 
 
 class Block(Section):

@@ -12,9 +12,9 @@ from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Plain, PositiveLength
 
 _AtLeast0 = Annotated[float, Dimension("mm", "a length", "0.1 mm", at_least=0.0)]
-# The cup's cover (deg); how near to its surface the head's bore may come, in parts of its radius;
-# edges of cells at most, in diameters of the head.
-COVER, NEAR, ROUND = (29.999, 120.001), 0.9, 0.5
+COVER = (29.999, 120.001)  # the cup's cover (deg)
+NEAR = 0.9  # how near to the head's surface its bore may come, in parts of its radius
+ROUND = 0.5  # edges of cells at most, in diameters of the head
 
 
 class HeadCup(Shape):
@@ -80,7 +80,9 @@ class HeadCup(Shape):
         """Radii of the cup's spheres (mm): of the bearing, of the liner, of the shell if any."""
         inner = self.head_radius + self.radial_clearance
         outer = inner + self.liner_thickness
-        return (inner, outer, *[outer + self.shell_thickness] * bool(self.shell_thickness))
+        if not self.shell_thickness:
+            return (inner, outer)
+        return (inner, outer, outer + self.shell_thickness)
 
     @property
     def tissues(self) -> dict[str, str]:

@@ -23,8 +23,8 @@ from app.schema.units import Dimension, Plain, PositiveLength
 Point3 = tuple[float, float, float]
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
-# Least size of a cell (mm), so that its powers do not underflow; a bound of the cells.
-LEAST, COUNTLESS = 1e-8, 1e40
+LEAST = 1e-8  # size of a cell (mm), so that its powers do not underflow
+COUNTLESS = 1e40  # bound of the number of cells
 # Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
 AROUND = 0.2
 # Least number of lines around a femur by default; that of meshes above a size (mm).
@@ -35,9 +35,10 @@ MOST_LINES = 1000
 # Area of an interface per node on it, over the squared edge length.
 AREA_PER_NODE = 0.87
 # Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone
-# there are as many as have room, in cement at most as many as `through_cement`. Widest bone (mm).
+# there are as many as have room, in cement at most as many as `through_cement`.
 THROUGH = (0.25, 1.0, 1.25)
-CANCELLOUS, CORTICAL = 15.0, 8.0
+CANCELLOUS = 15.0  # widest cancellous bone (mm)
+CORTICAL = 8.0  # widest cortical bone (mm)
 # Steps along (mm): first and largest over `along`, and growth per mm; from the plug down, and down
 # from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
 GRADING = {"below": (1.8, 2.5, 0.2), "stem": (0.6, 1.0, 0.06)}
