@@ -49,4 +49,4 @@ def test_the_sources_that_numbers_depend_on_belong_to_it() -> None:
     """What only asks for runs, or tells of them, does not."""
     assert not identity.OUTSIDE.fullmatch("app/numerics/newton.py")
     assert not identity.OUTSIDE.fullmatch("app/system/identity.py")
-    assert identity.OUTSIDE.fullmatch("app/verification/problems.py")
+    assert identity.OUTSIDE.fullmatch("app/verification/problems/test_heat.py")
