@@ -10,7 +10,6 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from app.case.case import Case
 from app.case.femurs import IntactFemur
@@ -55,6 +54,8 @@ class StemMotion:
             for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
         )
         if len(self._stem.x) and len(self._facing.x):
+            from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
+
             self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
 
     def __call__(self, side: str) -> dict[str, Any]:

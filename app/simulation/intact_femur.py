@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from app.case.case import Case, load
 from app.foundation.arrays import Floats
@@ -54,6 +53,8 @@ def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:
 
     Points outside get the value at a border of the cell in which they would be, if it were larger.
     """
+    from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
+
     near = min(NEAR, len(corners))
     cells = cKDTree(corners.mean(axis=1)).query(x, near)[1].reshape(len(x), near)
     edges = corners[cells, 1:] - corners[cells, :1]
