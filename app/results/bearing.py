@@ -161,26 +161,26 @@ class Bearing:
         Both in mm.
         """
         (energy, slid), (energy_there, slid_there) = (of.T for of in self._per_area())
-        found, law = {"slid": (slid, slid_there)}, self._contact.law
+        fields, law = {"slid": (slid, slid_there)}, self._contact.law
         k = getattr(law, "wear_coefficient", None)
         if k is not None:
-            found["wear"] = k / law.friction * energy, k / law.friction * energy_there
-        return found
+            fields["wear"] = k / law.friction * energy, k / law.friction * energy_there
+        return fields
 
     def cycle(self) -> dict[str, Any]:
         """Numbers of a cycle."""
         flux, fields = self._per_area()[0][:, 0], self.fields()
-        found = {
+        numbers = {
             "dissipation_cycle": float(self._weight @ flux),
             "slid_max": float(fields["slid"][0].max()),
             "slid_mean": float(self._weight @ fields["slid"][0] / self._weight.sum()),
             "slid_max_master": float(fields["slid"][1].max()),
         }
         if self._bare.any():
-            found["uncovered_fraction"] = float(self._weight @ self._bare / self._weight.sum())
+            numbers["uncovered_fraction"] = float(self._weight @ self._bare / self._weight.sum())
         if self._motion:
             track = np.array(self._tracks[-1] if self._tracks else self._track)
-            found["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())
+            numbers["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())
         if "wear" in fields:
             here, there = fields["wear"]
             worn = {
@@ -190,13 +190,13 @@ class Bearing:
                 "wear_depth_max_master": float(there.max()),
                 "wear_depth_p99_master": percentile(there, self.surface.areas),
             }
-            found |= worn | {f"{key}_million": MILLION * v for key, v in worn.items()}
+            numbers |= worn | {f"{key}_million": MILLION * v for key, v in worn.items()}
         if self._period:
-            found["friction_power"] = MILLIWATT * found["dissipation_cycle"] / self._period
+            numbers["friction_power"] = MILLIWATT * numbers["dissipation_cycle"] / self._period
             if self._effusivity:
                 swing = 2 * flux.max() / self._period * math.sqrt(self._period / 2 / math.pi)
-                found["temperature_swing"] = float(swing / self._effusivity)
-        return found
+                numbers["temperature_swing"] = float(swing / self._effusivity)
+        return numbers
 
     def change(self) -> dict[str, float]:
         """By how much the last two cycles of a stage differ; nothing before there are two.
@@ -213,8 +213,8 @@ class Bearing:
             for v in ((now - then)[:, 1:4], (now - then)[:, 4:7], now[:, 1:4])
         )
         last, first = float(now[-1, 7]) or 1.0, float(before[-1, 7])
-        found = {"torque": torque / (largest or 1.0)} if self._motion else {}
-        return found | {"centre": off, "dissipation": abs(last - first) / last}
+        numbers = {"torque": torque / (largest or 1.0)} if self._motion else {}
+        return numbers | {"centre": off, "dissipation": abs(last - first) / last}
 
 
 def _effusivity(case: Case, sides: Sequence[Sequence[str]]) -> float:

@@ -96,8 +96,8 @@ class CementRisk:
 
     def fatigue(self) -> dict[str, Any]:
         """Published numbers by law, of activities so far; collective."""
-        found = self._found.items()
-        return {n: self._by_part(self._tires, partial(self._damaged, own)) for n, own in found}
+        damages = self._found.items()
+        return {n: self._by_part(self._tires, partial(self._damaged, own)) for n, own in damages}
 
     def _damaged(self, own: Floats, at: Bools) -> dict[str, Any]:
         x, volume = self._stresses.places(self._tires)
@@ -112,23 +112,23 @@ class CementRisk:
 
     def damage(self, cells: int) -> dict[str, Floats]:
         """Mean damage a year of the cells of this rank by law (cells,), zero elsewhere."""
-        found: dict[str, Floats] = {}
+        fields: dict[str, Floats] = {}
         for name, own in self._found.items():
             mean, shares = np.zeros(cells), self._stresses.shares[self._tires]
             mean[self._stresses.cells[self._tires]] = own[:, 0].reshape(-1, len(shares)) @ shares
-            found[f"damage_{name}"] = mean
-        return found
+            fields[f"damage_{name}"] = mean
+        return fields
 
     # Strength
 
     def weibull(self) -> dict[str, dict[str, Any]]:
         """Published numbers by region; collective."""
-        found = {}
+        by_region = {}
         for region, law in self._weibull.items():
             tension = np.linalg.eigvalsh(self._stresses.evaluate(region))[..., 2]
             risk = law.risk(tension) * self._stresses.places(region)[1]
-            found[region] = self._by_part(region, partial(self._strength, region, risk))
-        return found
+            by_region[region] = self._by_part(region, partial(self._strength, region, risk))
+        return by_region
 
     def _strength(self, region: str, risk: Floats, at: Bools) -> dict[str, Any]:
         """Numbers of a part by the risk at points (cells, points), and the place of most of it."""
@@ -150,8 +150,8 @@ class CementRisk:
                 levels["edge"] = distance(x, edges) - NEAR
             parts = divided(np.ones(len(x), dtype=bool), levels)
             self._parts[region] = {p: a for p, a in parts.items() if self._comm.allreduce(a.sum())}
-        found = {part: of(at) for part, at in self._parts[region].items()}
-        return found.pop("", {}) | found
+        numbers = {part: of(at) for part, at in self._parts[region].items()}
+        return numbers.pop("", {}) | numbers
 
 
 def tensions(peak: Floats, valley: Floats) -> tuple[Floats, Floats]:
@@ -203,7 +203,7 @@ def distance(x: Floats, edges: Floats) -> Floats:
 
 def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
     """Parts of a whole (n,) where levels (n,) are not positive, the first first; "": the rest."""
-    found = {}
+    parts = {}
     for part, level in levels.items():
-        found[part], whole = whole & (level <= 0), whole & (level > 0)
-    return {"": whole} | found
+        parts[part], whole = whole & (level <= 0), whole & (level > 0)
+    return {"": whole} | parts

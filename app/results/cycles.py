@@ -41,7 +41,7 @@ class Cycles:
 
     def summary(self) -> dict[str, Any]:
         """For each stage with two peaks at least, what `split` finds."""
-        return {name: split(*found) for name, found in self._turns.items() if len(found[0]) > 2}
+        return {name: split(*history) for name, history in self._turns.items() if len(history[0]) > 2}
 
 
 def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
@@ -87,21 +87,21 @@ def trend(first: float, lost: list[float]) -> str:
     return "grows" if lost[-1] > lost[-2] else "falls"
 
 
-def rows(found: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+def rows(numbers: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
-    for place, own in found.get("permanent", {}).items():
+    for place, own in numbers.get("permanent", {}).items():
         for key in own:
             q = TABLE["stem" if place == "stem" else "interfaces"][key]
             name = key if place == "stem" else f"motion p99 of {place}"
-            yield f"{name} ({q.shown})", q.text(own), q.text(found["inducible"][place])
+            yield f"{name} ({q.shown})", q.text(own), q.text(numbers["inducible"][place])
 
 
-def friction(found: Mapping[str, Any]) -> Iterator[str]:
+def friction(numbers: Mapping[str, Any]) -> Iterator[str]:
     """Sentences on the friction of a stage with cycles, and on its last two."""
-    if "trend" in found:
-        lost = ", ".join(f"{d:.3g}" for d in found["dissipation"])
-        yield f"dissipation per cycle {found['trend']}: {lost} N mm"
-    for name, by in found.get("change", {}).items():
+    if "trend" in numbers:
+        lost = ", ".join(f"{d:.3g}" for d in numbers["dissipation"])
+        yield f"dissipation per cycle {numbers['trend']}: {lost} N mm"
+    for name, by in numbers.get("change", {}).items():
         of = (
             f"{100 * by[key]:.2g} % of the {key}" for key in ("torque", "dissipation") if key in by
         )
@@ -111,9 +111,9 @@ def friction(found: Mapping[str, Any]) -> Iterator[str]:
 
 def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
     """A line for the log for each stage."""
-    for stage, found in cycles.items():
-        parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(found))
-        lines = [*friction(found)]
+    for stage, numbers in cycles.items():
+        parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(numbers))
+        lines = [*friction(numbers)]
         if parts:
             lines.insert(0, f"permanent / inducible: {parts}")
         yield f"{stage}: {'; '.join(lines)}"

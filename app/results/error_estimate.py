@@ -205,13 +205,13 @@ def estimate(
 
 def largest_of_units(summary: Numbers) -> dict[str, float]:
     """Return the largest absolute value of the numbers of a summary, by unit."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for section, _, numbers in numbers_of(summary, parts=True):
         for key, q in TABLE[section].items():
             value = numbers.get(key)
             if value is not None and not q.vector:
-                found[q.unit] = max(found.get(q.unit, 0.0), abs(float(value)))
-    return found
+                largest[q.unit] = max(largest.get(q.unit, 0.0), abs(float(value)))
+    return largest
 
 
 def is_zero(value: float, change: float, largest: float) -> bool:
@@ -232,11 +232,11 @@ def _put_in_zones(run: Numbers, order: int, solved: Others) -> None:
         others = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
         for name, own in numbers["interfaces"].items():
             orders = {k: MOTION for k in own if k.endswith("_mean")}
-            found = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
-            _put(own, orders, order, found)
+            relatives = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
+            _put(own, orders, order, relatives)
         density = numbers["strain_energy_density"]
-        found = [(c, o.get("strain_energy_density", {})) for c, o in others]
-        errors = {region: _error(region, STRESS, order, density, found) for region in density}
+        relatives = [(c, o.get("strain_energy_density", {})) for c, o in others]
+        errors = {region: _error(region, STRESS, order, density, relatives) for region in density}
         known_errors = {region: e for region, e in errors.items() if e is not None}
         if known_errors:
             numbers["strain_energy_density_error"] = known_errors
@@ -250,11 +250,11 @@ def _put(numbers: Numbers, orders: Mapping[str, Orders], order: int, others: Oth
 
 def _on_meshes(key: str, run: Numbers, case: Case, others: Others) -> list[list[float]]:
     """Size and value on each mesh, finest first; of two on one mesh that with the run's steps."""
-    found = {case.mesh.size: run[key]}
+    values = {case.mesh.size: run[key]}
     for c, o in sorted(others, key=lambda other: -abs(other[0].steps - 1)):
         if c.coarsening > LEAST and o.get(key) is not None:
-            found[c.case.mesh.size] = o[key]
-    return [[size, found[size]] for size in sorted(found)]
+            values[c.case.mesh.size] = o[key]
+    return [[size, values[size]] for size in sorted(values)]
 
 
 def _error(key: str, orders: Orders, order: int, run: Numbers, others: Others) -> Any:

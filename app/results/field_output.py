@@ -132,16 +132,16 @@ class HeatFields:
         """
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
-        found = {"temperature": self._at(nodes, temperatures)}
+        fields = {"temperature": self._at(nodes, temperatures)}
         regions, bone = self._record.regions, self._record.bone
         peaks = {name: r.peak.value for name, r in regions.items()}
-        found["temperature_peak"] = self._of_regions(nodes, peaks) - CELSIUS
+        fields["temperature_peak"] = self._of_regions(nodes, peaks) - CELSIUS
         for name in WRITTEN_DOSES if bone else ():
             doses = {region: regions[region].doses.totals[name] for region in bone}
-            found[name] = self._of_regions(nodes, doses)
+            fields[name] = self._of_regions(nodes, doses)
         cure = self._heating.degrees()
         if cure:
-            found["degree_of_cure"] = self._of_regions(nodes, cure)
+            fields["degree_of_cure"] = self._of_regions(nodes, cure)
         j = self._operators.jumps
         if j is not None:
             τ = x[1].array
@@ -154,20 +154,20 @@ class HeatFields:
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 for what, values in zip(("temperature_jump", "heat_flux"), at_corners, strict=True):
-                    found[f"{c.name}_{what}"] = _along(at, values if forward else -values)
-        return found, {}
+                    fields[f"{c.name}_{what}"] = _along(at, values if forward else -values)
+        return fields, {}
 
     def _of_regions(self, nodes: OutputNodes, values: Mapping[str, Floats]) -> Floats:
         """Values of the regions' own nodes at the nodes of the grid, zero elsewhere; collective."""
-        found = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
+        values_of_bodies = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
         for region, own in values.items():
             at = self._record.regions[region].nodes
             self._work.x.array[:] = 0.0
             self._work.x.array[at.dof] = own
             self._work.x.scatter_forward()
             # Regions of one body agree on the nodes that they share.
-            found[at.body] = np.maximum(found[at.body], self._work.x.array)
-        return self._at(nodes, found)
+            values_of_bodies[at.body] = np.maximum(values_of_bodies[at.body], self._work.x.array)
+        return self._at(nodes, values_of_bodies)
 
     def _at(self, nodes: OutputNodes, values: Sequence[Floats]) -> Floats:
         """Values of the bodies at the nodes of the grid: linear along edges."""
@@ -250,11 +250,11 @@ class MechanicalFields:
         """Mean stress, Young's modulus where it varies [MPa], density of bone, and damage."""
         cells, s, m = len(σ), self._stresses, self._problem.mechanics
         density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.remodels}
-        found = _named(σ) | (self._risk.damage(cells) if self._risk else {})
+        fields = _named(σ) | (self._risk.damage(cells) if self._risk else {})
         for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
             for region, values in parts.items():
-                found.setdefault(name, np.zeros(cells))[s.cells[region]] = values
-        return found
+                fields.setdefault(name, np.zeros(cells))[s.cells[region]] = values
+        return fields
 
     def _stress(self, nodes: OutputNodes, cells: int) -> tuple[Floats, Floats]:
         """Stress at the nodes (n, 6), and its mean in the cells (cells, 6) [MPa]; collective.
@@ -283,8 +283,8 @@ class MechanicalFields:
             self._sums.scatter_reverse(la.InsertMode.add)
             self._sums.scatter_forward()
             at = nodes.body == body
-            found = sums[nodes.dof[at]]
-            nodal[at] = found[:, :-1] / np.where(found[:, -1:] > 0, found[:, -1:], 1.0)
+            sampled = sums[nodes.dof[at]]
+            nodal[at] = sampled[:, :-1] / np.where(sampled[:, -1:] > 0, sampled[:, -1:], 1.0)
         return nodal, mean
 
 
@@ -368,8 +368,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     strength = contact.law.strength
     if strength:
         fields["failure_index"] = strength.index(s.pressure, s.shear)
-    found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
-    return found | {f"{contact.name}_status": status}
+    named = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
+    return named | {f"{contact.name}_status": status}
 
 
 # The output of one physics of a run.

@@ -61,13 +61,13 @@ class StemMotion:
     def __call__(self, side: str) -> dict[str, Any]:
         """The numbers, for a hip of this side."""
         u, comm = _displacements(self._problem), self._problem.comm
-        found: dict[str, Any] = {}
+        displacements: dict[str, Any] = {}
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
             own = np.concatenate(comm.allgather(u[body, rows]))
-            found[name] = [float(c) for c in own[first].mean(axis=0)]
+            displacements[name] = [float(c) for c in own[first].mean(axis=0)]
         at = self._nearest
         if at is None:
-            return found
+            return displacements
         # The rigid motion of all bone is subtracted, as it moves stem and bone differently where
         # they are apart. The rest, the bone's deformation, is taken at the nearest point.
         stem, bone = self._stem, self._facing
@@ -76,7 +76,7 @@ class StemMotion:
         t = np.average(v, axis=0, weights=stem.area)
         ω = np.rad2deg(stem.rotation(v)) * (1 if side == "left" else -1)
         motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-        return {key: float(value) for key, value in motion.items()} | found
+        return {key: float(value) for key, value in motion.items()} | displacements
 
 
 @dataclass(frozen=True)
@@ -124,14 +124,14 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
     high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
     within = END * (high - low)
-    found = []
+    ends = []
     for z in (low, high):
         here = np.abs(x[:, 2] - z) <= within
         places = np.concatenate(comm.allgather(x[here]))
         # Ranks and regions share nodes: each counts once.
         first = np.unique(np.round(places / within), axis=0, return_index=True)[1]
-        found.append((body[here], dofs[here], first))
-    return found
+        ends.append((body[here], dofs[here], first))
+    return ends
 
 
 def _displacements(problem: Problem) -> Floats:
@@ -163,7 +163,7 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
     outside = _surface(problem, f)
     strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
     moved = head.moved(_displacements(problem))
-    found: dict[str, Any] = {
+    numbers: dict[str, Any] = {
         "head_displacement": np.average(moved, axis=0, weights=head.area).tolist()
     }
     for side, sign in (("lateral", -1.0), ("medial", 1.0)):
@@ -173,8 +173,8 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
             if z - 2 * GAUGE > geometry.distal_cut_z:
                 fit = np.sqrt(weight)[:, None] * np.stack([np.ones(len(x)), up, y, y * y], axis=1)
                 part = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]
-                found[f"strain_{side}_{name}"] = float(part)
-    return found
+                numbers[f"strain_{side}_{name}"] = float(part)
+    return numbers
 
 
 def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:

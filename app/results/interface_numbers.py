@@ -242,7 +242,7 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
 def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> dict[str, Any]:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
     surface, contact = s.surfaces[i], s.contacts[i]
-    found: dict[str, Any] = {}  # of functions, what is asked for is computed
+    numbers: dict[str, Any] = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
     # Where sides slide far a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if contact.between else ()
@@ -250,7 +250,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
         mean, value, _ = tractions.get(name, TractionSize(values, values, values))
         field = surface.field(value, part)
         most, place = field.maximum()
-        found |= {
+        numbers |= {
             f"{name}_max": max(most, 0.0),
             f"{name}_max_at": place,
             f"{name}_p95": partial(field.percentile, 0.95),
@@ -258,16 +258,16 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
             f"{name}_mean": surface.field(mean, part).mean,
         }
         if name in ("gap", "slip", "motion") and not contact.between:
-            found[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
+            numbers[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
     weight = surface.weight[part]
     for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
-        found[f"{name}_fraction"] = float(weight[s.status == state].sum() / weight.sum())
-    found["area"] = float(weight.sum())
-    found["force"] = lambda: (weight @ s.force).tolist()
+        numbers[f"{name}_fraction"] = float(weight[s.status == state].sum() / weight.sum())
+    numbers["area"] = float(weight.sum())
+    numbers["force"] = lambda: (weight @ s.force).tolist()
     if contact.law.strength:
         values = (traction.value for traction in tractions.values())
-        found |= failing(surface, contact.law.strength.index(*values), part)
-    asked = ((key, value) for key, value in found.items() if not wanted or key in wanted)
+        numbers |= failing(surface, contact.law.strength.index(*values), part)
+    asked = ((key, value) for key, value in numbers.items() if not wanted or key in wanted)
     return {key: value() if callable(value) else value for key, value in asked}
 
 
@@ -303,17 +303,17 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     surface = contact.points.surface
     gap = surface.spread(contact.whole(contact.gap))
     clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
-    found = []
+    parts = []
     for rows, triangles in zip(surface.facets, surface.triangles, strict=True):
         gap, area = gaps(contact.facets, rows, motion[rows], clearance[triangles])
         depth = np.maximum(-gap, 0.0)
-        found.append(
+        parts.append(
             {
                 "penetration_sampled": float(depth.max(initial=0.0)),
                 "penetration_mean": float((depth * area).sum() / area.sum()) if len(rows) else 0.0,
             }
         )
-    return found
+    return parts
 
 
 def gaps(
