@@ -41,7 +41,8 @@ class Cycles:
 
     def summary(self) -> dict[str, Any]:
         """For each stage with two peaks at least, what `split` finds."""
-        return {name: split(*history) for name, history in self._turns.items() if len(history[0]) > 2}
+        turns = self._turns.items()
+        return {stage: split(*history) for stage, history in turns if len(history[0]) > 2}
 
 
 def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
