@@ -21,6 +21,12 @@ from app.plots.figures import SUFFIXES
 
 # Largest over smallest value from which an automatic axis is logarithmic.
 DECADE = 12.0
+# Largest over smallest value from which an axis may be logarithmic although values vanish.
+DECADES = 30.0
+# Values smaller than the largest by this factor are zero to rounding.
+ROUNDING = 1e-9
+# Entry of the legend of crosses.
+FAILED = "failed"
 # Values below which a quantity in this unit is zero to rounding.
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}
 # Unit of an axis that need not contain zero.
@@ -132,18 +138,19 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     apart = APART * (xs[-1] - xs[0]) if barred else 0.0
     for line in panel.lines:
         shift = apart * (styles.index(line.style) - 0.5 * (len(styles) - 1))
-        _line(axes, line, shift)
+        draw_line(axes, line, shift)
     _scale(axes, panel)
     if panel.ticks:
         axes.set_xticks(list(panel.ticks), list(panel.ticks.values()), fontsize=8)
     elif not xs:
-        axes.text(0.5, 0.5, "no results", transform=axes.transAxes, ha="center", color="0.4")
+        remark(axes, "no results")
     elif len(xs) <= TICKS:
         axes.set_xticks(xs, [f"{x:.3g}" for x in xs])
         axes.xaxis.minorticks_off()
 
 
-def _line(axes: Axes, line: Line, shift: float) -> None:
+def draw_line(axes: Axes, line: Line, shift: float = 0.0) -> None:
+    """Draw a line, its points moved along x by a shift."""
     own: dict[str, Any] = {
         "color": figures.colour(line.style),
         "marker": figures.marker(line.style),
@@ -169,7 +176,7 @@ def _scale(axes: Axes, panel: Panel) -> None:
         return
     if panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
         axes.set_ylim(-0.05, 1)
-        axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
+        remark(axes, "zero to rounding")
     elif panel.log == "auto" and min(values) > 0 and max(values) > DECADE * min(values):
         axes.set_yscale("log")
         axes.set_ylabel(f"{panel.y}, log. scale")
@@ -236,15 +243,10 @@ def ticks(low: float, high: float) -> list[float]:
     return [float(f"{step * k:.12g}") for k in range(first, max(last, first + 1) + 1)]
 
 
-# Until study and suite are panels
+# Additions to axes
 
 
-def curve(axes: Axes, x: Sequence[Any], y: Sequence[Any], k: int, label: str) -> None:
-    """Draw the k-th curve; its label, the name of a line, in words."""
-    _line(axes, Line(label.replace("_", " "), k, x, y), 0.0)
-
-
-def crosses(axes: Axes, x: Sequence[Any], k: int, height: float) -> None:
+def crosses(axes: Axes, x: Sequence[float], k: int, height: float) -> None:
     """Draw the failed points of the k-th curve at a fraction of the axes' height."""
     axes.plot(
         x,
@@ -254,6 +256,45 @@ def crosses(axes: Axes, x: Sequence[Any], k: int, height: float) -> None:
         color=figures.colour(k),
         ms=8.5,
         mew=2.1,
-        label="failed" if len(x) else None,
+        label=FAILED if len(x) else None,
         zorder=5,
     )
+
+
+def hollow(axes: Axes, x: float, y: float, k: int) -> None:
+    """Draw a doubtful point of the k-th curve: its marker is empty."""
+    colour = figures.colour(k)
+    axes.plot(x, y, figures.marker(k), mfc="white", mec=colour, ms=6, zorder=4)
+
+
+def front(axes: Axes, x: Sequence[float], y: Sequence[float], label: str) -> None:
+    """Draw a broad band of steps behind the curves: the least y that is reached by an x."""
+    axes.step(x, y, where="post", color="#f2c14e", lw=6, alpha=0.55, zorder=1, label=label)
+
+
+def level(axes: Axes, y: float, label: str) -> None:
+    """Draw a dashed line at a wanted value."""
+    axes.axhline(y, color="0.3", lw=1, ls=(0, (5, 3)), label=label)
+
+
+def band(axes: Axes, low: float, high: float, label: str) -> None:
+    """Draw a grey band of values."""
+    axes.axhspan(low, high, color="0.88", lw=0, zorder=0.9, label=label)
+
+
+def remark(axes: Axes, text: str) -> None:
+    """Write a remark into the middle of the axes, where nothing is drawn."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="0.4")
+
+
+def span_decades(axes: Axes, values: Sequence[float]) -> None:
+    """Make the axis logarithmic where values span decades; zero to rounding is drawn at zero."""
+    largest = max(map(abs, values), default=0.0)
+    positive = [v for v in values if v > ROUNDING * largest]
+    if not positive or min(values) < -ROUNDING * largest or largest < DECADES * min(positive):
+        return
+    if len(positive) == len(values):
+        axes.set_yscale("log")
+    else:
+        axes.set_yscale("symlog", linthresh=min(positive))
+        axes.set_ylim(bottom=-0.3 * min(positive))

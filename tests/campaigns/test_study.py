@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from app.campaigns import study, study_picture
+from app.campaigns import study
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.campaigns.study_report import Measured
@@ -21,7 +21,7 @@ from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
 from app.foundation.errors import MantleError
-from app.plots import figures
+from app.plots import curves, figures, labels
 from tests.campaigns import bench as points
 from tests.campaigns.bench import CASE, Bench
 
@@ -226,7 +226,7 @@ def test_axes_that_span_decades_are_logarithmic(values: list[float], scale: str)
     from matplotlib.figure import Figure
 
     axes = Figure().subplots()
-    study_picture.set_scale(axes, values)
+    curves.span_decades(axes, values)
     assert axes.get_yscale() == scale
 
 
@@ -238,7 +238,7 @@ def test_labels_of_a_picture_cover_neither_each_other_nor_points() -> None:
     axes.plot(*zip(*at, strict=True), "o")
     notes = [axes.annotate("2.5 mm", xy, xytext=(5, 5), textcoords="offset points") for xy in at]
     figure.draw_without_rendering()
-    study_picture._place(axes)
+    labels.place(axes)
     boxes = [note.get_window_extent() for note in notes if note.get_visible()]
     assert len(boxes) >= 4 and all(box.count_overlaps(boxes) == 1 for box in boxes)
     assert all(axes.bbox.count_contains(box.corners()) == 4 for box in boxes)
