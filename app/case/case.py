@@ -26,7 +26,7 @@ from app.case.variations import Variations, expand, title_with_changes
 from app.foundation.errors import InputError
 from app.laws.failure import Fatigue
 from app.laws.heat_conditions import HeatCondition
-from app.laws.interface_laws import Bonded, Coulomb, Interface
+from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.motions import Motion
@@ -136,9 +136,8 @@ class Case(Section):
     @property
     def faces(self) -> dict[str, tuple[str, str]]:
         """Boundaries of the two sides of each interface that slides far, by name."""
-        laws = {n: w for n, w in self.interfaces.items() if isinstance(w, Coulomb)}
-        far = {n: law.between for n, law in laws.items() if law.sliding == "finite"}
-        return {name: between or self.geometry.faces[name] for name, between in far.items()}
+        far = {name: law for name, law in self.interfaces.items() if law.slides_far}
+        return {n: law.sliding_boundaries or self.geometry.faces[n] for n, law in far.items()}
 
     def of_tissue(self, tissue: str) -> tuple[str, ...]:
         """Names of the regions of a tissue."""

@@ -12,8 +12,6 @@ from app.case.quantities import of_run
 from app.case.shapes import COMPANION, MOST_LINES
 from app.foundation.verdict import Reason
 from app.laws.densities import density
-from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
-from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
@@ -192,7 +190,7 @@ def _stages(case: Any) -> Iterable[Fault]:
 def _fatigue(case: Any) -> Iterable[Fault]:
     """Fatigue of a region that does not deform."""
     regions = case.regions
-    elastic = [name for name, region in regions.items() if isinstance(region, Elastic)]
+    elastic = [name for name, region in regions.items() if region and region.deforms]
     if not elastic:
         return
     name = case.fatigue.region
@@ -215,7 +213,7 @@ def _accuracy(case: Any) -> Iterable[Fault]:
 @check("geometry")
 def _rigid(case: Any) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
-    rigid = {name for _, name, region in _entries(case, "regions") if isinstance(region, Rigid)}
+    rigid = {name for _, name, region in _entries(case, "regions") if region.moves_rigidly}
     if rigid.issuperset(case.geometry.region_names):
         yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
@@ -234,7 +232,7 @@ def _held(case: Any) -> Iterable[Fault]:
     """Directions in which the whole model is not constrained."""
     if any(support is None for support in case.supports.values()):
         return
-    if case.regions and all(isinstance(r, Conductor) for r in case.regions.values()):
+    if case.regions and all(r and r.only_conducts for r in case.regions.values()):
         return
     limited = any(getattr(support, "stages", None) for support in case.supports.values())
     for stage in [s.name for s in case.stages or ()] if limited else [""]:
@@ -286,7 +284,7 @@ def _remodelling(case: Any) -> Iterable[Fault]:
     for name in law.regions or bone:
         region = regions.get(name)
         cures = getattr(getattr(region, "thermal", None), "cure", None)
-        if not isinstance(region, Elastic) or region.eigenstrains or cures:
+        if not (region and region.deforms) or region.eigenstrains or cures:
             text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
             yield Fault(("remodelling", "regions"), text)
         elif not region.image:
@@ -337,7 +335,7 @@ def _sliding(case: Any) -> Iterable[Fault]:
         taken[path[0], part] = path[1]
     for _, name, motion in _entries(case, "motions"):
         region = (case.regions or {}).get(motion.region)
-        if region is not None and isinstance(region, Rigid) == bool(motion.boundary):
+        if region is not None and region.moves_rigidly == bool(motion.boundary):
             text = f"{motion.region} is elastic; expected `boundary`, the part that is driven"
             if motion.boundary:
                 text = f"{motion.region} is rigid, driven as a whole; expected no `boundary`"
@@ -436,7 +434,7 @@ def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
 
 def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     """Mechanical sections where every region is a conductor; conductors beside solids."""
-    solid = [name for name, region in regions.items() if not isinstance(region, Conductor)]
+    solid = [name for name, region in regions.items() if not region.only_conducts]
     if len(solid) == len(regions):
         return
     if solid:
@@ -461,15 +459,12 @@ def _flow(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     if not any(stage.takes_time for stage in case.stages):
         text = "heat has no time to flow; expected a duration, or steady: true, in some stage"
         yield Fault(("stages",), text)
-    elif all(isinstance(region, Conductor) for region in regions.values()):
+    elif all(region.only_conducts for region in regions.values()):
         for i, stage in enumerate(case.stages):
             if not stage.takes_time:
                 text = "nothing happens in it; expected a duration, or steady: true"
                 yield Fault(("stages", i), text)
-    sinks = (FixedTemperature, Convection, Perfusion)
-    drained = any(
-        condition is None or isinstance(condition, sinks) for condition in case.heat.values()
-    )
+    drained = any(c is None or c.role != "heats" for c in case.heat.values())
     setting = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
     for i, stage in enumerate(case.stages):
         if stage.steady and not drained:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from app.case.case import Case
-from app.laws.loads import Force
 from app.laws.values import amplitude
 from app.system import layout
 
@@ -43,11 +42,11 @@ class SectionLoad:
 def section_loads(case: Case, time: float) -> list[SectionLoad]:
     """Section loads at ten levels and at the knee, where all loads act; none without such loads."""
     geometry: Any = case.geometry
-    loads = [load for load in case.loads.values() if isinstance(load, Force) and load.at]
+    loads: list[Any] = [load for load in case.loads.values() if load.point]
     if not (geometry.has_gruen_zones and loads):
         return []
     F = np.array([np.multiply(load.resultant, amplitude(load.history, time)) for load in loads])
-    x = np.array([load.at for load in loads])
+    x = np.array([load.point for load in loads])
     found = []
     for z in [*map(float, np.linspace(TOP, geometry.distal_cut_z, LEVELS)), KNEE]:
         above = x[:, 2] > z

@@ -206,7 +206,7 @@ Kinetics = AutocatalyticKinetics | PrescribedKinetics
 
 def kinetics_of(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
     """Kinetics of a curing region with a number of nodes on this rank; collective."""
-    if isinstance(cure.kinetics, Prescribed):
+    if cure.kinetics.kind == "prescribed":
         return PrescribedKinetics(cure.kinetics, cure.initial)
     return AutocatalyticKinetics(comm, cure.kinetics, nodes)
 

@@ -117,7 +117,7 @@ class HeatForms:
 
     def _lumped(self, condition: Condition, form: Callable[[ufl.Measure], Any]) -> Floats:
         total = self.zeros()
-        if isinstance(condition, HeatFlux | Convection):
+        if condition.boundary is not None:
             places = list(self._ds(condition.boundary).items())
         else:
             places = [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]

@@ -11,7 +11,7 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.temperature_jumps import TemperatureJumps
-from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
+from app.laws.heat_conditions import HeatFlux, HeatSource
 from app.laws.values import multiplier
 from app.scene.scene import Scene
 
@@ -80,15 +80,12 @@ class HeatLoads:
         self.heating: list[tuple[HeatFlux | HeatSource, Floats]] = []
         self.exchange: list[SurfaceExchange] = []
         for c in scene.heat:
-            match c:
-                case HeatFlux() | HeatSource():
-                    size = forms.sizes(c)
-                    density = forms.values(c.values, np.flatnonzero((size > 0).any(axis=0)))
-                    self.heating.append((c, size * density))
-                case Convection():
-                    self.exchange.append(SurfaceExchange(c.name, c.ambient, forms.exchange(c)))
-                case Perfusion():
-                    self.exchange.append(SurfaceExchange(c.name, c.temperature, forms.exchange(c)))
+            if c.role == "heats":
+                size = forms.sizes(c)
+                density = forms.values(c.values, np.flatnonzero((size > 0).any(axis=0)))
+                self.heating.append((c, size * density))
+            elif c.role == "exchanges":
+                self.exchange.append(SurfaceExchange(c.name, c.outside, forms.exchange(c)))
         self.per_kelvin = sum((e.per_kelvin for e in self.exchange), self._none)
 
     def heats(self, seconds: float) -> Floats:
@@ -117,7 +114,7 @@ class FixedTemperatures:
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
-        self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperature)]
+        self.conditions = [c for c in scene.heat if c.role == "fixes"]
         self._nodes = np.arange(forms.owned)
         self.of_body: Ints = np.full(forms.zeros().shape, -1, dtype=np.int64)
         # The last row is for nodes without a condition, whose number is -1.

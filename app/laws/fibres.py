@@ -23,7 +23,7 @@ class Straight(Section):
 
     kind: ClassVar[str] = "straight"
     # Whether the direction varies in space.
-    turns: ClassVar[bool] = False
+    turns: ClassVar[Literal[False]] = False
     through: ClassVar[Vector] = (0.0, 0.0, 0.0)
 
     axis: Axis = (0.0, 0.0, 1.0)
@@ -37,7 +37,7 @@ class Straight(Section):
 class Circumferential(Section):
     """Fibres around an axis, like rings and hoops. The axis has to run outside the region."""
 
-    turns: ClassVar[bool] = True
+    turns: ClassVar[Literal[True]] = True
 
     kind: Literal["circumferential"] = "circumferential"
     axis: Axis = (0.0, 0.0, 1.0)

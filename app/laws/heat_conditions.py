@@ -1,8 +1,13 @@
-"""Heat conditions: prescribed temperatures, fluxes, convection, sources, perfusion."""
+"""Heat conditions: prescribed temperatures, fluxes, convection, sources, perfusion.
+
+The `role` of a condition says how it enters the balance of heat: it fixes temperatures, gives heat
+of its own, or exchanges heat with surroundings. It acts on a boundary or in regions; the other is
+None.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -30,6 +35,8 @@ TemperatureCourse = OverTime[
 
 class FixedTemperature(Named):
     """A given temperature on a boundary or throughout regions."""
+
+    role: ClassVar[Literal["fixes"]] = "fixes"
 
     kind: Literal["temperature"] = "temperature"
     boundary: Name | None = None
@@ -66,6 +73,9 @@ class FixedTemperature(Named):
 class HeatFlux(Named):
     """Heat that enters through a boundary."""
 
+    role: ClassVar[Literal["heats"]] = "heats"
+    regions: ClassVar[None] = None
+
     kind: Literal["flux"] = "flux"
     boundary: Name
     """Boundary of the geometry."""
@@ -82,6 +92,9 @@ class HeatFlux(Named):
 class Convection(Named):
     """Exchange of heat with the surroundings of a boundary."""
 
+    role: ClassVar[Literal["exchanges"]] = "exchanges"
+    regions: ClassVar[None] = None
+
     kind: Literal["convection"] = "convection"
     boundary: Name
     """Boundary of the geometry."""
@@ -90,9 +103,17 @@ class Convection(Named):
     ambient: units.Temperature
     """Temperature of the surroundings."""
 
+    @property
+    def outside(self) -> float:
+        """Temperature with which it exchanges heat [K]."""
+        return self.ambient
+
 
 class HeatSource(Named):
     """Heat released in regions."""
+
+    role: ClassVar[Literal["heats"]] = "heats"
+    boundary: ClassVar[None] = None
 
     kind: Literal["source"] = "source"
     regions: Annotated[tuple[Name, ...], ITEMS]
@@ -110,6 +131,9 @@ class HeatSource(Named):
 class Perfusion(Named):
     """Blood that brings regions to its own temperature (Pennes)."""
 
+    role: ClassVar[Literal["exchanges"]] = "exchanges"
+    boundary: ClassVar[None] = None
+
     kind: Literal["perfusion"] = "perfusion"
     regions: Annotated[tuple[Name, ...], ITEMS]
     """Regions that blood flows through."""
@@ -121,6 +145,11 @@ class Perfusion(Named):
     """Heat per mass and temperature of blood."""
     temperature: units.Temperature
     """Temperature of the blood."""
+
+    @property
+    def outside(self) -> float:
+        """Temperature with which it exchanges heat [K]."""
+        return self.temperature
 
     @property
     def coefficient(self) -> float:

@@ -144,6 +144,21 @@ class InterfaceLaw(Extensible):
                 return math.inf if constant is None else constant, 0.0, math.inf
 
     @property
+    def conducts_by_pressure(self) -> bool:
+        """True if its conductance grows with the contact pressure."""
+        return isinstance(self.conductance, PressureConductance)
+
+    @property
+    def slides_far(self) -> bool:
+        """True if its sides may slide any distance."""
+        return False
+
+    @property
+    def sliding_boundaries(self) -> tuple[str, str] | None:
+        """Boundaries that slide on each other; None: those that the geometry knows."""
+        return None
+
+    @property
     def friction(self) -> float:
         """Coulomb's coefficient, 0 without; without friction no tangential term is compiled."""
         return 0.0
@@ -228,7 +243,7 @@ class Bonded(InterfaceLaw):
 
     @model_validator(mode="after")
     def _no_pressure(self) -> Bonded:
-        if isinstance(self.conductance, PressureConductance):
+        if self.conducts_by_pressure:
             fail(
                 "a bonded interface has no contact pressure; expected kind: contact or penalty",
                 at=("conductance",),
@@ -339,9 +354,21 @@ class Coulomb(Unilateral):
         return self
 
     @property
+    def slides_far(self) -> bool:
+        """True if the key `sliding` is finite."""
+        return self.sliding == "finite"
+
+    @property
+    def sliding_boundaries(self) -> tuple[str, str] | None:
+        """The key `between`."""
+        return self.between
+
+    @property
     def layer(self) -> tuple[float, float] | None:
         """The stiffnesses of `compliance`."""
-        return (c.normal, c.tangential) if (c := self.compliance) else None
+        if self.compliance is None:
+            return None
+        return self.compliance.normal, self.compliance.tangential
 
     def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
@@ -56,6 +56,8 @@ class Patch:
 class Load(Extensible, Named):
     """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
 
+    # Whether its direction stays fixed in space while its body turns.
+    fixed_in_space: ClassVar[bool] = False
     # Value at a time where no history tells it.
     _value: Callable[[float], float] | None = PrivateAttr(None)
 
@@ -80,6 +82,33 @@ class Load(Extensible, Named):
         keys = dict(self)
         return (keys["boundary"],) if "boundary" in keys else ()
 
+    @property
+    def volume_regions(self) -> tuple[str, ...] | None:
+        """Regions throughout which it acts, none for all; None for a load on boundaries."""
+        return None
+
+    @property
+    def normal_pressure(self) -> float | None:
+        """Pressure on its boundaries [MPa]; None for other loads."""
+        return None
+
+    @property
+    def point(self) -> tuple[float, float, float] | None:
+        """Point at which its resultant acts [mm]; None: that is not given."""
+        return None
+
+    def density_at(self, x: Floats) -> Floats:
+        """Force per volume at points (n, 3) [N/mm3]."""
+        return 0.0 * x
+
+    def moving_force(self, driven: Container[str | None]) -> Force | None:
+        """Return it if it is a force with a course or a motion; else None.
+
+        Args:
+            driven: Boundaries that motions drive.
+        """
+        return None
+
     def work(self, v: Expr, on: Any) -> Any:
         """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none.
 
@@ -101,6 +130,8 @@ class Load(Extensible, Named):
 
 class Force(Load):
     """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
+
+    fixed_in_space: ClassVar[bool] = True
 
     kind: Literal["force"] = "force"
     boundary: Name
@@ -131,10 +162,21 @@ class Force(Load):
         if one == bool(three):
             known = f"expected force, or some of {', '.join(FORCES)}"
             fail(f"has {', '.join(self.course.columns)}; {known}", at=("course",))
-        if abs((size := math.hypot(*self.force)) - one) > 1e-3:
+        size = math.hypot(*self.force)
+        if abs(size - one) > 1e-3:
             wanted = "the direction, 1 N long" if one else "none: the course has the components"
             fail(f"is {size:g} N long; expected {wanted}", at=("force",))
         return self
+
+    @property
+    def point(self) -> tuple[float, float, float] | None:
+        """The key `at`."""
+        return self.at
+
+    def moving_force(self, driven: Container[str | None]) -> Force | None:
+        """Return the force if it has a course, or it or its boundary has a motion."""
+        moves = self.course or self.follows or self.boundary in driven
+        return self if moves else None
 
     def force_at(self, s: float) -> tuple[float, float, float]:
         """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a course."""
@@ -176,6 +218,11 @@ class Pressure(Load):
     pressure: Stress
     """Pressure."""
 
+    @property
+    def normal_pressure(self) -> float:
+        """The key `pressure`."""
+        return self.pressure
+
     def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction along the normal."""
         from forms import loads
@@ -187,6 +234,8 @@ class Pressure(Load):
 class BodyForce(Load):
     """A force per volume, such as weight."""
 
+    fixed_in_space: ClassVar[bool] = True
+
     kind: Literal["body_force"] = "body_force"
     regions: Annotated[tuple[Name, ...], ITEMS] | None = None
     """Regions it acts on; all by default."""
@@ -196,7 +245,12 @@ class BodyForce(Load):
     ]
     """Force per volume along x, y, z; each may vary in space."""
 
-    def values(self, x: Floats) -> Floats:
+    @property
+    def volume_regions(self) -> tuple[str, ...]:
+        """The key `regions`."""
+        return self.regions or ()
+
+    def density_at(self, x: Floats) -> Floats:
         """Force per volume at points (n, 3) [N/mm3]."""
         import numpy as np
 
@@ -208,7 +262,7 @@ class BodyForce(Load):
         """Work of the force density in the body's regions."""
         from forms import loads
 
-        spread = on.spread(self.values, self.regions)
+        spread = on.spread(self.density_at, self.regions)
         return sum(loads.body_force_work(b, v) * dx for b, dx in spread)
 
 

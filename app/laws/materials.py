@@ -78,8 +78,19 @@ class Eigenstrain(Section):
 
 
 class Material(OfRegion):
-    """Base of the materials of regions."""
+    """Base of the materials of regions.
 
+    Attributes:
+        deforms: Whether it is elastic.
+        moves_rigidly: Whether the region moves as one body.
+        only_conducts: Whether it conducts heat without moving.
+        has_fibre: Whether one direction is unlike the others.
+    """
+
+    deforms: ClassVar[bool] = False
+    moves_rigidly: ClassVar[bool] = False
+    only_conducts: ClassVar[bool] = False
+    has_fibre: ClassVar[bool] = False
     # Keys of `thermal` that say how a region deforms; refused where it does not.
     refused: ClassVar[tuple[str, ...]] = ()
     # The image that gives the stiffness, if one does.
@@ -112,6 +123,8 @@ class Material(OfRegion):
 class Elastic(Material):
     """Base of the elastic materials."""
 
+    deforms: ClassVar[Literal[True]] = True
+    moves_rigidly: ClassVar[Literal[False]] = False
     if TYPE_CHECKING:
         # None if isotropic.
         fibre: Fibre | None
@@ -136,6 +149,11 @@ class Elastic(Material):
     @property
     def coefficients(self) -> tuple[float, ...]:
         """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five."""
+        raise NotImplementedError
+
+    @property
+    def engineering_constants(self) -> tuple[float, ...]:
+        """E and ν if isotropic; else E_l, E_t, ν_l, ν_t and μ_l."""
         raise NotImplementedError
 
     @property
@@ -193,6 +211,11 @@ class Isotropic(Elastic):
         return elasticity.isotropic_coefficients(self.moduli[0], self.poisson_ratio)
 
     @property
+    def engineering_constants(self) -> tuple[float, ...]:
+        """Young's modulus [MPa] and Poisson's ratio."""
+        return self.moduli[0], self.poisson_ratio
+
+    @property
     def moduli(self) -> tuple[float, ...]:
         """Young's modulus [MPa]."""
         E = self.youngs_modulus
@@ -224,6 +247,8 @@ class Isotropic(Elastic):
 
 class TransverselyIsotropic(Elastic):
     """Linear elastic, with one direction (the fibre, or axis) unlike the two transverse to it."""
+
+    has_fibre: ClassVar[bool] = True
 
     kind: Literal["transversely_isotropic"] = "transversely_isotropic"
     axial_youngs_modulus: Modulus
@@ -268,7 +293,12 @@ class TransverselyIsotropic(Elastic):
         """Five elastic coefficients [MPa]."""
         from forms import elasticity
 
-        return elasticity.transversely_isotropic_coefficients(
+        return elasticity.transversely_isotropic_coefficients(*self.engineering_constants)
+
+    @property
+    def engineering_constants(self) -> tuple[float, ...]:
+        """Young's moduli [MPa], Poisson's ratios and shear modulus [MPa], by the keys."""
+        return (
             self.axial_youngs_modulus,
             self.transverse_youngs_modulus,
             self.axial_poisson_ratio,
@@ -291,6 +321,8 @@ def _true(value: object) -> object:
 class Rigid(Material):
     """Rigid: the region moves as one body."""
 
+    deforms: ClassVar[Literal[False]] = False
+    moves_rigidly: ClassVar[Literal[True]] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion", "cure")
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
@@ -300,6 +332,9 @@ class Rigid(Material):
 class Conductor(Material):
     """Conducts heat without deforming; all regions or none."""
 
+    deforms: ClassVar[Literal[False]] = False
+    moves_rigidly: ClassVar[Literal[False]] = False
+    only_conducts: ClassVar[bool] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion",)
 
     kind: Literal["conductor"] = "conductor"

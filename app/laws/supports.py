@@ -35,6 +35,10 @@ class Support(Named):
         # The only constrained direction, if any: a unit vector, or `face`.
         normal: tuple[float, float, float] | Literal["face"] | None
 
+    # Whether it is springs; whether it holds all displacements at zero.
+    is_spring: ClassVar[Literal[False]] = False
+    clamps: ClassVar[bool] = False
+
     kind: Any
     boundary: Name
     """Boundary of the geometry."""
@@ -60,6 +64,7 @@ class Support(Named):
 class Fixed(Support):
     """No displacement at all."""
 
+    clamps: ClassVar[bool] = True
     history: ClassVar[None] = None  # type: ignore[misc]
     normal: ClassVar[None] = None  # type: ignore[misc]
 
@@ -136,6 +141,9 @@ class Displacement(Support):
 
 class Foundation(Named):
     """Springs to the ground spread over a boundary."""
+
+    is_spring: ClassVar[Literal[True]] = True
+    clamps: ClassVar[bool] = False
 
     kind: Literal["foundation"] = "foundation"
     boundary: Name

@@ -23,7 +23,6 @@ from dolfinx import fem
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
-from app.laws.loads import BodyForce, Force
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.pairs import Pairs, SmoothSurface, mortar, oriented
 from app.numerics.sparse import from_triplets
@@ -112,11 +111,12 @@ def refuse_motions(mechanics: BodyForms) -> None:
         body = bodies.of_region[m.region]
         for load in scene.loads:
             on: set[int] = set()
-            if isinstance(load, BodyForce):
-                on = {bodies.of_region[r] for r in load.regions or bodies.of_region}
-            elif isinstance(load, Force) and load.boundary != m.boundary:
-                on = set(facets_by_body(mechanics.tagged, bodies, load.boundary))
-            if body in on:
+            if load.volume_regions is not None:
+                on |= {bodies.of_region[r] for r in load.volume_regions or bodies.of_region}
+            for boundary in load.boundaries:
+                if boundary != m.boundary:
+                    on |= set(facets_by_body(mechanics.tagged, bodies, boundary))
+            if load.fixed_in_space and body in on:
                 raise InputError(
                     f"loads.{load.name}: acts on {m.region}, which turns; expected forces on "
                     f"'{m.boundary}' alone, or pressures"

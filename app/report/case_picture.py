@@ -20,7 +20,6 @@ from matplotlib.colors import to_rgb
 
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
-from app.laws.loads import BodyForce, Pressure
 from app.plots import figures, sections
 from app.plots.figures import COLOURS, PNG, handles
 from app.plots.sections import AXES
@@ -172,18 +171,19 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
         size = np.linalg.norm(area, axis=1, keepdims=True)
         text = f"{name.replace('_', ' ')}\n"
         times = f" × {plain(load.history)}" if load.history else ""
-        if isinstance(load, Pressure):
-            each = -load.pressure * size.sum() * area / size
-            yield f"{text}{plain(load.pressure)} MPa{times}", places, each
+        if load.normal_pressure is not None:
+            each = -load.normal_pressure * size.sum() * area / size
+            yield f"{text}{plain(load.normal_pressure)} MPa{times}", places, each
             continue
         force = load.resultant
-        if isinstance(load, BodyForce):
-            own = np.isin(data.cell_tags, [data.regions[r] for r in load.regions or data.regions])
+        if load.volume_regions is not None:
+            regions = load.volume_regions or data.regions
+            own = np.isin(data.cell_tags, [data.regions[r] for r in regions])
             places = data.points[data.cells[own, :4]].mean(axis=1)
             size = cell_volumes(data.points, data.cells[own])[:, None]
-            force = (size * load.values(places)).sum(axis=0)
+            force = (size * load.density_at(places)).sum(axis=0)
         if force is not None and np.any(force):
-            place = getattr(load, "at", None) or (size * places).sum(axis=0) / size.sum()
+            place = load.point or (size * places).sum(axis=0) / size.sum()
             text += f"{float(f'{np.linalg.norm(force):.3g}'):,g} N{times}"
             yield text, np.array([place]), np.array([force])
 

@@ -14,7 +14,6 @@ from ufl.core.expr import Expr
 
 from app.case.quantities import STRESSED, computed
 from app.foundation.arrays import Field, Floats
-from app.laws.fibres import Circumferential
 from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
@@ -115,7 +114,7 @@ class Stresses:
     def _stress(self, region: str, ε: Floats) -> Floats:
         """Stress of a region's elastic strain at its points (cells, points, 3, 3) [MPa]."""
         e = next(e for e in self._problem.scene.elastic if e.region == region)
-        turning = e.fibre if isinstance(e.fibre, Circumferential) else None
+        turning = e.fibre if e.fibre is not None and e.fibre.turns is True else None
         if turning:  # in axes that turn with it
             Q = turning.frames(self.places(region)[0]).reshape(ε.shape)
             ε = Q.swapaxes(2, 3) @ ε @ Q

@@ -26,7 +26,7 @@ from app.laws.cure import Cure
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
-from app.laws.loads import Force, Load
+from app.laws.loads import Load
 from app.laws.materials import Elastic, Rigid
 from app.laws.motions import Motion
 from app.laws.remodelling import Remodelling
@@ -181,7 +181,7 @@ class Scene:
 def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
-    elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
+    elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
     law = case.remodelling
     for e in elastic:
         e._places = case.geometry.in_image
@@ -199,10 +199,10 @@ def build_scene(case: Case) -> Scene:
     return Scene(
         order=case.mesh.order,
         elastic=elastic,
-        rigid=tuple(r.named(n) for n, r in regions.items() if isinstance(r, Rigid)),
-        foundations=tuple(s for s in case.supports.values() if isinstance(s, Foundation)),
+        rigid=tuple(r.named(n) for n, r in regions.items() if r.moves_rigidly),
+        foundations=tuple(s for s in case.supports.values() if s.is_spring is True),
         supports=tuple(
-            _support(name, s, case) for name, s in case.supports.items() if isinstance(s, Support)
+            _support(name, s, case) for name, s in case.supports.items() if s.is_spring is False
         ),
         loads=tuple(part for name, load in case.loads.items() for part in _loads(name, load, case)),
         motions=tuple(motion.named(name) for name, motion in case.motions.items()),
@@ -257,26 +257,24 @@ def _stages(case: Case) -> tuple[Stage, ...]:
 
 def _loads(name: str, load: Load, case: Case) -> tuple[Load, ...]:
     """A load; of a force with a course or a motion its three components."""
-    moved = isinstance(load, Force) and (
-        load.course or load.follows or load.boundary in {m.boundary for m in case.motions.values()}
-    )
-    if not (isinstance(load, Force) and moved):
+    force = load.moving_force([m.boundary for m in case.motions.values()])
+    if force is None:
         return (load.named(name),)
-    motion = case.motions[load.follows] if load.follows else None
+    motion = case.motions[force.follows] if force.follows else None
     # Nodes of an elastic region that turns have axes that turn with it.
-    own = next((m for m in case.motions.values() if m.boundary == load.boundary), None)
+    own = next((m for m in case.motions.values() if m.boundary == force.boundary), None)
     stages = _stages(case)
 
     def component(k: int, time: float) -> float:
         s, part = course(stages, time)
-        F = load.force_at(s)
-        factor = part if load.course else amplitude(load.history, time)
+        F = force.force_at(s)
+        factor = part if force.course else amplitude(force.history, time)
         in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))
         return float((own.rotation_at(s, part).T @ in_space if own else in_space)[k])
 
     found = []
     for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
-        part = load.named(name, force=axis, course=None, follows=None, history=None)
+        part = force.named(name, force=axis, course=None, follows=None, history=None)
         part._value = partial(component, k)
         found.append(part)
     return tuple(found)

@@ -19,11 +19,8 @@ import numpy as np
 from app.case.case import Case, LoadedCase
 from app.foundation import files
 from app.foundation.arrays import Floats, Ints
-from app.laws.fibres import Radial, Straight
-from app.laws.interface_laws import Bonded, Coulomb, Penalty, Unilateral
 from app.laws.loads import Load
-from app.laws.materials import Elastic, Isotropic, TransverselyIsotropic
-from app.laws.supports import Foundation
+from app.laws.materials import Elastic
 from app.laws.values import amplitude
 from app.mechanics.body_forms import IMAGE_DEGREE, BodyForms
 from app.mechanics.external_forces import nodal_forces
@@ -66,11 +63,13 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
     soft = (
         f"a penalty of {STIFF:g} MPa/mm and a stick slope of {STICK * STIFF:g} MPa/mm in the file"
     )
-    exact = (name for name, law in case.config.interfaces.items() if isinstance(law, Coulomb))
+    exact = (
+        name for name, law in case.config.interfaces.items() if law.is_contact and law.layer is None
+    )
     notes += [
         f"regions.{name}: has the mean of E over each cell, to {ALIKE / 2:.0%}, in the file"
         for name, e in case.config.regions.items()
-        if isinstance(e, Elastic) and e.varies
+        if e.deforms is True and e.varies
     ]
     return [*notes, *(f"interfaces.{name}: has {soft}" for name in exact)]
 
@@ -82,21 +81,21 @@ def _refused(case: Case) -> list[Fault]:
         found.append(Fault(at, f"an .inp file of CalculiX does not hold {what}"))
 
     for name, region in case.regions.items():
-        if not isinstance(region, Elastic):
+        if region.deforms is False:
             no(f"a region that is {type(region).__name__.lower()}", "regions", name)
         elif region.eigenstrains:
             no("eigenstrains", "regions", name)
         if region.thermal is not None:
             no("heat", "regions", name, "thermal")
     for name, law in case.interfaces.items():
-        if type(law) not in (Bonded, Coulomb, Penalty):
+        if law.kind not in ("bonded", "contact", "penalty"):
             no(f"the law {law.kind}", "interfaces", name)
         elif law.initial_gap[0]:
             no("a gap", "interfaces", name, "gap")
         if name in case.faces:
             no("sides that slide far", "interfaces", name, "sliding")
     for name, support in case.supports.items():
-        if isinstance(support, Foundation) or support.normal is not None:
+        if support.is_spring is True or support.normal is not None:
             no("springs to the ground, and rollers along a normal", "supports", name)
     for k, stage in enumerate(case.stages):
         if stage.cycles > 1:
@@ -132,15 +131,14 @@ class _Deck:
         for name in self.tagged.boundaries:
             yield from self._surface(name, boundary_facets(self.tagged, name))
         for i in self.scene.contacts:
-            assert isinstance(i.law, Unilateral)
             for side, own, other in (("slave", i.slave, i.master), ("master", i.master, i.slave)):
                 f = facets_between(self.tagged, own, other)
                 yield from self._surface(f"{i.name}_{side}", f)
-            stiff = i.law.penalty if isinstance(i.law, Penalty) else STIFF
+            stiff = i.law.layer[0] if i.law.layer else STIFF
             yield f"*SURFACE INTERACTION, NAME={i.name}"
             yield f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{_real(stiff)}"
-            if i.law.friction_coefficient:
-                yield f"*FRICTION\n{_real(i.law.friction_coefficient, STICK * stiff)}"
+            if i.law.friction:
+                yield f"*FRICTION\n{_real(i.law.friction, STICK * stiff)}"
             yield f"*CONTACT PAIR, INTERACTION={i.name}, TYPE=SURFACE TO SURFACE"
             yield f"{i.name}_slave, {i.name}_master"
         forces = [(load.history, self._forces(load)) for load in self.scene.loads]
@@ -158,7 +156,7 @@ class _Deck:
 
     def _varying(self, e: Elastic, rows: Ints) -> Iterator[str]:
         """Sets of a region's cells (n,) whose mean of Young's modulus is alike, and its values."""
-        assert isinstance(e, Isotropic)
+        _, ν = e.engineering_constants
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
         parts = self.forms.relative_stiffness(e, points)
@@ -168,7 +166,7 @@ class _Deck:
             name = f"{e.region}_{k}"
             yield f"*ELSET, ELSET={name}"
             yield from (f"{row + 1}," for row in rows[step == k])
-            yield f"*MATERIAL, NAME={name}\n*ELASTIC\n{_real(math.exp(ALIKE * k), e.poisson_ratio)}"
+            yield f"*MATERIAL, NAME={name}\n*ELASTIC\n{_real(math.exp(ALIKE * k), ν)}"
             yield f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"
 
     def _surface(self, name: str, f: FacetCells) -> Iterator[str]:
@@ -212,20 +210,18 @@ def _material(e: Elastic) -> Iterator[str]:
     """Constants of a region; the fibre is the first axis of its orientation, or the second."""
     yield f"*MATERIAL, NAME={e.region}"
     section = f"*SOLID SECTION, ELSET={e.region}, MATERIAL={e.region}"
-    if isinstance(e, Isotropic):
-        yield f"*ELASTIC\n{_real(e.moduli[0], e.poisson_ratio)}\n{section}"
+    if e.fibre is None:
+        yield f"*ELASTIC\n{_real(*e.engineering_constants)}\n{section}"
         return
-    assert isinstance(e, TransverselyIsotropic)
-    along, across = e.moduli
-    ν, ν_t, μ = e.axial_poisson_ratio, e.transverse_poisson_ratio, e.axial_shear_modulus
+    along, across, ν, ν_t, μ = e.engineering_constants
     μ_t = across / (2 * (1 + ν_t))
     constants = [along, across, across, ν, ν, ν_t, μ, μ, μ_t]
-    if not isinstance(e.fibre, (Straight, Radial)):
+    if e.fibre.kind == "circumferential":
         constants = [across, along, across, ν * across / along, ν_t, ν, μ, μ_t, μ]
     yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"
     yield f"{_real(*constants[:8])},\n{_real(constants[8])}"
     axis = np.array(e.fibre.axis)
-    if isinstance(e.fibre, Straight):
+    if not e.fibre.turns:
         other = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         yield f"*ORIENTATION, NAME={e.region}, SYSTEM=RECTANGULAR\n{_real(*axis, *other)}"
     else:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
-from app.laws.materials import Conductor, Rigid, TransverselyIsotropic
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
@@ -113,7 +112,7 @@ def _estimated(case: Case) -> _Size:
     if not count:
         return _Size(0.0, UNKNOWN_SIZE / 3, 0.0, 0.0, 0.0)
     corners = NODES_PER_CELL * count + 50
-    rigid = (name for name, region in case.regions.items() if isinstance(region, Rigid))
+    rigid = (name for name, region in case.regions.items() if region.moves_rigidly)
     moving = count - sum(case.geometry.cells_apart(name, case.mesh) for name in rigid)
     nodes = (NODES_PER_CELL + EDGES_PER_CELL * (case.mesh.order == 2)) * moving + 50
     # Jumps are linear at either order.
@@ -166,7 +165,7 @@ def _duration(case: Case, size: _Size, runs: int = 1) -> float:
 
 def compiling(case: Case) -> float:
     """Time of compiling all forms of a case [s]."""
-    fibres = any(isinstance(region, TransverselyIsotropic) for region in case.regions.values())
+    fibres = any(region.has_fibre for region in case.regions.values())
     mechanical = MECHANICAL_FORMS + FIBRE_FORMS * fibres if solid(case) else 0.0
     return mechanical + HEAT_FORMS * case.conducts
 
@@ -250,7 +249,7 @@ def _proportional(case: Case) -> bool:
 
 def solid(case: Case) -> bool:
     """Whether anything in it can move."""
-    return any(not isinstance(region, Conductor) for region in case.regions.values())
+    return any(not region.only_conducts for region in case.regions.values())
 
 
 def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
@@ -259,7 +258,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
 
     from meshes.data import EDGES, interface_nodes
 
-    rigid = [data.regions[n] for n, r in case.regions.items() if isinstance(r, Rigid)]
+    rigid = [data.regions[n] for n, r in case.regions.items() if r.moves_rigidly]
     elastic = data.cells[~np.isin(data.cell_tags, rigid), :4]
     nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
     if case.mesh.order == 2:

@@ -17,8 +17,6 @@ from app.case.section_loads import section_loads, table
 from app.foundation.verdict import Verdict, note
 from app.laws.courses import ROTATIONS
 from app.laws.failure import MEMORY
-from app.laws.materials import Rigid
-from app.laws.thermal import PressureConductance
 from app.scene.scene import build_scene
 from app.schema.section import Section
 from app.soundness.cost import solid
@@ -53,11 +51,10 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
     lines.append("regions")
     for name, region in case.regions.items():
-        kind = "rigid" if isinstance(region, Rigid) else region.kind
+        kind = "rigid" if region.moves_rigidly is True else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
-        image = getattr(region, "image", None)
-        if image:
-            lines += [f"      {k}: {plain(v)}" for k, v in image.told(case.geometry).items()]
+        if region.image:
+            lines += [f"      {k}: {plain(v)}" for k, v in region.image.told(case.geometry).items()]
     lines += ["interfaces", *([] if case.interfaces else ["  none"])]
     for name, law in case.interfaces.items():
         a, b = (" + ".join(side) for side in case.geometry.interface_sides[name])
@@ -236,7 +233,7 @@ def warnings(case: Case) -> list[Verdict]:
         notes += _far_off(f"{place}.thermal.cure", cure, {"heat": (1.0, 1e4)})
     expands = any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values())
     for name, law in case.interfaces.items():
-        feeds = isinstance(law.conductance, PressureConductance) and name not in case.faces
+        feeds = law.conducts_by_pressure and name not in case.faces
         if expands and feeds:
             text = (
                 "expansion and a conductance that grows with pressure feed each other: there may "
@@ -298,9 +295,7 @@ def _open_conductances(case: Case) -> Iterable[Verdict]:
     names = [
         name
         for name, law in case.interfaces.items()
-        if law.kind != "bonded"
-        and name not in case.faces
-        and not isinstance(law.conductance, PressureConductance)
+        if law.kind != "bonded" and name not in case.faces and not law.conducts_by_pressure
     ]
     if names:
         text = "conductance stays as it is where the interface opens"

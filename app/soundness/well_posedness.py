@@ -19,8 +19,6 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
 from app.heat.nodes import OUTSIDE, outside_text
-from app.laws.fibres import Circumferential
-from app.laws.materials import Conductor, Rigid
 from app.scene.scene import build_scene
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import (
@@ -83,7 +81,7 @@ def judge(case: Case, found: Parts) -> list[Verdict]:
     errors += _outside(case, found)
     if errors:
         raise InputError([*errors, *notes])
-    if all(isinstance(region, Conductor) for region in case.regions.values()):
+    if all(region.only_conducts for region in case.regions.values()):
         return notes
     bodies = BodiesOnMesh(case, found)
     torn, split = _contradictions(case, found)
@@ -170,8 +168,8 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     guided |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
     for name, law in case.interfaces.items():
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
-            far = getattr(law, "sliding", "small") == "finite" and region not in guided
-            if far and isinstance(case.regions[region], Rigid):
+            far = law.slides_far and region not in guided
+            if far and case.regions[region].moves_rigidly:
                 text = f"nothing says how the rigid {region} turns"
                 moved = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
                 cure = f"expected {moved}, or a fixed support"
@@ -198,7 +196,7 @@ def _on_axis(case: Case, found: Parts) -> list[Verdict]:
         owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
         for key, owner in owners.items():
             fibre = getattr(owner, "fibre", None)
-            if not isinstance(fibre, Circumferential):
+            if fibre is None or not fibre.turns:
                 continue
             cells = found.corners_of(name)
             met = _meets(found.x[cells], np.array(fibre.axis), np.array(fibre.through))
@@ -343,7 +341,7 @@ def _sides(case: Case, found: Parts, name: str) -> tuple[float, float]:
     thickness = 0.0
     for side in case.geometry.interface_sides[name]:
         pieces = [found.pieces[p] for p in near if found.pieces[p].region in side]
-        if not any(isinstance(case.regions[p.region], Rigid) for p in pieces):
+        if not any(case.regions[p.region].moves_rigidly for p in pieces):
             thickness += sum(p.volume for p in pieces) / area
     x = np.concatenate([t.x for t in touches])
     return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))

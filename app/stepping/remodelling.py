@@ -20,7 +20,6 @@ import ufl
 from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, InputError, MantleError
 from app.laws.remodelling import Remodelling
-from app.laws.supports import Fixed
 from app.laws.values import field
 from app.mechanics.body_forms import assembled_matrix, hats
 from app.numerics.preconditioners import Inverse
@@ -165,7 +164,7 @@ class Remodeller:
         least = problem.comm.allreduce(float(K[self._volume > 0].min(initial=np.inf)), MPI.MIN)
         if least <= 0:
             raise InputError(f"remodelling.stimulus: {least:g} J/g somewhere; it must be positive")
-        clamps = [s.boundary for s in problem.scene.supports if isinstance(s, Fixed)]
+        clamps = [s.boundary for s in problem.scene.supports if s.clamps]
         clamps += [boundary for load in problem.scene.loads for boundary in load.boundaries]
         self._free = self._volume > 0
         for name in clamps if law.frozen is None else law.frozen:

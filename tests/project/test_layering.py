@@ -204,3 +204,57 @@ def test_no_communicator_of_the_whole_world_but_at_the_top(path: Path) -> None:
         "app/simulation/session.py",
         "app/system/doctor.py",
     )
+
+
+LAWS = {
+    node.name
+    for path in sources("app/laws")
+    for node in tree(path).body
+    if isinstance(node, ast.ClassDef)
+}
+
+
+def names_in(node: ast.AST) -> set[str]:
+    """All names in an expression, the last part of each dotted one."""
+    return {
+        n.id if isinstance(n, ast.Name) else n.attr
+        for n in ast.walk(node)
+        if isinstance(n, ast.Name | ast.Attribute)
+    }
+
+
+def classes_asked_for(path: Path) -> set[str]:
+    """Classes of laws by which a file branches: in `isinstance`, `type(x) in` and `case`."""
+    asked: set[str] = set()
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Call) and names_in(node.func) & {"isinstance", "issubclass"}:
+            asked |= names_in(node.args[1])
+        elif isinstance(node, ast.Compare) and "type" in names_in(node.left):
+            asked |= set().union(*(names_in(c) for c in node.comparators))
+        elif isinstance(node, ast.MatchClass):
+            asked |= names_in(node.cls)
+    return asked & LAWS
+
+
+@all_of("app", "forms", "meshes")
+def test_laws_are_asked_not_told_apart_by_class(path: Path) -> None:
+    """Laws, loads, supports, materials and heat conditions answer by methods and attributes."""
+    if path.is_relative_to(ROOT / "app" / "laws"):
+        return
+    assert not classes_asked_for(path)
+
+
+def test_a_branch_by_class_is_seen(tmp_path: Path) -> None:
+    file = tmp_path / "branch.py"
+    file.write_text(
+        "a = isinstance(load, Force)\nb = type(law) in (Bonded,)\n"
+        "match s:\n    case supports.Fixed():\n        pass\nc = isinstance(x, str)\n"
+    )
+    assert classes_asked_for(file) == {"Force", "Bonded", "Fixed"}
+
+
+@all_of("app/laws")
+def test_laws_declare_their_fields(path: Path) -> None:
+    """`getattr` with a default hides a field that no class declares."""
+    calls = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Call))
+    assert not [n.lineno for n in calls if names_in(n.func) == {"getattr"} and len(n.args) > 2]
