@@ -1,8 +1,30 @@
 r"""One implicit solve of temperature and temperature jumps, as a system for Newton's method.
 
 A stage of a time step asks for the state at the end of an interval h that started at T*. Unknowns
-are θ with the rows Σ r_b = 0 and τ with the rows Σ B_b^T r_b - W q = 0 (r_b, B_b: `heat.operators`,
-`heat.temperature_jumps`). In a steady solve 1/h is zero.
+are the continuous temperature θ and, with interfaces of finite conductance, the jumps τ of their
+points. With the temperature T_b = θ + B_b τ of each body (`HeatOperators.nodal`) and its residual
+heat (`at` sums the terms)
+
+.. math:: r_b = \tfrac1h M_b (T_b - T_b^*) + K_b (T_b - T_0) + R_b (T_b - T_a)
+                - f_b - a_b(T_b) - d_b + E_b(T),
+
+`residual` is
+
+.. math:: \sum_b r_b = 0, \qquad \sum_b B_b^T r_b - W q(τ, p) = 0,
+
+with
+
+- M, 1/h: `HeatOperators.capacity`, `begin`; in a steady solve 1/h is zero.
+- K: conduction, corrected where necessary (`MaximumPrinciple.matrices`); T_0 the `reference`.
+- R (T - T_a): exchange with surroundings (`HeatLoads.exchanged`); f: fluxes and sources
+  (`HeatLoads.heats`).
+- a: heat of cure (`CureHeat.heats`); d: heat of friction (`FrictionHeating.nodal`), from the
+  mechanics.
+- E: exchange of surfaces that slide far (`MeanExchange.heats`).
+- q: heat flux from jump and contact pressure p (`TemperatureJumps.flux`); W: areas of the points.
+
+Given temperatures replace their rows (`impose`). `jacobian` is the derivative; `heat.operators`
+assembles the matrices.
 """
 
 from __future__ import annotations

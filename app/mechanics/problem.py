@@ -1,7 +1,27 @@
-"""The discrete problem of a scene: residual and Jacobian of the coupled min-max problem.
+r"""The discrete problem of a scene: the equilibrium of its bodies and interfaces.
 
-Unknowns are blocks: the continuous displacement, and the jumps where the scene has contact. The
-displacement block is assembled once; see `mechanics.contact` for the equations of the jump block.
+Unknowns are the continuous displacement u, and the jumps q of the contact points where the scene
+has interfaces. `Problem.residual` is the sum of all terms,
+
+.. math:: r_u = K u + C q - f, \qquad
+          r_q = \underbrace{C^T u + D q - f_q}_{e} + W F,
+
+with
+
+- K, C, D: the elastic energy of the bodies (`BodyForms.body_energy`), its derivatives by u and q
+  (`Stiffness.K`, `JumpCoupling.C`, `JumpCoupling.D`). They change when a region sets or remodels
+  (`update_stiffness`, `follow_density`) or when supports do (`set_stage`).
+- f, f_q: the forces on u and q (`Forces.at`, by `set_time`): work of the loads (`Load.work`),
+  eigenstrains, thermal expansion (`set_temperature`, `ThermalStrain`), and the stress history of
+  regions that set or creep (`update_stiffness`, `StressHistory`).
+- e: the equilibrium of the contact points (`JumpCoupling.equilibrium`); W their areas.
+- F: the forces of contact and other laws at equilibrium and jumps (`ContactInterfaces.trial`, by
+  `PointLaw.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r D).
+- Rows of displacements that supports prescribe hold their deviation (`Stiffness.prescribed`).
+
+K, C and D are assembled once. `mechanics.systems` adds the Jacobian. Heat enters by f alone, and
+leaves by pressures and friction of `trial` (`stepping.contact_heat`); `heat.implicit_step` has its
+equations.
 """
 
 from __future__ import annotations
@@ -246,17 +266,28 @@ class Problem:
         assert self.contact is not None
         return self.contact.trial(u, q, self.f_q)
 
-    def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
-        """K u + C q - f [N]; in constrained rows the deviation from the prescribed values.
+    def residual(
+        self, u: PETSc.Vec, q: PETSc.Vec | None, r_u: PETSc.Vec, r_q: PETSc.Vec | None = None
+    ) -> TrialState | None:
+        """Sum the terms of equilibrium [N]; return contact at the state if r_q is asked for.
 
-        A preconditioner of another stage changes these rows too: their residual must show it.
+        A preconditioner of another stage changes constrained rows too: their residual is the
+        deviation from the prescribed values.
         """
-        self.stiffness.K.mult(u, out)
+        # Bodies: elastic energy, loads and free strains, supports.
+        self.stiffness.K.mult(u, r_u)
         if self.contact:
-            self.contact.coupling.C.multAdd(q, out, out)
-        out.axpy(-1.0, self.f)
+            self.contact.coupling.C.multAdd(q, r_u, r_u)
+        r_u.axpy(-1.0, self.f)
         held = self.stiffness.constraints.constrained
-        out.array[held] = self.stiffness.typical * (u.array_r - self.prescribed)[held]
+        r_u.array[held] = self.stiffness.typical * (u.array_r - self.prescribed)[held]
+        if self.contact is None or q is None or r_q is None:
+            return None
+        # Interfaces: equilibrium of the contact points, and the forces of their laws.
+        trial = self.contact.trial(u, q, self.f_q)
+        jumps = q.array_r.reshape(-1, 3)
+        r_q.array[:] = self.contact.residual(trial.equilibrium, jumps, trial.law).ravel()
+        return trial
 
     def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """Pair points that slide far anew, if their gaps are wrong in a state; collective."""

@@ -80,7 +80,7 @@ class BondedSystem(System):
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """K u - f."""
-        self._problem.residual_u(x[0], None, f[0])
+        self._problem.residual(x[0], None, f[0])
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Out-of-balance forces, with their scale [N]."""
@@ -142,19 +142,20 @@ class ContactSystem(BondedSystem):
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
-        self._problem.residual_u(x[0], x[1], f[0])
-        trial = self.trial = self._problem.trial(*x)
-        q = x[1].array_r.reshape(-1, 3)
-        f[1].array[:] = self._contact_residual(trial.equilibrium, q, trial.law)
+        trial = self._problem.residual(x[0], x[1], f[0], f[1])
+        assert trial is not None
+        self.trial = trial
+        r = f[1].array_r.reshape(-1, 3)
+        f[1].array[:] = self._without_doubt(r, trial.equilibrium, trial.law)
 
-    def _contact_residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
+    def _without_doubt(self, r: Floats, e: Floats, law: PointForces) -> Floats:
         """Residual of contact (3 n,) [N], without small loads along free motions; collective.
 
         If normals are in doubt, so is the axis of their surface, and the moment of the loads about
         it. Nothing resists this moment. The contact points bear it if it is within the doubt.
         """
         contact, problem = self.contact, self._problem
-        r, doubt = contact.residual(e, q, law), contact.points.doubt[contact.own.rows]
+        doubt = contact.points.doubt[contact.own.rows]
         if not contact.points.doubt.any():
             return r.ravel()
         motions = contact.free_motions(law.status)
@@ -263,7 +264,7 @@ class ContactSystem(BondedSystem):
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
         """Residual of displacement and jumps without the law, and size of the forces [N]."""
         out = x[0].duplicate()
-        self._problem.residual_u(x[0], x[1], out)
+        self._problem.residual(x[0], x[1], out)
         e = self.contact.coupling.equilibrium(x[0], x[1], self._problem.f_q)
         return out.array, e.ravel(), self._problem.interface_scale(e)
 
@@ -272,7 +273,8 @@ class ContactSystem(BondedSystem):
         contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
         law = contact.evaluate(e, q)
         self.factors, self.law_status = contact.row_factors(law), law.status
-        return self._contact_residual(e, q, law), self._problem.interface_scale(e)
+        r = self._without_doubt(contact.residual(e, q, law), e, law)
+        return r, self._problem.interface_scale(e)
 
     def free_jumps(self) -> Floats:
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""

@@ -112,7 +112,7 @@ class CoarseModelStart:
         q.array[:] = self._contact.with_prescribed(jump).ravel()
         problem.impose(u)
         r, du = u.duplicate(), u.duplicate()
-        problem.residual_u(u, q, r)
+        problem.residual(u, q, r)
         du.zeroEntries()
         problem.stiffness.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
