@@ -63,7 +63,10 @@ ROUNDING = 1e-9
 # so that rounding does not decide while loads are constant.
 AT_REST = 1e-6
 
-OPEN, STICK, SLIP = 0, 1, 2
+# States of a point.
+OPEN = 0
+STICK = 1
+SLIP = 2
 _ONE = as_ufl(1.0)
 
 

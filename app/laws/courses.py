@@ -49,7 +49,8 @@ class Course(Section):
         if isinstance(value, Course):
             return value
         section, name = value if isinstance(value, dict) else {"rows": value}, ""
-        if isinstance(rows := section.get("rows", ()), str):
+        rows = section.get("rows", ())
+        if isinstance(rows, str):
             path = CSV.func(rows, info)
             rows, name = path.read_text(encoding="utf-8-sig").splitlines(), f"{path}: "
         if not isinstance(rows, list | tuple):

@@ -16,12 +16,20 @@ if TYPE_CHECKING:
     from meshes.images import Image
 
 
-# Of ash by that of a phantom [g/cm3], and its part of the apparent density.
-ASH_SLOPE, ASH_OFFSET, ASH_PART = 0.877, 0.0789, 0.6
-LEAST = 0.01  # g/cm3: smaller densities of a law are taken as that
-# MPa: no bone is stiffer, no densest bone of a femur is softer.
-STIFFEST, SOFTEST = 40e3, 500.0
-STIFF_CORTEX = 25e3  # MPa: the median of a cortex is below it
+# Density of ash by that of a phantom: slope [-].
+ASH_SLOPE = 0.877
+# Its offset [g/cm3].
+ASH_OFFSET = 0.0789
+# Part of the apparent density that is ash [-].
+ASH_PART = 0.6
+# Smaller densities of a law are taken as this [g/cm3].
+LEAST = 0.01
+# No bone is stiffer [MPa].
+STIFFEST = 40e3
+# The densest bone of a femur is stiffer [MPa].
+SOFTEST = 500.0
+# The median of a cortex is below this [MPa].
+STIFF_CORTEX = 25e3
 AIR = -200.0  # CT number: air and lung are below it
 SHOWN = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are told
 INSIDE = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it

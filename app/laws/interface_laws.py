@@ -207,7 +207,8 @@ class InterfaceLaw(Extensible):
         return isinstance(value, float | Patches) or self._mark(name) is not None
 
     def _mark(self, name: str) -> Varying | None:
-        if (known := type(self).model_fields.get(name)) is None:
+        known = type(self).model_fields.get(name)
+        if known is None:
             return None
         inner = (m for kind in get_args(known.annotation) for m in get_args(kind))
         return next((m for m in (*known.metadata, *inner) if isinstance(m, Varying)), None)

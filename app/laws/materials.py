@@ -226,7 +226,8 @@ class Isotropic(Elastic):
     @property
     def image(self) -> ImageModulus | None:  # type: ignore[override]
         """The image that gives Young's modulus, if one does."""
-        return E if isinstance(E := self.youngs_modulus, ImageModulus) else None
+        E = self.youngs_modulus
+        return E if isinstance(E, ImageModulus) else None
 
     @property
     def varies(self) -> bool:

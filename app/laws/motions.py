@@ -31,7 +31,8 @@ class Rotation(Section):
 
     @model_validator(mode="after")
     def _turns(self) -> Rotation:
-        if not (columns := self.course.columns).keys() & {*ROTATIONS}:
+        columns = self.course.columns
+        if not columns.keys() & {*ROTATIONS}:
             text = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
             fail(text, at=("course",))
         return self

@@ -232,7 +232,8 @@ class BodyForms:
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
-        if law := e._remodelling:
+        law = e._remodelling
+        if law:
             values = modulus(law.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))

@@ -213,7 +213,8 @@ class Constraints:
         held = own >= 0
         along = (axes.swapaxes(1, 2) @ local)[held]
         rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
-        if motion := scene.motion_of((region,)):
+        motion = scene.motion_of((region,))
+        if motion:
             # Its turn is given: no turn besides, and no way either if that is held.
             place_of = rigid_modes((np.array(motion.about) - centre)[None] / scale)[0]
             given = (
@@ -317,7 +318,8 @@ class Constraints:
         rank 0 per rigid region, which block Jacobi solves exactly.
         """
         given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self._comm)
-        if not (P := self._P0):
+        P = self._P0
+        if not P:
             return given.copy()
         solver = PETSc.KSP().create(P.comm)
         solver.setOperators(P.transposeMatMult(P))

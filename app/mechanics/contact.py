@@ -53,9 +53,11 @@ from meshes.contact_points import RIGIDLY, contact_points
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
-# A body is brought this much further than where it touches, along a way that its points face so
-# much: some points are then in contact, as in the answer.
-BEYOND, FACING = 1.25, 0.1
+# A body is brought this much further than where it touches: some points are then in contact, as in
+# the answer.
+BEYOND = 1.25
+# Points count for that if the cosine between their normal and the way is above this.
+FACING = 0.1
 # A rigid motion of bodies is free if its resistance is below this part of the largest one.
 FREE = 1e-10
 # A body takes part in a free motion of unit size if this part of the motion, or more, is its part.
@@ -505,7 +507,7 @@ class ContactInterfaces:
             q.array.reshape(-1, 3)[rows] -= BEYOND * reach * way
 
     def augmentation(self) -> dict[str, float]:
-        """As `PointLaw.augmentation`, by the name of the interface; collective."""
+        """Augmentation of each interface that can open [MPa/mm], by name; collective."""
         values = self.law.augmentation()
         return {self._contacts[i].name: value for i, value in values.items()}
 
@@ -515,11 +517,11 @@ class ContactInterfaces:
         return bool(self.law.history)
 
     def usual_augmentation(self) -> float:
-        """As `PointLaw.usual_augmentation`; collective."""
+        """Default augmentation over the one in the case, in the mean; collective."""
         return self.law.usual_augmentation()
 
     def scale_augmentation(self, factor: float) -> None:
-        """As `PointLaw.scale_augmentation`."""
+        """Multiply the default augmentation by a factor, until the next call."""
         self.law.scale_augmentation(factor)
 
     def whole(self, values: Floats) -> Floats:

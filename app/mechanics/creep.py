@@ -20,10 +20,18 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms, hats
 
-# Strain that counts as none, stress [MPa] that counts as none, least exponent m.
-NO_STRAIN, NO_STRESS, LEAST_M = 1e-30, 1e-12, 0.01
-# Newton's iterations at most, its tolerance in log s, and how far below the trial stress s may be.
-ITERATIONS, CONVERGED, DEEPEST = 60, 1e-13, 80.0
+# Strain that counts as none.
+NO_STRAIN = 1e-30
+# Stress that counts as none [MPa].
+NO_STRESS = 1e-12
+# Least exponent m.
+LEAST_M = 0.01
+# Most Newton iterations.
+ITERATIONS = 60
+# Their tolerance in log s.
+CONVERGED = 1e-13
+# The stress s is at most this far below the trial stress, in log s.
+DEEPEST = 80.0
 # Shear components count twice.
 TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 
@@ -93,7 +101,8 @@ class CreepState:
 
     def numbers(self, region: str) -> dict[str, float]:
         """Published creep strain of a region that creeps; collective."""
-        if (here := self.of.get(region)) is None:
+        here = self.of.get(region)
+        if here is None:
             return {}
         strain, volumes = self.strain[here], self._volumes[here]
         total, volume = self._comm.allreduce(np.array([strain @ volumes, volumes.sum()]))
@@ -105,7 +114,8 @@ class CreepState:
         """Three times the shear modulus at the current cure (n,) [MPa]."""
         found = self._stiff.copy()
         for region, here in self.of.items():
-            if (g := self._mechanics.growth.get(region)) is not None:
+            g = self._mechanics.growth.get(region)
+            if g is not None:
                 cells = self._mechanics.region_cells(region)
                 at = g.function_space.dofmap.list[cells]
                 found[here] *= (g.x.array[at] @ self._shape.T).ravel()

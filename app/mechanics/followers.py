@@ -178,7 +178,8 @@ class Followers:
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
         points = getattr(self._scene.contacts[i].law, "quadrature", None) or 12
         found = mortar(x, slave.triangles, master.smooth, points, REACH * float(edge))
-        if before := self.pairs.get(i):
+        before = self.pairs.get(i)
+        if before:
             parts = zip(found[:3], before[:3], strict=True)
             self.changed |= not all(np.array_equal(a, b) for a, b in parts)
         self.pairs[i] = found

@@ -85,7 +85,8 @@ class SlidingBodies:
 
     def taken_up(self) -> Floats:
         """Pair surfaces as in the restored state; its displacement at own nodes (n, 3) [mm]."""
-        if (jump := self._contact.committed_at) is not None:
+        jump = self._contact.committed_at
+        if jump is not None:
             self._contact.pair_at(jump)
             self.follow()
         return self._nodal

@@ -40,8 +40,10 @@ from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
 from forms import cure, elasticity, loads
 
-# Rows and columns of the components of elasticity.symmetric.
-ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
+# Rows of the components of elasticity.symmetric.
+ROWS = np.array([0, 1, 2, 1, 0, 0])
+# Their columns.
+COLUMNS = np.array([0, 1, 2, 2, 2, 1])
 # A modulus that changes by less than this part of the final one counts as unchanged.
 SAME = 1e-12
 
@@ -181,7 +183,8 @@ class StressHistory:
         for r, rise in self._rise.items():
             (g0, e0), (g1, e1) = self._old[r], self._new[r]
             rise.x.array[:] = e1 - e0
-            if (function := self._mechanics.growth.get(r)) is not None:
+            function = self._mechanics.growth.get(r)
+            if function is not None:
                 mean = (g0 + g1) / 2
                 change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
                 function.x.array[:] = mean
@@ -213,7 +216,8 @@ class StressHistory:
         for b in self.bodies:
             self._before[b].x.array[:] = displacements[b].x.array
         self._old = dict(self._new)
-        if c := self.creep:
+        c = self.creep
+        if c:
             # The next step begins with the restored stress.
             self.relax(np.zeros((len(c.rows), 6)), 0.0)
 
@@ -226,7 +230,8 @@ class StressHistory:
         added, σ = self._added(displacements), self._stress.x.array.reshape(-1, 6)
         for b in self.bodies:
             self._before[b].x.array[:] = displacements[b].x.array
-        if c := self.creep:
+        c = self.creep
+        if c:
             before = σ[c.rows]
             σ[:] = self._left.x.array.reshape(-1, 6) + added
             c.commit(before, σ[c.rows])
@@ -268,7 +273,8 @@ class StressHistory:
         self._old = {r: (g, np.zeros_like(e)) for r, (g, e) in self._old.items()}
         self._new = dict(self._old)
         self.go_back(self._rest)
-        if c := self.creep:
+        c = self.creep
+        if c:
             self.relax(np.zeros_like(c.taken), 0.0)
 
     def state(self) -> tuple[Any, ...]:

@@ -224,7 +224,8 @@ def _axes(
     names = "supports." + ", ".join(supports[s].name for s in used)
     for span in spans:
         inside = np.einsum("nic,nij,njd->ncd", axes, span, axes) * (1 - np.eye(3))
-        if (wrong := np.abs(inside).max(axis=(1, 2)) > np.sqrt(ONE)).any():
+        wrong = np.abs(inside).max(axis=(1, 2)) > np.sqrt(ONE)
+        if wrong.any():
             raise InputError(
                 f"{names}: at {point_text(x[np.argmax(wrong)])} they hold several bodies, or one "
                 "in several stages, along directions that are neither the same nor at right "
