@@ -34,16 +34,24 @@ UNREACTED = 1e-6
 ROUNDING = 1e-12
 # Relative difference up to which times count as equal.
 SAME = 1e-10
-# Below this degree errors count relative to the degree, down to the second.
-_SMALL, _SMALLEST = 1e-2, 1e-9
+# Below this degree errors count relative to the degree.
+_SMALL = 1e-2
+# Smallest degree that errors are relative to.
+_SMALLEST = 1e-9
 # Newton's method is in the logarithm of the reacting over the remaining part.
 _CONVERGED = 1e-8
-# Fractions of the reactive part accepted from the last step without a check of the ends, and the
-# logarithm of a negligible one.
-_HARDLY, _HALF, _LOWEST = 1e-12, 0.5, -50.0
-# Range of meaningful temperatures of solver iterates [K], and the least reactive share whose powers
-# are finite.
-_COLDEST, _HOTTEST, _LEAST = 1.0, 1e9, 1e-300
+# Fractions of the reactive part between these are accepted from the last step without a check of
+# the ends.
+_HARDLY = 1e-12
+_HALF = 0.5
+# Logarithm of a negligible fraction.
+_LOWEST = -50.0
+# Lowest meaningful temperature of solver iterates [K].
+_COLDEST = 1.0
+# Highest one [K].
+_HOTTEST = 1e9
+# Least reactive share whose powers are finite.
+_LEAST = 1e-300
 _ITERATIONS = 100
 
 

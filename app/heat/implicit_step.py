@@ -127,7 +127,8 @@ class ImplicitStep(System):
         """The state at the start."""
         operators, x = self.operators, self.vectors()
         T = operators.initial()
-        if (j := operators.jumps) is not None:
+        j = operators.jumps
+        if j is not None:
             x[1].array[:] = T[j.bodies[:, 1], j.dof] - T[j.bodies[:, 0], j.dof]
         capacity = operators.capacity
         continuous = capacity * (T - operators.added(x[-1]))
@@ -207,7 +208,8 @@ class ImplicitStep(System):
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
         """Set given temperatures and jumps in a state."""
         x[0].array[self._held] = self._given[0][self._held]
-        if (j := self.operators.jumps) is not None:
+        j = self.operators.jumps
+        if j is not None:
             x[1].array[j.held] = self._given[1][j.held]
 
     def at(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:

@@ -21,12 +21,15 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.numerics.sparse import block_diagonal, diagonal, fill, matrix_sum
 
-# Motions with less than this part of the largest stiffness are left to the Krylov method; the
-# others are stiffened by a part, as the motions of small boxes may be linearly dependent.
-NOTHING, STIFFER = 1e-10, 1e-8
+# Motions with less than this part of the largest stiffness are left to the Krylov method.
+NOTHING = 1e-10
+# The others are stiffened by this part, as the motions of small boxes may be linearly dependent.
+STIFFER = 1e-8
 # The free directions of a point have changed if its projector differs by this, its stiffness if it
-# differs by this part of the larger one; a part of the points may change before they are updated.
-DIFFERENT, STALE = 0.5, 0.03
+# differs by this part of the larger one.
+DIFFERENT = 0.5
+# Part of the points that may change before the motions are updated.
+STALE = 0.03
 
 
 class CoarseSpace:

@@ -25,8 +25,10 @@ Norm = Callable[[State], float]
 _SAFETY = 0.9
 _GROWTH = 3.0
 _CUT = 0.2
-# Relative differences up to which times and steps count as equal.
-_SAME, _NEAR = 1e-9, 1e-6
+# Relative difference up to which times count as equal.
+_SAME = 1e-9
+# Relative difference up to which steps count as equal.
+_NEAR = 1e-6
 
 
 @dataclass(frozen=True)

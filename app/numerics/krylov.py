@@ -27,8 +27,10 @@ SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
 SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
 # Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
 KEPT = ("displacement", "temperature")
-# Excess Krylov iterations that cost as much as new preconditioners; iterations per digit.
-PRICE, USUAL = 30, 8
+# Excess Krylov iterations that cost as much as new preconditioners.
+PRICE = 30
+# Krylov iterations per digit of the residual.
+USUAL = 8
 # Iterations of the estimate of a condition number.
 CONDITION_ITERATIONS = 20
 # Names of the blocks and methods in the log.

@@ -96,9 +96,11 @@ class Mumps:
         return value.value
 
     def _check(self) -> None:
-        if error := self._result(ERROR):
+        error = self._result(ERROR)
+        if error:
             raise ArithmeticError(f"MUMPS: error {error}")
-        if negative := self._result(NEGATIVE):
+        negative = self._result(NEGATIVE)
+        if negative:
             raise ArithmeticError(f"MUMPS: {negative} negative pivots")
 
     def factorize(self, rows: csr_array) -> Floats:

@@ -47,20 +47,34 @@ NEWTON: Options = {
     "snes_stol": 0.0,
     "snes_max_linear_solve_fail": 3,
 }
-# Tolerance of the linear solver while contact points change their states, the part of them that
-# counts as few, and the power with which it falls with the residual (Eisenstat and Walker 1996).
-ROUGH, FEW, FINE, POWER = 0.1, 0.01, 0.01, (1 + math.sqrt(5)) / 2
-# When no states change and the residual is below this, the next is a multiple of its square.
-NEAR, SQUARE = 0.01, 100.0
-# Tolerances of the linear solver over those of Newton: the absolute one, and one that suffices.
-ENOUGH, SUFFICES = 0.3, 0.2
-# Newton stalls if the residual has not fallen to this part of itself in so many iterations; with
-# full steps it may rise before it falls.
-HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
+# Tolerance of the linear solver while contact points change their states.
+ROUGH = 0.1
+# Part of the contact points that counts as few.
+FEW = 0.01
+# Largest tolerance of the linear solver while few change.
+FINE = 0.01
+# Power with which the tolerance falls with the residual (Eisenstat and Walker 1996).
+POWER = (1 + math.sqrt(5)) / 2
+# Residual below which the next is a multiple of its square, if no states change.
+NEAR = 0.01
+# That multiple.
+SQUARE = 100.0
+# Absolute tolerance of the linear solver over that of Newton.
+ENOUGH = 0.3
+# Tolerance of the linear solver that suffices for the last iteration, over that of Newton.
+SUFFICES = 0.2
+# Newton stalls if the residual has not fallen to this part of itself in a number of iterations.
+HARDLY = 0.5
+# The number of iterations, by line search.
+STUCK = {"bt": 4}
+# The number with full steps, with which the residual may rise before it falls.
+STUCK_WHOLE = 15
 # Residuals that differ by less than this part after a cycle of the states repeat.
 CYCLING = 1e-2
-# Iterations whose states are kept, and the longest cycle that is recognized.
-KEPT, LONGEST = 12, 5
+# Iterations whose states are kept.
+KEPT = 12
+# The longest cycle that is recognized.
+LONGEST = 5
 
 
 class ActiveSet:

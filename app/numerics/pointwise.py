@@ -45,8 +45,10 @@ from app.system import folders, form_cache
 
 # What is compiled: expressions by name or in order, from inputs by name.
 Build = Callable[[dict[str, Expr]], Mapping[str, Expr] | Sequence[Expr]]
-# Names that ffcx gives.
-MODULE, SYMBOL = re.compile(r"libffcx_expressions_[0-9a-f]+"), re.compile(r"expression_[0-9a-f]+")
+# Names that ffcx gives to modules.
+MODULE = re.compile(r"libffcx_expressions_[0-9a-f]+")
+# Names that ffcx gives to expressions.
+SYMBOL = re.compile(r"expression_[0-9a-f]+")
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,8 @@ def failure_text(solver: Solver) -> str:
     changing = ""
     if solver.changes[-1]:
         changing = f"; {solver.changes[-1]} contact points still change state"
-    if period := solver.active.period():
+    period = solver.active.period()
+    if period:
         changing += f", in a cycle of {period} iterations"
     return f"not converging (residual {solver.residuals[-1]:.1e}{changing})"
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from app.foundation.arrays import Floats, Ints
 
 DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for axis in "xyz"]
-# Part (squared) of a named motion among the free ones from which it is free, and part outside those
-# already named from which it is named too.
-WITHIN, NEW = 0.9, 0.2
+# Part (squared) of a named motion among the free ones from which it is free.
+WITHIN = 0.9
+# Part outside the motions already named from which it is named too.
+NEW = 0.2
 # A motion of unit size is one of others if its part outside them is below this.
 OTHER = 1e-3
 # Cosine of the angle to an axis up to which a direction is along it.

@@ -63,7 +63,8 @@ def collect(value: Any, keys: Any = None) -> Any:
         return {name: collect(v, _inner(keys, name)) for name, v in value.items()}
     if isinstance(value, list | tuple):
         return [collect(v, _inner(keys, k)) for k, v in enumerate(value)]
-    if names := _names(value):
+    names = _names(value)
+    if names:
         keys = getattr(value, "row_keys", keys)
         return {name: collect(getattr(value, name), _inner(keys, name)) for name in names}
     return value
@@ -84,7 +85,8 @@ def fill(value: Any, found: Any, keys: Any = None) -> Any:
         if value is not None and rows.shape != value.shape:
             raise ValueError("rows have another shape")
         return rows
-    if names := _names(value):
+    names = _names(value)
+    if names:
         keys = getattr(value, "row_keys", keys)
         new = {name: fill(getattr(value, name), found[name], _inner(keys, name)) for name in names}
         if not hasattr(value, "saved"):

@@ -69,7 +69,8 @@ class ContactHeat:
             for k, (i, v) in enumerate(zip(surface.interface, surface.vertex, strict=True))
         }
         self.pressed: PETSc.Mat | None = None
-        if (t := operators.jumps) is not None:
+        t = operators.jumps
+        if t is not None:
             name = [scene.thermal_contacts[i].name for i in t.interface]
             keys = zip(name, t.points.vertex[t.mine], strict=True)
             found = np.array([known.get(key, -1) for key in keys], dtype=np.int64)

@@ -182,7 +182,8 @@ class CoupledSystem(ContactSystem):
         keep = self._heat.vectors()
         nodes = [matrix_sum(heats)]
         held = [operators.fixed.base >= 0]
-        if (j := operators.jumps) is not None:
+        j = operators.jumps
+        if j is not None:
             nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in j.moves.items()]))
             held.append(j.held)
         for A, v, h in zip(nodes, keep, held, strict=True):

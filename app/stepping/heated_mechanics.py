@@ -95,7 +95,8 @@ class HeatedMechanics:
         for f, c, values in zip(self._degrees, self._curing, degrees, strict=True):
             f.x.array[c.dof] = values
             f.x.scatter_forward()
-        if (last := self._last) is not None:
+        last = self._last
+        if last is not None:
             for k, c in enumerate(self._curing):
                 self._strains[k].x.array[c.dof] += self._free[k](
                     a_old=last.degrees[k][c.dof],

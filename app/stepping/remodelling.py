@@ -155,7 +155,8 @@ class Remodeller:
         """Find load cases, reference, and the bone that is free to remodel; collective."""
         problem, m, law = self.problem, self.mechanics, self._law
         self._cases = [(k, i + 1.0) for i in problem.scene.load_cases]
-        if (K := self._intact()) is None:
+        K = self._intact()
+        if K is None:
             given = field("remodelling.stimulus", law.stimulus or 0.0)(
                 m.scalars.tabulate_dof_coordinates()
             )
