@@ -162,7 +162,7 @@ def test_cement_is_left_out_below_the_end() -> None:
 # ------------------------------------------------------------------------------ sizes
 
 
-@pytest.mark.parametrize("least_size", [3.6, pytest.param(1.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("least_size", [5.0, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_unknowns_grow_steadily_with_the_size(least_size: float) -> None:
     """Five per cent smaller cells: at most two fifths more nodes, from 10 mm on."""
     sizes = 10.0 * 0.95 ** np.arange(int(np.log(least_size / 10.0) / np.log(0.95)) + 1)
