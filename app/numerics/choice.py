@@ -16,7 +16,11 @@ SOLVES_POWER = 2 / 3
 # Unknowns of first order, where jumps are a quarter of all, up to which several solves are faster.
 FIRST_ORDER = 8_000
 # Number of solves from which they are.
-FIRST_ORDER_SOLVES = 3
+FIRST_ORDER_SOLVES = 4
+# Unknowns whose first solve by a Krylov method takes as long as condensation takes to start, 0.3 s.
+LEAST = 3_500
+# A later solve by a Krylov method over the first.
+LATER = 0.4
 # Part of the memory that factors may take.
 MEMORY = 0.5
 
@@ -66,7 +70,8 @@ class SolverChoice:
 
     def condenses(self, linear: str) -> bool:
         """Return True if bodies are condensed; ``linear`` is auto, condensed or another method."""
-        fast = linear == "auto" and self.size <= self.limit
+        large = self.size * (1 + LATER * (self.solves - 1)) > LEAST
+        fast = linear == "auto" and large and self.size <= self.limit
         return self.fits and (fast or linear == "condensed")
 
     def words(self, condensed: bool) -> str:
