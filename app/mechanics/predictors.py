@@ -55,9 +55,12 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads turn, as where a stage begins: line through the states one and two cycles before.
-    Without it sliding_block.yaml takes 306 Newton iterations instead of 79, debonding.yaml 105
-    instead of 79, head_cup.yaml 169 instead of 139.
+    Where loads turn, as where a stage begins: line through the states one and two cycles before,
+    or the best state in the span of all, which is exact where loads of two stages are proportional
+    (one Newton iteration instead of eight).
+
+    Without extrapolation sliding_block.yaml takes 306 Newton iterations instead of 79,
+    debonding.yaml 105 instead of 79, head_cup.yaml 169 instead of 139.
     """
 
     def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
@@ -78,14 +81,35 @@ class Extrapolation:
             s = (time - t1) / (t1 - t0)
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)
-            take_better(self._solver, x)
-        elif len(self._trail) > KEPT:
-            take_better(self._solver, x0 * 2 - self._trail[-4][1])
+        elif len(self._trail) > KEPT and take_better(self._solver, x0 * 2 - self._trail[-4][1]):
+            return
+        else:
+            x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
+        take_better(self._solver, x)
 
     def commit(self, time: float) -> None:
         """Store the state; of two at one time, the later."""
         state = (time, self._solver.x.copy())
         self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
+
+
+def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
+    r"""State of least linearized residual in the span of a state and others; collective.
+
+    With x the state and d_i the differences of the others from it, it is x + sum s_i d_i with the
+    s_i of
+
+    .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
+    """
+    x = x.copy()
+    here = solver.residual(x)
+    steps = [x - state for state in others]
+    changes = [solver.residual(x + step) - here for step in steps]
+    gram = np.array([[a.dot(b) for b in changes] for a in changes])
+    shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
+    for share, step in zip(shares, steps, strict=True):
+        x.axpy(share, step)
+    return x
 
 
 def take_better(solver: Solver, x: PETSc.Vec) -> bool:
