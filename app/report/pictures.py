@@ -26,6 +26,7 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError
 from app.plots import figures
 from app.plots import maps as plane
+from app.plots.figures import HEAT, LOADED, SEQUENTIAL
 from app.plots.sections import VIEWS, surface
 from app.report import sentence
 from app.report.page import Figure
@@ -38,8 +39,15 @@ from meshes.data import FACES
 Chosen = list[tuple[str, SweptCase]]
 
 TEMPERATURE = "highest temperature (°C)"
-SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "motion": "YlGnBu", "pressure": "YlOrRd"}
-SHOWN |= {"slid": "YlGnBu", "wear": "YlOrRd"}
+# Colours of the maps by quantity.
+SHOWN = {
+    "gap": SEQUENTIAL,
+    "slip": SEQUENTIAL,
+    "motion": SEQUENTIAL,
+    "pressure": LOADED,
+    "slid": SEQUENTIAL,
+    "wear": LOADED,
+}
 PEAK = "temperature_peak"
 SIDES = "interfaces"  # name of the picture from three sides
 ON_SIDES = {"slip": "viridis", "gap": "viridis", "pressure": "cividis"}
@@ -120,7 +128,7 @@ def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
         ]
         rows.append((f"{WORDS.get(quantity, label)} ({unit})", colours, values))
     peaks = [run.on_points(PEAK) if PEAK in run.point_fields else None for _, run, _ in columns]
-    return [*rows, (TEMPERATURE, "inferno", peaks)]
+    return [*rows, (TEMPERATURE, HEAT, peaks)]
 
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
