@@ -92,8 +92,9 @@ class Problem:
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
         points = tagged.mesh.geometry.x
-        low = self.comm.allreduce(points.min(axis=0), np.minimum)
-        high = self.comm.allreduce(points.max(axis=0), np.maximum)
+        # A rank may be without cells, and then it has no points.
+        low = self.comm.allreduce(points.min(axis=0, initial=np.inf), np.minimum)
+        high = self.comm.allreduce(points.max(axis=0, initial=-np.inf), np.maximum)
         self.size = float(np.linalg.norm(high - low))
         self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
         self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
