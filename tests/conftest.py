@@ -12,6 +12,8 @@ from mpi4py import MPI  # noqa: F401  (libraries of wheels find MPI by it)
 import pytest
 from hypothesis import settings
 
+from app import rooms  # noqa: F401  (registers keys that cases have)
+
 # How long an example takes is the machine's business.
 settings.register_profile("mantle", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=300)  # of `mantle test --all`

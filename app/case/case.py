@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +23,6 @@ from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
 from app.foundation.errors import InputError
-from app.laws.failure import Fatigue
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
@@ -88,8 +86,6 @@ class Case(Section):
     """Response of bone to its load in the stages that remodel it."""
     time: TimeOptions | None = None
     """Division of stages that take time into steps; only if there is heat."""
-    fatigue: Fatigue | None = None
-    """Damage by a spectrum of activities; by default none."""
     solver: SolverOptions = SolverOptions()
     """Options of the solver."""
     output: OutputOptions = OutputOptions()
@@ -355,4 +351,10 @@ def dump(case: Case) -> str:
     return yaml_file.to_yaml(plain(case))
 
 
-section.RENEWALS.append(partial(Case.model_rebuild, force=True))
+def _renew() -> None:
+    """Build the schema anew if it was built."""
+    if Case.__pydantic_complete__:
+        Case.model_rebuild(force=True)
+
+
+section.RENEWALS.append(_renew)

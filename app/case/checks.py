@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from app.case.quantities import of_run
+from app.case.quantities import ADDED, of_run
 from app.case.shapes import COMPANION, MOST_LINES
 from app.foundation.verdict import Reason
 from app.laws.densities import density
@@ -175,8 +175,7 @@ def _stages(case: Any) -> Iterable[Fault]:
         if history is not None and len(history) != len(names):
             wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
             yield Fault(path, f"has {len(history)} values; expected {wanted}")
-    spectrum = case.fatigue.spectrum if case.fatigue else ()
-    used: list[tuple[Path, str]] = [(("fatigue", "spectrum", name), name) for name in spectrum]
+    used: list[tuple[Path, str]] = []
     for _, name, support in _entries(case, "supports"):
         stages = enumerate(getattr(support, "stages", None) or ())
         used += [(("supports", name, "stages", i), stage) for i, stage in stages]
@@ -184,20 +183,6 @@ def _stages(case: Any) -> Iterable[Fault]:
         if stage not in names:
             text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
             yield Fault(path, text)
-
-
-@check("fatigue", "regions")
-def _fatigue(case: Any) -> Iterable[Fault]:
-    """Fatigue of a region that does not deform."""
-    regions = case.regions
-    elastic = [name for name, region in regions.items() if region and region.deforms]
-    if not elastic:
-        return
-    name = case.fatigue.region
-    invalid = name in regions and regions[name] is None
-    if name not in elastic and not invalid:
-        text = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
-        yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
 
 
 @check("geometry")
@@ -381,12 +366,12 @@ def _sliding_heat(laws: Mapping[str, Any], far: set[str], courses: bool) -> Iter
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:
-    """Quantities of interfaces, regions or laws of fatigue unknown to a case."""
+    """Quantities of interfaces, regions or other owners of numbers unknown to a case."""
     geometry = case.geometry
     if geometry is None or study is None:
         return
-    laws = case.fatigue.laws if case.fatigue else ()
-    known = (*geometry.interface_sides, *geometry.region_names, *laws)
+    added = [owner for section in ADDED.values() for owner in section.owners(case)]
+    known = (*geometry.interface_sides, *geometry.region_names, *added)
     for i, quantity in enumerate(study.quantities):
         name = quantity.partition(".")[0]
         if name not in known and quantity not in of_run():

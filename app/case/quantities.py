@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
@@ -157,7 +157,7 @@ STRESSED = (3, 5, 7, 9, 11)
 GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
 # By section and key, in the order in which they are shown.
 TABLE: dict[str, dict[str, Quantity]] = {
-    **{name: {} for name in ("interfaces", "regions", "fatigue", "stem", "femur", "bonds")},
+    **{name: {} for name in ("interfaces", "regions", "stem", "femur", "bonds")},
     **{name: {} for name in ("thermal.regions", "thermal.interfaces", "cure", *RUN)},
 }
 
@@ -177,10 +177,45 @@ def add_quantity(*quantities: Quantity) -> None:
         TABLE[q.section][q.key] = q
 
 
+@dataclass(frozen=True)
+class NumberSection:
+    """A section of ``summary.json`` that another package publishes: numbers by owner.
+
+    Attributes:
+        name: Its key.
+        title: Heading in pages.
+        columns: Its table in the terminal: by heading, the keys of a cell; none in the first.
+        owners: Returns the owners of its numbers in a case.
+        leads: Whether its headlines stand before those of interfaces in figures of many runs.
+    """
+
+    name: str
+    title: str
+    columns: Mapping[str, str]
+    owners: Callable[[Any], Iterable[str]]
+    leads: bool = False
+
+
+# Sections of other packages, by name.
+ADDED: dict[str, NumberSection] = {}
+
+
+def add_section(section: NumberSection, *quantities: Quantity) -> None:
+    """Publish a section with its quantities.
+
+    Raises:
+        ValueError: There is a section of this name, or as `add_quantity`.
+    """
+    if section.name in TABLE:
+        raise ValueError(f"there is a section '{section.name}' already")
+    ADDED[section.name] = section
+    TABLE[section.name] = {}
+    add_quantity(*quantities)
+
+
 # The table, one row for each number: key, unit, unit in tables, digits there.
 _interface = partial(Quantity, "interfaces")
 _region = partial(Quantity, "regions")
-_fatigue = partial(Quantity, "fatigue")
 _stem = partial(Quantity, "stem")
 _femur = partial(Quantity, "femur")
 _bond = partial(Quantity, "bonds")
@@ -357,13 +392,6 @@ add_quantity(
     _region("volume_over_7_MPa", "mm^3", digits=1, order=RISK),
     _region("volume_over_9_MPa", "mm^3", digits=1, order=RISK),
     _region("volume_over_11_MPa", "mm^3", digits=1, order=RISK),
-    _region("failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
-    _region("failure_probability", "-", "%", order=RISK),
-)
-add_quantity(
-    _fatigue("damage_p99", "1/year", digits=4, label="damage, p99", order=RISK, headline=True),
-    _fatigue("damage_max", "1/year", digits=4, label="damage, max", peak=True),
-    _fatigue("stress_p99", "MPa", label="equivalent stress, p99", order=STRESS),
 )
 add_quantity(
     _stem("subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),

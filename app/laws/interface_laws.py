@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import model_validator
 
-from app.laws.failure import InterfaceStrength
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
 from app.laws.values import (
     FractureEnergyField,
@@ -29,7 +28,13 @@ from app.laws.values import (
 )
 from app.schema.expressions import Varying
 from app.schema.section import Extensible, Kinds, Name, Pair, Section, Text, fail
-from app.schema.units import MixingExponent, NonNegativeNumber, PositiveStiffness, WearCoefficient
+from app.schema.units import (
+    MixingExponent,
+    NonNegativeNumber,
+    PositiveStiffness,
+    PositiveStress,
+    WearCoefficient,
+)
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -43,6 +48,20 @@ FINITE = ("between", "quadrature", "wear_coefficient")
 SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
+
+
+class InterfaceStrength(Section):
+    """Strength of an interface in tension and in shear."""
+
+    tension: PositiveStress
+    """Normal traction that it stands alone."""
+    shear: PositiveStress
+    """Shear traction that it stands alone."""
+
+    def index(self, pressure: Any, shear: Any) -> Any:
+        """Failure index, 1 where it fails; pressure negative in tension, and shear [MPa]."""
+        tension = -pressure * (pressure < 0)
+        return ((tension / self.tension) ** 2 + (shear / self.shear) ** 2) ** 0.5
 
 
 @dataclass(frozen=True)

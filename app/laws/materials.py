@@ -14,7 +14,6 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 
 from app.laws.creep import Creep
 from app.laws.densities import ImageModulus
-from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.remodelling import Remodelling
 from app.laws.thermal import Thermal
@@ -131,8 +130,6 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
-    weibull: Weibull | None = None
-    """Strength of specimens, for the probability that the region fails."""
     # Where points of the model are in the image that gives the stiffness.
     _places: Any = None
     # How the region remodels, if it does.

@@ -28,6 +28,8 @@ LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 m
 # How sure values are, and where they are from.
 Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None
+# What a source says of itself if it was not looked up.
+MEMORY = "from memory: check"
 # Multipliers at the ends of the stages.
 History = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.

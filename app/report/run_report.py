@@ -52,7 +52,6 @@ VIEW = 0.3
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
-    "fatigue": "Fatigue: damage in a year",
     "bonds": "Bonded interfaces",
     "thermal.regions": "Temperatures",
     "thermal.interfaces": "Heat through the interfaces",
@@ -300,7 +299,8 @@ def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = N
     for section, name, numbers in quantities.numbers_of(summary, parts=every):
         sections.setdefault(section, {})[name] = numbers
     found: Blocks = []
-    for section in (s for s in TITLES if s in sections):
+    titles = TITLES | {section.name: section.title for section in quantities.ADDED.values()}
+    for section in (s for s in titles if s in sections):
         own, named = TABLE[section], sections[section]
         added = [k for k, q in own.items() if q.compute]
         keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
@@ -310,7 +310,7 @@ def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = N
         if spread:
             rows = [spread.cells(f"{o}.{q.key}", q, n) for q in shown for o, n in named.items()]
         rows = [row for row in rows if set(row[1:]) != {"-"}]
-        found += page.titled(TITLES[section], table(HEAD if spread else ["", *named], rows))
+        found += page.titled(titles[section], table(HEAD if spread else ["", *named], rows))
         if section == "thermal.regions" and not every and not spread:
             found += page.titled("Dead bone", _necrosis(named))
     return found

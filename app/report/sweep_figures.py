@@ -39,7 +39,10 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     """Names of the numbers to show of cases, most important first."""
     found: dict[str, None] = {}
     for case in cases:
-        found |= {f"{law}.damage_p99": None for law in case.summary.get("fatigue", {})}
+        for section in quantities.ADDED.values():
+            leading = [q.key for q in quantities.TABLE[section.name].values() if q.headline]
+            owners = case.summary.get(section.name, {}) if section.leads else ()
+            found |= {f"{owner}.{key}": None for owner in owners for key in leading}
         for name in case.summary.get("interfaces", {}):
             found |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:

@@ -20,13 +20,13 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Field, Floats, Ints
-from app.laws.failure import InterfaceStrength
+from app.laws.interface_laws import InterfaceStrength
 from app.laws.loads import Load
 from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assembled_vector
 from app.mechanics.external_forces import at_full
 from app.mechanics.problem import Problem
-from app.results.cement_risk import Borders
 from app.results.interface_numbers import failing, normal_pressure
+from app.results.records import Borders
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
 from app.scene.bodies import (

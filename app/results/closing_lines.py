@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.case.quantities import NECROSIS, TABLE, numbers_of
+from app.case.quantities import ADDED, NECROSIS, TABLE, numbers_of
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
 from app.results.verdicts import BALANCES
@@ -93,12 +93,6 @@ TABLES: dict[str, dict[str, str]] = {
         "tension max/p99": "principal_max / principal_p99",
         "mean stress": "mean_stress_min .. mean_stress_max",
     },
-    "fatigue": {
-        "damage in a year": "",
-        "p99": "damage_p99",
-        "largest": "damage_max",
-        "stress p99": "stress_p99",
-    },
     "thermal.regions": {
         "temperature": "",
         "hottest": "temperature_max",
@@ -145,7 +139,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
     strong = (row for row in (rows["interfaces"] | rows["bonds"]).items() if FAILING in row[1])
     yield from (_sentence("bonds", *row, text="strength") for row in strong)
-    for section in ("fatigue", "thermal.regions", "thermal.interfaces"):
+    for section in (*ADDED, "thermal.regions", "thermal.interfaces"):
         yield from _table(section, rows[section])
     yield from _necrosis(rows["thermal.regions"])
     note = summary.get("thermal", {}).get("note")
@@ -158,13 +152,18 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 def keys(section: str) -> list[str]:
     """Quantities in the table of a section, in its order."""
-    return re.findall(r"\w+", " ".join(TABLES.get(section, {}).values()))
+    return re.findall(r"\w+", " ".join(_columns(section).values()))
+
+
+def _columns(section: str) -> Mapping[str, str]:
+    """Columns of the table of a section; none if it has none."""
+    return ADDED[section].columns if section in ADDED else TABLES.get(section, {})
 
 
 def _table(section: str, rows: Rows) -> list[str]:
     """A table of a section; quantities added by other packages stand on the right."""
     own = TABLE[section]
-    columns = TABLES[section] | {q.label: key for key, q in own.items() if q.compute}
+    columns = dict(_columns(section)) | {q.label: key for key, q in own.items() if q.compute}
     templates = list(filter(None, columns.values()))
 
     def cell(template: str, numbers: Mapping[str, Any]) -> str:

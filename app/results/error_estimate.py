@@ -30,7 +30,18 @@ from typing import Any
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import DOSE, HEAT, MOTION, RISK, SLIP, STRESS, TABLE, TRACTION, numbers_of
+from app.case.quantities import (
+    ADDED,
+    DOSE,
+    HEAT,
+    MOTION,
+    RISK,
+    SLIP,
+    STRESS,
+    TABLE,
+    TRACTION,
+    numbers_of,
+)
 
 # Mesh sizes over that of the run, of the companion for the error of the mesh and of those for the
 # error of the step.
@@ -60,7 +71,7 @@ LIKE = {SLIP: MOTION, TRACTION: MOTION, STRESS: MOTION}
 # Part of the numbers of a hip whose truth lies within ±, at first and at second order.
 WITHIN = (0.91, 0.89)
 # Sections in which two meshes may agree by chance.
-CHANCE = {"interfaces", "regions", "fatigue", "stem", "cure"}
+CHANCE = {"interfaces", "regions", "stem", "cure"}
 CHANCE |= {"thermal.regions", "thermal.interfaces"}
 # Peaks that are compared with each other.
 ALIKE = ("gap_max", "slip_max")
@@ -174,7 +185,7 @@ def estimate(
         others = [(c, o.get((section, name), {})) for c, o in relatives]
         known = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
         _put(numbers, {q.key: q.order for q in known if q.order}, order, others)
-        for q in known if section in CHANCE else ():
+        for q in known if section in CHANCE or section in ADDED else ():
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
             if error is not None and not q.vector and q.order in FACTORS and value:
                 change = error / (FACTORS[q.order][order][0] * abs(value))

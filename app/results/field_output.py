@@ -7,7 +7,7 @@ and an open one may conduct; the grid separates both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,9 +22,9 @@ from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
 from app.results.bearing import Bearing
 from app.results.bond_forces import BondForces
-from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
+from app.results.records import Record
 from app.results.stresses import Stresses, extrapolated
 from app.results.thermal_record import W_PER_M2, Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
@@ -187,11 +187,13 @@ class MechanicalFields:
         self,
         problem: Problem,
         stresses: Stresses,
-        risk: CementRisk | None,
+        records: Iterable[Record],
         bonds: BondForces,
         bearings: Mapping[str, Bearing],
     ) -> None:
-        self._problem, self._stresses, self._risk = problem, stresses, risk
+        self._problem = problem
+        self._stresses = stresses
+        self._records = tuple(records)
         self._bonds, self._bearings = bonds, bearings
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
@@ -247,10 +249,12 @@ class MechanicalFields:
         return point
 
     def _cell(self, σ: Floats) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies [MPa], density of bone, and damage."""
+        """Mean stress, Young's modulus where it varies [MPa], density of bone, and of records."""
         cells, s, m = len(σ), self._stresses, self._problem.mechanics
         density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.remodels}
-        fields = _named(σ) | (self._risk.damage(cells) if self._risk else {})
+        fields = _named(σ)
+        for record in self._records:
+            fields |= record.cell_fields(cells)
         for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
             for region, values in parts.items():
                 fields.setdefault(name, np.zeros(cells))[s.cells[region]] = values

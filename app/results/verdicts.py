@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,17 @@ BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "he
 STRAINS = (500.0, 2500.0)
 # Motion of the head under load [mm] (Chen 2020).
 MOTION = 5.0
+
+
+Judge = Callable[[Mapping[str, Any]], Iterable[Verdict]]
+# What other packages find in the numbers of a run.
+_JUDGES: list[Judge] = []
+
+
+def judge(function: Judge) -> Judge:
+    """Register a function of ``summary.json`` that returns verdicts on its numbers."""
+    _JUDGES.append(function)
+    return function
 
 
 def record(summary: dict[str, Any], notes: Sequence[Verdict]) -> None:
@@ -90,13 +101,8 @@ def of_numbers(summary: Mapping[str, Any]) -> list[Verdict]:
     if far:
         text = f"on {' and '.join(far)} exceeds the size of its facets: beyond small displacements"
         verdicts.append(Verdict(text, "slip", "`sliding: finite` follows it"))
-    laws = summary.get("fatigue")
-    if laws:
-        verdicts.append(Verdict(life(laws), "fatigue", severity=Severity.WARNING))
-    unsettled = summary.get("error", {}).get("unsettled", {})
-    for name, q in summary.get("regions", {}).items():
-        if "failure_risk" in q:
-            verdicts.append(_strength(name, q, unsettled))
+    for of_package in _JUDGES:
+        verdicts += of_package(summary)
     verdicts += _physiology(summary)
     verdicts.append(_mesh_and_step(summary))
     failed = ", ".join(summary.get("error", {}).get("failed", []))
@@ -162,39 +168,6 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         clauses.append(f"the cortex is strained by {span}")
     if clauses:
         yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
-
-
-def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
-    """Band of the life of a region, over laws and errors; no year without it."""
-    known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
-    most, least = max(d + e for d, e in known), min(d - e for d, e in known)
-    mesh = any("damage_p99_error" in q for q in laws.values())
-    text = f"over {', '.join(laws)}"
-    if mesh:
-        text += " and mesh"
-    if len(known) < 2 and not mesh:
-        return f"no year without a band ({text}): name another law, or --error"
-    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
-    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
-
-
-def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
-    """Probability that a region and its parts fail, and where it grows with every mesh."""
-    texts = []
-    severity = Severity.PLAIN
-    for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
-        own, key = q[part] if part else q, f"{name}_{part}" if part else name
-        text = f"{100 * own['failure_probability']:.2g} %"
-        if part:
-            text += f" at its {part}"
-        (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
-        if fine > coarse:
-            grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
-            text = f"{text} (R grows {grown}: it may have no limit)"
-            severity = Severity.WARNING
-        texts.append(text)
-    text = f"{name} breaks with a probability of {', '.join(texts)}"
-    return Verdict(text, "strength", severity=severity)
 
 
 def _crack(name: str, q: Mapping[str, Any]) -> Verdict:

@@ -7,11 +7,11 @@ import difflib
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, takewhile
-from typing import Annotated, Any, NoReturn, Self, get_args
+from typing import Annotated, Any, NoReturn, Self, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -23,12 +23,14 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
 from app.schema.yaml_file import Fault, Path
 
 # Marks, in the location of a pydantic error, an entry that names a class and not a key.
 TAG = "="
+S = TypeVar("S", bound="Section")
 VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
 
 
@@ -50,6 +52,12 @@ class Section(BaseModel):
     def __hash__(self) -> int:
         """Hash of class and fields."""
         return hash((type(self), *(getattr(self, key) for key in type(self).model_fields)))
+
+    def added(self, name: str, kind: type[S]) -> S | None:
+        """The value of a key that another package added with `add_key`; None without the key."""
+        value = getattr(self, name) if name in type(self).model_fields else None
+        assert value is None or isinstance(value, kind)
+        return value
 
     @model_validator(mode="wrap")
     @classmethod
@@ -122,7 +130,7 @@ def _has(kind: Any, key: str | int) -> bool:
     return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in get_args(kind))
 
 
-def docstrings(model: type) -> dict[str, str]:
+def docstrings(model: type[BaseModel]) -> dict[str, str]:
     """Docstrings of the fields of a class and of its bases.
 
     Pydantic's own ``use_attribute_docstrings`` reads the source of every class at each start, for
@@ -137,7 +145,8 @@ def docstrings(model: type) -> dict[str, str]:
             match field, text:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(doc))):
                     found[name] = inspect.cleandoc(doc)
-    return found
+    added = ((name, field.description) for name, field in model.model_fields.items())
+    return found | {name: text for name, text in added if text}
 
 
 def _defect(text: str, at: Path) -> PydanticCustomError:
@@ -324,6 +333,40 @@ class Extensible(Section):
         """Rebuild the schema with the new kind."""
         for renew in RENEWALS:
             renew()
+
+
+def add_key(to: type[Section], name: str, kind: type[Section], doc: str) -> None:
+    """Add an optional key, None by default, to a section and to those derived from it.
+
+    `Section.added` reads it.
+
+    Args:
+        to: The section.
+        name: The key.
+        kind: Section that is its value.
+        doc: Its text in the manual.
+
+    Raises:
+        ValueError: The section has the key.
+    """
+    if name in to.model_fields:
+        raise ValueError(f"{to.__name__} has a key '{name}' already")
+    for section in (to, *_derived(to)):
+        section.model_fields[name] = FieldInfo(
+            annotation=kind | None,  # type: ignore[arg-type]
+            default=None,
+            description=doc,
+        )
+        if section.__pydantic_complete__:
+            section.model_rebuild(force=True)
+    for renew in RENEWALS:
+        renew()
+
+
+def _derived(base: type[Section]) -> Iterator[type[Section]]:
+    for section in base.__subclasses__():
+        yield section
+        yield from _derived(section)
 
 
 def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:

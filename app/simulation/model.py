@@ -29,10 +29,10 @@ from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.bearing import bearings
 from app.results.bond_forces import BondForces
-from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples
+from app.results.records import Record, records
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
 from app.scene.scene import Scene, Stage, build_scene
@@ -176,7 +176,7 @@ class Model:
             self.scene: Scene = build_scene(case)
             self.remodeller: Remodeller | None = None
             self.mechanics = self._mechanics()
-            self.risk = self._risk()
+            self.records = self._records()
             self.thermal = self._heat()
         self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
 
@@ -226,13 +226,11 @@ class Model:
         solver = self._solver(mechanical(problem, solves, memory.available()))
         return Mechanical(problem, solver, case)
 
-    def _risk(self) -> CementRisk | None:
+    def _records(self) -> dict[str, Record]:
         m = self.mechanics
         if m is None:
-            return None
-        if not self._case.fatigue and not any(e.weibull for e in self.scene.elastic):
-            return None
-        return CementRisk(self._case, m.problem, m.zones.borders if m.zones else None)
+            return {}
+        return records(self._case, m.problem, m.zones.borders if m.zones else None)
 
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
@@ -255,7 +253,9 @@ class Model:
         groups: list[FieldGroup] = []
         m = self.mechanics
         if m:
-            groups.append(MechanicalFields(m.problem, m.stresses, self.risk, m.bonds, m.bearings))
+            groups.append(
+                MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds, m.bearings)
+            )
         t = self.thermal
         if t:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
@@ -284,9 +284,8 @@ class Model:
             ConvergenceError: As `run_stages`.
         """
         load_stepper = heat_stepper = creep_stepper = None
-        risk = self.risk
-        if risk:
-            on_step = risk.before(on_step)
+        for record in self.records.values():
+            on_step = record.before(on_step)
         begin = on_stage
         t = self.thermal
         cycle = t.sliding if t else None
@@ -327,7 +326,7 @@ class Model:
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
         load_stepper, heat_stepper, creep_stepper = self._steppers
-        return ({"risk": self.risk} if self.risk else {}) | {
+        return dict(self.records) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
@@ -387,12 +386,10 @@ class Model:
             creep = m.problem.creep
             if creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
-            if self.risk:
-                for region, found in self.risk.weibull().items():
-                    numbers["regions"][region] |= found
-                found = self.risk.fatigue()
-                if found:
-                    numbers["fatigue"] = found
+            for record in self.records.values():
+                for section, owners in record.numbers().items():
+                    for owner, added in owners.items():
+                        numbers.setdefault(section, {}).setdefault(owner, {}).update(added)
             numbers["stem"] = m.stem(self._case.side)
             found = of_femur(m.problem, self._case)
             if found:

@@ -35,7 +35,7 @@ from app.simulation import accuracy, checkpoint, finished_runs
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
-from app.soundness import preview, well_posedness
+from app.soundness import doubts, preview
 from app.system import form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
@@ -307,7 +307,7 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        notes = [*self._notes, *well_posedness.doubts(case, summary)]
+        notes = [*self._notes, *doubts.doubts(case, summary)]
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE

@@ -6,7 +6,7 @@ Doubtful are wrong units, nothing that acts, elements that lock.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
 from app.foundation.verdict import Verdict, note
 from app.laws.courses import ROTATIONS
-from app.laws.failure import MEMORY
+from app.laws.values import MEMORY
 from app.scene.scene import build_scene
 from app.schema.section import Section
 from app.soundness.cost import solid
@@ -203,6 +203,22 @@ MOST_FRICTION = 5.0
 MOST_PROUD = 15.0
 
 
+Warn = Callable[[Case], Iterable[Verdict]]
+# What other packages note on the input of a case.
+_WARNERS: list[Warn] = []
+
+
+def warner(function: Warn) -> Warn:
+    """Register a function of a case that returns notes on allowed but doubtful input."""
+    _WARNERS.append(function)
+    return function
+
+
+def from_memory(place: str, source: str | None) -> list[Verdict]:
+    """A note on values that are from memory."""
+    return [note(str(source), place)] if MEMORY in str(source) else []
+
+
 def warnings(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input, for `mantle check` and the log."""
     notes = [note(text) for text in case.geometry.notes]
@@ -252,11 +268,8 @@ def warnings(case: Case) -> list[Verdict]:
         if 0.0 < largest < math.radians(0.5):
             text = "all angles are below 0.5 degrees: radians by mistake?"
             notes.append(note(text, f"motions.{name}.rotation.course"))
-    laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
-    laws += [
-        (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()
-    ]
-    notes += [note(x.source, n) for n, x in laws if MEMORY in str(x.source)]
+    for name, region in case.regions.items():
+        notes += from_memory(f"regions.{name}", region.source)
     if case.remodelling and not case.remodelling.lazy_zone:
         text = (
             "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus "
@@ -269,6 +282,8 @@ def warnings(case: Case) -> list[Verdict]:
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         notes += _far_off(f"heat.{name}", condition, limits)
+    for warn in _WARNERS:
+        notes += warn(case)
     return notes
 
 

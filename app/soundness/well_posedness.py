@@ -6,7 +6,6 @@ Certain errors are raised before anything is solved; doubts are notes. All are v
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.case.case import Case
-from app.case.quantities import largest
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
 from app.heat.nodes import OUTSIDE, outside_text
 from app.scene.scene import build_scene
+from app.soundness.doubts import STRAIN, modulus
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import (
     bodies_of,
@@ -42,8 +41,6 @@ SMALL = 0.05
 TOO_MUCH = 0.25
 # Prescribed displacements beyond this part of the model are not small; they may slide a body.
 FAR = 0.5
-# Strains beyond small-strain elasticity of any material.
-STRAIN = 0.05
 # A piece is slender if it is thinner than this part of its length.
 SLENDER = 0.2
 # Bars and plates of linear cells of edge l and thickness h are too stiff by this factor times
@@ -412,43 +409,6 @@ def _strained(case: Case, found: Parts) -> list[Verdict]:
                 f"{softest:.3g} MPa: strains are not small"
             )
             notes.append(note(text, f"loads.{name}", WRONG_UNIT))
-    return notes
-
-
-def modulus(region: Any) -> float:
-    """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
-    return float(min(getattr(region, "moduli", (0.0,))))
-
-
-def doubts(case: Case, numbers: Mapping[str, Any]) -> list[Verdict]:
-    """Return notes on results: strains that are not small, laws beyond their stresses."""
-    notes = []
-    for name, law in (case.fatigue.laws if case.fatigue else {}).items():
-        s, measured = numbers["fatigue"][name]["stress_p99"], law.measured
-        if measured and not measured[0] <= s <= measured[1]:
-            low, high = measured
-            text = f"was measured at {low:g} to {high:g} MPa, and is used at {s:.2g} MPa (p99)"
-            notes.append(note(text, f"fatigue.laws.{name}"))
-    for name, found in numbers["regions"].items():
-        creep = getattr(case.regions[name], "creep", None)
-        if "creep_strain_max" in found and case.mesh.order == 1:
-            notes.append(note("creeps and keeps its volume: linear cells lock", f"region '{name}'"))
-        low, high = (creep and creep.stresses) or (0.0, math.inf)
-        if "creep_strain_max" in found and not low <= found["von_mises_p99"] <= high:
-            text = (
-                f"creeps at {found['von_mises_p99']:.2g} MPa (von Mises p99), its law was measured "
-                f"from {low:g} to {high:g} MPa"
-            )
-            notes.append(note(text, f"region '{name}'"))
-        E = modulus(case.regions[name])
-        strain = largest(found, "von_mises_p99") / E if E else 0.0
-        if strain > STRAIN:
-            text = (
-                f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
-                "results are not valid there"
-            )
-            cure = "a modulus or a load in a wrong unit?"
-            notes.append(note(text, f"region '{name}'", cure))
     return notes
 
 

@@ -20,7 +20,7 @@ from app.foundation.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.simulation.model import Model
-from app.soundness import preview, well_posedness
+from app.soundness import doubts, preview, well_posedness
 from app.soundness.loose_bodies import BodiesOnMesh, pulled_off
 from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system.timing import Timing
@@ -372,7 +372,7 @@ def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> 
 def test_strains_that_are_not_small_are_told() -> None:
     case = support.case(TWO)
     numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
-    note = well_posedness.doubts(case, {"regions": numbers})[0].text
+    note = doubts.doubts(case, {"regions": numbers})[0].text
     assert note.startswith("region 'bone': is strained by 7.1 %")
 
 

@@ -24,10 +24,12 @@ from typing import Any
 import numpy as np
 
 from app.case.case import Case
+from app.fatigue.laws import fatigue_of, weibull_of
 from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
+from app.results.records import Borders
 from app.results.stresses import Stresses
 from app.stepping.load_steps import LoadStep, OnStep
 from meshes.distribute import TaggedMesh
@@ -39,7 +41,6 @@ TURN = math.radians(60)
 CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 # Vertices of a cell at the ends of each edge, and the two others.
 EDGES = np.array([(*e, *({0, 1, 2, 3} - {*e})) for e in combinations(range(4), 2)])
-Borders = Callable[[Floats], dict[str, Floats]]
 
 
 class CementRisk:
@@ -52,13 +53,17 @@ class CementRisk:
     saved = ("_valley", "_found")
 
     def __init__(self, case: Case, problem: Problem, borders: Borders | None) -> None:
-        self._fatigue, self._stages, self._borders = case.fatigue, case.stages, borders
-        self._tires = case.fatigue.region if case.fatigue else ""
-        self._tagged, self._comm = problem.tagged, problem.comm
-        self._weibull = {e.region: e.weibull for e in problem.scene.elastic if e.weibull}
+        fatigue = fatigue_of(case)
+        self._fatigue = fatigue
+        self._stages = case.stages
+        self._borders = borders
+        self._tires = fatigue.region if fatigue else ""
+        self._tagged = problem.tagged
+        self._comm = problem.comm
+        self._weibull = weibull_of(case)
         self._stresses = Stresses(problem, fine={*self._weibull, self._tires} - {""})
         self._parts: dict[str, dict[str, Bools]] = {}
-        laws = case.fatigue.laws if case.fatigue else ()
+        laws = fatigue.laws if fatigue else ()
         number = problem.tagged.mesh.topology.original_cell_index
         at = number[self._stresses.cells[self._tires]] if laws else np.zeros(0, dtype=np.int64)
         count = len(self._stresses.shares[self._tires]) if laws else 1
@@ -67,6 +72,11 @@ class CementRisk:
         self._valley = np.zeros((len(self.row_keys), 3, 3))
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
         self._found = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
+
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Published numbers: of regions by strength, of fatigue by law; collective."""
+        numbers = {"regions": self.weibull()}
+        return numbers | ({"fatigue": self.fatigue()} if self._found else {})
 
     # Fatigue
 
@@ -110,7 +120,7 @@ class CementRisk:
             "stress_p99": percentile(stress, weight),
         }
 
-    def damage(self, cells: int) -> dict[str, Floats]:
+    def cell_fields(self, cells: int) -> dict[str, Floats]:
         """Mean damage a year of the cells of this rank by law (cells,), zero elsewhere."""
         fields: dict[str, Floats] = {}
         for name, own in self._found.items():

@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator
 
-from app.laws.values import Source
+from app.case.case import Case
+from app.laws.values import MEMORY, Source
 from app.schema.section import MAPPING, Kinds, Name, Pair, Section, fail
-from app.schema.units import Dimension, Modulus, Number, Plain, PositiveNumber, PositiveStress
+from app.schema.units import Dimension, Modulus, Number, Plain, PositiveNumber
 
-MEMORY = "from memory: check"
 SOME = AfterValidator(lambda entries: entries or fail("is empty; expected at least one"))
 Strength = Annotated[float, Dimension("MPa", "a stress", "26 MPa", at_least=0.0)]
 Volume = Annotated[float, Dimension("mm^3", "a volume", "1000 mm^3", above=0.0)]
@@ -38,20 +38,6 @@ _RISING = AfterValidator(
     lambda ends: ends if ends[0] < ends[1] else fail("its second stress is not above the first")
 )
 Measured = Annotated[tuple[Strength, Strength], Pair("[7 MPa, 25 MPa]"), _RISING]
-
-
-class InterfaceStrength(Section):
-    """Strength of an interface in tension and in shear."""
-
-    tension: PositiveStress
-    """Normal traction that it stands alone."""
-    shear: PositiveStress
-    """Shear traction that it stands alone."""
-
-    def index(self, pressure: Any, shear: Any) -> Any:
-        """Failure index, 1 where it fails; pressure negative in tension, and shear [MPa]."""
-        tension = -pressure * (pressure < 0)
-        return ((tension / self.tension) ** 2 + (shear / self.shear) ** 2) ** 0.5
 
 
 class FatigueLaw(Section):
@@ -145,3 +131,14 @@ class Fatigue(Section):
         range_ = most - least
         below = (1.0 - law.ratio) * (left * (left > 0)) + range_ * (1.0 + law.ratio) / 2 / strength
         return range_ / (below + (below == 0))
+
+
+def fatigue_of(case: Case) -> Fatigue | None:
+    """The section `fatigue` of a case."""
+    return case.added("fatigue", Fatigue)
+
+
+def weibull_of(case: Case) -> dict[str, Weibull]:
+    """Strengths by name of the regions that have one."""
+    strengths = {name: r.added("weibull", Weibull) for name, r in case.regions.items()}
+    return {name: law for name, law in strengths.items() if law is not None}

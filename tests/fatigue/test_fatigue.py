@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from app.case.case import load
+from app.fatigue import findings
+from app.fatigue.laws import Fatigue, Murphy, Power, Verdonschot, Weibull
+from app.fatigue.risk import NEAR, distance, tensions, turning_in
 from app.foundation.arrays import Floats
 from app.foundation.verdict import recorded
-from app.laws.failure import Fatigue, Murphy, Power, Verdonschot, Weibull
 from app.report import history
-from app.results import verdicts
-from app.results.cement_risk import NEAR, distance, tensions, turning_in
 from app.results.verdicts import notes_of
-from app.soundness import preview, well_posedness
+from app.soundness import doubts, preview
 from tests import support
 
 SPECTRUM = (support.CONFIGS / "verification/spectrum.yaml").read_text()
@@ -118,10 +118,10 @@ def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
     (told,) = (v.text for v in recorded(two) if v.where == "fatigue")
     assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: to rank" in told
-    assert not [n for n in well_posedness.doubts(case, two) if "measured" in n.text]
+    assert not [n for n in doubts.doubts(case, two) if "measured" in n.text]
     q = {"damage_p99": 0.5, "damage_p99_error": 0.3}
-    assert "lasts 1.2 to 5 years, over v and mesh" in verdicts.life({"v": q})
-    assert "0.91 to endless years" in verdicts.life({"v": q | {"damage_p99_error": 0.6}})
+    assert "lasts 1.2 to 5 years, over v and mesh" in findings.life({"v": q})
+    assert "0.91 to endless years" in findings.life({"v": q | {"damage_p99_error": 0.6}})
     # Over 5 MPa nothing is left at 6.6 MPa but the whole; the curve falls to zero behind it.
     volumes = [s["regions"]["bar"][f"volume_over_{p}_MPa"] for p in (3, 5, 7, 9, 11)]
     assert volumes == pytest.approx([16, 16, 0, 0, 0])
@@ -133,9 +133,9 @@ def test_growing_risk_is_told() -> None:
     told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
     q = {"failure_probability": 2e-3, "edge": {"failure_risk": 0.03, "failure_probability": 0.031}}
     q["neck"] = {"von_mises_max": 1.0}  # of a stem
-    line = verdicts._strength("a", q, told)
+    line = findings._strength("a", q, told)
     expected = (
         "0.2 %, 3.1 % at its edge (R grows from 0.001 at 2 mm to 0.003: it may have no limit)"
     )
     assert line.text.endswith(f"a breaks with a probability of {expected}")
-    assert line.tone == "doubtful" and not verdicts._strength("a", q, {}).tone
+    assert line.tone == "doubtful" and not findings._strength("a", q, {}).tone

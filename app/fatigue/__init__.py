@@ -1,0 +1,76 @@
+r"""Strength and fatigue of cement: failure at the largest flaw (Weibull), and damage of a year.
+
+.. math:: P = 1 - e^{-R}, \quad
+    R = \int \Big\langle \frac{σ_1 - σ_u}{σ_0} \Big\rangle^m \frac{dV}{V_0}, \qquad
+    D = \sum_i \frac{n_i}{N(s_i)}
+
+`laws` has the keys and the formulas, `risk` evaluates them on the stresses of a run, `findings` has
+what is refused, noted and found. The core does not know this package: importing it registers all.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.case.case import Case
+from app.case.quantities import RISK, STRESS, NumberSection, Quantity, add_quantity, add_section
+from app.fatigue import findings  # registers its checks
+from app.fatigue.laws import Fatigue, Weibull, fatigue_of, weibull_of
+from app.laws.materials import Elastic
+from app.results.records import Borders, add_record
+from app.schema.section import add_key
+
+if TYPE_CHECKING:
+    from app.fatigue.risk import CementRisk
+    from app.mechanics.problem import Problem
+
+__all__ = ["findings"]
+
+add_key(Case, "fatigue", Fatigue, "Damage by a spectrum of activities; by default none.")
+add_key(
+    Elastic,
+    "weibull",
+    Weibull,
+    "Strength of specimens, for the probability that the region fails.",
+)
+
+
+def _risk(case: Case, problem: Problem, borders: Borders | None) -> CementRisk | None:
+    """The record of a run, or None if nothing in its case tires or has a strength."""
+    if not (fatigue_of(case) or weibull_of(case)):
+        return None
+    from app.fatigue.risk import CementRisk  # starts MPI
+
+    return CementRisk(case, problem, borders)
+
+
+add_record("risk", _risk)
+add_quantity(
+    Quantity("regions", "failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
+    Quantity("regions", "failure_probability", "-", "%", order=RISK),
+)
+add_section(
+    NumberSection(
+        name="fatigue",
+        title="Fatigue: damage in a year",
+        columns={
+            "damage in a year": "",
+            "p99": "damage_p99",
+            "largest": "damage_max",
+            "stress p99": "stress_p99",
+        },
+        owners=lambda case: fatigue.laws if (fatigue := fatigue_of(case)) else (),
+        leads=True,
+    ),
+    Quantity(
+        "fatigue",
+        "damage_p99",
+        "1/year",
+        digits=4,
+        label="damage, p99",
+        order=RISK,
+        headline=True,
+    ),
+    Quantity("fatigue", "damage_max", "1/year", digits=4, label="damage, max", peak=True),
+    Quantity("fatigue", "stress_p99", "MPa", label="equivalent stress, p99", order=STRESS),
+)

@@ -1,0 +1,112 @@
+"""What is refused, noted and found about the strength and the fatigue of a case."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from app.case import quantities
+from app.case.case import Case
+from app.case.checks import check
+from app.fatigue.laws import fatigue_of
+from app.foundation.verdict import Severity, Verdict, note
+from app.results.verdicts import judge
+from app.schema.section import did_you_mean
+from app.schema.yaml_file import Fault
+from app.soundness.doubts import doubter
+from app.soundness.preview import from_memory, warner
+
+
+@check("fatigue", "stages")
+def _stages(case: Case) -> Iterable[Fault]:
+    """Activities that are no stages."""
+    fatigue = fatigue_of(case)
+    assert fatigue
+    names = [stage.name for stage in case.stages]
+    for name in fatigue.spectrum:
+        if name not in names:
+            text = f"'{name}' is not one of {', '.join(names)}{did_you_mean(name, names)}"
+            yield Fault(("fatigue", "spectrum", name), text)
+
+
+@check("fatigue", "regions")
+def _region(case: Case) -> Iterable[Fault]:
+    """Fatigue of a region that does not deform."""
+    fatigue = fatigue_of(case)
+    assert fatigue
+    regions = case.regions
+    elastic = [name for name, region in regions.items() if region and region.deforms]
+    if not elastic:
+        return
+    name = fatigue.region
+    invalid = name in regions and regions[name] is None
+    if name not in elastic and not invalid:
+        text = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
+
+
+@warner
+def _from_memory(case: Case) -> Iterable[Verdict]:
+    """S-N laws from memory."""
+    fatigue = fatigue_of(case)
+    for name, law in fatigue.laws.items() if fatigue else ():
+        yield from from_memory(f"fatigue.laws.{name}", law.source)
+
+
+@doubter
+def _beyond_measured(case: Case, numbers: Mapping[str, Any]) -> Iterable[Verdict]:
+    """S-N laws beyond the stresses in which they were measured."""
+    fatigue = fatigue_of(case)
+    for name, law in fatigue.laws.items() if fatigue else ():
+        if law.measured is None:
+            continue
+        stress = numbers["fatigue"][name]["stress_p99"]
+        low, high = law.measured
+        if not low <= stress <= high:
+            text = f"was measured at {low:g} to {high:g} MPa, and is used at {stress:.2g} MPa (p99)"
+            yield note(text, f"fatigue.laws.{name}")
+
+
+@judge
+def _life_and_strength(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+    """Life of the region that tires, and the probability that each region breaks."""
+    laws = summary.get("fatigue")
+    if laws:
+        yield Verdict(life(laws), "fatigue", severity=Severity.WARNING)
+    unsettled = summary.get("error", {}).get("unsettled", {})
+    for name, numbers in summary.get("regions", {}).items():
+        if "failure_risk" in numbers:
+            yield _strength(name, numbers, unsettled)
+
+
+def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
+    """Band of the life of a region, over laws and errors; no year without it."""
+    known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
+    most, least = max(d + e for d, e in known), min(d - e for d, e in known)
+    mesh = any("damage_p99_error" in q for q in laws.values())
+    text = f"over {', '.join(laws)}"
+    if mesh:
+        text += " and mesh"
+    if len(known) < 2 and not mesh:
+        return f"no year without a band ({text}): name another law, or --error"
+    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
+    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
+
+
+def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
+    """Probability that a region and its parts fail, and where it grows with every mesh."""
+    texts = []
+    severity = Severity.PLAIN
+    for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
+        own, key = q[part] if part else q, f"{name}_{part}" if part else name
+        text = f"{100 * own['failure_probability']:.2g} %"
+        if part:
+            text += f" at its {part}"
+        (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
+        if fine > coarse:
+            grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
+            text = f"{text} (R grows {grown}: it may have no limit)"
+            severity = Severity.WARNING
+        texts.append(text)
+    text = f"{name} breaks with a probability of {', '.join(texts)}"
+    return Verdict(text, "strength", severity=severity)

@@ -1,0 +1,55 @@
+"""Doubts about numbers of a solved case: strains that are not small, laws beyond their range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from app.case.case import Case
+from app.case.quantities import largest
+from app.foundation.verdict import Verdict, note
+
+# Strains beyond small-strain elasticity of any material.
+STRAIN = 0.05
+
+Doubt = Callable[[Case, Mapping[str, Any]], Iterable[Verdict]]
+# What other packages doubt of the numbers of a case.
+_DOUBTERS: list[Doubt] = []
+
+
+def doubter(function: Doubt) -> Doubt:
+    """Register a function of a case and its numbers (``summary.json``) that returns notes."""
+    _DOUBTERS.append(function)
+    return function
+
+
+def doubts(case: Case, numbers: Mapping[str, Any]) -> list[Verdict]:
+    """Return notes on results: strains that are not small, laws beyond their stresses."""
+    notes = [found for doubt in _DOUBTERS for found in doubt(case, numbers)]
+    for name, found in numbers["regions"].items():
+        creep = getattr(case.regions[name], "creep", None)
+        if "creep_strain_max" in found and case.mesh.order == 1:
+            notes.append(note("creeps and keeps its volume: linear cells lock", f"region '{name}'"))
+        low, high = (creep and creep.stresses) or (0.0, math.inf)
+        if "creep_strain_max" in found and not low <= found["von_mises_p99"] <= high:
+            text = (
+                f"creeps at {found['von_mises_p99']:.2g} MPa (von Mises p99), its law was measured "
+                f"from {low:g} to {high:g} MPa"
+            )
+            notes.append(note(text, f"region '{name}'"))
+        E = modulus(case.regions[name])
+        strain = largest(found, "von_mises_p99") / E if E else 0.0
+        if strain > STRAIN:
+            text = (
+                f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
+                "results are not valid there"
+            )
+            cure = "a modulus or a load in a wrong unit?"
+            notes.append(note(text, f"region '{name}'", cure))
+    return notes
+
+
+def modulus(region: Any) -> float:
+    """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
+    return float(min(getattr(region, "moduli", (0.0,))))
