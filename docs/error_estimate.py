@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mantle
+from app import rooms  # noqa: F401  (registers keys that cases have)
 from app.case.case import Case, load
 from app.case.quantities import MOTION, SLIP, STRESS, TABLE, TRACTION, numbers_of
 from app.results import error_estimate
