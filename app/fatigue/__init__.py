@@ -1,11 +1,7 @@
-r"""Strength and fatigue of cement: failure at the largest flaw (Weibull), and damage of a year.
-
-.. math:: P = 1 - e^{-R}, \quad
-    R = \int \Big\langle \frac{σ_1 - σ_u}{σ_0} \Big\rangle^m \frac{dV}{V_0}, \qquad
-    D = \sum_i \frac{n_i}{N(s_i)}
+"""Strength and fatigue of cement: failure at its largest flaw, and the damage of a year.
 
 `laws` has the keys and the formulas, `risk` evaluates them on the stresses of a run, `findings` has
-what is refused, noted and found. The core does not know this package: importing it registers all.
+what is refused, noted and found. Importing the package registers it; the core does not know it.
 """
 
 from __future__ import annotations
