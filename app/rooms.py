@@ -3,6 +3,6 @@
 Without its line, and without its folder, the core runs every case that has none of its keys.
 """
 
-from app import fatigue
+from app import fatigue, remodelling
 
-ROOMS = (fatigue,)
+ROOMS = (fatigue, remodelling)

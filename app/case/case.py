@@ -28,7 +28,6 @@ from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.motions import Motion
-from app.laws.remodelling import Remodelling
 from app.laws.supports import AnySupport
 from app.schema import section, yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text
@@ -82,8 +81,6 @@ class Case(Section):
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
     """The loading history."""
-    remodelling: Remodelling | None = None
-    """Response of bone to its load in the stages that remodel it."""
     time: TimeOptions | None = None
     """Division of stages that take time into steps; only if there is heat."""
     solver: SolverOptions = SolverOptions()

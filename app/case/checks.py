@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from app.case.quantities import ADDED, of_run
+from app.case.run_options import STAGE_KINDS
 from app.case.shapes import COMPANION, MOST_LINES
 from app.foundation.verdict import Reason
-from app.laws.densities import density
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
@@ -19,7 +19,6 @@ from app.schema.yaml_file import Fault, Path
 UNLIKE_COURSES = {
     "creep_cycles": "needs loads that stay",
     "creep_time": "needs loads that stay",
-    "remodels": "has load cases of its own",
     "fracture_step": "may turn the loads back",
 }
 
@@ -247,40 +246,6 @@ def _side(case: Any) -> Iterable[Fault]:
         yield Fault(("side",), text)
 
 
-@check("geometry")
-def _remodelling(case: Any) -> Iterable[Fault]:
-    """Stages without section and reverse; load cases and regions that remodelling lacks."""
-    law, stages = case.remodelling, case.stages or ()
-    timed = [i for i, stage in enumerate(stages) if stage.remodels]
-    if law is None:
-        for i in timed:
-            text = "how bone remodels is missing or wrong; expected a section `remodelling`"
-            yield Fault(("stages", i, "remodels"), text)
-        return
-    if stages and not timed:
-        yield Fault(("stages",), "nothing remodels; expected `remodels: 2 years` in some stage")
-    before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
-    for j, name in enumerate(law.load_cases):
-        if stages and name not in before:
-            text = f"'{name}' is no stage before; expected one of {', '.join(before)}"
-            yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
-    regions, tissues = case.regions or {}, case.geometry.tissues
-    bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
-    for name in law.regions or bone:
-        region = regions.get(name)
-        cures = getattr(getattr(region, "thermal", None), "cure", None)
-        if not (region and region.deforms) or region.eigenstrains or cures:
-            text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
-            yield Fault(("remodelling", "regions"), text)
-        elif not region.image:
-            E, (low, high) = getattr(region, "youngs_modulus", None), law.density
-            moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
-            for rho in density(law.law, moduli):
-                if not low <= rho <= high:
-                    text = f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {low:g} to {high:g}"
-                    yield Fault(("regions", name), text)
-
-
 @check("regions")
 def _creep(case: Any) -> Iterable[Fault]:
     """Stages of creep where no region creeps, or where a law counts in another measure."""
@@ -341,7 +306,8 @@ def _sliding(case: Any) -> Iterable[Fault]:
         text += " it, for the courses: their mean heat then flows in this one"
         yield Fault(("stages", len(stages) - 1, last), text)
     through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
-    for key, why in UNLIKE_COURSES.items() if courses and stages else ():
+    unlike = UNLIKE_COURSES | {kind.key: kind.courses for kind in STAGE_KINDS}
+    for key, why in unlike.items() if courses and stages else ():
         if getattr(stages[through], key):
             text = f"{why}, and courses run through this stage, the last that takes no time"
             yield Fault(("stages", through, key), f"{text}; expected an earlier one")

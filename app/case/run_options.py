@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
@@ -10,7 +12,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_vali
 from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
 from app.schema import units
-from app.schema.section import MAPPING, Name, Section, Truth, fail, show
+from app.schema.section import MAPPING, Name, Section, Truth, add_key, fail, show
 
 
 class Stage(Section):
@@ -41,10 +43,6 @@ class Stage(Section):
     nothing returns, and `increments` are those of a cycle."""
     valley: units.Share = 0.1
     """Part of the change of the stage that remains between two cycles."""
-    remodels: units.PositiveTime | None = None
-    """Time in which bone remodels under the load cases of `remodelling`. Its steps are chosen by
-    their error. Fields are written at the end of each of `increments` equal parts."""
-
     creep_cycles: units.PositiveNumber | None = None
     """Number of cycles for which regions creep, at the loads of the end of the stage, their peak.
     Loads are applied first, in `increments` and without creep. Temperatures stay."""
@@ -70,18 +68,24 @@ class Stage(Section):
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
             fail("a steady stage takes no `duration`", at=("duration",))
-        if self.cycles > 1 and (self.takes_time or self.remodels):
+        if self.cycles > 1 and (self.takes_time or self.other):
             fail("a stage that takes time has no cycles", at=("cycles",))
         if self.fracture_step and self.takes_time:
             fail("loads of a stage that takes time follow it", at=("fracture_step",))
-        if self.takes_time and self.remodels:
-            fail("takes the time of heat; expected no `duration`, no `steady`", at=("remodels",))
+        if self.takes_time and self.other:
+            text = "takes the time of heat; expected no `duration`, no `steady`"
+            fail(text, at=(self.other.key,))
         if self.creep_cycles and self.creep_time:
             fail("creep is in cycles or in time; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
             text = "the loads of a stage that creeps stay; expected no duration, steady or cycles"
             fail(text, at=(self.creep_key,))
         return self
+
+    @property
+    def other(self) -> StageKind | None:
+        """The kind of the stage if another package steps through it."""
+        return next((kind for kind in STAGE_KINDS if self.added(kind.key, float)), None)
 
     @property
     def creep_key(self) -> str:
@@ -126,6 +130,44 @@ class Stage(Section):
     def takes_time(self) -> bool:
         """Return True if heat flows in the stage."""
         return self.steady or self.duration is not None
+
+
+@dataclass(frozen=True)
+class StageKind:
+    """Stages that another package steps through, at loads that stay: those that have its key.
+
+    `simulation.steppers.add_stepper` registers what steps through them.
+
+    Attributes:
+        key: Key of a stage, whose value is the time that it takes [s].
+        doc: Its text in the manual.
+        courses: Why courses cannot run through such a stage.
+        loads: Returns the name of the stage of a case at whose end its loads are.
+        solves: Returns about how many solves such a stage of a case needs.
+    """
+
+    key: str
+    doc: str
+    courses: str
+    loads: Callable[[Any], str]
+    solves: Callable[[Any], int]
+
+    def seconds(self, stage: Stage) -> float:
+        """Time that a stage of this kind takes [s]."""
+        return stage.added(self.key, float) or 0.0
+
+
+STAGE_KINDS: list[StageKind] = []
+
+
+def add_stage_kind(kind: StageKind) -> None:
+    """Let another package step through stages with a key of its own.
+
+    Raises:
+        ValueError: A stage has the key.
+    """
+    add_key(Stage, kind.key, units.PositiveTime, kind.doc)
+    STAGE_KINDS.append(kind)
 
 
 def _petsc(value: dict[str, Any]) -> object:

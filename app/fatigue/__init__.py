@@ -13,12 +13,11 @@ from app.case.quantities import RISK, STRESS, NumberSection, Quantity, add_quant
 from app.fatigue import findings  # registers its checks
 from app.fatigue.laws import Fatigue, Weibull, fatigue_of, weibull_of
 from app.laws.materials import Elastic
-from app.results.records import Borders, add_record
+from app.results.records import Followed, add_record
 from app.schema.section import add_key
 
 if TYPE_CHECKING:
     from app.fatigue.risk import CementRisk
-    from app.mechanics.problem import Problem
 
 __all__ = ["findings"]
 
@@ -31,13 +30,14 @@ add_key(
 )
 
 
-def _risk(case: Case, problem: Problem, borders: Borders | None) -> CementRisk | None:
+def _risk(case: Case, mechanics: Followed) -> CementRisk | None:
     """The record of a run, or None if nothing in its case tires or has a strength."""
     if not (fatigue_of(case) or weibull_of(case)):
         return None
     from app.fatigue.risk import CementRisk  # starts MPI
 
-    return CementRisk(case, problem, borders)
+    zones = mechanics.zones
+    return CementRisk(case, mechanics.problem, zones.borders if zones else None)
 
 
 add_record("risk", _risk)

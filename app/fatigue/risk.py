@@ -29,7 +29,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
-from app.results.records import Borders
+from app.results.records import Borders, Record
 from app.results.stresses import Stresses
 from app.stepping.load_steps import LoadStep, OnStep
 from meshes.distribute import TaggedMesh
@@ -43,7 +43,7 @@ CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 EDGES = np.array([(*e, *({0, 1, 2, 3} - {*e})) for e in combinations(range(4), 2)])
 
 
-class CementRisk:
+class CementRisk(Record):
     """Weibull's risk of regions, and the damage of one; made collectively.
 
     Args:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Tag, model_validator
@@ -98,6 +99,19 @@ def density(law: str | DensityLaw, modulus: Any) -> Any:
     start, a, b, c = np.transpose(table_of(law)[1])
     k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST) ** c, modulus) - 1, 0)
     return ((modulus - a[k]) / b[k]) ** (1 / c[k])
+
+
+@dataclass(frozen=True)
+class ChangingDensity:
+    """Density of a region that another package changes in a run; its moduli all follow it alike.
+
+    Attributes:
+        law: Modulus by density.
+        bounds: Least and largest density [g/cm3].
+    """
+
+    law: str | DensityLaw
+    bounds: tuple[float, float]
 
 
 class ImageModulus(Section):

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from app.laws.creep import Creep
-from app.laws.densities import ImageModulus
+from app.laws.densities import ChangingDensity, ImageModulus
 from app.laws.fibres import Fibre, FibreDirection
-from app.laws.remodelling import Remodelling
 from app.laws.thermal import Thermal
 from app.laws.values import History, OfRegion, Source, Status, Table, rising
 from app.schema.section import ITEMS, TAG, Kinds, Pair, Section, Text, fail, show
@@ -132,8 +131,8 @@ class Elastic(Material):
     """Strains without stress; they add up."""
     # Where points of the model are in the image that gives the stiffness.
     _places: Any = None
-    # How the region remodels, if it does.
-    _remodelling: Remodelling | None = None
+    # The density that its stiffness follows, if it changes in a run.
+    _density: ChangingDensity | None = None
 
     @property
     def moduli(self) -> tuple[float, ...]:
@@ -156,7 +155,7 @@ class Elastic(Material):
     @property
     def varies(self) -> bool:
         """Whether the stiffness depends on the place."""
-        return self._remodelling is not None
+        return self._density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """Stiffness by the case at points (n, 3) [mm] over that of `coefficients` (n,)."""
@@ -229,7 +228,7 @@ class Isotropic(Elastic):
     @property
     def varies(self) -> bool:
         """Whether Young's modulus is a table or from an image."""
-        return not isinstance(self.youngs_modulus, float) or self._remodelling is not None
+        return not isinstance(self.youngs_modulus, float) or self._density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""

@@ -133,8 +133,9 @@ class BodyForms:
         springs: Stiffness of each elastic foundation.
         swelling: Thermal strain of each expanding elastic region, at the vertices [-].
         growth: Modulus of each curing region over its final one, at the vertices [-].
-        remodels: Regions that remodel.
-        density, density_at_start: At all vertices of this rank, ghosts too (n, r) [g/cm3].
+        by_density: Regions whose stiffness follows a density that changes.
+        density, density_at_start: That density at all vertices of this rank, ghosts too
+            (n, r) [g/cm3].
         history: Regions whose stress is history.
         history_degree: Degree of its quadrature. Creep needs positive weights and no more points
             than stresses that a cell can have: more would lock, as its volume stays the same.
@@ -156,10 +157,13 @@ class BodyForms:
         self._tags = cell_tags(tagged)
         self._surface = SurfaceMeasure(tagged, bodies, scene.loaded_boundaries)
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
-        bone = [e for e in scene.elastic if e._remodelling]
-        self.remodels = tuple(e.region for e in bone)
-        self.density_at_start: Any = np.array([self._density(e) for e in bone]).T if bone else None
-        self.density: Any = self.density_at_start.copy() if bone else None
+        changing = [e for e in scene.elastic if e._density]
+        self.by_density = tuple(e.region for e in changing)
+        self.density_at_start: Any = None
+        self.density: Any = None
+        if changing:
+            self.density_at_start = np.array([self._density(e) for e in changing]).T
+            self.density = self.density_at_start.copy()
         self._relative = {e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies}
         self.springs = [self.constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
@@ -232,9 +236,11 @@ class BodyForms:
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
-        law = e._remodelling
-        if law:
-            values = modulus(law.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
+        changing = e._density
+        if changing:
+            values = (
+                modulus(changing.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
+            )
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)
@@ -242,10 +248,10 @@ class BodyForms:
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
-        law: Any = e._remodelling
+        changing: Any = e._density
         x = self.scalars.tabulate_dof_coordinates()
         E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
-        return np.asarray(np.clip(density(law.law, E), *law.density))
+        return np.asarray(np.clip(density(changing.law, E), *changing.bounds))
 
     def vertices(self, region: str) -> NDArray[np.int32]:
         """Vertices of a region's own cells (cells, 4), as numbered in `scalars`."""
@@ -261,13 +267,13 @@ class BodyForms:
 
     def density_at(self, region: str, points: Floats, density: Floats) -> Floats:
         """A density at the vertices (n, r) at points of a region's own cells (cells, points)."""
-        own = density[:, self.remodels.index(region)]
+        own = density[:, self.by_density.index(region)]
         return np.asarray(own[self.vertices(region)] @ hats(points).T)
 
     def follow_density(self) -> None:
-        """Set the moduli of regions that remodel to those of their densities; collective."""
+        """Set the moduli that follow densities to those of them; collective."""
         for e in self.scene.elastic:
-            if e._remodelling:
+            if e._density:
                 self._relative_stiffness(e, self._relative[e.region])
 
     def _relative_stiffness(self, e: Elastic, g: fem.Function | None = None) -> fem.Function:
@@ -296,7 +302,7 @@ class BodyForms:
         return own(degree=self._degree(e)) if varies else own
 
     def _degree(self, e: Elastic) -> int:
-        by_density = e.image or e._remodelling
+        by_density = e.image or e._density
         return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:

@@ -9,8 +9,8 @@ has interfaces. `Problem.residual` is the sum of all terms,
 with
 
 - K, C, D: the elastic energy of the bodies (`BodyForms.body_energy`), its derivatives by u and q
-  (`Stiffness.K`, `JumpCoupling.C`, `JumpCoupling.D`). They change when a region sets or remodels
-  (`update_stiffness`, `follow_density`) or when supports do (`set_stage`).
+  (`Stiffness.K`, `JumpCoupling.C`, `JumpCoupling.D`). They change when a region sets or its density
+  changes (`update_stiffness`, `follow_density`) or when supports do (`set_stage`).
 - f, f_q: the forces on u and q (`Forces.at`, by `set_time`): work of the loads (`Load.work`),
   eigenstrains, thermal expansion (`set_temperature`, `ThermalStrain`), and the stress history of
   regions that set or creep (`update_stiffness`, `StressHistory`).
@@ -247,8 +247,8 @@ class Problem:
         self.set_time(self.time)
 
     def follow_density(self) -> None:
-        """Update moduli and matrices where regions remodel; collective."""
-        if self.mechanics.remodels:
+        """Update moduli and matrices where densities change; collective."""
+        if self.mechanics.by_density:
             self.mechanics.follow_density()
             if self.thermal_strain:
                 self.thermal_strain.assemble()

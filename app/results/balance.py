@@ -63,7 +63,7 @@ class Balance:
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
     forces. Regions that set or creep have no stored energy: the work of their stress in their
     strain, also trapezoidal, takes the place of stored energy and of the work of free strain. So it
-    does in all regions where bone remodels: what is stored changes with its stiffness too.
+    does in all regions where the density of one changes: what is stored changes with its stiffness too.
 
     Args:
         about: Point that moments are taken about (3,) [mm].
@@ -98,7 +98,7 @@ class Balance:
             for region, free in mechanics.swelling.items()
             if region not in mechanics.history
         ]
-        if mechanics.remodels:
+        if mechanics.by_density:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
@@ -150,7 +150,7 @@ class Balance:
             moved = ((f.array_r, displacements[b].x.array) for b, f in elastic)
             energy = sum(float(f @ v[: len(f)]) for f, v in moved) / 2
         inner = problem.forces.action([*elastic, *setting])
-        if problem.mechanics.remodels:
+        if problem.mechanics.by_density:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)

@@ -249,9 +249,9 @@ class MechanicalFields:
         return point
 
     def _cell(self, σ: Floats) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies [MPa], density of bone, and of records."""
+        """Mean stress, Young's modulus where it varies [MPa], density that changes, and of records."""
         cells, s, m = len(σ), self._stresses, self._problem.mechanics
-        density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.remodels}
+        density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.by_density}
         fields = _named(σ)
         for record in self._records:
             fields |= record.cell_fields(cells)

@@ -217,17 +217,19 @@ def by_zone(
     elastic = {e.region for e in problem.scene.elastic} - problem.mechanics.history
     regions = [r for r in zones.regions if r in elastic]
     sums = {
-        r: _integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0) for r in regions
+        r: zone_integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0)
+        for r in regions
     }
     result: dict[str, Zone] = {}
-    changes = bone_change(problem, stresses, zones)
     for zone in zones.numbers:
         volumes = {r: float(volume[zone]) for r, (_, volume) in sums.items()}
         volumes = {r: v for r, v in volumes.items() if v > LEAST * sum(volumes.values())}
         density = {r: float(sums[r][0][zone]) / v for r, v in volumes.items()}
-        numbers = {"strain_energy_density": density, "volume": volumes, "interfaces": {}}
-        change = {"bone_mass_change": changes[zone]} if changes[zone] else {}
-        result[str(zone)] = numbers | change
+        result[str(zone)] = {
+            "strain_energy_density": density,
+            "volume": volumes,
+            "interfaces": {},
+        }
     if samples is not None:
         where = zones.at(samples.x)
         for i, contact in enumerate(problem.scene.contacts):
@@ -238,20 +240,7 @@ def by_zone(
     return result
 
 
-def bone_change(problem: Problem, stresses: Stresses, zones: Zones) -> dict[int, dict[str, float]]:
-    """Relative change of the mass of bone since the start by zone, of ``all`` and by region."""
-    m, mass = problem.mechanics, []
-    for density in (m.density_at_start, m.density) if m.remodels else ():
-        at = {r: m.density_at(r, stresses.points[r], density) for r in m.remodels}
-        mass.append([_integrals(problem, stresses, r, zones, rho)[0] for r, rho in at.items()])
-    rows = [("all", *map(sum, mass)), *zip(m.remodels, *mass, strict=True)] if mass else []
-    return {
-        z: {name: float(after[z] / before[z] - 1) for name, before, after in rows if before[z]}
-        for z in zones.numbers
-    }
-
-
-def _integrals(
+def zone_integrals(
     problem: Problem, stresses: Stresses, region: str, zones: Zones, *densities: Any
 ) -> Floats:
     """Integrals of densities (cells, points) over the zones in a region, zone 0 outside of all.

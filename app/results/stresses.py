@@ -79,9 +79,9 @@ class Stresses:
                 self._own[e.region] = self._expression(mechanics.elastic_strain(e, displacement))
 
     def follow_density(self, every: bool = False) -> None:
-        """Update the stiffness of regions that remodel, or of `every` one that varies."""
+        """Update the stiffness that follows a density, or of `every` region where it varies."""
         for e in self._problem.scene.elastic:
-            if e.varies and (every or e._remodelling):
+            if e.varies and (every or e._density):
                 points = self.points[e.region]
                 self._relative[e.region] = self._problem.mechanics.relative_stiffness(e, points)
 

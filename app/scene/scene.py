@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -23,13 +23,13 @@ from app.foundation.arrays import Field, Floats
 from app.laws.courses import Course
 from app.laws.creep import Creep
 from app.laws.cure import Cure
+from app.laws.densities import ChangingDensity
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.loads import Load
 from app.laws.materials import Elastic, Rigid
 from app.laws.motions import Motion
-from app.laws.remodelling import Remodelling
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
 from app.laws.values import amplitude, field
@@ -82,6 +82,8 @@ class Scene:
         coupled: Whether heat depends on contact, so that both are solved together.
         motions: Regions that turn as they are told.
         period: Time that a cycle of courses takes, 0 without [s].
+        loads_of: For stages that another package steps through: the stage at whose end their loads
+            are.
     """
 
     order: int
@@ -99,13 +101,13 @@ class Scene:
     sliding_heat: tuple[Interface, ...] = ()
     expansions: tuple[Thermal, ...] = ()
     cures: tuple[Cure, ...] = ()
-    remodelling: Remodelling | None = None
     creeps: tuple[Creep, ...] = ()
     time: TimeOptions | None = None
     coupled: bool = False
     bonds: tuple[Interface, ...] = ()
     motions: tuple[Motion, ...] = ()
     period: float = 0.0
+    loads_of: Mapping[int, int] = dataclasses.field(default_factory=dict)
 
     @property
     def moduli(self) -> dict[str, float]:
@@ -116,13 +118,7 @@ class Scene:
     @property
     def stiffens(self) -> bool:
         """Whether the stiffness changes from solve to solve."""
-        return bool(self.cures or self.remodelling)
-
-    @property
-    def load_cases(self) -> list[int]:
-        """Stages that are the load cases of remodelling."""
-        names = [stage.name for stage in self.stages]
-        return [names.index(n) for n in self.remodelling.load_cases] if self.remodelling else []
+        return bool(self.cures) or any(e._density for e in self.elastic)
 
     def holds(self, support: Support, stage: int) -> bool:
         """Whether a support is active in a stage."""
@@ -137,11 +133,11 @@ class Scene:
     def load_time(self, time: float) -> float:
         """Time without cycles, at which the histories of loads have their value of a time.
 
-        In a stage that remodels bone it is the end of the last load case.
+        Loads of a stage that another package steps through stay as they were (`loads_of`).
         """
         k = max(math.ceil(time) - 1, 0)
-        if self.remodelling and self.stages[k].remodels:
-            return float(self.load_cases[-1] + 1)
+        if k in self.loads_of:
+            return float(self.loads_of[k] + 1)
         return k + self.stages[k].reached(time - k)
 
     def is_rigid(self, interface: Interface) -> bool:
@@ -178,15 +174,29 @@ class Scene:
         return k + (math.ceil((time - k) * ways - 1e-9) - 1) / ways
 
 
+Densities = Callable[[Case], Mapping[str, ChangingDensity]]
+# What other packages change of densities of regions.
+_DENSITIES: list[Densities] = []
+
+
+def by_density(function: Densities) -> Densities:
+    """Register a function of a case: its regions whose stiffness follows a density that changes.
+
+    `mechanics.body_forms.BodyForms.density` is that density, `Problem.follow_density` follows it.
+    """
+    _DENSITIES.append(function)
+    return function
+
+
 def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
     elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
-    law = case.remodelling
+    changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
     for e in elastic:
         e._places = case.geometry.in_image
-        if law and e.region in (law.regions or case.of_tissue("bone")):
-            e._remodelling = law
+        e._density = changing.get(e.region)
+    names = [stage.name for stage in case.stages]
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [
@@ -219,13 +229,17 @@ def build_scene(case: Case) -> Scene:
         or any(i.law.conductances[1] > 0 for i in jumps),
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
-        remodelling=law,
         creeps=tuple(
             creep.named(e.region)
             for e in elastic
             if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in case.stages)
         ),
         time=case.time,
+        loads_of={
+            k: names.index(stage.other.loads(case))
+            for k, stage in enumerate(case.stages)
+            if stage.other
+        },
     )
 
 

@@ -30,7 +30,7 @@ from app.schema.yaml_file import Fault, Path
 
 # Marks, in the location of a pydantic error, an entry that names a class and not a key.
 TAG = "="
-S = TypeVar("S", bound="Section")
+T = TypeVar("T")
 VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
 
 
@@ -53,7 +53,7 @@ class Section(BaseModel):
         """Hash of class and fields."""
         return hash((type(self), *(getattr(self, key) for key in type(self).model_fields)))
 
-    def added(self, name: str, kind: type[S]) -> S | None:
+    def added(self, name: str, kind: type[T]) -> T | None:
         """The value of a key that another package added with `add_key`; None without the key."""
         value = getattr(self, name) if name in type(self).model_fields else None
         assert value is None or isinstance(value, kind)
@@ -335,7 +335,16 @@ class Extensible(Section):
             renew()
 
 
-def add_key(to: type[Section], name: str, kind: type[Section], doc: str) -> None:
+# Keys that packages added, by section.
+_ADDED: dict[type[Section], list[str]] = {}
+
+
+def added_keys(section: type[Section]) -> tuple[str, ...]:
+    """Keys that packages added to a section by `add_key`."""
+    return tuple(_ADDED.get(section, ()))
+
+
+def add_key(to: type[Section], name: str, kind: Any, doc: str) -> None:
     """Add an optional key, None by default, to a section and to those derived from it.
 
     `Section.added` reads it.
@@ -343,7 +352,7 @@ def add_key(to: type[Section], name: str, kind: type[Section], doc: str) -> None
     Args:
         to: The section.
         name: The key.
-        kind: Section that is its value.
+        kind: Type of its value: a section, or a value with its unit.
         doc: Its text in the manual.
 
     Raises:
@@ -353,12 +362,13 @@ def add_key(to: type[Section], name: str, kind: type[Section], doc: str) -> None
         raise ValueError(f"{to.__name__} has a key '{name}' already")
     for section in (to, *_derived(to)):
         section.model_fields[name] = FieldInfo(
-            annotation=kind | None,  # type: ignore[arg-type]
+            annotation=kind | None,
             default=None,
             description=doc,
         )
         if section.__pydantic_complete__:
             section.model_rebuild(force=True)
+    _ADDED.setdefault(to, []).append(name)
     for renew in RENEWALS:
         renew()
 

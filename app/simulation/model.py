@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 import meshes
 from app.case.case import Case
-from app.foundation.arrays import Floats
 from app.foundation.errors import on_root
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
@@ -32,11 +31,11 @@ from app.results.bond_forces import BondForces
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples
-from app.results.records import Record, records
+from app.results.records import Record, merge, records
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
 from app.scene.scene import Scene, Stage, build_scene
-from app.simulation.intact_femur import carried, intact_case
+from app.simulation.steppers import steppers
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
@@ -46,8 +45,7 @@ from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from app.stepping.remodelling import Remodeller
-from app.stepping.stages import run_stages
+from app.stepping.stages import StageStepper, run_stages
 from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
@@ -142,6 +140,8 @@ class Model:
         runs: Number of runs that may follow on the same matrices, this one included.
 
     Attributes:
+        case: Its case.
+        records: What other packages follow in its mechanics, by name.
         mesh_hash: Digest of the mesh.
         parts: Connected pieces of the mesh, on rank 0.
         notes: Warnings about the case on its mesh.
@@ -162,7 +162,7 @@ class Model:
         runs: int = 1,
     ) -> None:
         self._runs = runs
-        self._case, self._timing = case, timing
+        self.case, self._timing = case, timing
         self.options, self.stop = options, stop
         # Shared by all models that follow one another.
         self._others: list[Model] = reuse._others if reuse is not None else []
@@ -174,17 +174,16 @@ class Model:
             self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
-            self.remodeller: Remodeller | None = None
             self.mechanics = self._mechanics()
             self.records = self._records()
             self.thermal = self._heat()
-        self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
+        self._others[:] = [m for m in self._others if not self.deforms_like(m.case)] + [self]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
         """The mesh, its digest, and its connected pieces on rank 0; collective."""
-        case = self._case
+        case = self.case
         for model in self._others:
-            if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
+            if (model.case.geometry, model.case.mesh) == (case.geometry, case.mesh):
                 return model.tagged, model.mesh_hash, model.parts
         cache = folders.cache("meshes")
         data = on_root(comm, lambda: meshes.build(case.geometry, case.mesh, cache), share=False)
@@ -196,10 +195,10 @@ class Model:
 
     def deforms_like(self, case: Case) -> bool:
         """Whether a case differs from this one in loads and laws alone."""
-        return _matrices(self._case) == _matrices(case)
+        return _matrices(self.case) == _matrices(case)
 
     def _solver(self, system: System) -> Solver:
-        s = self._case.solver
+        s = self.case.solver
         options = dict(s.petsc) | self.options
         limits = s.tolerance, s.max_iterations
         return Solver(system, *limits, s.linear, options, self._timing, self.stop)
@@ -207,17 +206,16 @@ class Model:
     def _mechanics(self) -> Mechanical | None:
         if not self.scene.elastic:
             return None
-        case, like = self._case, None
-        changes = self.scene.cures or self.scene.remodelling
-        for model in self._others if not changes else ():
+        case, like = self.case, None
+        for model in self._others if not self.scene.stiffens else ():
             m = model.mechanics
-            if m is None or m.problem.mechanics.remodels:
+            if m is None or m.problem.mechanics.by_density:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
                 m.bearings = bearings(m.problem, case)
                 return m
-            same = _stiffness(model._case) == _stiffness(case)
+            same = _stiffness(model.case) == _stiffness(case)
             if same and all(support.stages is None for support in self.scene.supports):
                 like = like or m.problem
         factor, timing = case.solver.augmentation_factor, self._timing
@@ -230,7 +228,7 @@ class Model:
         m = self.mechanics
         if m is None:
             return {}
-        return records(self._case, m.problem, m.zones.borders if m.zones else None)
+        return records(self.case, m)
 
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
@@ -241,7 +239,7 @@ class Model:
         if self.scene.coupled and m is not None:
             coupled = CoupledSystem(self.scene, heat, m.problem, m.solver.blocks())
         state = HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
-        return ThermalModel(self._case, state, m.problem if m else None)
+        return ThermalModel(self.case, state, m.problem if m else None)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -258,7 +256,7 @@ class Model:
             )
         t = self.thermal
         if t:
-            groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
+            groups.append(HeatFields(t.heating, t.record, self.case.geometry.interface_sides))
         return groups
 
     def go(
@@ -312,13 +310,15 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
-        if load_stepper and m and self.scene.remodelling:
-            self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
-        steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
-        steps = self.remodeller
-        run_stages(self.scene.stages, *steppers, begin, checkpoint_point, resume(), steps)
+        stages = self.scene.stages
+        others: dict[str, StageStepper] = {}
+        if load_stepper:
+            others = steppers(stages, self, load_stepper)
+        self._steppers = load_stepper, heat_stepper, creep_stepper
+        self._other_steppers = others
+        run_stages(stages, *self._steppers, begin, checkpoint_point, resume(), others)
         total = Summary()
-        for part in steppers[:2]:
+        for part in self._steppers[:2]:
             if part is not None:
                 total.add(part.total)
         return total
@@ -326,35 +326,28 @@ class Model:
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
         load_stepper, heat_stepper, creep_stepper = self._steppers
-        return dict(self.records) | {
+        parts = dict(self.records) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
             "creep_stepper": creep_stepper,
-            "remodeller": self.remodeller,
         }
+        return parts | {f"stepper of {key}": own for key, own in self._other_steppers.items()}
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
         """States of earlier models and, for large models, a start from a cheaper one."""
         if m.problem.contact is None or self.scene.conductors or m.solver.linear.exact:
             return (m.neighbours,)
-        case = cheaper(self._case, sum(m.solver.block_sizes.values()))
+        case = cheaper(self.case, sum(m.solver.block_sizes.values()))
         if case is None:
             return (m.neighbours,)
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
-    def _intact(self) -> Floats | None:
-        """Stimulus of the intact femur (n, r) [J/g], if it is asked for; collective."""
-        law, m = self.scene.remodelling, self.mechanics
-        if not (law and law.intact and m):
-            return None
-        forms, timing = m.problem.mechanics, self._timing.of("intact femur")
-        case, comm = intact_case(self._case, forms.remodels), self.tagged.mesh.comm
-        other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
-        assert other is not None
-        loads = LoadStepper(other.problem, other.solver, _nothing, _nothing)
-        return carried(Remodeller(loads, other.stresses, _nothing), forms)
+    def apart(self, case: Case, what: str) -> Model:
+        """A model of another case that shares nothing with this one, timed as ``what``."""
+        comm, timing = self.tagged.mesh.comm, self._timing.of(what)
+        return Model(case, comm, self.options, timing, self.stop, judged=False)
 
     def _cheaper(self, case: Case) -> LoadStepper:
         other = self._other(case, self._timing.of("cheaper model"))
@@ -386,24 +379,21 @@ class Model:
             creep = m.problem.creep
             if creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
-            for record in self.records.values():
-                for section, owners in record.numbers().items():
-                    for owner, added in owners.items():
-                        numbers.setdefault(section, {}).setdefault(owner, {}).update(added)
-            numbers["stem"] = m.stem(self._case.side)
-            found = of_femur(m.problem, self._case)
+            numbers["stem"] = m.stem(self.case.side)
+            found = of_femur(m.problem, self.case)
             if found:
                 numbers["femur"] = found
-            if self.remodeller:
-                numbers["remodelling"] = self.remodeller.summary()
         t = self.thermal
         if t:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             if t.cure:
                 numbers["cure"] = t.cure.summary()
+        numbers |= self._places(samples)
+        for record in self.records.values():
+            merge(numbers, record.numbers())
         return numbers
 
-    def places(self, samples: ContactSamples | None) -> dict[str, Any]:
+    def _places(self, samples: ContactSamples | None) -> dict[str, Any]:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
@@ -427,7 +417,7 @@ class Model:
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
         samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
-        return other.numbers(samples) | other.places(samples)
+        return other.numbers(samples)
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:

@@ -22,7 +22,6 @@ from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.cycles import Cycles
-from app.results.hip import bone_change
 from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
@@ -164,12 +163,8 @@ class Recorder:
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
             self._mechanical = self._row_of(step, balance)
             self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
-            r = self._model.remodeller
-            if r:
-                self._mechanical |= {"remodelled [s]": r.seconds, "bone mass [g]": r.present}
-                zones = bone_change(m.problem, m.stresses, m.zones) if m.zones else {}
-                changes = {f"zone {z} bone mass change [-]": v["all"] for z, v in zones.items()}
-                self._mechanical |= changes
+            for record in self._model.records.values():
+                self._mechanical |= record.history()
             self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:
@@ -285,7 +280,7 @@ class Recorder:
         balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
-            numbers = model.numbers(self.samples) | model.places(self.samples)
+            numbers = model.numbers(self.samples)
             cycles = self._cycles.summary()
             changes = {name: b.change() for name, b in m.bearings.items()} if m else {}
             change = {name: numbers for name, numbers in changes.items() if numbers}

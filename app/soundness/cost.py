@@ -50,8 +50,6 @@ HEAT_STEPS = 35
 SETTING_STEPS = 95
 # Solves of a stage that creeps.
 CREEP = 150
-# Solves of a stage that remodels bone, for each load case.
-REMODELLING = 60
 # Factor of a run with errors.
 WITH_ERRORS = 1.25
 # Factor of a run with heat and errors.
@@ -226,9 +224,7 @@ def solves(case: Case) -> tuple[int, int]:
         number = stage.increments * stage.ways
         steps += 0 if stage.duration else number * scene.turns(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
-    law = case.remodelling
-    if law:
-        steps += REMODELLING * len(law.load_cases) * sum(1 for s in case.stages if s.remodels)
+    steps += sum(stage.other.solves(case) for stage in case.stages if stage.other)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the first step tells the others
     return steps, moments

@@ -18,7 +18,7 @@ from app.foundation.verdict import Verdict, note
 from app.laws.courses import ROTATIONS
 from app.laws.values import MEMORY
 from app.scene.scene import build_scene
-from app.schema.section import Section
+from app.schema.section import Section, added_keys
 from app.soundness.cost import solid
 from app.system.layout import plain
 
@@ -76,8 +76,10 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, build_scene(case).stages)]
-    if case.remodelling:
-        lines += ["remodelling", *_entries(case.remodelling, given.get("remodelling"))]
+    for key in added_keys(type(case)):
+        section = case.added(key, Section)
+        if section:
+            lines += [key, *_entries(section, given.get(key))]
     if case.time is not None:
         lines += ["time", *_entries(case.time, given.get("time"))]
     if case.output.probes:
@@ -90,7 +92,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
 
 
 def _stage(stage: Stage) -> str:
-    seconds = stage.seconds or stage.remodels
+    seconds = stage.other.seconds(stage) if stage.other else stage.seconds
     time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
     each = "cycle" if stage.ways == stage.cycles else "way"
@@ -270,12 +272,6 @@ def warnings(case: Case) -> list[Verdict]:
             notes.append(note(text, f"motions.{name}.rotation.course"))
     for name, region in case.regions.items():
         notes += from_memory(f"regions.{name}", region.source)
-    if case.remodelling and not case.remodelling.lazy_zone:
-        text = (
-            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus "
-            "rises faster than the density, and results depend on the mesh"
-        )
-        notes.append(note(text))
     notes += _without_effect(case)
     notes += _open_conductances(case)
     notes += _proud(case)

@@ -1,6 +1,6 @@
 """The loop over steps: try one, cut it back or let the next one grow, commit, save.
 
-Loads, steps of given energy, heat, creep and remodelling are steppers; each has a control that
+Loads, steps of given energy, heat and creep are steppers, and those of other packages; each has a control that
 chooses the lengths of its steps.
 """
 

@@ -105,7 +105,7 @@ def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.Mo
     monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
-    coarse = next(m for m in model._others if m._case.mesh.size == 5.0)
+    coarse = next(m for m in model._others if m.case.mesh.size == 5.0)
     m = coarse.mechanics
     solves: list[NewtonResult] = []
 

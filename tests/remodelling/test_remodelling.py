@@ -9,9 +9,10 @@ import pytest
 
 from app.case.case import load
 from app.foundation.errors import InputError
+from app.remodelling.intact_femur import interpolated
+from app.remodelling.laws import remodelling_of
 from app.results.reading import Run
 from app.scene.scene import build_scene
-from app.simulation.intact_femur import interpolated
 from app.simulation.session import run
 from app.soundness.preview import warnings
 from tests import support
@@ -68,11 +69,10 @@ def test_other_units(tmp_path: Path) -> None:
         "density": "[10 kg/m^3, 1740 kg/m^3]",
         "tolerance": "10 kg/m^3",
     }
-    a = load(CASE).config.remodelling
-    b = load(
-        CASE, [f"remodelling.{key}={value}" for key, value in other.items()]
-    ).config.remodelling
-    assert a == b
+    a = remodelling_of(load(CASE).config)
+    overrides = [f"remodelling.{key}={value}" for key, value in other.items()]
+    b = remodelling_of(load(CASE, overrides).config)
+    assert a == b and a is not None
 
 
 def test_bone_as_it_was_stays(tmp_path: Path) -> None:
@@ -165,7 +165,8 @@ def test_no_lazy_zone_is_told() -> None:
 
 def test_scenes_without_it_have_none_of_it() -> None:
     scene = build_scene(load(support.CONFIGS / "blocks.yaml").config)
-    assert scene.remodelling is None and not any(e.varies for e in scene.elastic)
+    assert not scene.stiffens and not scene.loads_of
+    assert not any(e.varies for e in scene.elastic)
 
 
 LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "

@@ -11,18 +11,18 @@ within bounds of the density, and Young's modulus is that of the density.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from app.case.case import Case
+from app.foundation.arrays import Floats
 from app.laws.densities import LEAST, Law, modulus
 from app.schema.expressions import Varying
 from app.schema.paths import File
 from app.schema.section import ITEMS, Name, Pair, Section, fail
 from app.schema.units import Dimension, PositiveLength, Share
-
-if TYPE_CHECKING:
-    from app.foundation.arrays import Floats
 
 _BoneDensity = Annotated[float, Dimension("g/cm^3", "a density", "1.74 g/cm^3", at_least=LEAST)]
 _Names = Annotated[tuple[Name, ...], ITEMS]
@@ -78,7 +78,16 @@ class Remodelling(Section):
 
     def speed(self, S: Floats, K: Floats) -> Floats:
         """Change of the density in time [g/(cm3 s)] by the stimulus and its reference [J/g]."""
-        import numpy as np
-
         above, below = S - (1 + self.lazy_zone) * K, S - (1 - self.lazy_zone) * K
         return np.asarray(self.rate * (np.maximum(above, 0.0) + np.minimum(below, 0.0)))
+
+
+def remodelling_of(case: Case) -> Remodelling | None:
+    """The section `remodelling` of a case."""
+    return case.added("remodelling", Remodelling)
+
+
+def regions_of(case: Case) -> tuple[str, ...]:
+    """Regions of a case that remodel."""
+    law = remodelling_of(case)
+    return tuple(law.regions or case.of_tissue("bone")) if law else ()

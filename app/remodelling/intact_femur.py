@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,18 +10,44 @@ from app.case.case import Case, load
 from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, InputError
 from app.mechanics.body_forms import BodyForms
-from app.stepping.remodelling import Remodeller
+from app.remodelling.bone import Bone
+from app.remodelling.laws import Remodelling
+from app.remodelling.stimulus import Stimulus
+from app.scene.scene import Stage
+from app.simulation.model import Model
+from app.stepping.load_steps import LoadStepper
 
-NEAR = 32  # cells in which a point is looked for: those whose centres are nearest
+# Cells in which a point is looked for: those whose centres are nearest.
+NEAR = 32
 
 
-def intact_case(ours: Case, regions: tuple[str, ...]) -> Case:
+def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
+    """Numbers of the stages that are load cases."""
+    names = [stage.name for stage in stages]
+    return [names.index(name) for name in law.load_cases]
+
+
+def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
+    """Stimulus of the intact femur at the vertices of a model (n, r) [J/g]; collective."""
+    intact = model.apart(intact_case(law, model.case, ours.by_density), "intact femur")
+    m, bone = intact.mechanics, intact.records["bone"]
+    assert m is not None and isinstance(bone, Bone)
+    loads = LoadStepper(m.problem, m.solver, lambda *_: None, lambda text: None)
+    stages = intact.scene.stages
+    cases = [(k, k + 1.0) for k in load_cases(law, stages)]
+    stimulus = Stimulus(law, bone, loads).of(cases)
+    if stimulus is None:
+        raise ConvergenceError("remodelling.intact: a load case of it cannot be solved")
+    return carried(stimulus, bone.forms, ours)
+
+
+def intact_case(law: Remodelling, ours: Case, regions: tuple[str, ...]) -> Case:
     """The intact case by its law and mesh, in which the same regions remodel as in ours.
 
     Raises:
         InputError: It cannot be read, or lacks a region or a load case.
     """
-    law: Any = ours.remodelling
+    assert law.intact is not None
     case = load(law.intact).config
     known = {"region": [*case.regions], "stage": [stage.name for stage in case.stages]}
     for what, wanted in (("region", regions), ("stage", law.load_cases)):
@@ -33,15 +59,11 @@ def intact_case(ours: Case, regions: tuple[str, ...]) -> Case:
     return case.model_copy(update={"remodelling": law, "mesh": ours.mesh, "variations": {}})
 
 
-def carried(intact: Remodeller, ours: BodyForms) -> Floats:
-    """Stimulus of an intact femur at the vertices of ours (n, r) [J/g]; collective."""
-    forms, cases = intact.mechanics, intact.problem.scene.load_cases
-    stimulus: Any = intact.stimulus([(k, k + 1.0) for k in cases])
-    if stimulus is None:
-        raise ConvergenceError("remodelling.intact: a load case of it cannot be solved")
+def carried(stimulus: Floats, forms: BodyForms, ours: BodyForms) -> Floats:
+    """A stimulus on the mesh of some forms at the vertices of ours (n, r) [J/g]; collective."""
     x, to = (m.scalars.tabulate_dof_coordinates() for m in (forms, ours))
     columns = []
-    for region, values in zip(forms.remodels, stimulus.T, strict=True):
+    for region, values in zip(forms.by_density, stimulus.T, strict=True):
         own = forms.vertices(region)
         corners, known = (forms.mesh.comm.allgather(v[own]) for v in (x, values))
         columns.append(interpolated(np.concatenate(corners), np.concatenate(known), to))

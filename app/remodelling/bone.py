@@ -1,0 +1,104 @@
+"""Mass of the bone that remodels, of all and by Gruen zone.
+
+Arrays are by vertex of this rank, ghosts too, and region (n, r).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from app.foundation.arrays import Floats
+from app.mechanics.body_forms import hats
+from app.results.hip import zone_integrals
+from app.results.records import Followed, Record
+
+# Mass of 1 mm3 of 1 g/cm3 [g].
+GRAM = 1e-3
+
+
+class Bone(Record):
+    """Bone that remodels; made and called collectively.
+
+    Attributes:
+        problem: The mechanics, whose density it is.
+        forms: Their forms.
+        stresses: Strain energy at points of the cells.
+        volume: Integrals of the hat functions of the vertices (n, r) [mm3].
+        mass: Its mass: at the start, added, cut at the bounds [g].
+        seconds: Time in which it has remodelled so far [s].
+        steps: Number of steps so far.
+    """
+
+    saved = ("mass", "seconds", "steps")
+
+    def __init__(self, mechanics: Followed) -> None:
+        self.problem = mechanics.problem
+        self.forms = mechanics.problem.mechanics
+        self.stresses = mechanics.stresses
+        self._zones = mechanics.zones
+        self.volume = self.integrals(lambda region: 1.0)
+        self.mass = {"start": self.present, "added": 0.0, "cut": 0.0}
+        self.seconds = 0.0
+        self.steps = 0
+
+    def integrals(self, density: Callable[[str], Any]) -> Floats:
+        """Integrals of a region's density (cells, points) times the hat functions of vertices."""
+        m, s = self.forms, self.stresses
+        cells = {r: density(r) * s.places(r)[1] @ hats(s.points[r]) for r in m.by_density}
+        return np.array([m.vertex_sums(m.vertices(r), own) for r, own in cells.items()]).T
+
+    @property
+    def present(self) -> float:
+        """Mass of the bone that remodels [g]; collective."""
+        return self.grams(self.forms.density)
+
+    def grams(self, density: Floats) -> float:
+        """Mass of a density (n, r) [g]; collective."""
+        own = self.forms.scalars.dofmap.index_map.size_local
+        local = float((self.volume * density)[:own].sum())
+        return GRAM * float(self.problem.comm.allreduce(local))
+
+    def changes(self) -> dict[int, dict[str, float]]:
+        """Relative change of mass since the start by zone, of ``all`` and by region; collective."""
+        m, s, zones = self.forms, self.stresses, self._zones
+        if zones is None:
+            return {}
+        masses = []
+        for density in (m.density_at_start, m.density):
+            at = {r: m.density_at(r, s.points[r], density) for r in m.by_density}
+            masses.append(
+                [zone_integrals(self.problem, s, r, zones, rho)[0] for r, rho in at.items()]
+            )
+        rows = [("all", *map(sum, masses)), *zip(m.by_density, *masses, strict=True)]
+        return {
+            zone: {
+                name: float(after[zone] / before[zone] - 1)
+                for name, before, after in rows
+                if before[zone]
+            }
+            for zone in zones.numbers
+        }
+
+    # What it publishes
+
+    def numbers(self) -> dict[str, Any]:
+        """Published numbers of the state last committed; collective."""
+        mass = self.mass | {"end": self.present}
+        mass["audit"] = (mass["end"] - sum(self.mass.values())) / mass["start"]
+        own = {"seconds": self.seconds, "steps": self.steps, "mass": mass}
+        zones = {
+            str(zone): {"bone_mass_change": change}
+            for zone, change in self.changes().items()
+            if change
+        }
+        return {"remodelling": own} | ({"gruen": zones} if zones else {})
+
+    def history(self) -> dict[str, float]:
+        """Columns of ``history.csv`` after a step; collective."""
+        columns = {"remodelled [s]": self.seconds, "bone mass [g]": self.present}
+        for zone, change in self.changes().items():
+            columns[f"zone {zone} bone mass change [-]"] = change["all"]
+        return columns

@@ -1,0 +1,61 @@
+"""What is refused and noted about bone that remodels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from app.case.case import Case
+from app.case.checks import check
+from app.foundation.verdict import Verdict, note
+from app.laws.densities import density
+from app.remodelling.laws import remodelling_of
+from app.remodelling.stages import STAGES
+from app.schema.section import did_you_mean
+from app.schema.yaml_file import Fault
+from app.soundness.preview import warner
+
+
+@check("geometry")
+def _stages_and_regions(case: Case) -> Iterable[Fault]:
+    """Stages without section and reverse; load cases and regions that remodelling lacks."""
+    law, stages = remodelling_of(case), case.stages or ()
+    timed = [i for i, stage in enumerate(stages) if stage.other is STAGES]
+    if law is None:
+        for i in timed:
+            text = "how bone remodels is missing or wrong; expected a section `remodelling`"
+            yield Fault(("stages", i, "remodels"), text)
+        return
+    if stages and not timed:
+        yield Fault(("stages",), "nothing remodels; expected `remodels: 2 years` in some stage")
+    before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
+    for j, name in enumerate(law.load_cases):
+        if stages and name not in before:
+            text = f"'{name}' is no stage before; expected one of {', '.join(before)}"
+            yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
+    regions, tissues = case.regions or {}, case.geometry.tissues
+    bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
+    for name in law.regions or bone:
+        region = regions.get(name)
+        cures = getattr(getattr(region, "thermal", None), "cure", None)
+        if not (region and region.deforms) or region.eigenstrains or cures:
+            text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
+            yield Fault(("remodelling", "regions"), text)
+        elif not region.image:
+            E, (low, high) = getattr(region, "youngs_modulus", None), law.density
+            moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
+            for rho in density(law.law, moduli):
+                if not low <= rho <= high:
+                    text = f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {low:g} to {high:g}"
+                    yield Fault(("regions", name), text)
+
+
+@warner
+def _no_lazy_zone(case: Case) -> Iterable[Verdict]:
+    """Bone that follows every difference of its stimulus."""
+    law = remodelling_of(case)
+    if law and not law.lazy_zone:
+        text = (
+            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus "
+            "rises faster than the density, and results depend on the mesh"
+        )
+        yield note(text)

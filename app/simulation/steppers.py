@@ -1,0 +1,36 @@
+"""Steppers of stages that another package steps through (`case.run_options.StageKind`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from app.case.run_options import Stage
+    from app.simulation.model import Model
+    from app.stepping.load_steps import LoadStepper
+    from app.stepping.stages import StageStepper
+
+# Makes the stepper of a run, whose attribute ``saved`` names what is saved of it; collective.
+StepperMaker = Callable[["Model", "LoadStepper"], "StageStepper"]
+# By key of the stages.
+MAKERS: dict[str, StepperMaker] = {}
+
+
+def add_stepper(key: str, make: StepperMaker) -> None:
+    """Register what makes the stepper of stages with a key.
+
+    Raises:
+        ValueError: They have one.
+    """
+    if key in MAKERS:
+        raise ValueError(f"stages with '{key}' have a stepper already")
+    MAKERS[key] = make
+
+
+def steppers(
+    stages: Iterable[Stage], model: Model, load_stepper: LoadStepper
+) -> dict[str, StageStepper]:
+    """The steppers that stages need, by key; collective."""
+    keys = dict.fromkeys(stage.other.key for stage in stages if stage.other)
+    return {key: MAKERS[key](model, load_stepper) for key in keys}
