@@ -22,7 +22,7 @@ from app.schema.section import add_key
 from app.simulation.steppers import add_stepper
 
 if TYPE_CHECKING:
-    from app.remodelling.bone import Bone
+    from app.remodelling.bone import BoneMass
     from app.remodelling.stepper import Remodeller
     from app.simulation.model import Model
     from app.stepping.load_steps import LoadStepper
@@ -39,13 +39,13 @@ def _bone(case: Case) -> Mapping[str, ChangingDensity]:
     return dict.fromkeys(regions_of(case), ChangingDensity(law.law, law.density))
 
 
-def _mass(case: Case, mechanics: Followed) -> Bone | None:
+def _mass(case: Case, mechanics: Followed) -> BoneMass | None:
     """The record of a run, or None if nothing in its case remodels."""
     if not remodelling_of(case):
         return None
-    from app.remodelling.bone import Bone  # starts MPI
+    from app.remodelling.bone import BoneMass  # starts MPI
 
-    return Bone(mechanics)
+    return BoneMass(mechanics)
 
 
 def _stepper(model: Model, load_stepper: LoadStepper) -> Remodeller:

@@ -19,7 +19,7 @@ from app.results.records import Followed, Record
 GRAM = 1e-3
 
 
-class Bone(Record):
+class BoneMass(Record):
     """Bone that remodels; made and called collectively.
 
     Attributes:

@@ -10,7 +10,7 @@ from app.case.case import Case, load
 from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, InputError
 from app.mechanics.body_forms import BodyForms
-from app.remodelling.bone import Bone
+from app.remodelling.bone import BoneMass
 from app.remodelling.laws import Remodelling
 from app.remodelling.stimulus import Stimulus
 from app.scene.scene import Stage
@@ -31,7 +31,7 @@ def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
     """Stimulus of the intact femur at the vertices of a model (n, r) [J/g]; collective."""
     intact = model.apart(intact_case(law, model.case, ours.by_density), "intact femur")
     m, bone = intact.mechanics, intact.records["bone"]
-    assert m is not None and isinstance(bone, Bone)
+    assert m is not None and isinstance(bone, BoneMass)
     loads = LoadStepper(m.problem, m.solver, lambda *_: None, lambda text: None)
     stages = intact.scene.stages
     cases = [(k, k + 1.0) for k in load_cases(law, stages)]
@@ -63,7 +63,8 @@ def carried(stimulus: Floats, forms: BodyForms, ours: BodyForms) -> Floats:
     """A stimulus on the mesh of some forms at the vertices of ours (n, r) [J/g]; collective."""
     x, to = (m.scalars.tabulate_dof_coordinates() for m in (forms, ours))
     columns = []
-    for region, values in zip(forms.by_density, stimulus.T, strict=True):
+    for k, region in enumerate(forms.by_density):
+        values = stimulus[:, k]
         own = forms.vertices(region)
         corners, known = (forms.mesh.comm.allgather(v[own]) for v in (x, values))
         columns.append(interpolated(np.concatenate(corners), np.concatenate(known), to))

@@ -19,7 +19,7 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import ConvergenceError, InputError, MantleError
 from app.laws.values import field
 from app.numerics.saved_state import node_keys
-from app.remodelling.bone import Bone
+from app.remodelling.bone import BoneMass
 from app.remodelling.intact_femur import load_cases, stimulus_before
 from app.remodelling.laws import Remodelling, remodelling_of
 from app.remodelling.stages import STAGES
@@ -43,7 +43,7 @@ SHORTEST = 1e-8
 def remodeller(model: Model, load_stepper: LoadStepper) -> Remodeller:
     """The stepper of a model whose case remodels; collective."""
     law, bone = remodelling_of(model.case), model.records["bone"]
-    assert law is not None and isinstance(bone, Bone)
+    assert law is not None and isinstance(bone, BoneMass)
 
     def reference() -> Floats | None:
         return stimulus_before(law, model, bone.forms) if law.intact else None
@@ -64,7 +64,7 @@ class Remodeller:
     def __init__(
         self,
         law: Remodelling,
-        bone: Bone,
+        bone: BoneMass,
         stepper: LoadStepper,
         reference: Callable[[], Floats | None],
     ) -> None:

@@ -17,7 +17,7 @@ from app.mechanics.body_forms import assembled_matrix
 from app.numerics.newton import NewtonResult
 from app.numerics.preconditioners import Inverse
 from app.numerics.remedies import solve
-from app.remodelling.bone import Bone
+from app.remodelling.bone import BoneMass
 from app.remodelling.laws import Remodelling
 from app.stepping.load_steps import LoadStepper
 
@@ -34,7 +34,7 @@ class Stimulus:
 
     outcome: NewtonResult
 
-    def __init__(self, law: Remodelling, bone: Bone, stepper: LoadStepper) -> None:
+    def __init__(self, law: Remodelling, bone: BoneMass, stepper: LoadStepper) -> None:
         self.bone = bone
         self._stepper = stepper
         self._filters = [self._filter(r, law.filter) for r in bone.forms.by_density]

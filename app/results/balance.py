@@ -63,7 +63,7 @@ class Balance:
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
     forces. Regions that set or creep have no stored energy: the work of their stress in their
     strain, also trapezoidal, takes the place of stored energy and of the work of free strain. So it
-    does in all regions where the density of one changes: what is stored changes with its stiffness too.
+    does in all regions where the density of one changes: what is stored changes with stiffness too.
 
     Args:
         about: Point that moments are taken about (3,) [mm].

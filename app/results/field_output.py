@@ -249,7 +249,7 @@ class MechanicalFields:
         return point
 
     def _cell(self, σ: Floats) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies [MPa], density that changes, and of records."""
+        """Mean stress, Young's modulus where it varies [MPa], changing density, and of records."""
         cells, s, m = len(σ), self._stresses, self._problem.mechanics
         density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.by_density}
         fields = _named(σ)

@@ -366,6 +366,8 @@ def add_key(to: type[Section], name: str, kind: Any, doc: str) -> None:
             default=None,
             description=doc,
         )
+        # For what was made before, such as defaults of other sections.
+        setattr(section, name, None)
         if section.__pydantic_complete__:
             section.model_rebuild(force=True)
     _ADDED.setdefault(to, []).append(name)

@@ -1,7 +1,7 @@
 """The loop over steps: try one, cut it back or let the next one grow, commit, save.
 
-Loads, steps of given energy, heat and creep are steppers, and those of other packages; each has a control that
-chooses the lengths of its steps.
+Loads, steps of given energy, heat and creep are steppers, and so is what another package steps by;
+each has a control that chooses the lengths of its steps.
 """
 
 from __future__ import annotations
