@@ -57,8 +57,12 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
     size, count = ranks.world_size(), options.n
     configure_log("debug" if options.verbose else "info")
     # The input is checked before ranks are started: its errors come at once, and once.
-    options.overrides += ["output.error=true"] if options.error else []
-    options.overrides += [f"output.accuracy={options.accuracy}"] if options.accuracy else []
+    overrides = list(options.overrides)
+    if options.error:
+        overrides.append("output.error=true")
+    if options.accuracy:
+        overrides.append(f"output.accuracy={options.accuracy}")
+    options.overrides = overrides  # the list of the options is the next command's, too
     case = _load(options)
     output = options.output or case.output
     walltime = stopping.seconds(options.walltime) if options.walltime else None

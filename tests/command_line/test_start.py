@@ -17,6 +17,7 @@ from app.case import keys, library, new_case
 from app.case.case import load
 from app.cli import main
 from app.command_line.commands import dispatch
+from app.command_line.parser import parser
 from app.foundation.errors import GeometryError, InputError
 from tests import frozen, support
 from tests.support import CONFIGS, ROOT
@@ -277,3 +278,9 @@ def test_explain_knows_units_and_the_keys_among_loads() -> None:
     table = keys.explained("units").splitlines()
     assert any(line.split()[:2] == ["MPa", "youngs_modulus,"] for line in table)
     assert keys.explained("unit") == keys.explained("units")
+
+
+def test_options_of_a_command_do_not_reach_the_next(tmp_path: Path) -> None:
+    case = tmp_path / "missing.yaml"
+    assert main(["run", str(case), "--error", "--accuracy", "0.05"]) == 2
+    assert parser().parse_args(["run", str(case)]).overrides == []

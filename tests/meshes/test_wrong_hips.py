@@ -136,7 +136,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
         "plug's end at z = -277 mm; expected 5 mm .*, at -263 mm",
     ),
     "too short": (
-        {"stem": {"length": "50 mm"}},
+        {"stem": {"length": "50 mm", "corner_radius": "4 mm", "tip_corner_radius": "2 mm"}},
         "leaves 42 mm of the stem below the cut; expected 50",
     ),
     "too wide": (

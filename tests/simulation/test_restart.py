@@ -12,8 +12,8 @@ import pytest
 from app.case.case import load
 from app.foundation.errors import StoppedError
 from app.results.reading import Run
+from app.simulation import accuracy
 from app.simulation import model as models
-from app.simulation import session as running
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import support
@@ -184,7 +184,7 @@ def test_an_interruption_while_companions_are_solved(
     case, _ = restarted.whole(restarted.RUBBING, tmp_path, *options)
     stop: list[str] = []
     monkeypatch.setattr("app.system.stopping.signals", lambda: lambda: stop[0] if stop else "")
-    errors = running._errors
+    errors = accuracy.add_errors
 
     def interrupted(*arguments: Any) -> Any:
         stop.append("SIGTERM")
@@ -192,12 +192,12 @@ def test_an_interruption_while_companions_are_solved(
 
     out = tmp_path / "out"
     out.mkdir()
-    monkeypatch.setattr(running, "_errors", interrupted)
+    monkeypatch.setattr(accuracy, "add_errors", interrupted)
     with pytest.raises(StoppedError, match="in its companions"):
         run(load(case, options), out)
     assert saved(out) and not (out / "DONE").exists()
     stop.clear()
-    monkeypatch.setattr(running, "_errors", errors)
+    monkeypatch.setattr(accuracy, "add_errors", errors)
     run(load(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
