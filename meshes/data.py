@@ -154,7 +154,8 @@ def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> Ints:
 # degree 2 would not do) and good to 1e-6 for the area of a quadratic facet.
 _TET_POINTS = np.vstack([np.full((1, 4), 1 / 4), np.where(np.eye(4), 1 / 2, 1 / 6)])
 _TET_WEIGHTS = np.array([-4 / 5] + [9 / 20] * 4)
-_A, _B = (6 - np.sqrt(15)) / 21, (6 + np.sqrt(15)) / 21
+_A = (6 - np.sqrt(15)) / 21
+_B = (6 + np.sqrt(15)) / 21
 _TRI_POINTS = np.vstack(
     [np.full((1, 3), 1 / 3), *(np.where(np.eye(3), 1 - 2 * a, a) for a in (_A, _B))]
 )

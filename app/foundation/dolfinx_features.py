@@ -42,7 +42,8 @@ def _takes(function: Any, argument: str) -> bool:
 
 
 gmsh = import_module("dolfinx.io.gmsh" if find_spec("dolfinx.io.gmsh") else "dolfinx.io.gmshio")
-cell_perm_array, ufl_mesh = gmsh.cell_perm_array, gmsh.ufl_mesh
+cell_perm_array = gmsh.cell_perm_array
+ufl_mesh = gmsh.ufl_mesh
 
 # A manifold: two cells share a facet.
 _CELLS_OF_A_FACET = (2,) if _takes(mesh.create_cell_partitioner, "max_facet_to_cell_links") else ()

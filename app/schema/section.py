@@ -318,7 +318,8 @@ class Triple:
         return {"anyOf": [result, {"type": "string", "examples": [self.example], "x-value": ""}]}
 
 
-Pair, Four = partial(Triple, number=2), partial(Triple, number=4)
+Pair = partial(Triple, number=2)
+Four = partial(Triple, number=4)
 
 
 # Called when a kind is added, to rebuild the schema (`case.case`).
