@@ -117,9 +117,10 @@ class HeatedMechanics:
         """Largest change since the last solve [K], of cure by the heat it releases; collective."""
         before = self._before
         pairs = zip(before.temperatures, now.temperatures, strict=True)
-        sizes = [float(np.abs(a - b).max()) for a, b in pairs]
+        # A rank may be without cells, and then it has no values.
+        sizes = [float(np.abs(a - b).max(initial=0.0)) for a, b in pairs]
         for c, a, b in zip(self._curing, before.degrees, now.degrees, strict=True):
-            sizes.append(c.adiabatic_rise * float(np.abs(a - b).max()))
+            sizes.append(c.adiabatic_rise * float(np.abs(a - b).max(initial=0.0)))
         return float(self._operators.comm.allreduce(max(sizes), MPI.MAX))
 
     def _advance(self, now: ThermalState, begin: float, end: float) -> None:

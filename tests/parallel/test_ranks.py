@@ -385,15 +385,14 @@ def test_a_turned_quarter_from_a_file_on_two_ranks(tmp_path: Path) -> None:
 # Every shipped case, coarse
 
 
-@cache
-def shipped(name: str, ranks: int, way: str = "") -> Summaries:
-    """Run a shipped case on ranks that have the cells that a way gives them."""
+def run_divided(case: Path, ranks: int, way: str, *overrides: str) -> Summaries:
+    """Run a case on ranks that have the cells that a way gives them; "": those of a usual run."""
     program = ["-m", "tests.parallel.divided"] if way else ["-m", "mantle"]
-    sets = support.sets(*COARSE[name], *([COARSER[name]] if name in COARSER else []))
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder, "out")
+        command = (*program, "run", case, "-o", output, *support.sets(*overrides))
         done = subprocess.run(
-            support.mpirun(ranks, *program, "run", support.CONFIGS / name, "-o", output, *sets),
+            support.mpirun(ranks, *command),
             env=support.environment() | {"DIVIDED": way},
             capture_output=True,
             text=True,
@@ -404,9 +403,24 @@ def shipped(name: str, ranks: int, way: str = "") -> Summaries:
         return summaries(output)
 
 
+@cache
+def shipped(name: str, ranks: int, way: str = "") -> Summaries:
+    """Run a shipped case, coarse."""
+    more = [COARSER[name]] if name in COARSER else []
+    return run_divided(support.CONFIGS / name, ranks, way, *COARSE[name], *more)
+
+
 def test_a_rank_without_cells() -> None:
     """Two regions, by region to three ranks: the last has neither cells nor points."""
     compare(shipped("intact.yaml", 1), shipped("intact.yaml", 3, "bodies"), 3)
+
+
+def test_a_rank_without_temperatures(tmp_path: Path) -> None:
+    """The same with heat, cure and contact: how far they have changed is asked of each rank."""
+    case = tmp_path / "case.yaml"
+    case.write_text(restarted.SETTING)
+    one, three = (run_divided(case, n, way, EXACT) for n, way in ((1, ""), (3, "bodies")))
+    compare(one, three, 3)
 
 
 SHARES = [(2, ""), (3, ""), (4, ""), (2, "board"), (3, "bodies"), (3, "far")]
