@@ -46,10 +46,9 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import on_root
 from app.numerics.factor import library
 from app.numerics.lifetime import python_mat
-from app.numerics.preconditioners import Options
 from app.numerics.root_work import blas_threads, cores, wait
 from app.numerics.substructures import Substructures, own_rows, unknowns_of
-from app.numerics.system import Exact, Measure, Reduced
+from app.numerics.system import MatrixFree, Measure, Reduced
 from app.numerics.untied import Untied
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
@@ -316,23 +315,22 @@ class Condensed:
         return np.asarray(dq)
 
 
-class JumpSystem(Reduced):
+class JumpSystem(MatrixFree, Reduced):
     """Contact of bodies in equilibrium: its unknowns are the jumps, its Jacobian is T S + B.
 
-    It is its own operator (MATPYTHON) and inverse (PCPYTHON).
+    Its inverse is the dense factors of the Jacobian.
     """
 
     prefix = "mantle_jump_"
     # One step at least: states that are only just in balance would drift from cycle to cycle.
     least_iterations = 1
-    reduced: Reduced | None = None
 
     def __init__(self, condensed: Condensed, contact: Condensable) -> None:
         self._condensed, self._contact = condensed, contact
         D = contact.parts()[2]
         self.comm = D.comm.tompi4py()
         self._jumps = D.createVecLeft()
-        self._operator = python_mat(self, self._jumps.getSizes(), self.comm)
+        self.operator = python_mat(self, self._jumps.getSizes(), self.comm)
         self._start = self._forces = np.zeros(self._jumps.getLocalSize())
         self._scale = self._norm = self._norm_before = 0.0
 
@@ -365,18 +363,6 @@ class JumpSystem(Reduced):
     def blocks(self) -> dict[str, PETSc.Vec]:
         """The jumps."""
         return {"jump": self._jumps.duplicate()}
-
-    def matrices(self) -> list[list[PETSc.Mat | None]]:
-        """The Jacobian as an operator."""
-        return [[self._operator]]
-
-    def options(self, linear: str) -> dict[str, Options]:
-        """None: its inverse is exact."""
-        return {}
-
-    def exact(self, linear: str) -> Exact:
-        """The dense factors of the Jacobian."""
-        return self
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Do nothing: jumps that are prescribed have been set at the beginning."""

@@ -156,6 +156,29 @@ class Exact(Preconditioner, Protocol):
         """Factor what does not depend on the state, if it has changed; collective."""
 
 
+class MatrixFree(System, Exact, Protocol):
+    """A system that is the operator (MATPYTHON) and the inverse (PCPYTHON) of its own Jacobian.
+
+    Attributes:
+        operator: The Jacobian, which calls ``mult``.
+    """
+
+    operator: PETSc.Mat
+    reduced: Reduced | None = None
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The Jacobian as an operator."""
+        return [[self.operator]]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """None: its inverse is exact."""
+        return {}
+
+    def exact(self, linear: str) -> Exact:
+        """Itself."""
+        return self
+
+
 def size(vectors: list[PETSc.Vec]) -> float:
     """Norm of a state or residual in several blocks; collective."""
     return math.sqrt(sum(v.norm() ** 2 for v in vectors))

@@ -175,7 +175,9 @@ class Model:
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
-            self.records = self._records()
+            self.records: dict[str, Record] = {}
+            if self.mechanics:
+                self.records = records(case, self.mechanics)
             self.thermal = self._heat()
         self._others[:] = [m for m in self._others if not self.deforms_like(m.case)] + [self]
 
@@ -223,12 +225,6 @@ class Model:
         solves = self._runs * cost.contact_solves(case)
         solver = self._solver(mechanical(problem, solves, memory.available()))
         return Mechanical(problem, solver, case)
-
-    def _records(self) -> dict[str, Record]:
-        m = self.mechanics
-        if m is None:
-            return {}
-        return records(self.case, m)
 
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:

@@ -30,7 +30,7 @@ from app.mechanics.problem import Problem
 from app.numerics.lifetime import python_mat
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.preconditioners import Options
-from app.numerics.system import Exact, Measure, Reduced, System
+from app.numerics.system import MatrixFree, Measure
 
 # Newton iterations of a step.
 ITERATIONS = 25
@@ -112,10 +112,10 @@ def overshoot(
     return path[0] + high * (path[1] - path[0])
 
 
-class EnergyControl(System):
+class EnergyControl(MatrixFree):
     """Displacement and jumps of a system, and the part of the path of loads as last unknown.
 
-    It is its own operator (MATPYTHON) and inverse (PCPYTHON).
+    Its inverse is that of the given system, bordered.
 
     Args:
         problem: The mechanical problem.
@@ -126,7 +126,6 @@ class EnergyControl(System):
     prefix = "mantle_energy_"
     # A step that lowers the residual may be cut to nothing where damage begins.
     newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
-    reduced: Reduced | None = None
 
     def __init__(self, problem: Problem, solver: Solver, set_load: Callable[[float], None]) -> None:
         self.comm = problem.comm
@@ -135,7 +134,7 @@ class EnergyControl(System):
         self._load = PETSc.Vec().createMPI((int(self.comm.rank == 0), 1), comm=self.comm)
         blocks = self.blocks().values()
         local, every = (sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True))
-        self._operator = python_mat(self, (local, every), self.comm)
+        self.operator = python_mat(self, (local, every), self.comm)
         # State of the last residual with the supports of its load; residual by load, and energy
         # by jumps there; solution for that residual.
         self._state = solver.vector()
@@ -192,20 +191,8 @@ class EnergyControl(System):
         return self._given.system.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
-        """Those of the given system, and the part of the path."""
+        """The blocks of the given system, and the part of the path."""
         return self._given.system.blocks() | {"load": self._load.duplicate()}
-
-    def matrices(self) -> list[list[PETSc.Mat | None]]:
-        """The Jacobian as an operator."""
-        return [[self._operator]]
-
-    def options(self, linear: str) -> dict[str, Options]:
-        """None: its inverse is exact."""
-        return {}
-
-    def exact(self, linear: str) -> Exact:
-        """Bordering."""
-        return self
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Leave the supports to `residual`: their values depend on the load."""

@@ -184,7 +184,7 @@ class LoadStepper:
         self._line.begin(begin)
         path = LoadPath(stage, whole, set_load, begin, end)
         given_loads = GivenLoads(self, path, progress)
-        given_energy = GivenEnergy(self, path, progress)
+        given_energy = GivenEnergy(self, path, progress, given_loads.start)
         while progress.done < 1.0:
             advance(given_loads, given_loads, checkpoint_point)
             if progress.energy:
@@ -262,7 +262,7 @@ class GivenLoads:
 
     @property
     def finished(self) -> bool:
-        """Whether the path is done, or steps of given energy go on."""
+        """Return True if the path is done, or steps of given energy go on."""
         return self._progress.done >= 1.0 or self._progress.energy > 0.0
 
     def propose(self) -> Step:
@@ -357,12 +357,14 @@ class GivenEnergy:
     They hand back to steps of given loads where a step is a long one, or nothing more can break.
     """
 
-    def __init__(self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress) -> None:
+    def __init__(
+        self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress, start: PETSc.Vec
+    ) -> None:
         self._stepper, self._path, self._progress = stepper, path, progress
         self._solver = stepper.solver
         self._most = path.stage.fracture_step or 0.0
         self._control: EnergyControl | None = None
-        self.begin(self._solver.x.copy(), None)
+        self.begin(start, None)
 
     def begin(self, start: PETSc.Vec, begun: float | None) -> None:
         """Begin at a committed state, or at the solver's state at a part of the path."""
@@ -372,7 +374,7 @@ class GivenEnergy:
 
     @property
     def finished(self) -> bool:
-        """Whether steps of given loads go on."""
+        """Return True if steps of given loads go on, or the path is done."""
         return self._progress.energy == 0.0 or self._progress.done >= 1.0
 
     def propose(self) -> Step:
