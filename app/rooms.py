@@ -1,6 +1,6 @@
-"""The packages that add to the core, one line each; importing this module registers them.
+"""The packages that add to the core; importing this module registers them.
 
-Without its line, and without its folder, the core runs every case that has none of its keys.
+Without the name and the folder of a package, the core runs every case that has none of its keys.
 """
 
 from app import fatigue, remodelling

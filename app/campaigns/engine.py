@@ -31,7 +31,7 @@ log = logging.getLogger("mantle")
 
 HERE = Path(__file__).parent
 SNAKEFILE = HERE / "Snakefile"
-# Script that tells Snakemake the status of a Slurm job.
+# Script from which Snakemake gets the status of a Slurm job.
 SLURM_STATUS = HERE / "slurm_status"
 MEGABYTE = 1e6
 # Seconds between looks at Snakemake.

@@ -1,4 +1,4 @@
-"""What all femurs have in common, parametric or a patient's: cut, stem, mantle and estimates."""
+"""Keys and estimates of all femurs, parametric or a patient's: cut, stem and mantle."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Version(Section):
     """Turn of the stem about the shaft's axis."""
 
     relative_to: Literal["neck", "condyles"] = "neck"
-    """What it is measured against: the neck, or the line of the posterior condyles."""
+    """Line from which the angle is measured: the neck, or that of the posterior condyles."""
     angle: Angle = 0.0
     """The turn, the head to anterior (rad)."""
 
@@ -75,16 +75,16 @@ class Insertion(Section):
     """Where the stem is put in the femur."""
 
     depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
-    """How deep the lateral edge of the shoulder is below the cut, at most 14 mm: there is cement
+    """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement
     above it. By default 0, and in mantle's own femur as `stem_tip_z` says."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
     version: Version = Field(default_factory=Version)
     """Turn of the stem about the shaft's axis."""
     medial_offset: Length = 0.0
-    """How far the stem's axis is medial of the shaft's, along the cut's azimuth."""
+    """Distance of the stem's axis from the shaft's to medial, along the cut's azimuth."""
     anterior_offset: Length = 0.0
-    """How far it is anterior of it."""
+    """Distance of the stem's axis from the shaft's to anterior."""
 
 
 class Hip(Shape):

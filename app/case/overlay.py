@@ -152,7 +152,7 @@ def _merged(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     """Merge one value over another; faults become complaints of the case.
 
     Mappings merge key by key, of another kind they replace; null removes an entry; all else
-    replaces. `_rule` tells what is resolved at a path before.
+    replaces. `_rule` gives the words that are resolved at a path before that.
     """
     rule = _rule(path)
     if rule:

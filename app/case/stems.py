@@ -98,7 +98,7 @@ class Implant:
         return half, depth, corner
 
     def faults(self, cement: float) -> Iterator[tuple[str, str]]:
-        """What cannot be meshed: the field and the reason, the section's level being right.
+        """Fields that cannot be meshed, with the reason; the section's level must be right.
 
         Args:
             cement: Least thickness of the mantle (mm).

@@ -99,7 +99,7 @@ def mesh(case: LoadedCase) -> MeshData:
     """
     memory.check(case.file, case.config)
     with stack_needed(petsc=False):
-        import gmsh  # noqa: F401  (only to tell early that it is missing)
+        import gmsh  # noqa: F401  (only to report early that it is missing)
     with case.file.placing():
         return meshes.build(case.config.geometry, case.config.mesh, folders.cache("meshes"))
 

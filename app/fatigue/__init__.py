@@ -1,16 +1,17 @@
 """Strength and fatigue of cement: failure at its largest flaw, and the damage of a year.
 
 `laws` has the keys and the formulas, `risk` evaluates them on the stresses of a run, `findings` has
-what is refused, noted and found. Importing the package registers it; the core does not know it.
+the faults, notes and verdicts. Importing the package registers it; the core does not know it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
 from app.case.quantities import RISK, STRESS, NumberSection, Quantity, add_quantity, add_section
-from app.fatigue import findings  # registers its checks
+from app.fatigue import findings as findings  # registers its checks
 from app.fatigue.laws import Fatigue, Weibull, fatigue_of, weibull_of
 from app.laws.materials import Elastic
 from app.results.records import Followed, add_record
@@ -18,8 +19,6 @@ from app.schema.section import add_key
 
 if TYPE_CHECKING:
     from app.fatigue.risk import CementRisk
-
-__all__ = ["findings"]
 
 add_key(Case, "fatigue", Fatigue, "Damage by a spectrum of activities; by default none.")
 add_key(
@@ -40,6 +39,12 @@ def _risk(case: Case, mechanics: Followed) -> CementRisk | None:
     return CementRisk(case, mechanics.problem, zones.borders if zones else None)
 
 
+def _laws(case: Case) -> Iterable[str]:
+    """Names of the S-N laws, by which damage is published."""
+    fatigue = fatigue_of(case)
+    return fatigue.laws if fatigue else ()
+
+
 add_record("risk", _risk)
 add_quantity(
     Quantity("regions", "failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
@@ -55,7 +60,7 @@ add_section(
             "largest": "damage_max",
             "stress p99": "stress_p99",
         },
-        owners=lambda case: fatigue.laws if (fatigue := fatigue_of(case)) else (),
+        owners=_laws,
         leads=True,
     ),
     Quantity(

@@ -1,4 +1,4 @@
-"""What is refused, noted and found about the strength and the fatigue of a case."""
+"""Faults, notes and verdicts about the strength and the fatigue of a case."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ class InterfaceLaw(Extensible):
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
-        """How friction heats the sides; None without friction heat."""
+        """Heating of the sides by friction; None without it."""
         return None
 
     @property

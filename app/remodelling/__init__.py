@@ -1,7 +1,7 @@
 """Remodelling: bone whose density follows its strain energy, in stages of its own.
 
 `laws` has the keys and the formula, `stimulus` what bone feels, `intact_femur` what it felt before,
-`stepper` the density in time, `bone` its mass, `findings` what is refused and noted.
+`stepper` the density in time, `bone` its mass, `findings` the faults and notes.
 Importing the package registers it; the core does not know it.
 """
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from app.case.case import Case
 from app.case.run_options import add_stage_kind
 from app.laws.densities import ChangingDensity
-from app.remodelling import findings  # registers its checks
+from app.remodelling import findings as findings  # registers its checks
 from app.remodelling.laws import Remodelling, regions_of, remodelling_of
 from app.remodelling.stages import STAGES
 from app.results.records import Followed, add_record
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from app.remodelling.stepper import Remodeller
     from app.simulation.model import Model
     from app.stepping.load_steps import LoadStepper
-
-__all__ = ["findings"]
 
 
 @by_density

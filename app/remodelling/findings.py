@@ -1,4 +1,4 @@
-"""What is refused and noted about bone that remodels."""
+"""Faults and notes about bone that remodels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What bone bears before the operation, carried from the mesh of an intact femur to another."""
+"""Load of bone before the operation, carried from the mesh of an intact femur to another."""
 
 from __future__ import annotations
 

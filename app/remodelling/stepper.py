@@ -162,7 +162,7 @@ class Remodeller:
 
     @property
     def finished(self) -> bool:
-        """Whether the stage is done."""
+        """Return True if the stage is done."""
         return self._progress.done >= 1.0
 
     def propose(self) -> Step:

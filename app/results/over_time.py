@@ -76,7 +76,7 @@ class Integrals:
 
     @property
     def forgotten(self) -> bool:
-        """Whether integrals of any node are unknown."""
+        """Return True if integrals of a node are unknown."""
         return any(bool(np.isnan(total).any()) for total in self.totals.values())
 
 

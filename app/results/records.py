@@ -36,7 +36,7 @@ class Followed(Protocol):
 
 
 class Record:
-    """A record of one run; one that is not told otherwise publishes nothing.
+    """A record of one run. This base publishes nothing; a record overrides what it needs.
 
     Attributes:
         saved: Names of the attributes that are saved.

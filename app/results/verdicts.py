@@ -171,7 +171,7 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
 
 
 def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
-    """What of an interface is damaged, and whether the mesh resolves the zone where it breaks."""
+    """Damage of an interface; a warning if the mesh does not resolve the zone where it breaks."""
     own = TABLE["interfaces"]
     keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
     damaged, broken, never, zone, elements = (own[key].text(q) for key in keys)

@@ -367,7 +367,7 @@ def add_key(to: type[Section], name: str, kind: Any, doc: str) -> None:
             default=None,
             description=doc,
         )
-        # For what was made before, such as defaults of other sections.
+        # Sections made before, such as defaults in other sections, lack the key.
         setattr(section, name, None)
         if section.__pydantic_complete__:
             section.model_rebuild(force=True)

@@ -35,7 +35,7 @@ class Control(Protocol):
 
     @property
     def finished(self) -> bool:
-        """Whether the path is done."""
+        """Return True if the path is done."""
 
     def propose(self) -> Step:
         """Return the next step to try."""
@@ -150,7 +150,7 @@ class GivenSteps:
 
     @property
     def finished(self) -> bool:
-        """Whether all are done."""
+        """Return True if all are done."""
         return not self._left
 
     def propose(self) -> Step:

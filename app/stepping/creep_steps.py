@@ -174,7 +174,7 @@ class CreepSteps:
 
     @property
     def finished(self) -> bool:
-        """Whether the stage is done."""
+        """Return True if the stage is done."""
         return self._stepper.done >= self._stage.creep
 
     def propose(self) -> Step:

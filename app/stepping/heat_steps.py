@@ -168,7 +168,7 @@ class StepsByError:
 
     @property
     def finished(self) -> bool:
-        """Whether the stage is done."""
+        """Return True if the stage is done."""
         return not self._heating.seconds < self._ends[-1] - self._tiny
 
     def propose(self) -> Step:

@@ -13,7 +13,7 @@ from app.stepping.load_steps import LoadStepper
 
 
 class StageStepper(Protocol):
-    """What steps through a stage."""
+    """Stepper of a stage."""
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Step through stage k, which may have been begun before a restart; collective."""

@@ -223,7 +223,7 @@ def test_numbers_do_not_depend_on_ranks(name: str, tmp_path: Path) -> None:
 
 
 def test_variations_do_not_depend_on_ranks(tmp_path: Path) -> None:
-    """What failed is tried again, what is finished stays; twice the load starts converged."""
+    """Failed variations are tried again, finished ones stay; twice the load starts converged."""
     case, output = tmp_path / "case.yaml", tmp_path / "2"
     case.write_text(VARIATIONS)
     command = ("-m", "mantle", "run", case, *support.sets(*QUICKLY), "-o")

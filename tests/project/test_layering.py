@@ -94,7 +94,7 @@ def test_there_is_no_circle() -> None:
 
 @all_of("tests", "docs")
 def test_modules_do_not_import_test_modules(path: Path) -> None:
-    """What tests share is in plain modules and fixtures: see `tests/README.md`."""
+    """Tests share plain modules and fixtures: see `tests/README.md`."""
     names = {part for name in imported(path) for part in name.split(".")}
     assert not {name for name in names if name == "conftest" or name.startswith("test_")}
 

@@ -1,4 +1,4 @@
-"""What a library writes reaches the log, not the user."""
+"""Output of a library reaches the log, not the user."""
 
 from __future__ import annotations
 
