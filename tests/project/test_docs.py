@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import importlib.util
+import pkgutil
 import re
 import shlex
 import tomllib
@@ -147,6 +148,23 @@ def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path:
         assert (StudyFile if "study" in data else Sweep).model_validate(data)
     else:
         assert data.keys() <= Case.model_fields.keys()
+
+
+GLOSSARY = (DOCS / "glossary.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "name", sorted(set(re.findall(r"`((?:app|forms|meshes)\.[\w.]+)`", GLOSSARY)))
+)
+def test_glossary_names_code_that_exists(name: str) -> None:
+    assert pkgutil.resolve_name(name)
+
+
+def test_glossary_has_each_term_once() -> None:
+    terms = re.findall(r"^\| ([^|]+?) \| [^|]*\| [^|]+\| [^|]*\| [^|]*\|$", GLOSSARY, re.MULTILINE)
+    terms = [term for term in terms if term != "term"]
+    assert len(terms) > 100
+    assert sorted(terms) == sorted(set(terms))
 
 
 def test_the_case_of_the_tutorial_is_what_init_writes() -> None:
