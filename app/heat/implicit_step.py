@@ -323,7 +323,7 @@ class ImplicitStep(System):
         if o.exchange:
             out = o.exchange.heats(here.T - o.reference).sum(axis=0)
             into_slave |= {n: -float(out[rows].sum()) for n, rows in o.exchange.slaves.items()}
-        turned = {c.name for c in (*o.scene.thermal_contacts, *o.scene.sliding_heat) if c.turned}
-        signed = [-heat if n in turned else heat for n, heat in into_slave.items()]
+        swapped = {c.name for c in (*o.scene.thermal_contacts, *o.scene.sliding_heat) if c.swapped}
+        signed = [-heat if n in swapped else heat for n, heat in into_slave.items()]
         every = self.comm.allreduce(np.array(signed))
         return dict(zip(into_slave, map(float, every), strict=True))

@@ -38,9 +38,9 @@ from app.mechanics.contact_points import (
     refuse_supports,
     with_rigid_regions,
 )
+from app.mechanics.finite_sliding import ACCURACY, FiniteSliding
 from app.mechanics.held_bodies import held_motions
 from app.mechanics.jump_coupling import JumpCoupling
-from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
 from app.numerics.rigid_motions import relative_resistance, rigid_modes, without
 from app.numerics.sparse import owners
@@ -114,8 +114,8 @@ class TrialState:
         c = self.contact
         slid = self.sliding(self.jump - self._elastic(friction))
         slip = np.where(c.law.slides[:, None], slid, self.law.outputs["slip"])
-        if c.large is not None:
-            rows = c.large.rows
+        if c.finite_sliding is not None:
+            rows = c.finite_sliding.rows
             slip[rows] = c.state.slip[rows] + self.sliding(self.jump - c.reference)[rows]
         return slip
 
@@ -183,7 +183,7 @@ class ContactInterfaces:
         law: Their laws.
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
-        large: Points that slide far, if any.
+        finite_sliding: Points with finite sliding, if any.
         committed_at: Jumps at which they were paired in the committed state (n, 3) [mm].
         carried: Committed jumps, with the pairs of now (n, 3) [mm].
         reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
@@ -233,7 +233,9 @@ class ContactInterfaces:
         held = stiffness.constraints
         self.coupling = JumpCoupling(mechanics, held, entries, self._number, len(rows))
         sliding = mechanics, self.own, self.points.dof[rows], stiffness.followers
-        self.large = Sliding(*sliding) if any(c.between for c in scene.contacts) else None
+        self.finite_sliding = (
+            FiniteSliding(*sliding) if any(c.between for c in scene.contacts) else None
+        )
         self.law = PointLaw(self.comm, self.own, mechanics.timing)
         self.begin(scene, augmentation_factor)
 
@@ -259,8 +261,8 @@ class ContactInterfaces:
         self._full_gap = own["gap"]
         laws = [c.law for c in contacts]
         self.law.begin(laws, own, augmentation_factor, self.coupling.local_stiffness())
-        if self.large is not None:
-            self.large.begin(scene)
+        if self.finite_sliding is not None:
+            self.finite_sliding.begin(scene)
         self._committed = 0.0
         self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
         self.carried = self.state.jump
@@ -292,10 +294,10 @@ class ContactInterfaces:
         for i, c in enumerate(self._contacts):
             here = self.own.interface == i
             gap[here] = gap_at(self._full_gap[here], c.history, time)
-        if self.large is None:
+        if self.finite_sliding is None:
             self.gap = gap_vectors(self.own.normals, gap)
         else:
-            self.large.set_time(self._committed, time)
+            self.finite_sliding.set_time(self._committed, time)
             self.pair_at(self.state.jump)
         self.prescribed = np.zeros((len(self.own), 3))
         for support, jump in zip(self._supports, self._by_supports, strict=True):
@@ -303,21 +305,21 @@ class ContactInterfaces:
 
     def pair_at(self, jump: Floats) -> None:
         """Pair the points that slide far, at jumps (n, 3) [mm]: gaps, normals, reference."""
-        assert self.large is not None
-        rows, own, found = self.large.rows, self.own, self.large.pair(jump)
+        assert self.finite_sliding is not None
+        rows, own, found = self.finite_sliding.rows, self.own, self.finite_sliding.pair(jump)
         own.normals[rows, 0] = found.normal
-        self.law.turn_normals(rows)
+        self.law.set_normals(rows)
         self._paired_at, gap = jump.copy(), self._clearance.copy()
         gap[rows] += found.gap - np.einsum("pi,pi->p", found.normal, jump[rows])
         self.gap = gap_vectors(own.normals, gap)
 
     def pair(self, trial: TrialState) -> bool:
         """Pair the points that slide far anew if their gaps are wrong in a state; collective."""
-        if self.large is None:
+        if self.finite_sliding is None:
             return False
-        rows = self.large.rows
+        rows = self.finite_sliding.rows
         pressure = trial.law.pressures[rows, 0]
-        wrong = self.law.met[rows] * self.large.error(self._paired_at, trial.jump)
+        wrong = self.law.met[rows] * self.finite_sliding.error(self._paired_at, trial.jump)
         local = pressure.max(initial=0.0), wrong[pressure > 0].max(initial=0.0)
         largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
         if by <= ACCURACY * largest:
@@ -329,20 +331,24 @@ class ContactInterfaces:
         """Set the committed state, and its time."""
         self.state, self._committed = state, time
         self.carried = state.jump
-        if self.large is not None:
-            self.large.set_time(time, time)
+        if self.finite_sliding is not None:
+            self.finite_sliding.set_time(time, time)
             self.committed_at = self._paired_at
 
     @property
     def reference(self) -> Floats:
         """Jumps at which nothing has slid since the last committed step (n, 3) [mm]."""
-        return self.carried if self.large is None else self.large.reference(self.carried)
+        return (
+            self.carried
+            if self.finite_sliding is None
+            else self.finite_sliding.reference(self.carried)
+        )
 
     def opening(self, jump: Floats) -> Floats:
         """Jumps (n, 3) with the initial gap; where points slide far along the normal alone."""
         found = jump + self.gap
-        if self.large is not None:
-            rows, n = self.large.rows, self.own.normals[self.large.rows, 0]
+        if self.finite_sliding is not None:
+            rows, n = self.finite_sliding.rows, self.own.normals[self.finite_sliding.rows, 0]
             found[rows] = np.einsum("pi,pi->p", found[rows], n)[:, None] * n
         return found
 
@@ -360,8 +366,8 @@ class ContactInterfaces:
         if not on:
             return False
         apart = self._clearance.copy()
-        if self.large is not None:
-            apart[self.large.rows] += self.large.paired.gap
+        if self.finite_sliding is not None:
+            apart[self.finite_sliding.rows] += self.finite_sliding.paired.gap
         touched = (apart <= 0) | self.state.force.any(axis=1)
         floating: set[int] | None = None
         for i in range(len(self._contacts)):
@@ -400,7 +406,7 @@ class ContactInterfaces:
         Args:
             status: States of own points (n,).
         """
-        if self.large is not None or self.points.surface.jumps is not None:
+        if self.finite_sliding is not None or self.points.surface.jumps is not None:
             return np.zeros((6 * self._bodies, 0))
         stick = self._touching(status) & self._sticks
         return self._unresisted(stick, ~stick, UNRESISTED)
@@ -410,7 +416,7 @@ class ContactInterfaces:
 
         The motions of `free_motions`, which no point resists, are not among them.
         """
-        if self.large is not None or self.points.surface.jumps is not None:
+        if self.finite_sliding is not None or self.points.surface.jumps is not None:
             return np.zeros((6 * self._bodies, 0))
         touch = self._touching(status)
         loose = self._unresisted(touch & self._sticks, touch & ~self._sticks, FREE)
@@ -491,12 +497,12 @@ class ContactInterfaces:
         Further than where their points touch. From there Newton finds which do, however small the
         load: not from afar.
         """
-        if self.large is None:
+        if self.finite_sliding is None:
             return
-        rows, constraints = self.large.rows, self._stiffness.constraints
+        rows, constraints = self.finite_sliding.rows, self._stiffness.constraints
         pushed = constraints.pushed(f)
-        way = constraints.expand(pushed).array_r.reshape(-1, 3)[self.large.nodes]
-        gap = self._clearance[rows] + self.large.paired.gap
+        way = constraints.expand(pushed).array_r.reshape(-1, 3)[self.finite_sliding.nodes]
+        gap = self._clearance[rows] + self.finite_sliding.paired.gap
         along = np.einsum("pi,pi->p", self.own.normals[rows, 0], way)
         before = along > FACING * np.linalg.norm(way, axis=1)
         near = float(np.min(gap[before] / along[before], initial=np.inf))
@@ -557,7 +563,7 @@ class ContactInterfaces:
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
         """The laws at own points for equilibrium and jumps."""
         state = self.state
-        if self.large is not None:
+        if self.finite_sliding is not None:
             state = replace(state, jump=self.reference)
         return self.law.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
 

@@ -176,8 +176,8 @@ class PointLaw:
             groups.append((rows, law, compiled, beside))
         return groups
 
-    def turn_normals(self, points: Ints) -> None:
-        """Take the normals of points of one face anew."""
+    def set_normals(self, points: Ints) -> None:
+        """Set the normals of points of one face to their current values."""
         for rows, _, compiled, _ in self._groups:
             if np.isin(rows, points).any():
                 normal = self._own.normals[rows, 0]

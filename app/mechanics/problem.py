@@ -292,7 +292,7 @@ class Problem:
 
     def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
-        if q is None or self.contact is None or self.contact.large is None:
+        if q is None or self.contact is None or self.contact.finite_sliding is None:
             return False
         trial = self.trial(u, q)
         self.update_displacements(u, q)

@@ -69,9 +69,9 @@ class SlidingBodies:
 
     def _contact_forces(self, trial: TrialState) -> Moved:
         """Forces on own nodes where surfaces slide far [N], and their sums on bodies that turn."""
-        large, on_slaves = self._contact.large, np.zeros_like(self._nodal)
-        assert large is not None
-        on_slaves[large.nodes] = trial.equilibrium[large.rows]
+        sliding, on_slaves = self._contact.finite_sliding, np.zeros_like(self._nodal)
+        assert sliding is not None
+        on_slaves[sliding.nodes] = trial.equilibrium[sliding.rows]
         forces = on_slaves - self._followers.handed(on_slaves)
         return forces, self._followers.totals(forces)
 
@@ -79,9 +79,12 @@ class SlidingBodies:
         """Set unknowns and jumps to displacements, as turned and paired now; collective."""
         constraints, nodal = self._stiffness.constraints, self._followers.with_motion(*moved)
         constraints.contract(nodal).copy(u)
-        large, apart = self._contact.large, nodal - constraints.expand(u).array.reshape(-1, 3)
-        assert large is not None
-        q.array.reshape(-1, 3)[large.rows] = apart[large.nodes]
+        sliding, apart = (
+            self._contact.finite_sliding,
+            nodal - constraints.expand(u).array.reshape(-1, 3),
+        )
+        assert sliding is not None
+        q.array.reshape(-1, 3)[sliding.rows] = apart[sliding.nodes]
 
     def taken_up(self) -> Floats:
         """Pair surfaces as in the restored state; its displacement at own nodes (n, 3) [mm]."""

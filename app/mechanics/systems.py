@@ -249,14 +249,14 @@ class ContactSystem(BondedSystem):
 
     def ties(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
         """Displacement of points by the unknowns they follow now, of masters by all such ones."""
-        followers, large = self._problem.followers, self.contact.large
-        if followers is None or large is None:
+        followers, sliding = self._problem.followers, self.contact.finite_sliding
+        if followers is None or sliding is None:
             return None
         constraints, points = self._problem.stiffness.constraints, self.contact.points
         low = self._problem.space.dofmap.index_map.local_range[0]
         Q = constraints.at(points.dof[self.contact.own.rows] - low)
         follows = Q.createVecLeft()
-        soft = large.rows[np.isin(large.of, list(followers.sides))]
+        soft = sliding.rows[np.isin(sliding.of, list(followers.sides))]
         follows.array.reshape(-1, 3)[soft] = 1.0
         Q.diagonalScale(follows)
         return Q, constraints.at(followers.masters)

@@ -50,7 +50,7 @@ class Bearing:
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
-        assert contact is not None and contact.large is not None
+        assert contact is not None and contact.finite_sliding is not None
         self._problem, self._contact = problem, c
         self._body = problem.bodies.of_region[c.master[0]]
         self._motion = problem.scene.motion_of(c.master)
@@ -62,7 +62,7 @@ class Bearing:
             np.searchsorted(self._rows, triangles),
             -points.normals[triangles[:, 0], 0],
         )
-        master = contact.large.masters[i]
+        master = contact.finite_sliding.masters[i]
         self.surface, self.dof = master.smooth, master.dofs
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)

@@ -125,7 +125,7 @@ class ContactSamples:
         self.of_points = points.interface
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        signs = np.array([-1.0 if c.turned else 1.0 for c in contacts])
+        signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
         sign = signs[own.interface][:, None]
         self.slip, self.path = whole(sign * history.slip), whole(history.path)
         self.motion = signs[surface.interface][:, None] * motion
@@ -148,10 +148,10 @@ class ContactSamples:
         if since is not None:
             way = surface.true_jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
-        far = contact.large
-        if far is not None:
+        sliding = contact.finite_sliding
+        if sliding is not None:
             arm = np.zeros((len(own), 3))
-            arm[far.rows] = far.paired.arm
+            arm[sliding.rows] = sliding.paired.arm
             self.arm, self.friction = whole(arm), whole(history.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # With a normal that is off by an angle, slip times this angle presses on the surface.

@@ -46,7 +46,7 @@ class Interface:
         modulus: Modulus of the softer side, infinite if it is rigid [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
         history: Amplitudes of the gap at the ends of the stages, or empty (`laws.values.gap_at`).
-        turned: Whether the master is the second side as declared.
+        swapped: True if the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
         values: Constants of the law (n,) at points, by name.
         between: Boundaries of master and slave where they slide far, meshed apart; else None.
@@ -59,7 +59,7 @@ class Interface:
     modulus: float
     gap: Field
     history: tuple[float, ...] = ()
-    turned: bool = False
+    swapped: bool = False
     slave_share: float = 0.0
     values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
     between: tuple[str, str] | None = None
@@ -320,8 +320,8 @@ def _interface(
 ) -> Interface:
     """Interface with the stiffer side as master: the softer side carries the jumps."""
     first, second = (tuple(side) for side in case.geometry.interface_sides[name])
-    turned = _stiffness(first, moduli) < _stiffness(second, moduli)
-    master, slave = (second, first) if turned else (first, second)
+    swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
+    master, slave = (second, first) if swapped else (first, second)
     gap, history = law.initial_gap
     faces = case.faces.get(name)
     share = law.heated_by_friction
@@ -329,7 +329,7 @@ def _interface(
         e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))
         slave_share = e_s / (e_s + e_m)
     else:
-        slave_share = 0.0 if share is None else share if turned else 1.0 - share
+        slave_share = 0.0 if share is None else share if swapped else 1.0 - share
     return Interface(
         name,
         master,
@@ -338,10 +338,10 @@ def _interface(
         modulus=_stiffness(slave, moduli),
         gap=field(f"interfaces.{name}.gap", gap),
         history=tuple(history or ()),
-        turned=turned,
+        swapped=swapped,
         slave_share=slave_share,
         values=law.fields(name),
-        between=(faces[::-1] if turned else faces) if faces else None,
+        between=(faces[::-1] if swapped else faces) if faces else None,
     )
 
 

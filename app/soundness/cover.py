@@ -93,19 +93,19 @@ class Cover:
         surface, and the size of a facet [mm].
         """
         contact = self._problem.contact
-        large = contact.large if contact else None
-        if contact is None or large is None:
+        sliding = contact.finite_sliding if contact else None
+        if contact is None or sliding is None:
             return
-        places = large.places(contact.own.x * 0.0 + jump)
-        for i, master in large.masters.items():
+        places = sliding.places(contact.own.x * 0.0 + jump)
+        for i, master in sliding.masters.items():
             surface = master.smooth
             facet = contact.edge_lengths[i]
-            here = large.of == i
+            here = sliding.of == i
             x = places[here]
             on, at, apart = surface.closest(x)
             beside = surface.beyond(x, on, at)
             beyond = np.where(beside > OFF * facet, beside, 0.0)
-            yield self._problem.scene.contacts[i], large.rows[here], beyond, apart, facet
+            yield self._problem.scene.contacts[i], sliding.rows[here], beyond, apart, facet
 
     def _largest(self, here: Ints, values: Floats) -> tuple[float, str]:
         """The largest of values at some own points, and its place; collective."""

@@ -213,7 +213,7 @@ def explain(
     # A body whose bond breaks in this step is not free.
     if not breaks:
         free = pulled = loose_bodies.pulled_off(problem, contact)
-        if not scales and not contact.large:
+        if not scales and not contact.finite_sliding:
             free = loose_bodies.pushed_freely(problem, trial)
         # A body is not free if iterates lose contact that the loads would close.
         if not free and (pulled or not problem.load_size or contact.apart()):

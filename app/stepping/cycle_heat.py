@@ -43,8 +43,8 @@ class CycleHeat:
 
     def __init__(self, problem: Problem, step: ImplicitStep) -> None:
         self._problem, self._step, self._scene = problem, step, problem.scene
-        assert problem.contact is not None and problem.contact.large is not None
-        self._contact, self._large = problem.contact, problem.contact.large
+        assert problem.contact is not None and problem.contact.finite_sliding is not None
+        self._contact, self._finite_sliding = problem.contact, problem.contact.finite_sliding
         self._time, self._spent = 0.0, self._contact.own.weight * 0.0
         self._steps: list[Floats] = []
         self._cycle = [self._state(1.0, 0.0, self._spent, self._spent)]
@@ -57,7 +57,7 @@ class CycleHeat:
 
     def _state(self, part: float, time: float, pressure: Floats, spent: Floats) -> Floats:
         found = np.zeros((len(spent), 6))
-        found[self._large.rows, 1:4] = self._large.touching(time)
+        found[self._finite_sliding.rows, 1:4] = self._finite_sliding.touching(time)
         found[:, 0], found[:, 4], found[:, 5] = part, pressure, spent
         return found
 
@@ -130,7 +130,7 @@ class CycleHeat:
 
         points, i = self._contact.points, [o.name for o in self._scene.contacts].index(c.name)
         here = points.interface == i  # in the order of the vertices
-        weight, surface = points.weight[here], self._large.masters[i].smooth
+        weight, surface = points.weight[here], self._finite_sliding.masters[i].smooth
         m, n = len(master.dofs), len(slave.dofs)
         least, slope, cap = c.law.conductances
         heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))

@@ -72,7 +72,7 @@ app/scene/scene.py
   rubbing_split
     share_of_the_other_side: e_s / (e_s + e_m) -> e_m / (e_s + e_m)
   rubbing_given
-    given_share_turned: share if turned else 1.0 - share -> 1.0 - share if turned else share
+    given_share_swapped: share if swapped else 1.0 - share -> 1.0 - share if swapped else share
 forms/heat.py
   heat_slab
     fourier_factor: return k / 2 * inner(g, g) -> return k * inner(g, g)

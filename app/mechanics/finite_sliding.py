@@ -52,7 +52,7 @@ class Paired:
     arm: Floats
 
 
-class Sliding:
+class FiniteSliding:
     """Own contact points that slide far, with the bodies they slide on.
 
     Attributes:
