@@ -36,7 +36,7 @@ def chosen(text: str, *overrides: str) -> np.ndarray:
     return np.asarray(problem.contact.law.stiffness)
 
 
-def test_it_is_a_stiffness_per_length() -> None:
+def test_augmentation_scales_as_stiffness_per_length() -> None:
     """Ten times the moduli, ten times r; half the size, twice r."""
     r = chosen(STEM)
     stiffer = chosen(
@@ -50,7 +50,7 @@ def test_it_is_a_stiffness_per_length() -> None:
     np.testing.assert_allclose(np.median(chosen(half)), 2 * np.median(r), rtol=0.1)
 
 
-def test_it_follows_the_stiffness_in_force() -> None:
+def test_augmentation_follows_softened_cement() -> None:
     """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
     problem, _ = support.assemble(support.case(STEM))
     j = problem.contact
@@ -72,7 +72,7 @@ def test_it_follows_the_stiffness_in_force() -> None:
 @pytest.mark.parametrize(
     "factor", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3, 1e-2, 1.0, 1e2, 1e3, 1e4]
 )
-def test_the_answer_is_found_from_a_bad_one(
+def test_augmentation_over_eight_decades_gives_equal_jumps(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Eight decades of r: one step, none rejected, the same jumps; what was tried is said."""
@@ -98,7 +98,7 @@ def test_the_answer_is_found_from_a_bad_one(
         assert f"augmentation {outcomes[-1].augmentation:.3g} r" in caplog.text
 
 
-def test_the_usual_augmentation_is_known() -> None:
+def test_augmentation_default_is_found_from_any_given_value() -> None:
     """From what was asked for, by the factor or for an interface; penalties have none."""
     law = "interfaces.{}={{kind: contact, friction_coefficient: 0.4, augmentation: 1e9 MPa/mm}}"
     penalty = law.replace("contact", "penalty").replace("augmentation", "penalty")
@@ -115,7 +115,7 @@ def test_the_usual_augmentation_is_known() -> None:
         assert solver.system.contact.usual_augmentation() == pytest.approx(multiple)
 
 
-def test_a_penalty_is_found_with_any_augmentation() -> None:
+def test_augmentation_does_not_change_a_penalty() -> None:
     """Softer trial forces, the same answer: jumps, forces, slip and what friction has cost."""
     law = "interfaces.{}={{kind: penalty, friction_coefficient: 0.4, penalty: {} MPa/mm}}"
     laws = [law.format("stem_cement", 2e3), law.format("cement_bone", 5e3)]
@@ -143,7 +143,7 @@ def test_a_penalty_is_found_with_any_augmentation() -> None:
     assert found[0][-1, :, -1].sum() > 0
 
 
-def test_a_line_search_comes_back_as_it_was(tmp_path: Path) -> None:
+def test_augmentation_remedies_restore_the_line_search(tmp_path: Path) -> None:
     """Another type of it begins with defaults of PETSc, and would go on with them."""
 
     def described(solver: Solver) -> str:

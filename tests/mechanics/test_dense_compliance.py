@@ -81,7 +81,7 @@ def step(S: Floats, x: Floats, load: Floats, old: Floats, turn: Floats, start: F
     raise AssertionError("the dense form did not converge")
 
 
-def test_forces_are_those_of_dense_compliance(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sliding_forces_equal_those_of_dense_compliance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pressed, then turned by 5 degrees twice: every normal force to 1e-7 of the largest."""
     monkeypatch.setattr(contact, "ACCURACY", 1e-12)
     found = solve(turning((0, 0, 0), (0, 10, 0)), stages(2))[-3:]

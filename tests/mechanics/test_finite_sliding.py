@@ -52,7 +52,7 @@ def same(one: list[Step], other: list[Step], tolerance: float, Q: Floats = AS_IT
             assert support.difference(getattr(a, name), Q @ getattr(b, name)) < tolerance, name
 
 
-def test_a_turn_without_friction_changes_nothing() -> None:
+def test_finite_sliding_rotation_without_friction_changes_nothing() -> None:
     """Pressures, place and force of a sphere that turns; no torque."""
     settled = ", ".join(f"{{name: settle_{k}}}" for k in range(4))
     steps = solve(f"{FRICTION}=0", QUARTER, f"stages=[{settled}, {{name: turn, increments: 5}}]")
@@ -67,7 +67,7 @@ def test_a_turn_without_friction_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("axis", [(0, 1, 0), (2, -1, 1)])
-def test_steady_turning_spends_its_torque(axis: tuple[int, int, int]) -> None:
+def test_finite_sliding_dissipation_equals_torque_times_angle(axis: tuple[int, int, int]) -> None:
     """M dθ is dissipated, and M is the sum of μ p W R sqrt(1 - n_y²); Newton takes few steps."""
     angles = 30 * Rotation.from_rotvec(np.array(axis)).as_rotvec() / np.linalg.norm(axis)
     ways = [Rotation.from_rotvec(s * angles, degrees=True) for s in np.linspace(0, 1, 7)]
@@ -85,7 +85,7 @@ def test_steady_turning_spends_its_torque(axis: tuple[int, int, int]) -> None:
     assert 1.0 < np.linalg.norm(steps[-1].torque) / (MU * R * np.linalg.norm(FORCE)) < 1.1
 
 
-def test_dissipation_does_not_depend_on_the_steps_and_cycles_end_alike() -> None:
+def test_finite_sliding_dissipation_is_independent_of_steps() -> None:
     """Swings of 25 degrees in 4, 8 and 20 steps."""
     cycles = []
     for increments in (4, 8, 20):
@@ -100,7 +100,7 @@ def test_dissipation_does_not_depend_on_the_steps_and_cycles_end_alike() -> None
     assert cycles[1] == pytest.approx(cycles[2], rel=1e-5)
 
 
-def test_a_turned_case_has_the_numbers_of_the_straight_one() -> None:
+def test_finite_sliding_results_are_invariant_under_rotation() -> None:
     """Turned as a whole, and the mesh of the head under it besides."""
     angles = [(0, 0, 0), (4, 5, -3), (9, 12, -5), (3, 20, 2)]
     one = solve(turning(*angles, largest_step="30 deg"), stages(3))
@@ -119,7 +119,7 @@ def test_a_turned_case_has_the_numbers_of_the_straight_one() -> None:
     same(other, one, 1e-8, Q)
 
 
-def test_a_load_that_follows_the_head() -> None:
+def test_finite_sliding_load_follows_the_head() -> None:
     """It is that of a course with the turned components."""
     follows = solve(QUARTER, stages(5), "loads.hip.follows=ball")
     ways = [Rotation.from_euler("Y", 5 * k, degrees=True).as_matrix() for k in range(6)]
@@ -127,7 +127,7 @@ def test_a_load_that_follows_the_head() -> None:
     np.testing.assert_allclose(follows[-1].force, ways[-1] @ FORCE, rtol=1e-10)
 
 
-def test_a_course_begins_at_its_first_row_without_a_stage_before() -> None:
+def test_finite_sliding_time_course_starts_at_its_first_row() -> None:
     """After some degrees it is as if the head had been pressed in first."""
     given = loaded(FORCE, FORCE)
     at_once, pressed = solve(QUARTER, stages(5, press=0), given), solve(QUARTER, stages(5), given)
@@ -136,7 +136,7 @@ def test_a_course_begins_at_its_first_row_without_a_stage_before() -> None:
     same([at_once[-1]._replace(dissipated=0)], [pressed[-1]._replace(dissipated=0)], 1e-5)
 
 
-def test_a_head_whose_centre_is_held() -> None:
+def test_finite_sliding_head_with_held_centre() -> None:
     """An interference presses; the centre stays, and the torque is spent."""
     held = turning((0, 0, 0), (0, 25, 0), translation="held")
     steps = solve(held, stages(5), "interfaces.bearing.gap=-0.15 mm")
@@ -147,7 +147,7 @@ def test_a_head_whose_centre_is_held() -> None:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_friction_varies_on_one_model(soft: bool) -> None:
+def test_finite_sliding_friction_varies_on_one_model(soft: bool) -> None:
     """Matrices are taken over, and what the head has turned and slid is not."""
     runs, elastic = Runs(), "regions.head={youngs_modulus: 210 GPa, poisson_ratio: 0.3}"
     changes = [elastic] if soft else []
@@ -162,7 +162,9 @@ def test_friction_varies_on_one_model(soft: bool) -> None:
 
 @pytest.mark.parametrize("μ", [0, MU])
 @pytest.mark.parametrize("force", [(0, 0, 20), (1500, 0, 1500)])
-def test_a_head_finds_its_cup(μ: float, force: tuple[float, float, float]) -> None:
+def test_finite_sliding_head_comes_into_contact(
+    μ: float, force: tuple[float, float, float]
+) -> None:
     """Nothing touches at first; a small load is borne by a few points."""
     changes = (f"{FRICTION}={μ}", f"loads.hip.force={vector(force, ' N')}")
     clearance = "geometry.radial_clearance=0.02 mm"
@@ -172,7 +174,7 @@ def test_a_head_finds_its_cup(μ: float, force: tuple[float, float, float]) -> N
     np.testing.assert_allclose(steps[0].force, force, rtol=1e-9, atol=1e-8)
 
 
-def test_a_head_that_falls_out() -> None:
+def test_finite_sliding_head_outside_its_cup_is_an_error() -> None:
     """Off its cup from the start, or in the middle of a course.
 
     A step to far away converges or not by rounding: either is told.

@@ -27,7 +27,7 @@ def problem(size: float = 3.0) -> SimpleNamespace:
     return SimpleNamespace(space=found.space, K=K, held=constraints.constrained)
 
 
-def test_first_order_gives_all_linear_displacements() -> None:
+def test_multigrid_by_degree_reproduces_linear_displacements() -> None:
     fine = problem()
     lower = CoarseOrder(fine.space, lambda: np.zeros_like(fine.held))
     P, below = lower.prolongation(), lower.space.tabulate_dof_coordinates()
@@ -39,7 +39,7 @@ def test_first_order_gives_all_linear_displacements() -> None:
     np.testing.assert_allclose(found.array, (x @ slope).ravel(), atol=1e-12)
 
 
-def test_held_and_free_unknowns_do_not_mix() -> None:
+def test_multigrid_by_degree_separates_held_and_free_unknowns() -> None:
     fine = problem()
     lower = CoarseOrder(fine.space, lambda: fine.held)
     P = lower.prolongation()
@@ -56,7 +56,7 @@ def test_held_and_free_unknowns_do_not_mix() -> None:
 
 
 @pytest.mark.parametrize("factored_below", [True, False])
-def test_iterations_do_not_grow_with_the_mesh(factored_below: bool) -> None:
+def test_multigrid_by_degree_iterations_are_independent_of_mesh(factored_below: bool) -> None:
     """Conjugate gradients to 1e-10; a factorization solves the same equations."""
     counts = []
     for size in (4.0, 2.0):
@@ -77,7 +77,7 @@ def test_iterations_do_not_grow_with_the_mesh(factored_below: bool) -> None:
     assert counts[1] < 1.3 * counts[0] < 40, counts
 
 
-def test_it_follows_a_changed_stiffness() -> None:
+def test_multigrid_by_degree_follows_a_changed_stiffness() -> None:
     fine, version = problem(), [0]
     lower = CoarseOrder(fine.space, lambda: fine.held)
     inverse = Inverse(

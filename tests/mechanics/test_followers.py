@@ -82,7 +82,7 @@ def sliding(μ: float, **more: object) -> str:
     return f"interfaces.joint={law}"
 
 
-def test_a_cut_that_is_tied_again_is_none(tmp_path: Path) -> None:
+def test_followers_across_a_matching_cut_equal_the_uncut_body(tmp_path: Path) -> None:
     """Where the meshes match, and everything sticks."""
     data, shear = block(3), "supports.guide.x=0.0001 * y"
     one = support.solve(STACK, stack(tmp_path / "one.msh", data, data, False), shear)
@@ -103,7 +103,7 @@ def test_a_cut_that_is_tied_again_is_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("points", "error"), [(12, 0.01), (192, 0.0005)])
 @pytest.mark.parametrize("sizes", [(2.9, 4.1), (4.1, 2.9)])
 @pytest.mark.parametrize("order", [1, 2])
-def test_uniform_pressure_passes_between_unlike_meshes(
+def test_followers_transmit_uniform_pressure_between_unlike_meshes(
     sizes: tuple[float, float], points: int, error: float, order: int, tmp_path: Path
 ) -> None:
     """Of bodies that are hardly unlike; whichever mesh is the finer one."""
@@ -116,7 +116,7 @@ def test_uniform_pressure_passes_between_unlike_meshes(
 
 
 @pytest.mark.parametrize(("head", "error"), [(COCR, 0.005), (SOFT, 0.1)])
-def test_a_turn_without_friction_changes_little(head: str, error: float) -> None:
+def test_followers_rotation_without_friction_changes_little(head: str, error: float) -> None:
     """Mean pressure within 20 degrees, force; no torque, and nothing is dissipated.
 
     Alike bodies scatter most, by a tenth at first order on this mesh.
@@ -133,7 +133,9 @@ def test_a_turn_without_friction_changes_little(head: str, error: float) -> None
 
 
 @pytest.mark.parametrize("head", [(COCR,), (SOFT,), (SOFT, "mesh.order=2")])
-def test_friction_balances_on_a_deformable_head(head: tuple[str, ...], tmp_path: Path) -> None:
+def test_followers_friction_is_in_balance_on_a_deformable_head(
+    head: tuple[str, ...], tmp_path: Path
+) -> None:
     """Force, moment and energy."""
     text = CUP.replace("regions:", "stages: []\nregions:")
     balance = support.run(text, tmp_path, *head, DRIVEN, stages(3)).summary["balance"]
@@ -157,7 +159,7 @@ def test_friction_balances_on_a_deformable_head(head: tuple[str, ...], tmp_path:
         ),
     ],
 )
-def test_what_cannot_turn_is_refused(changes: list[str], complaint: str) -> None:
+def test_followers_refuse_bodies_that_cannot_rotate(changes: list[str], complaint: str) -> None:
     """A slave, forces beside the driven boundary, weight: each names its place and remedy."""
     with pytest.raises(InputError, match=complaint):
         support.assemble(support.case(CUP, COCR, DRIVEN, *changes))

@@ -157,7 +157,9 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("friction", [0.0, 0.35])
-def test_a_uniform_pressure_is_exact(layout: str, friction: float, tmp_path: Path) -> None:
+def test_interfaces_that_meet_transmit_uniform_pressure(
+    layout: str, friction: float, tmp_path: Path
+) -> None:
     blocks, cells = LAYOUTS[layout]
     if layout == "strip":  # the middle block has no point but on lines
         blocks = blocks | {"two": lambda x: (x[:, 2] < 2) & (x[:, 0] > 1) & (x[:, 0] < 2)}
@@ -189,7 +191,7 @@ STRONG = {
         (contact(0.0), contact(0.0), contact(0.35)),
     ],
 )
-def test_a_uniform_pressure_is_exact_with_different_laws(
+def test_interfaces_that_meet_transmit_uniform_pressure_with_different_laws(
     layout: str, laws: Sequence[dict[str, Any]], tmp_path: Path
 ) -> None:
     blocks, cells = LAYOUTS[layout]
@@ -198,7 +200,9 @@ def test_a_uniform_pressure_is_exact_with_different_laws(
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_uniform_pressure_beside_cohesive_interfaces(order: int, tmp_path: Path) -> None:
+def test_interfaces_that_meet_transmit_uniform_pressure_with_cohesive_ones(
+    order: int, tmp_path: Path
+) -> None:
     """Under the bars of a T cohesive layers close alike; its stem has contact."""
     text = scene(tmp_path, T, STRONG, order=order)
     text["interfaces"]["left_right"] = contact(0.35)
@@ -213,7 +217,7 @@ def test_a_uniform_pressure_beside_cohesive_interfaces(order: int, tmp_path: Pat
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("bonded", ["left_right", "left_top", "all"])
-def test_a_bond_beside_contact_bears_what_crosses_it(
+def test_interfaces_that_meet_bonded_tractions_next_to_contact(
     bonded: str, order: int, tmp_path: Path
 ) -> None:
     """The bond of a T with contact has the tractions of uniaxial strain, at the line as well."""
@@ -237,7 +241,9 @@ def test_a_bond_beside_contact_bears_what_crosses_it(
 
 
 @pytest.mark.parametrize("springs", [False, True])
-def test_a_bond_that_ends_at_a_loaded_surface(springs: bool, tmp_path: Path) -> None:
+def test_interfaces_that_meet_bonded_tractions_at_a_loaded_surface(
+    springs: bool, tmp_path: Path
+) -> None:
     """Two bonded blocks are pressed between a load, and a support or springs: no shear."""
     text = scene(tmp_path, {"left": lambda x: x[:, 0] < 2, "right": lambda x: x[:, 0] > 2}, BONDED)
     if springs:
@@ -254,7 +260,7 @@ def test_a_bond_that_ends_at_a_loaded_surface(springs: bool, tmp_path: Path) -> 
     assert numbers["shear_max"] < 1e-9
 
 
-def test_the_stem_of_a_T_depends_on_its_bars(tmp_path: Path) -> None:
+def test_interfaces_that_meet_stem_of_a_t_depends_on_its_bars(tmp_path: Path) -> None:
     """Whatever the order in the file, the jump of the stem follows from those of the bars."""
     dependent = []
     for turn in range(3):
@@ -267,7 +273,7 @@ def test_the_stem_of_a_T_depends_on_its_bars(tmp_path: Path) -> None:
     assert dependent == [{"left_right"}] * 3
 
 
-def test_the_order_in_the_file_does_not_matter(tmp_path: Path) -> None:
+def test_interfaces_that_meet_are_independent_of_their_order(tmp_path: Path) -> None:
     """A block pulled off its neighbours, which part: the same state in any order and naming."""
     found = []
     for turn in range(3):
@@ -285,7 +291,7 @@ def test_the_order_in_the_file_does_not_matter(tmp_path: Path) -> None:
             assert one["pressure_mean"] == pytest.approx(two["pressure_mean"], rel=1e-6, abs=1e-8)
 
 
-def test_two_interfaces_of_one_body_break_on_all_their_area(tmp_path: Path) -> None:
+def test_interfaces_that_meet_break_on_their_whole_area(tmp_path: Path) -> None:
     """Bonded blocks under one that is pulled off them: the energy of both interfaces."""
     bond = {
         "kind": "cohesive",
@@ -330,7 +336,7 @@ stages: [{name: press}, {name: push, increments: 2}, {name: back, increments: 2}
 """
 
 
-def test_friction_acts_where_supports_prescribe_slip() -> None:
+def test_interfaces_that_meet_have_friction_where_slip_is_prescribed() -> None:
     """Forward and back all points slide: friction on the whole area, and energy in balance."""
     solved = support.solve(HELD_AND_PUSHED, balances=True)
     whole = 0.25 * 4 * 36
@@ -341,7 +347,7 @@ def test_friction_acts_where_supports_prescribe_slip() -> None:
     assert solved.balances.max() < 1e-9
 
 
-def test_friction_where_two_components_are_prescribed() -> None:
+def test_interfaces_that_meet_friction_with_two_prescribed_components() -> None:
     """Pushed along the diagonal by both sides: the sum has the size of friction."""
     other = "{kind: displacement, boundary: high_y_min, y: 0.09 mm, history: [0, 1, -1]}"
     solved = support.solve(
@@ -357,7 +363,7 @@ def test_friction_where_two_components_are_prescribed() -> None:
 
 
 @pytest.mark.parametrize("layout", ["T", "three under one"])
-def test_a_block_pushed_over_several_rubs_on_all_of_them(layout: str, tmp_path: Path) -> None:
+def test_interfaces_that_meet_block_slides_on_several_blocks(layout: str, tmp_path: Path) -> None:
     blocks, cells = LAYOUTS[layout]
     text = scene(tmp_path, blocks, contact(0.3), cells=cells, turn=1)
     top = text["supports"].pop("x1")
@@ -378,7 +384,7 @@ def test_a_block_pushed_over_several_rubs_on_all_of_them(layout: str, tmp_path: 
     assert solved.balances.max() < 1e-8
 
 
-def test_a_body_is_free_where_supports_hold_those_beside_it(tmp_path: Path) -> None:
+def test_interfaces_that_meet_body_is_free_next_to_held_bodies(tmp_path: Path) -> None:
     """A block drawn along two whose ends are held: smooth, so nothing holds it at the line."""
     text = scene(tmp_path, T, contact(0.0))
     del text["supports"]["y0"], text["supports"]["y1"]
@@ -398,7 +404,7 @@ def test_a_body_is_free_where_supports_hold_those_beside_it(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_block_on_a_rigid_floor_with_a_plane_of_symmetry(order: int) -> None:
+def test_interfaces_that_meet_block_on_rigid_floor_with_symmetry(order: int) -> None:
     """The floor is held elsewhere: its vertices are held, too, and the block bears the pressure."""
     text = f"""
 geometry:
@@ -426,7 +432,7 @@ loads: {{press: {{kind: pressure, boundary: top, pressure: 1.7 MPa}}}}
     assert solved.balances.max() < 1e-8
 
 
-def test_two_rigid_regions_at_a_line_are_refused_unless_held(tmp_path: Path) -> None:
+def test_interfaces_that_meet_refuse_two_free_rigid_regions_at_a_line(tmp_path: Path) -> None:
     """Opposite blocks of a cross: only one rigid region can be the base of the others there."""
     text = scene(tmp_path, CROSS, contact(0.3), cells=(4, 2, 4))
     text["regions"]["a"] = text["regions"]["d"] = {"rigid": True, "tissue": "other"}
@@ -456,7 +462,9 @@ if MPI.COMM_WORLD.rank == 0:
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_a_uniform_pressure_is_exact_on_ranks(ranks: int, tmp_path: Path) -> None:
+def test_interfaces_that_meet_transmit_uniform_pressure_on_ranks(
+    ranks: int, tmp_path: Path
+) -> None:
     program = tmp_path / "program.py"
     program.write_text(ON_RANKS.format(root=str(support.ROOT), folder=str(tmp_path)))
     support.on_ranks(ranks, program)

@@ -17,7 +17,7 @@ from tests import support
         (1, "{kind: contact, friction_coefficient: 0}"),
     ],
 )
-def test_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
+def test_jacobian_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
     """|R(x + ε v) - R(x) - ε J v| falls with ε^2 at a solution with open, stick and slip points."""
     solved = support.solve(support.STEM, f"mesh.order={order}", f"interfaces.stem_cement={law}")
     snes = solved.solver.snes

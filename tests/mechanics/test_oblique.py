@@ -81,19 +81,19 @@ def same(text: str, *overrides: str, face: bool = False, tolerance: float = 1e-9
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("face", [False, True])
-def test_a_turned_quarter_is_the_quarter(order: int, face: bool) -> None:
+def test_oblique_rollers_rotated_quarter_equals_quarter(order: int, face: bool) -> None:
     """Press fit and friction: planes of symmetry cut both sides of both interfaces."""
     same(QUARTER, f"mesh.order={order}", face=face)
 
 
-def test_a_turned_quarter_around_a_rigid_stem() -> None:
+def test_oblique_rollers_rotated_quarter_around_a_rigid_stem() -> None:
     """The planes leave it one motion."""
     under = "supports.under_cement={kind: roller, boundary: bone_bottom, axis: z}"
     same(QUARTER, "regions.stem={rigid: true}", under)
 
 
 @pytest.mark.parametrize("rigid", [False, True])
-def test_released_and_held_again(rigid: bool) -> None:
+def test_oblique_rollers_released_and_held_again(rigid: bool) -> None:
     """An oblique support that lets go of a block, or of a plate on it, and takes hold again."""
     supports = (
         "supports.side={kind: roller, boundary: x_max, axis: x, stages: [a, c]}",
@@ -104,7 +104,7 @@ def test_released_and_held_again(rigid: bool) -> None:
     same(BLOCK, *supports, *(plate if rigid else ()))
 
 
-def test_planes_at_an_angle() -> None:
+def test_oblique_rollers_of_two_planes_at_45_degrees() -> None:
     """Two rollers at 45 degrees hold the edge that they share, and a fixed corner is held."""
     wedge = (
         "supports.y={kind: roller, boundary: y_min, normal: [1, 1, 0]}",
@@ -135,7 +135,7 @@ supports:
 """
 
 
-def test_a_ring_in_a_rigid_shell() -> None:
+def test_oblique_rollers_ring_in_a_rigid_shell() -> None:
     """A core that swells in a ring whose outside slides in a shell: Lame's solution, by hand."""
     solved = support.solve(RINGS)
     b, c, e = 4.0, 10.0, 0.01
@@ -149,7 +149,7 @@ def test_a_ring_in_a_rigid_shell() -> None:
     assert np.sqrt(np.mean((u - A * x * [1, 1, 0]) ** 2)) < 1e-3 * A * b
 
 
-def test_a_shaft_turns_in_its_bearing() -> None:
+def test_oblique_rollers_shaft_rotates_in_its_bearing() -> None:
     """Twisted at its core, its side held radially: all goes around, which the side lets happen."""
     turns = []
     for side in ("", ", side: {kind: roller, boundary: bone_surface, normal: face}"):
@@ -181,7 +181,7 @@ def test_a_shaft_turns_in_its_bearing() -> None:
         ),
     ],
 )
-def test_what_is_no_roller(change: str, expected: str) -> None:
+def test_oblique_rollers_refuse_wrong_directions(change: str, expected: str) -> None:
     """Exactly one direction, told in words that say where and what is allowed."""
     with pytest.raises(InputError, match=expected):
         support.case(BLOCK, f"supports.{change}")
@@ -209,13 +209,15 @@ def test_what_is_no_roller(change: str, expected: str) -> None:
         ),
     ],
 )
-def test_what_cannot_hold(changes: tuple[str, ...], expected: str) -> None:
+def test_oblique_rollers_refuse_contradictory_supports(
+    changes: tuple[str, ...], expected: str
+) -> None:
     """Displacements at an angle to what a roller holds; sides of an interface held at an angle."""
     with pytest.raises(InputError, match=expected):
         support.solve(BLOCK, *changes)
 
 
-def test_a_face_with_an_edge_has_no_normal() -> None:
+def test_oblique_rollers_refuse_a_face_with_an_edge() -> None:
     this = support.case(BLOCK)
     data = meshes.build(this.geometry, this.mesh, None)
     walls = {"walls": data.boundaries["x_max"] + data.boundaries["y_min"]}
@@ -230,7 +232,7 @@ def test_a_face_with_an_edge_has_no_normal() -> None:
 @pytest.mark.parametrize(
     ("y", "expected"), [("[1, -1, 0]", ""), ("[2, 2, 0]", r"nothing holds .* along"), ("face", "")]
 )
-def test_what_normals_leave_free(y: str, expected: str) -> None:
+def test_oblique_rollers_free_motions_of_normals(y: str, expected: str) -> None:
     """Judged on the mesh: two planes and the floor hold a block, one direction twice does not."""
     this = support.case(
         BLOCK,

@@ -45,7 +45,7 @@ def matrix(pairs: Pairs) -> Floats:
     return coo_array((pairs.values, (pairs.rows, pairs.columns))).toarray()
 
 
-def test_points_integrate_polynomials_of_degree_6() -> None:
+def test_pairs_quadrature_is_exact_to_degree_6() -> None:
     at, weight = rule(48)
     for i, j in product(range(4), repeat=2):
         exact = 2 * factorial(i) * factorial(j) / factorial(i + j + 2)
@@ -53,7 +53,9 @@ def test_points_integrate_polynomials_of_degree_6() -> None:
 
 
 @pytest.mark.parametrize(("quadrature", "error"), [(12, 0.014), (48, 0.003)])
-def test_uniform_pressure_passes_through_unlike_meshes(quadrature: int, error: float) -> None:
+def test_pairs_transmit_uniform_pressure_between_unlike_meshes(
+    quadrature: int, error: float
+) -> None:
     """In parts of the pressure; linear fields pass whatever the points."""
     for seed in range(4):
         slave, master = plane(7, seed), plane(5, seed + 10, up=-1)
@@ -65,7 +67,7 @@ def test_uniform_pressure_passes_through_unlike_meshes(quadrature: int, error: f
         assert (Π.T @ slave.areas)[inner] == pytest.approx(master.areas[inner], rel=error)
 
 
-def test_a_slave_covered_in_part_has_no_wrong_mortar_rows() -> None:
+def test_pairs_mortar_rows_of_a_partly_covered_slave() -> None:
     """Wider than its master: inside dual rows, at the rim shape functions, outside none."""
     slave, master = plane(12, 1, size=30.0), plane(8, 2, up=-1)
     pairs = mortar(slave.x, slave.triangles, master)
@@ -79,7 +81,7 @@ def test_a_slave_covered_in_part_has_no_wrong_mortar_rows() -> None:
     assert covered[down > 0.7] == pytest.approx(1) and not covered[down < 0.3].any()
 
 
-def test_closest_points_are_closer_than_dense_samples_of_all_facets() -> None:
+def test_pairs_closest_points_are_closest() -> None:
     master, at = sphere(300, lowest=0.0), np.concatenate([np.eye(3), rule(192)[0]])
     points = V[:300] * np.linspace(0.8, 1.3, 300)[:, None] * R
     samples = np.einsum("qk,fki->fqi", at, master.x[master.triangles]).reshape(-1, 3)
@@ -101,7 +103,7 @@ def bent(n: Floats, bend: float) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize(("bend", "angle", "sagittas"), [(0, 1e-9, 2e-4), (0.01, 0.2, 0.03)])
-def test_gap_and_normals_are_those_of_the_surface(
+def test_pairs_gap_and_normals_are_those_of_the_surface(
     bend: float, angle: float, sagittas: float
 ) -> None:
     """Normals of a sphere to rounding, those of a surface of degree 4 within 0.2 degrees."""
@@ -120,7 +122,7 @@ def test_gap_and_normals_are_those_of_the_surface(
     assert orders[:, 1].min() > (2.5 if bend else 1.8) and (orders[:, 0].min() > 1.7 or not bend)
 
 
-def test_turned_together_the_pairs_stay() -> None:
+def test_pairs_are_invariant_under_common_rotation() -> None:
     cup, ball = sphere(800, R + 0.1, out=-1, lowest=-0.1), sphere(600)
     x, t = ball.x @ TURN.T, ball.triangles
     turned = SmoothSurface(x, t[:, [1, 0, 2]], x[t].mean(axis=1))
@@ -131,7 +133,7 @@ def test_turned_together_the_pairs_stay() -> None:
     assert gap_ == pytest.approx(gap, abs=1e-12) and np.allclose(normal_, normal @ TURN.T)
 
 
-def test_deposits_conserve() -> None:
+def test_pairs_deposits_conserve_sums() -> None:
     """The sum; on a plane first moments; even values of a cup give the areas of a ball's nodes."""
     flat, cup, ball = plane(9, 4), sphere(400, R + 0.1), sphere(500)
     points, values = 9 * V, np.linspace(0, 1, len(V))

@@ -44,7 +44,7 @@ def active(**stages: tuple[str, ...]) -> Callable[[Scene], Scene]:
 
 
 @pytest.mark.parametrize("overrides", [(), (RIGID,), (CONTACT,), (CONTACT, RIGID)])
-def test_a_released_model_is_one_that_was_never_held(overrides: tuple[str, ...]) -> None:
+def test_constraints_released_support_equals_no_support(overrides: tuple[str, ...]) -> None:
     """Linear, or sticking: the state after the release depends on the loads alone."""
     released = Heated.make(COLUMN, active(hand=("held",)), *overrides)
     problem = released.problem
@@ -74,7 +74,7 @@ def test_a_released_model_is_one_that_was_never_held(overrides: tuple[str, ...])
     assert released.balance.energy < 1e-9
 
 
-def test_a_support_that_takes_hold_again() -> None:
+def test_constraints_support_holds_again_after_release() -> None:
     model = Heated.make(COLUMN, active(hand=("free",)))
     model.problem.set_time(1.0)
     model.step()
@@ -87,7 +87,7 @@ def test_a_support_that_takes_hold_again() -> None:
     assert max(model.balance.force, model.balance.energy) < 1e-9
 
 
-def test_given_jumps_may_not_become_free() -> None:
+def test_constraints_refuse_release_of_prescribed_jumps() -> None:
     """Both sides of the interface held where they touch: the support that lets go is named."""
     sides = (
         "supports.left={kind: roller, boundary: lower_x_min, axis: x}",

@@ -124,7 +124,7 @@ def touching(one: float | None, two: float | None) -> str:
     return ", ".join(law.format(n, μ) for n, μ in names.items() if μ is not None)
 
 
-def test_bonded_is_one_continuous_field() -> None:
+def test_scene_cost_bonded_is_one_continuous_field() -> None:
     """No jump, no law, one block, one body; listing the interface as bonded changes nothing."""
     unlisted = cost("")
     listed = cost("lower_middle: {kind: bonded}, middle_upper: {kind: bonded}")
@@ -143,7 +143,7 @@ def test_bonded_is_one_continuous_field() -> None:
     assert heavy.forms == listed.forms + 1 == FORMS + 1 and heavy.unknowns == listed.unknowns
 
 
-def test_contact_adds_jumps_at_interface_nodes_and_nothing_else() -> None:
+def test_scene_cost_contact_adds_only_jumps() -> None:
     one, two = contact(0.3, None), contact(0.3, 0.3)
     x = one.problem.space.tabulate_dof_coordinates()
     first, second = (int((np.abs(x[:, 2] - z) < 1e-9).sum()) for z in (3.0, 6.0))
@@ -156,7 +156,7 @@ def test_contact_adds_jumps_at_interface_nodes_and_nothing_else() -> None:
     assert fine.unknowns["jump"] == 3 * first and fine.unknowns["displacement"] > 12 * len(x)
 
 
-def test_laws_are_compiled_for_what_the_scene_needs_and_coefficients_are_values() -> None:
+def test_scene_cost_laws_are_compiled_only_as_needed() -> None:
     """The frictionless law is another, smaller one; friction, gap and moduli are no code."""
     smooth, rough, mixed = contact(0, 0), contact(0.3, 0.4), contact(0, 0.4)
     assert smooth.laws == [(1, False)] and mixed.laws == [(1, False), (1, True)]
@@ -218,7 +218,7 @@ def size() -> tuple[int, int]:
     return len(x), int((np.abs(x[:, 2] - 3.0) < 1e-9).sum())
 
 
-def test_thermal_only_has_no_mechanics(size: tuple[int, int]) -> None:
+def test_scene_cost_heat_alone_has_no_mechanics(size: tuple[int, int]) -> None:
     """No displacement, no form of the mechanics, no problem built; perfect joints cost nothing."""
     n, m = size
     perfect = bill("kind: bonded", elastic=False)
@@ -228,7 +228,7 @@ def test_thermal_only_has_no_mechanics(size: tuple[int, int]) -> None:
     assert finite == Bill(unknowns, [tuple(unknowns)], [], 1, 0, CONDUCTION, 4)
 
 
-def test_mechanics_only_has_no_heat(size: tuple[int, int]) -> None:
+def test_scene_cost_mechanics_alone_has_no_heat(size: tuple[int, int]) -> None:
     """No temperature, no form or law of the heat, no conduction built."""
     n, m = size
     bonded = bill("kind: bonded", heated=False)
@@ -238,7 +238,7 @@ def test_mechanics_only_has_no_heat(size: tuple[int, int]) -> None:
     assert contact == Bill(unknowns, [tuple(unknowns)], LAW, 0, FORMS, 0, 3)
 
 
-def test_one_way_is_the_sum_of_both(size: tuple[int, int]) -> None:
+def test_scene_cost_one_way_coupling_is_the_sum_of_both(size: tuple[int, int]) -> None:
     """Two systems, no block between them; expansion costs its forces and their work."""
     n, _ = size
     motion = bill(RUBS, heated=False)
@@ -265,7 +265,7 @@ def test_one_way_is_the_sum_of_both(size: tuple[int, int]) -> None:
         assert bill(f"{RUBS}, {interface}", expands=True) == coupled
 
 
-def test_friction_heats_a_perfect_interface_without_jumps(size: tuple[int, int]) -> None:
+def test_scene_cost_friction_heat_needs_no_temperature_jumps(size: tuple[int, int]) -> None:
     n, m = size
     cost = bill(f"{RUBS}, friction_heating: 0.3")
     assert cost.systems[1] == ("temperature", "displacement", "jump") and cost.heat_laws == 0

@@ -27,7 +27,7 @@ GRADED = ("regions.cement.youngs_modulus=[[0 mm, 1 GPa], [1 mm, 3 GPa]]",)
 
 @pytest.mark.parametrize("overrides", [(), UNILATERAL, GRADED])
 @ORDERS
-def test_rate_form_is_the_total_form_where_nothing_sets(
+def test_setting_rate_form_equals_total_form_when_cured(
     order: int, overrides: tuple[str, ...]
 ) -> None:
     """Fully cured from the start, in two steps, as elastic cement at once."""
@@ -75,7 +75,7 @@ def cooled(n: int, order: int, *overrides: str) -> Heated:
     return bar
 
 
-def test_a_clamped_bar_that_sets_while_it_cools() -> None:
+def test_setting_clamped_bar_that_cools() -> None:
     """σ = -∫ g E α_T dθ from gelation on, of second order in the step."""
     s = np.linspace(GEL, 1.0, 200_001)
     g = 0.01 + 0.99 * (0.4 * s - 0.25) / 0.15
@@ -92,12 +92,12 @@ def test_a_clamped_bar_that_sets_while_it_cools() -> None:
 
 
 @ORDERS
-def test_a_free_bar_that_sets_is_free_of_stress(order: int) -> None:
+def test_setting_free_bar_has_no_stress(order: int) -> None:
     bar = cooled(5, order)
     assert np.abs(bar.stress("two")).max() < 1e-9 * E * α_T * 50
 
 
-def test_what_is_strained_before_gelation_keeps_no_stress() -> None:
+def test_setting_strain_before_gelation_leaves_no_stress() -> None:
     """Stretched as a fluid, then set: only the floor's part of the stress is there."""
     stretch = "supports.ceiling={kind: displacement, boundary: top, z: 0.09 mm}"
     one = "geometry.blocks=[{name: one, size: [4 mm, 3 mm, 9 mm]}]"
@@ -118,7 +118,7 @@ def test_what_is_strained_before_gelation_keeps_no_stress() -> None:
     assert bar.balance.energy < 1e-10
 
 
-def test_setting_in_a_model_with_contact_and_a_degree_that_varies() -> None:
+def test_setting_with_contact_and_varying_degree_of_cure() -> None:
     """Second order in the step where the outside sets first; balances close in every step."""
     found = {}
     for n in (3, 6, 12):
@@ -147,7 +147,7 @@ def test_setting_in_a_model_with_contact_and_a_degree_that_varies() -> None:
     assert first / second == pytest.approx(4, rel=0.2)
 
 
-def test_eigenstrains_know_no_rate() -> None:
+def test_setting_refuses_eigenstrains() -> None:
     with pytest.raises(InputError, match="eigenstrains: none in a region that sets"):
         Heated.make(
             BAR,

@@ -14,7 +14,7 @@ from tests.cases.heated import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL, Heate
 
 
 @ORDERS
-def test_free_expansion_is_free_of_stress(order: int) -> None:
+def test_thermal_strain_free_expansion_has_no_stress(order: int) -> None:
     """Displacement α ΔT x, where the temperature is uniform, and no stress."""
     bar = Heated.make(BAR, expanding(one=8e-5, two=8e-5), f"mesh.order={order}")
     bar.solve({"one": 340.0, "two": 340.0})
@@ -29,7 +29,7 @@ def test_free_expansion_is_free_of_stress(order: int) -> None:
 
 
 @ORDERS
-def test_clamped_bar(order: int) -> None:
+def test_thermal_strain_of_a_clamped_bar(order: int) -> None:
     """σ = -E α ΔT along the bar, whatever each part's temperature; energy closes."""
     E, dT = 2200.0, 40.0
     soft = "regions.two={youngs_modulus: 2200 MPa, poisson_ratio: 0.3}"
@@ -44,7 +44,7 @@ def test_clamped_bar(order: int) -> None:
     assert max(bar.balance.force, bar.balance.moment, bar.balance.energy) < 1e-10
 
 
-def test_a_linear_temperature_bends_a_free_bar() -> None:
+def test_thermal_strain_of_linear_temperature_bends_a_free_bar() -> None:
     """ε = α (T - T_ref) I is compatible where T is linear: P2 has it exactly, and no stress."""
     rate = 8e-5 * 5.0
     floor = (
@@ -61,7 +61,7 @@ def test_a_linear_temperature_bends_a_free_bar() -> None:
     assert bar.balance.energy < 1e-10
 
 
-def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
+def test_thermal_strain_stiffness_is_the_derivative_of_forces() -> None:
     """Linear in temperature: the matrices times T - T_ref are the forces set_temperature sets.
 
     A temperature jump that lifts the cement alone is that temperature of the cement alone.
@@ -102,7 +102,7 @@ def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
 
 
 @pytest.mark.parametrize(("curved", "tolerance"), [("true", 0.01), ("false", 0.07)])
-def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
+def test_thermal_strain_tractions_of_cooled_bonded_cylinders(curved: str, tolerance: float) -> None:
     """physics.md 3.2: σ_rr 5.696 and 7.884 MPa on the stem and the bone.
 
     No bond stands that, none fails at an eighth of it.
@@ -129,7 +129,9 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
 @pytest.mark.parametrize(
     ("pull", "shear"), [(1.3, 0.0), (1.4, 0.0), (-9.0, 2.2), (-9.0, 2.3), (1.0, 1.4), (1.0, 1.6)]
 )
-def test_bonds_of_a_bar_that_is_pulled_and_sheared(pull: float, shear: float) -> None:
+def test_thermal_strain_bonded_tractions_of_a_pulled_and_sheared_bar(
+    pull: float, shear: float
+) -> None:
     """Without heat: uniform strain, given at its surface; an ellipse of 1.35 and 2.25 MPa.
 
     Points that are held have no traction.
@@ -150,7 +152,7 @@ def test_bonds_of_a_bar_that_is_pulled_and_sheared(pull: float, shear: float) ->
     assert (numbers["strength_fraction"] > 0) == fails
 
 
-def test_every_bond_is_looked_at() -> None:
+def test_thermal_strain_every_bonded_interface_is_checked() -> None:
     cold = Heated.make(CYLINDERS, expanding())
     assert [*BondForces(cold.problem, cold.stresses, None).numbers()] == [
         "stem_cement",

@@ -19,7 +19,7 @@ from tests import support
 CONDENSED = "solver.linear=condensed"
 
 
-def test_other_ties_are_condensed_without_new_factors() -> None:
+def test_condensed_bodies_with_new_pairs_reuse_factors() -> None:
     """S and displacements of a body that nothing holds, tied anew, by dense matrices."""
     random = np.random.default_rng(2)
     held, loose = (v @ v.T + np.eye(9) for v in random.normal(size=(2, 9, 9)))
@@ -54,7 +54,7 @@ MEASURED = [
 
 
 @pytest.mark.parametrize(("size", "least"), MEASURED)
-def test_it_is_chosen_where_it_was_measured_to_pay(size: tuple[int, ...], least: float) -> None:
+def test_condensed_method_is_chosen_by_size(size: tuple[int, ...], least: float) -> None:
     order, unknowns, jumps, entries = size
     for solves in (1, 2, 4):
         guessed = SolverChoice(order, unknowns, jumps, solves)
@@ -74,7 +74,7 @@ LAWS = [
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("order", [1, 2])
-def test_jumps_are_those_of_the_krylov_method(law: str, order: int) -> None:
+def test_condensed_jumps_equal_krylov_jumps(law: str, order: int) -> None:
     changes = f"mesh.order={order}", f"interfaces.stem_cement={law}"
     krylov = support.solve(support.STEM, *changes, "solver.linear=multigrid")
     condensed = support.solve(support.STEM, *changes, CONDENSED)
@@ -84,7 +84,7 @@ def test_jumps_are_those_of_the_krylov_method(law: str, order: int) -> None:
 
 
 @pytest.mark.skipif(substructures.library() is Mumps, reason="PETSc has no CHOLMOD")
-def test_jumps_are_the_same_by_other_factors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_condensed_jumps_equal_with_mumps_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     """MUMPS where there is no CHOLMOD."""
     law = f"interfaces.stem_cement={LAWS[0]}"
     expected = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
@@ -104,7 +104,7 @@ def doubled(c: Condensed) -> None:
 
 
 @pytest.mark.parametrize("error", [exchanged, doubled])
-def test_an_error_in_s_is_not_believed(
+def test_condensed_error_in_schur_complement_fails_to_converge(
     error: Callable[[Condensed], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Newton tests the residual of the whole system, which S has no part in."""
@@ -122,7 +122,7 @@ def test_an_error_in_s_is_not_believed(
         support.solve(support.STEM, CONDENSED)
 
 
-def test_bodies_are_factored_anew_where_a_support_lets_go() -> None:
+def test_condensed_bodies_are_factored_again_after_a_released_support() -> None:
     """Newton in the jumps then needs no help of the whole system."""
     held = "supports.held={kind: roller, boundary: stem_top, axis: x, stages: [first]}"
     stages = "stages=[{name: first}, {name: second}]"
@@ -132,7 +132,7 @@ def test_bodies_are_factored_anew_where_a_support_lets_go() -> None:
     assert solved.steps[1].outcome.iterations > 1
 
 
-def test_cycles_begin_where_the_ones_before_lead() -> None:
+def test_condensed_cycles_start_from_extrapolated_cycles() -> None:
     """The line through two of them leaves a tenth of what repeating the last one would."""
     walk = "stages=[{name: walk, cycles: 8, valley: 0.1}]"
     solved = support.solve(support.STEM, "mesh.order=2", walk, CONDENSED)
@@ -140,7 +140,7 @@ def test_cycles_begin_where_the_ones_before_lead() -> None:
     assert last <= 2 < first
 
 
-def test_a_body_that_floats_is_named() -> None:
+def test_condensed_singular_jacobian_names_the_floating_body() -> None:
     """Its motions make the Jacobian in the jumps singular: no step leads anywhere."""
     gaps = [f"interfaces.{name}.gap=0.1 mm" for name in ("stem_cement", "cement_bone")]
     lifted = "interfaces.cement_bone.friction_coefficient=0.4", "loads.hip.force=[0 N, 0 N, 1 N]"

@@ -38,7 +38,9 @@ def joined(A: csr_array, m: int, density: float) -> tuple[csr_array, csr_array]:
 @pytest.mark.parametrize("kind", BOTH)
 @pytest.mark.parametrize(("n", "m"), SIZES)
 @pytest.mark.parametrize("density", [0.004, 0.2])
-def test_schur_complement(kind: type[Factor], n: int, m: int, density: float) -> None:
+def test_factor_schur_complement_equals_dense(
+    kind: type[Factor], n: int, m: int, density: float
+) -> None:
     """- E^T A^-1 E, whatever the number of last unknowns and wherever they are met."""
     A = spring_grid(n)
     rows, E = joined(A, m, density)
@@ -55,7 +57,7 @@ def test_schur_complement(kind: type[Factor], n: int, m: int, density: float) ->
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_a_matrix_that_is_not_positive_definite_is_refused(kind: type[Factor]) -> None:
+def test_factor_refuses_indefinite_matrix(kind: type[Factor]) -> None:
     rows, _ = joined(spring_grid(4), 30, 0.1)
     f = kind(rows)
     wrong = rows.copy()
@@ -65,7 +67,7 @@ def test_a_matrix_that_is_not_positive_definite_is_refused(kind: type[Factor]) -
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_memory_goes_with_the_factors(kind: type[Factor]) -> None:
+def test_factor_memory_is_freed_with_the_factors(kind: type[Factor]) -> None:
     """A motion makes new ones at each step."""
     f = kind(joined(spring_grid(3), 30, 0.1)[0])
     gone = weakref.ref(f)

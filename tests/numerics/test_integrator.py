@@ -20,7 +20,7 @@ BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
 @BOTH
-def test_stable_for_all_decay_and_damping_what_is_fast(method: Method) -> None:
+def test_integrator_methods_are_l_stable(method: Method) -> None:
     """The stability function is at most one on the imaginary axis and tends to zero."""
     size = len(method.a)
 
@@ -52,7 +52,7 @@ def slope_at(t: float) -> State:
 
 
 @BOTH
-def test_error_falls_with_the_order(method: Method) -> None:
+def test_integrator_error_falls_with_the_order(method: Method) -> None:
     steps, errors = [], []
     for n in (10, 20, 40, 80):
         dt, slope = 2 / n, slope_at(0.0)
@@ -69,7 +69,7 @@ def test_error_falls_with_the_order(method: Method) -> None:
 
 
 @BOTH
-def test_estimate_bounds_the_error_of_a_step_and_goes_with_its_power(method: Method) -> None:
+def test_integrator_estimate_bounds_step_error_with_its_order(method: Method) -> None:
     steps, true, estimated = [], [], []
     for dt in (0.2, 0.1, 0.05):
         slope, y = slope_at(1.0 - dt), [np.array([v]) for v in exact(1.0)]
@@ -84,7 +84,7 @@ def test_estimate_bounds_the_error_of_a_step_and_goes_with_its_power(method: Met
     assert all(t < 1.5 * e for t, e in zip(true, estimated, strict=True))
 
 
-def test_first_slope_and_first_step() -> None:
+def test_integrator_start_slope_and_first_step() -> None:
     y = [np.array([v]) for v in exact(0.3)]
     slope = start_slope(y, 0.3, 1e-6, rotating)
     assert slope is not None
@@ -99,12 +99,12 @@ def test_first_slope_and_first_step() -> None:
 
 
 @BOTH
-def test_a_stage_without_a_solution_is_a_step_without_one(method: Method) -> None:
+def test_integrator_failed_stage_fails_the_step(method: Method) -> None:
     assert step(method, [np.ones(1)], [np.zeros(1)], 1.0, 0.0, lambda *_: None) is None
     assert start_slope([np.ones(1)], 0.0, 1e-3, lambda *_: None) is None
 
 
-def test_no_part_of_a_state_may_be_missing_or_shared() -> None:
+def test_integrator_state_parts_are_neither_missing_nor_shared() -> None:
     """Parts may be empty on a rank; the state handed in is not changed."""
     y = [np.ones(2), np.zeros(0)]
     done = step(SDIRK4, y, [np.zeros(2), np.zeros(0)], 0.1, 0.0, lambda s, *_: [v / 2 for v in s])
@@ -124,7 +124,7 @@ def controlled(method: Method, events: list[float], first: float) -> Controller:
 
 
 @BOTH
-def test_steps_follow_the_error(method: Method) -> None:
+def test_integrator_steps_follow_the_error(method: Method) -> None:
     """An error that goes with the step's power is brought to just below the tolerance."""
     control = controlled(method, [], 1.0)
     for _ in range(30):
@@ -134,7 +134,7 @@ def test_steps_follow_the_error(method: Method) -> None:
     assert 0.5 < ratio <= 1
 
 
-def test_steps_shrink_ahead_of_an_ignition() -> None:
+def test_integrator_steps_shrink_before_an_ignition() -> None:
     """Errors of order four in the step over the time that is left until a blow-up.
 
     Steps that go by the last error alone are rejected nearly every time.
@@ -149,7 +149,7 @@ def test_steps_shrink_ahead_of_an_ignition() -> None:
     assert accepted < 60 and rejected < 4
 
 
-def test_rejected_and_failed_steps_are_shorter() -> None:
+def test_integrator_shortens_rejected_and_failed_steps() -> None:
     control = controlled(SDIRK4, [], 1.0)
     assert not control.judge(1.0, 1e9)
     assert control.propose(0.0) == pytest.approx(0.2)
@@ -169,7 +169,7 @@ def test_rejected_and_failed_steps_are_shorter() -> None:
     first=st.floats(1e-4, 1e5),
     ratios=st.lists(st.floats(0, 3), min_size=1, max_size=20),
 )
-def test_events_are_met_and_never_crossed(
+def test_integrator_meets_events_without_crossing(
     events: list[float], first: float, ratios: list[float]
 ) -> None:
     control, seconds, met, k = controlled(SDIRK4, events, first), 0.0, [0.0], 0
@@ -187,7 +187,7 @@ def test_events_are_met_and_never_crossed(
         assert not any(a + 1e-8 * e < e < b - 1e-8 * e for e in events)
 
 
-def test_no_sliver_is_left_before_an_event() -> None:
+def test_integrator_leaves_no_short_step_before_an_event() -> None:
     control = controlled(SDIRK4, [10.0], 9.99)
     dt = control.propose(0.0)
     assert dt == 5.0

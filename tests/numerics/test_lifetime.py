@@ -49,7 +49,7 @@ LEFT = 60  # objects of one kind that the last run and the loaded program may ho
         pytest.param(1, 300, 60, marks=pytest.mark.slow),
     ],
 )
-def test_runs_leave_no_communicators_matrices_and_memory(
+def test_lifetime_of_runs_leaves_no_communicators_matrices_or_memory(
     ranks: int, runs: int, growth: int, tmp_path: Path
 ) -> None:
     """MPICH has 2,048 communicators; a run needs about twenty."""

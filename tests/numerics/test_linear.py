@@ -32,7 +32,7 @@ def laplacian(n: int = 40) -> PETSc.Mat:
 
 
 @pytest.mark.parametrize("options", [FACTORED, FACTORED_SERIALLY, MULTIGRID])
-def test_inverse_solves_from_any_start(options: dict[str, str]) -> None:
+def test_preconditioners_inverse_solves_from_any_start(options: dict[str, str]) -> None:
     A = laplacian()
     inverse = Inverse(A, lambda: 0, options)
     wanted, b = A.createVecs()
@@ -46,7 +46,7 @@ def test_inverse_solves_from_any_start(options: dict[str, str]) -> None:
     assert inverse.solve(b, x, 1e-6) == 0
 
 
-def test_free_directions_are_those_without_resistance() -> None:
+def test_coarse_space_free_directions_have_no_resistance() -> None:
     """Open, sticking, and slipping along x on a face normal to z with friction 0.4."""
     slip = np.array([[0.0, 0.0, 0.4], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]])
     found = free_directions(np.array([np.zeros((3, 3)), np.eye(3), slip]))
@@ -55,7 +55,7 @@ def test_free_directions_are_those_without_resistance() -> None:
     np.testing.assert_allclose(found[2], np.diag([1.0, 0.0, 0.0]), atol=1e-14)
 
 
-def test_boxes_carry_linear_functions() -> None:
+def test_coarse_space_boxes_reproduce_linear_functions() -> None:
     """Hat functions sum to one, interpolate what is linear, and are constant outside the boxes."""
     x = np.random.default_rng(2).uniform([0, 0, 0], [4, 3, 9], (5000, 3))
     boxes = Boxes(x)
@@ -73,7 +73,7 @@ def test_boxes_carry_linear_functions() -> None:
 
 
 @pytest.mark.parametrize("spans", [(1.0, 1.0, 0.0), (5.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-def test_boxes_about_flat_interfaces_are_few(spans: tuple[float, ...]) -> None:
+def test_coarse_space_boxes_at_flat_interfaces_are_few(spans: tuple[float, ...]) -> None:
     x = np.random.default_rng(2).uniform(size=(1000, 3)) * spans
     assert Boxes(x).size <= 64  # fifteen boxes in a row
     np.testing.assert_allclose(Boxes(x)(x)[1].sum(axis=1), 1.0, atol=1e-14)
@@ -97,7 +97,7 @@ def moving(displacement: PETSc.Mat, jump: PETSc.Mat) -> CoarseSpace:
     return motions
 
 
-def test_coarse_space_follows_bonds_that_break() -> None:
+def test_coarse_space_follows_breaking_cohesive_interfaces() -> None:
     """The free directions of a bond may stay the same; its stiffness does not."""
     random = np.random.default_rng(1)
     motions = CoarseSpace(sparse(random.normal(size=(6, 3))), sparse(random.normal(size=(6, 3))))
@@ -108,7 +108,7 @@ def test_coarse_space_follows_bonds_that_break() -> None:
     assert versions == [1, 1, 2, 2, 3]
 
 
-def test_deflation_solves_exactly_for_its_motions() -> None:
+def test_deflation_is_exact_for_its_motions() -> None:
     """Whatever the other preconditioner does, A Z comes back as Z, of each Jacobian."""
     random = np.random.default_rng(1)
     sizes = {"heat": 2, "displacement": 6, "jump": 6}
@@ -165,7 +165,7 @@ stages: [{name: push, increments: 2}]
 """
 
 
-def test_interfaces_are_factored_first_and_the_stiffness_next(
+def test_krylov_remedies_factor_interfaces_then_stiffness(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Where the linear solver gives up; the log says so."""
@@ -185,7 +185,9 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
     assert solve(solver).converged
 
 
-def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deflation_motions_are_updated_when_many_points_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("app.numerics.deflation.STALE", 0.2)
     problem, _ = support.assemble(support.case(PUSHED))
     j = problem.contact

@@ -15,7 +15,7 @@ def expressions(x: dict[str, Expr]) -> list[Expr]:
     return [x["s"] * x["v"][0], as_vector([x["s"], x["v"][1]]), outer(x["v"], x["v"])]
 
 
-def test_values_come_in_the_order_of_the_points() -> None:
+def test_pointwise_values_keep_the_order_of_points() -> None:
     rng = np.random.default_rng(1)
     s, v = rng.normal(size=50), rng.normal(size=(50, 3))
     law = Pointwise(MPI.COMM_SELF, 50, {"s": 1, "v": 3}, expressions)
@@ -29,7 +29,7 @@ def test_values_come_in_the_order_of_the_points() -> None:
     assert np.allclose(law()[2], 9 * tensor)
 
 
-def test_no_points_give_empty_arrays() -> None:
+def test_pointwise_without_points_gives_empty_arrays() -> None:
     law = Pointwise(MPI.COMM_SELF, 0, {"s": 1, "v": 3}, expressions)
     found = law(s=np.zeros(0), v=np.zeros((0, 3)))
     assert [f.shape for f in found] == [(0,), (0, 2), (0, 3, 3)]

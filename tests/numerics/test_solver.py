@@ -38,13 +38,15 @@ def tagged() -> TaggedMesh:
 
 
 @pytest.mark.parametrize("more", [(), ("solver.petsc.snes_stol=1e-8",)])
-def test_a_step_of_length_zero_solves_nothing(more: tuple[str, ...], tagged: TaggedMesh) -> None:
+def test_newton_step_of_zero_length_is_not_converged(
+    more: tuple[str, ...], tagged: TaggedMesh
+) -> None:
     """Whatever PETSc is told to think of it."""
     with pytest.raises(ConvergenceError):
         support.solve(BLOCK, "solver.petsc.ksp_atol=1e9", *more, tagged=tagged)
 
 
-def test_linear_tolerances_follow_the_states(tagged: TaggedMesh) -> None:
+def test_newton_linear_tolerances_follow_changes_of_state(tagged: TaggedMesh) -> None:
     """Rough while many points change, finer when few do, and what the next residual asks for."""
     problem, solver = support.assemble(support.case(BLOCK, "solver.tolerance=1e-10"), tagged)
     n = len(problem.contact.points.weight)
@@ -64,13 +66,13 @@ def test_linear_tolerances_follow_the_states(tagged: TaggedMesh) -> None:
     assert tolerance(1e-6, 1e-7, 0) == pytest.approx(0.2e-3)
 
 
-def test_a_linear_tolerance_that_is_asked_for_is_kept(tagged: TaggedMesh) -> None:
+def test_newton_keeps_a_given_linear_tolerance(tagged: TaggedMesh) -> None:
     _, solver = support.assemble(support.case(BLOCK, "solver.petsc.ksp_rtol=0.003"), tagged)
     assert solve(solver).converged
     assert solver.snes.getKSP().getTolerances()[0] == 0.003
 
 
-def test_a_step_that_leads_nowhere_ends_the_line_search(tagged: TaggedMesh) -> None:
+def test_newton_line_search_ends_without_descent(tagged: TaggedMesh) -> None:
     """Ten halvings of a step uphill, and PETSc says that the line search has failed."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
@@ -87,7 +89,7 @@ def test_a_step_that_leads_nowhere_ends_the_line_search(tagged: TaggedMesh) -> N
     assert solver.snes.getFunctionEvaluations() <= 12
 
 
-def test_interfaces_are_swept_again_once_a_step_has_converged(tagged: TaggedMesh) -> None:
+def test_remedies_return_to_sor_after_a_converged_step(tagged: TaggedMesh) -> None:
     """Factors are for a Newton iteration that fails, not for all that come after it."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
@@ -108,7 +110,7 @@ def test_interfaces_are_swept_again_once_a_step_has_converged(tagged: TaggedMesh
     assert solve(solver).linear_iterations == krylov
 
 
-def test_what_is_no_number(tagged: TaggedMesh) -> None:
+def test_newton_residual_that_is_not_finite_is_a_failure(tagged: TaggedMesh) -> None:
     """A start is no better, a residual by an overflow is a failure with a reason."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
@@ -120,7 +122,7 @@ def test_what_is_no_number(tagged: TaggedMesh) -> None:
         support.solve(BLOCK, "supports.end.z=-1e300 mm", tagged=tagged)
 
 
-def test_the_condition_is_that_of_the_matrix(tagged: TaggedMesh) -> None:
+def test_krylov_condition_number_equals_that_of_the_matrix(tagged: TaggedMesh) -> None:
     """Largest over smallest singular value, and the Krylov solver stays as it was."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)

@@ -15,7 +15,7 @@ PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(6, 11)), min_size=1, m
 
 @given(PAIRS)
 @settings(max_examples=200, deadline=None)
-def test_vertex_cover_is_the_smallest(pairs: list[tuple[int, int]]) -> None:
+def test_substructures_vertex_cover_is_minimal(pairs: list[tuple[int, int]]) -> None:
     """By trying all smaller sets of nodes."""
     found = set(vertex_cover(np.array(pairs)).tolist())
     assert all(found & set(pair) for pair in pairs)
