@@ -83,7 +83,7 @@ class Points:
 
 
 @pytest.mark.parametrize("softening", ["linear", "exponential"])
-def test_five_mixtures_use_up_the_energy_of_benzeggagh_and_kenane(softening: str) -> None:
+def test_cohesion_energy_of_five_mixed_modes(softening: str) -> None:
     """Work and dissipation G = G_I + (G_II - G_I) B^η; peak on the quadric of the strengths."""
     angle = np.linspace(0, np.pi / 2, 5)
     towards = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
@@ -99,7 +99,7 @@ def test_five_mixtures_use_up_the_energy_of_benzeggagh_and_kenane(softening: str
     assert points.least >= 0
 
 
-def test_unloading_goes_to_the_origin_and_pressure_does_no_damage() -> None:
+def test_cohesion_unloads_to_the_origin_without_damage_by_pressure() -> None:
     points, along = Points(1), np.array([[0.0, 0.0, 1.0]])
     points.lead(0.04 * along)
     kept, d = points.force.copy(), points.state.own["damage"].copy()
@@ -113,7 +113,7 @@ def test_unloading_goes_to_the_origin_and_pressure_does_no_damage() -> None:
     assert pressed.history["damage"] == 0
 
 
-def test_crooked_paths_never_give_energy_back() -> None:
+def test_cohesion_dissipates_on_nonproportional_paths() -> None:
     """Opened then sheared, sheared then opened, with unloading between: work between both G."""
     rng = np.random.default_rng(3)
     points = Points(40)
@@ -129,7 +129,7 @@ def test_crooked_paths_never_give_energy_back() -> None:
     assert (points.spent > G_I * (1 - 1e-9)).all() and (points.spent < G_II * (1 + 1e-9)).all()
 
 
-def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None:
+def test_cohesion_broken_share_has_friction() -> None:
     """Friction μ p of the broken share, and the rest of the bond in series with nothing."""
     points = Points(2, μ=(0.4,), free=1.0)
     pressed = np.tile([0.0, 0.0, -3.0], (2, 1))
@@ -150,7 +150,7 @@ def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None
 
 @pytest.mark.parametrize("faces", [1, 2, 3])
 @pytest.mark.parametrize("softening", ["linear", "exponential"])
-def test_both_slopes_are_derivatives(faces: int, softening: str) -> None:
+def test_cohesion_slopes_are_derivatives(faces: int, softening: str) -> None:
     """Central differences at points that are whole, damaged, broken, open, stuck and sliding."""
     n, rng = 300, np.random.default_rng(faces)
     points = Points(n, softening, faces, μ=(0.4,))

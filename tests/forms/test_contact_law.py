@@ -148,7 +148,7 @@ def dot(a: Floats, b: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("friction", [False, True], ids=["smooth", "friction"])
-def test_one_face_is_eq_65_with_distances(friction: bool) -> None:
+def test_contact_law_of_one_face_is_eq_65(friction: bool) -> None:
     """Π = F·D + r/2 |D|² - dist²(S_n, R_-)/2r - dist²(S_T, C(P_{R-} S_n*))/2r, and its gradients.
 
     D has the whole gap along the normal and the change of the jump across it. The gradients are
@@ -183,7 +183,7 @@ def test_one_face_is_eq_65_with_distances(friction: bool) -> None:
 
 
 @KINDS
-def test_gradient_identities(faces: int, friction: bool) -> None:
+def test_contact_law_gradients_are_return_mapping_and_jump(faces: int, friction: bool) -> None:
     """∂Π/∂D = P(S) and ∂Π/∂F = (P(S) - F)/r, whatever the number of faces."""
     p = sample(300, faces, seed=2)
     by_D, by_F = derived(p, friction, "D", "F")
@@ -194,7 +194,7 @@ def test_gradient_identities(faces: int, friction: bool) -> None:
 
 
 @pytest.mark.parametrize("faces", [1, 2, 3])
-def test_without_friction_it_projects_on_the_cone_of_the_normals(faces: int) -> None:
+def test_contact_law_without_friction_projects_on_cone_of_normals(faces: int) -> None:
     """P(S) is the point nearest to S of the cone spanned by -n_k, and 2 r Π = |P(S)|² - |F|²."""
     p = sample(400, faces, seed=3)
     # Without friction no history: the whole gap counts in all directions.
@@ -210,7 +210,7 @@ def test_without_friction_it_projects_on_the_cone_of_the_normals(faces: int) -> 
 
 
 @KINDS
-def test_generalized_jacobian(faces: int, friction: bool) -> None:
+def test_contact_law_generalized_jacobian(faces: int, friction: bool) -> None:
     """Taylor: P(S + h δ) = P(S) + h P' δ + O(h²) where no state changes on the way."""
     p = sample(600, faces, seed=4)
     law = law_of(p, friction)
@@ -314,7 +314,7 @@ def within_the_friction_cones(force: Floats, normals: Floats, μ: float) -> bool
 
 
 @KINDS
-def test_law_solves_signorini_and_coulomb(faces: int, friction: bool) -> None:
+def test_contact_law_satisfies_signorini_and_coulomb(faces: int, friction: bool) -> None:
     """For any S the pair F = P(S), D = (S - F)/r satisfies all conditions on all faces.
 
     With friction on an edge no such force may exist while friction acts across what the touching
@@ -357,7 +357,9 @@ def edge_law() -> PointLaw:
     st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
     st.floats(0, 2),
 )
-def test_edge_points_for_any_force(F: list[float], slip: list[float], gap: float) -> None:
+def test_contact_law_at_edge_points_for_any_force(
+    F: list[float], slip: list[float], gap: float
+) -> None:
     """An edge that touched on one face and was open on the other, pushed anyhow."""
     n = EDGE.normals
     before = solve_gram(n, np.array([[0.0, gap]]))
@@ -371,7 +373,7 @@ def test_edge_points_for_any_force(F: list[float], slip: list[float], gap: float
         assert value[0] < 1e-8, name
 
 
-def test_gap_vectors_open_every_face() -> None:
+def test_contact_law_gap_vectors_open_every_face() -> None:
     p = sample(50, 3, seed=8)
     for faces in (0, 1, 2, 3):
         normals = np.zeros((50, 3, 3))

@@ -94,7 +94,7 @@ def evaluate(function: object, **values: Floats) -> Floats:
     return law(**values)[0]
 
 
-def test_limit_is_linear_between_its_pairs() -> None:
+def test_cure_limit_is_linear_between_its_pairs() -> None:
     T = np.linspace(250, 400, 31)
     for pairs in (LIMITED.limit, LIMITED.limit[:1]):
         table = np.array(pairs).T
@@ -102,7 +102,7 @@ def test_limit_is_linear_between_its_pairs() -> None:
         assert found == pytest.approx(np.interp(T, *table), abs=1e-14)
 
 
-def test_modulus_grows_from_its_floor_past_gelation() -> None:
+def test_cure_modulus_grows_after_gelation() -> None:
     a = np.array([0.0, 0.5, 0.85, 0.9, 1.0])
     found = evaluate(lambda x: forms.modulus_factor(x, 0.85, 0.01, 2.0), a=a)
     assert found == pytest.approx([0.01, 0.01, 0.01, 0.01 + 0.99 / 9, 1.0], abs=1e-14)
@@ -113,7 +113,7 @@ def test_modulus_grows_from_its_floor_past_gelation() -> None:
 
 @ALL
 @pytest.mark.parametrize("h", [1e-3, 1.0, 60.0, 3600.0])
-def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
+def test_cure_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
     """a = a* + h f(a, T), but for what may stay unreacted, and its derivative by T."""
     rng = np.random.default_rng(2)
     n = 300
@@ -147,7 +147,7 @@ def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
     h=st.floats(-3, 3.6).map(lambda x: 10.0**x),
     which=st.sampled_from(sorted(KINETICS)),
 )
-def test_degree_stays_within_bounds_and_rises_with_temperature_and_time(
+def test_cure_degree_stays_within_bounds_and_rises(
     start: float, T: float, h: float, which: str
 ) -> None:
     curing = compiled(which)
@@ -166,7 +166,7 @@ def compiled(which: str) -> Kinetics:
 
 
 @ALL
-def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalytic) -> None:
+def test_cure_steps_are_finite_where_rates_underflow(kinetics: Autocatalytic) -> None:
     """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
     hot, cold, warm = (np.full(3, T) for T in (1e4, 1.0, 350.0))
     start = np.array([5e-324, 1e-200, 0.3])
@@ -187,7 +187,7 @@ def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalyti
     assert found.by_temperature == pytest.approx(expected.by_temperature, abs=1e-7)
 
 
-def test_what_hardly_begins_is_hardly_changed_by_warmth() -> None:
+def test_cure_near_zero_degree_depends_little_on_temperature() -> None:
     """With m = 1, a = a* / (1 - h k) for a* -> 0, below what differs from nothing."""
     kinetics = KINETICS["third order"]
     curing, T = setting(kinetics, 1), np.array([300.0])
@@ -202,7 +202,7 @@ def test_what_hardly_begins_is_hardly_changed_by_warmth() -> None:
             assert np.isfinite(curing._mean).all()
 
 
-def test_degrees_beyond_their_bounds_are_refused_but_for_rounding() -> None:
+def test_cure_refuses_degrees_beyond_bounds() -> None:
     rounded = np.array([-1e-15, 1 + 1e-15])
     assert admissible(np.array([0.0, 1.0])) and admissible(rounded) and admissible(np.zeros(0))
     for kinetics in (BALIGA, Prescribed.model_construct(rate=COURSE)):
@@ -212,7 +212,7 @@ def test_degrees_beyond_their_bounds_are_refused_but_for_rounding() -> None:
         assert not admissible(np.array([0.5, outside]))
 
 
-def test_a_rank_without_nodes_takes_part() -> None:
+def test_cure_on_a_rank_without_nodes() -> None:
     found = setting(nodes=0).update(np.zeros(0), np.zeros(0), 1.0, 0.0)
     assert len(found.degree) == len(found.by_temperature) == 0
 
@@ -315,14 +315,14 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
     [(310.15, RISE, 622.12888), (296.15, RISE, 1923.72256), (296.15, 0.0, 3009.468)],
     ids=["adiabatic 37 degC", "adiabatic 23 degC", "isothermal 23 degC"],
 )
-def test_reference_times(T: float, gain: float, t50: float) -> None:
+def test_cure_reference_times(T: float, gain: float, t50: float) -> None:
     run = integrate(point(T=T, gain=gain), 2 * t50)
     assert run.reaches(0.5) == pytest.approx(t50, rel=1e-4)
     assert len(run.times) < 80 and run.rejected < 8 and run.solves < 450
     assert (np.diff(run.degree) > -WAVERS).all() and run.degree[-1] <= 1
 
 
-def test_reference_history() -> None:
+def test_cure_reference_degrees_and_temperatures() -> None:
     """Degrees and temperatures at given times, adiabatic from 37 degC."""
     run = integrate(point(), 620.0)
     for t, a in ((100, 0.00217920), (300, 0.01032774), (500, 0.05708639), (600, 0.22178809)):
@@ -333,7 +333,7 @@ def test_reference_history() -> None:
     assert exact.temperature[-1] - 273.15 == pytest.approx(56.66790, abs=1e-4)
 
 
-def test_closed_forms() -> None:
+def test_cure_equals_closed_forms() -> None:
     k = 6.82396e-3
     logistic = integrate(point(altered(BALIGA, m=1.0, n=1.0), gain=0.0), 1500.0)
     assert logistic.reaches(0.5) == pytest.approx(1012.133, rel=1e-4)
@@ -354,7 +354,7 @@ def test_closed_forms() -> None:
     ],
     ids=["initial cure 1e-6", "activation energy doubled", "heat doubled"],
 )
-def test_stiff_cure(
+def test_cure_of_a_stiff_exotherm_in_few_steps(
     method: str, kinetics: Autocatalytic, initial: float, gain: float, t50: float
 ) -> None:
     """An exotherm of seconds within an hour: bounds, energy and few steps."""
@@ -374,7 +374,7 @@ def test_stiff_cure(
 COURSE = ((300.0, 0.0), (400.0, 2.0), (600.0, 0.0))
 
 
-def test_clock_is_met_whatever_its_scale() -> None:
+def test_cure_prescribed_rate_is_integrated_at_any_scale() -> None:
     """Degree = initial + (1 - initial) times the part of the course's integral that has passed."""
     p = point(Prescribed.model_construct(rate=COURSE))
     assert p.curing.events == (300.0, 400.0, 600.0)
@@ -392,7 +392,7 @@ def test_clock_is_met_whatever_its_scale() -> None:
     assert {300.0, 400.0, 600.0} <= {round(t, 6) for t in run.times}
 
 
-def test_clock_stops_at_full_cure() -> None:
+def test_cure_prescribed_rate_stops_at_full_cure() -> None:
     """Long backward Euler steps see the rate at their ends only; the degree ends at one at most."""
     curing = setting(Prescribed.model_construct(rate=((0.0, 1.0), (100.0, 1.0))))
     y = np.array([1e-3])
@@ -407,7 +407,9 @@ def test_clock_stops_at_full_cure() -> None:
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 @pytest.mark.parametrize("begin", [0.0, 120.0])
 @pytest.mark.parametrize("dt", [60.0, 0.1])
-def test_clock_that_jumps_is_met_in_equal_steps(method: Method, begin: float, dt: float) -> None:
+def test_cure_prescribed_rate_that_jumps_in_equal_steps(
+    method: Method, begin: float, dt: float
+) -> None:
     """A rate that begins and ends at once, at the ends of steps whose times are rounded."""
     p = point(Prescribed.model_construct(rate=((begin, 1.0), (begin + 5 * dt, 1.0))))
     y, slope, seconds = p.start, [np.zeros(1), np.zeros(1)], begin - 2 * dt
@@ -432,7 +434,7 @@ def strain_along(states: Sequence[tuple[float, float]]) -> float:
     return total
 
 
-def test_strain_counts_from_gelation() -> None:
+def test_cure_strain_counts_from_gelation() -> None:
     assert strain_along([(0.1, 310.0), (0.85, 390.0)]) == 0
     # Cured: what cooling makes; half shrunk: half the shrinkage.
     assert strain_along([(1.0, 390.0), (1.0, 310.0)]) == pytest.approx(-80 * 80e-6)
@@ -441,7 +443,7 @@ def test_strain_counts_from_gelation() -> None:
     assert strain_along([(0.55, 310.0), (1.0, 355.0)]) == pytest.approx(80e-6 * 15 - 0.02 / 3)
 
 
-def test_strain_does_not_depend_on_the_steps_of_a_straight_path() -> None:
+def test_cure_strain_is_independent_of_steps_on_a_straight_path() -> None:
     whole = [(0.2, 315.0), (1.0, 375.0)]
     for parts in (2, 7, 50):
         path = list(
@@ -450,7 +452,7 @@ def test_strain_does_not_depend_on_the_steps_of_a_straight_path() -> None:
         assert strain_along(path) == pytest.approx(strain_along(whole), rel=1e-12)
 
 
-def test_errors_count_as_the_heat_they_stand_for() -> None:
+def test_cure_errors_are_weighted_by_heat() -> None:
     found = as_temperature(np.array([0.5, 1e-3, 0.0]), np.full(3, -1e-6), RISE)
     assert found[:2] == pytest.approx([-1e-6 * RISE, -1e-5 * RISE])
     assert np.isfinite(found[2])

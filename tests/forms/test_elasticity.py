@@ -112,7 +112,7 @@ def admissible(draw: st.DrawFn) -> tuple[float, float, float, float, float]:
 
 @pytest.mark.parametrize("fibre", FIBRES)
 @given(values=admissible())
-def test_stiffness_is_inverse_compliance(
+def test_elasticity_stiffness_is_inverse_compliance(
     stiffness: Stiffness, fibre: tuple[float, ...], values: tuple[float, ...]
 ) -> None:
     C = stiffness(values, fibre)
@@ -120,7 +120,7 @@ def test_stiffness_is_inverse_compliance(
     assert np.linalg.eigvalsh(mandel(C)).min() > 0
 
 
-def test_example_of_the_errata() -> None:
+def test_elasticity_coefficients_of_the_errata() -> None:
     """Coefficients e1..e5 of errata E6, to the digits given there."""
     e = elasticity.transversely_isotropic_coefficients(*BONE)
     np.testing.assert_allclose(e, [12165.1, 7615.9, -2261.8, -1055.9, 9994.4], atol=0.051)
@@ -138,7 +138,7 @@ def printed_coefficients(E_l, E_t, ν_l, ν_t, μ_l):  # type: ignore[no-untyped
     return e1, e2, e3, e4, e5
 
 
-def test_the_printed_coefficients_fail() -> None:
+def test_elasticity_printed_coefficients_fail() -> None:
     """The comparison sees the misprints: modulus along the fibre 542 instead of 17000 MPa."""
     printed = compile_stiffness(printed_coefficients)
     z = (0.0, 0.0, 1.0)
@@ -150,7 +150,7 @@ def test_the_printed_coefficients_fail() -> None:
     assert np.linalg.eigvalsh(second).min() == pytest.approx(-324, abs=1)
 
 
-def test_isotropic_limit() -> None:
+def test_elasticity_isotropic_limit() -> None:
     """With E_l = E_t, one Poisson's ratio and μ_l = E/2(1+ν) the fibre terms vanish."""
     E, ν = 2200.0, 0.3
     e = elasticity.transversely_isotropic_coefficients(E, E, ν, ν, E / (2 * (1 + ν)))
@@ -159,7 +159,7 @@ def test_isotropic_limit() -> None:
 
 
 @pytest.mark.parametrize("fibre", [(1, 0, 0), (0, 0.6, 0.8), (1 / 3, 2 / 3, -2 / 3)])
-def test_stress_is_the_derivative_with_plus_sign(fibre: tuple[float, ...]) -> None:
+def test_elasticity_stress_is_the_derivative_of_energy(fibre: tuple[float, ...]) -> None:
     """Eq. 49 with its sign corrected: stretching pulls. Eigenstrains give their components.
 
     Of a fibrous material it is the inverse of the compliance times a strain with all its shears.

@@ -81,7 +81,7 @@ def box() -> Box:
     return Box()
 
 
-def test_conduction_is_fouriers_law(box: Box) -> None:
+def test_heat_conduction_is_fouriers_law(box: Box) -> None:
     """The slope of the potential is k g, in any direction."""
     g = np.array([3.0, -1.0, 2.0])
     k = box.constant(CONDUCTIVITY)
@@ -90,7 +90,7 @@ def test_conduction_is_fouriers_law(box: Box) -> None:
         assert found == pytest.approx(CONDUCTIVITY * g @ h)
 
 
-def test_conduction_of_a_fibre_has_both_conductivities(box: Box) -> None:
+def test_heat_conduction_along_and_across_a_fibre(box: Box) -> None:
     """The slope is K g with K = k_t I + (k_l - k_t) m m: k_l along the fibre, k_t across it."""
     m = np.array([2.0, -1.0, 2.0]) / 3
     along, across = 0.6, 0.4
@@ -115,14 +115,14 @@ def nothing(box: Box) -> Callable[[Expr], Any]:
     return lambda θ: heat.exchange(θ, box.constant(0.0), box.constant(COLD)) * box.top
 
 
-def test_flux_makes_the_temperature_linear(box: Box) -> None:
+def test_heat_flux_gives_linear_temperature(box: Box) -> None:
     """q into the top flows to the cold face: T = T_0 + q z / k."""
     q = 0.8
     T = box.steady(nothing(box), lambda v: heat.heating_power(box.constant(q), v) * box.top)
     assert T == pytest.approx(COLD + q * box.z / CONDUCTIVITY, abs=1e-10)
 
 
-def test_source_makes_the_temperature_quadratic(box: Box) -> None:
+def test_heat_source_gives_quadratic_temperature(box: Box) -> None:
     """Q per volume and an insulated top: T = T_0 + Q z (L - z/2) / k."""
     Q = 0.3
     T = box.steady(nothing(box), lambda v: heat.heating_power(box.constant(Q), v) * box.dx)
@@ -130,7 +130,7 @@ def test_source_makes_the_temperature_quadratic(box: Box) -> None:
     assert T == pytest.approx(expected, abs=1e-10)
 
 
-def test_convection_is_a_resistance_in_series(box: Box) -> None:
+def test_heat_convection_is_a_resistance_in_series(box: Box) -> None:
     """From the surroundings through 1/a and L/k to the cold face."""
     a, ambient = 0.2, 320.0
     flux = (ambient - COLD) / (1 / a + LENGTH / CONDUCTIVITY)
@@ -142,7 +142,7 @@ def test_convection_is_a_resistance_in_series(box: Box) -> None:
     assert T == pytest.approx(COLD + flux * box.z / CONDUCTIVITY, abs=1e-10)
 
 
-def test_perfusion_takes_the_tissue_to_the_temperature_of_blood(box: Box) -> None:
+def test_heat_perfusion_leads_to_blood_temperature(box: Box) -> None:
     """Per volume a (T - T_b) leaves: in a box of even temperature a (T - T_b) V in all."""
     a, blood = 0.01, 310.0
     θ = fem.Function(box.space)
@@ -154,7 +154,7 @@ def test_perfusion_takes_the_tissue_to_the_temperature_of_blood(box: Box) -> Non
     assert leaves == pytest.approx(a * 6.0 * VOLUME)
 
 
-def test_perfusion_of_a_fin(box: Box) -> None:
+def test_heat_perfusion_of_a_fin(box: Box) -> None:
     """T'' = a (T - T_b) / k with an insulated top: cosh, here to the accuracy of one element."""
     a, blood = 0.002, 310.0
     m = np.sqrt(a / CONDUCTIVITY)

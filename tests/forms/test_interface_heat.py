@@ -43,7 +43,7 @@ def random(seed: int) -> dict[str, Floats]:
     }
 
 
-def test_conductance_grows_with_the_size_of_the_pressure_up_to_its_cap(law: Pointwise) -> None:
+def test_interface_heat_conductance_grows_with_pressure_up_to_its_cap(law: Pointwise) -> None:
     """E9: h = h_o + h_p |p| in compression, never less than open, capped."""
     x = random(0)
     h = law(**x)[3]
@@ -52,7 +52,7 @@ def test_conductance_grows_with_the_size_of_the_pressure_up_to_its_cap(law: Poin
     assert (closed > x["cap"]).any() and (x["p"] < 0).any()
 
 
-def test_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
+def test_interface_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
     """E4: the heat into the slave is h (θ - θ'), that is -h τ; its derivatives by hand."""
     x = random(1)
     q, by_jump, by_pressure, h = law(**x)
@@ -64,7 +64,7 @@ def test_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
     assert sloped.any() and (~sloped).any()
 
 
-def test_friction_heats_both_sides_with_all_of_its_heat() -> None:
+def test_interface_heat_of_friction_goes_to_both_sides() -> None:
     """E10: as printed the two sides would get +D and -D, nothing in sum."""
     master, slave = interface_heat.friction_heat(3.0, 0.34)
     assert (master, slave) == pytest.approx((3.0 * 0.66, 3.0 * 0.34))
@@ -81,7 +81,9 @@ temperatures = st.floats(200.0, 500.0)
     st.floats(0.0, 100.0),
     st.floats(0.0, 1.0),
 )
-def test_entropy_is_made_never_lost(θ: float, θ_slave: float, h: float, D: float, β: float) -> None:
+def test_interface_heat_entropy_production_is_not_negative(
+    θ: float, θ_slave: float, h: float, D: float, β: float
+) -> None:
     q = h * (θ - θ_slave)
     made = interface_heat.entropy_production(q, D, β, θ, θ_slave)
     assert made >= 0.0

@@ -66,14 +66,14 @@ def box() -> Box:
     return Box()
 
 
-def test_uniform_traction_acts_at_the_centroid(box: Box) -> None:
+def test_loads_uniform_traction_acts_at_the_centroid(box: Box) -> None:
     t = np.array([0.5, -2.0, 3.0])
     force, moment = box.resultants(lambda v: loads.traction_work(box.constant(t), v) * box.top)
     assert force == pytest.approx(t * TOP_AREA)
     assert moment == pytest.approx(np.cross(TOP_CENTROID, t * TOP_AREA))
 
 
-def test_linear_traction_has_its_force_and_its_moment_about_the_centroid(box: Box) -> None:
+def test_loads_linear_traction_has_force_and_moment(box: Box) -> None:
     """F = t A and M = J ω; J of a rectangle of edges a, b: A/12 diag(b², a², a² + b²)."""
     t = np.array([0.5, -2.0, 3.0])
     ω = np.array([0.3, -0.2, 0.7])
@@ -91,7 +91,7 @@ def test_linear_traction_has_its_force_and_its_moment_about_the_centroid(box: Bo
     assert moment - np.cross(TOP_CENTROID, force) == pytest.approx(J @ ω)
 
 
-def test_pressure_compresses_one_face(box: Box) -> None:
+def test_loads_pressure_compresses_one_face(box: Box) -> None:
     p = 1.7
     force, moment = box.resultants(
         lambda v: loads.pressure_work(box.constant(p), box.n, v) * box.top
@@ -100,7 +100,7 @@ def test_pressure_compresses_one_face(box: Box) -> None:
     assert moment == pytest.approx(np.cross(TOP_CENTROID, force))
 
 
-def test_pressure_all_around_is_in_equilibrium_and_resists_expansion(box: Box) -> None:
+def test_loads_pressure_all_around_is_in_equilibrium(box: Box) -> None:
     """Its work in v = x is -p times the growth of the volume, 3 V."""
     p = 1.7
     force, moment = box.resultants(
@@ -112,7 +112,7 @@ def test_pressure_all_around_is_in_equilibrium_and_resists_expansion(box: Box) -
     assert box.integral(expansion) == pytest.approx(-3 * p * VOLUME)
 
 
-def test_pressure_of_a_fluid_lifts_as_archimedes_says(box: Box) -> None:
+def test_loads_fluid_pressure_gives_buoyancy(box: Box) -> None:
     """p = γ (h - z) lifts by the weight of the fluid, at the centre of the box."""
     γ = 0.2
     p = γ * (10.0 - box.x[2])
@@ -122,14 +122,14 @@ def test_pressure_of_a_fluid_lifts_as_archimedes_says(box: Box) -> None:
     assert moment == pytest.approx(np.cross(CENTRE, lift), abs=1e-12)
 
 
-def test_body_force_acts_at_the_centre(box: Box) -> None:
+def test_loads_body_force_acts_at_the_centre(box: Box) -> None:
     b = np.array([0.1, 0.2, -0.4])
     force, moment = box.resultants(lambda v: loads.body_force_work(box.constant(b), v) * box.dx)
     assert force == pytest.approx(b * VOLUME)
     assert moment == pytest.approx(np.cross(CENTRE, b * VOLUME))
 
 
-def test_body_force_that_grows_with_x(box: Box) -> None:
+def test_loads_body_force_linear_in_x(box: Box) -> None:
     """b = c x e_z: force c V a/2, and its lever along x is 2/3 a."""
     c = 0.3
     b = c * box.x[0] * ufl.as_vector([0, 0, 1])
@@ -139,7 +139,7 @@ def test_body_force_that_grows_with_x(box: Box) -> None:
     assert moment == pytest.approx([CENTRE[1] * size, -2 / 3 * SIZE[0] * size, 0])
 
 
-def test_foundation_stores_half_the_stiffness_times_the_square(box: Box) -> None:
+def test_loads_foundation_energy(box: Box) -> None:
     """In a translation, and with the force -k v A as the slope of its energy."""
     k = np.array([1.0, 20.0, 300.0])
     a = box.constant([0.1, -0.2, 0.05])
@@ -154,7 +154,7 @@ def test_foundation_stores_half_the_stiffness_times_the_square(box: Box) -> None
         a.value[axis] -= 1e-3
 
 
-def test_stress_does_no_work_in_a_rigid_motion(box: Box) -> None:
+def test_loads_stress_does_no_work_in_a_rigid_motion(box: Box) -> None:
     """Also not in a rotation: σ : ε counts the symmetric part of the gradient alone."""
     σ = np.array([[1.0, 2.0, 3.0], [2.0, -4.0, 5.0], [3.0, 5.0, 6.0]])
     force, moment = box.resultants(

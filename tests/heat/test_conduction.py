@@ -126,7 +126,7 @@ class Solved(HeatState):
 # Steady states
 
 
-def test_convection_in_series_with_a_bar() -> None:
+def test_conduction_of_a_bar_with_convection() -> None:
     """q = (T0 - Ta)/(L/k + 1/a), exact; more so on cells that are quadratic but straight."""
     heat: list[HeatCondition] = [
         fixed("hot", "bottom", 80.0),
@@ -145,7 +145,7 @@ def test_convection_in_series_with_a_bar() -> None:
 
 
 @pytest.mark.parametrize("h", [300.0, 1e9])
-def test_a_region_held(h: float) -> None:
+def test_conduction_with_prescribed_region(h: float) -> None:
     """Cement held at 100 throughout: the bone sees it through the conductance alone."""
     heat: list[HeatCondition] = [
         laws.temperature("cement", ZERO + 100.0, regions=("cement",)),
@@ -159,7 +159,7 @@ def test_a_region_held(h: float) -> None:
     assert s.flows == pytest.approx({"cement": 4 * q, "cold": -4 * q}, rel=1e-8)
 
 
-def test_both_sides_held_at_an_edge() -> None:
+def test_conduction_jump_where_both_sides_are_prescribed() -> None:
     """Where given temperatures hold both sides the jump is theirs; what they pass is counted."""
     heat = [fixed("warm", "cement_x_min", 60.0), fixed("cool", "bone_x_min", 40.0)]
     s = Solved(scene([CEMENT, BONE], heat, contact(300.0)), stack(1.0, *CEMENT_ON_BONE)).steady()
@@ -179,7 +179,7 @@ def test_both_sides_held_at_an_edge() -> None:
     assert q["cool"] == pytest.approx(through, rel=1e-9)
 
 
-def test_the_later_of_two_given_temperatures_holds() -> None:
+def test_conduction_later_of_two_prescribed_temperatures_holds() -> None:
     heat = [fixed("first", "x_min", 60.0), fixed("second", "bottom", 40.0)]
     s = Solved(scene([conductor("bar", 0.4)], heat), stack(1.0, ("bar", 2.0))).steady()
     x, T = s.celsius("bar")
@@ -188,7 +188,7 @@ def test_the_later_of_two_given_temperatures_holds() -> None:
     assert sum(s.flows.values()) == pytest.approx(0.0, abs=1e-9 * s.flows["first"])
 
 
-def test_no_steady_state_without_anything_that_sets_a_temperature() -> None:
+def test_conduction_steady_state_needs_a_prescribed_temperature() -> None:
     cold = [fixed("cold", "top", 37.0)]
     for h, heat in ((0.0, []), (300.0, []), (0.0, cold)):
         s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.5, *CEMENT_ON_BONE))
@@ -203,7 +203,7 @@ def test_no_steady_state_without_anything_that_sets_a_temperature() -> None:
 
 @pytest.mark.parametrize("h", [0.0, 300.0, 1e9, PERFECT])
 @pytest.mark.parametrize("dt", [1e-3, 1.0, 3600.0])
-def test_nothing_is_lost_between_bodies(h: float, dt: float) -> None:
+def test_conduction_between_bodies_conserves_heat(h: float, dt: float) -> None:
     """Without exchange the heat at the start, by volumes, stays."""
     s = Solved(scene([CEMENT, BONE], (), contact(h)), stack(1.5, *CEMENT_ON_BONE), 1e-10)
     reference = (100.0 + 37.0) / 2
@@ -222,7 +222,7 @@ def test_nothing_is_lost_between_bodies(h: float, dt: float) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("h", [300.0, PERFECT])
-def test_the_balance_closes_with_everything_at_once(h: float, method: str) -> None:
+def test_conduction_balance_closes_with_all_conditions(h: float, method: str) -> None:
     """What the conditions bring in by the sums of the integrator is what is stored."""
     course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
     heat: list[HeatCondition] = [
@@ -264,7 +264,7 @@ def curing(h: float) -> Scene:
 
 
 @pytest.mark.parametrize("h", [0.0, 300.0, PERFECT])
-def test_heat_of_cure_is_that_of_what_cured(h: float) -> None:
+def test_conduction_heat_of_cure_equals_cured_mass(h: float) -> None:
     s = Solved(curing(h), stack(1.5, *CEMENT_ON_BONE), 1e-10)
     before, α = s.stored, s.state[-1].copy()
     V = s.operators.forms.volumes("cement")
@@ -283,7 +283,7 @@ def test_heat_of_cure_is_that_of_what_cured(h: float) -> None:
         assert s.celsius("bone")[1] == pytest.approx(37.0, abs=1e-9)
 
 
-def test_the_jacobian_is_the_derivative() -> None:
+def test_conduction_jacobian_is_the_derivative() -> None:
     """Taylor test with conductance that depends on pressure, and cure."""
     rng = np.random.default_rng(1)
     law = laws.interface("cement_bone", ("bone",), ("cement",), (0.05, 0.1, 0.4))
@@ -329,7 +329,7 @@ def test_the_jacobian_is_the_derivative() -> None:
 
 
 @pytest.mark.parametrize("side", ["bone", "cement"])
-def test_a_given_temperature_says_nothing_of_the_other_side(side: str) -> None:
+def test_conduction_prescribed_temperature_leaves_the_other_side_free(side: str) -> None:
     """At the start, where it meets an interface of finite conductance."""
     s = Solved(
         scene([CEMENT, BONE], [fixed("wall", f"{side}_x_min", 60.0)], contact(300.0)),
@@ -352,7 +352,7 @@ def cylinders() -> TaggedMesh:
 
 @pytest.mark.parametrize("dt", [1e-3, 0.05, 1.0, 10.0, 3600.0])
 @pytest.mark.parametrize("h", [300.0, PERFECT])
-def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> None:
+def test_conduction_obeys_the_maximum_principle(h: float, dt: float) -> None:
     """Cement at 100 degC between stem and bone at 37: to 1e-9 of the range, nothing lost."""
     stem = conductor("stem", 14.8, 37.0, 3.735)
     contacts = () if h == PERFECT else (
@@ -373,7 +373,7 @@ def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> Non
     assert (s.operators.principle.version > 0) == (dt <= 1.0)
 
 
-def test_bounds_follow_the_data() -> None:
+def test_conduction_bounds_follow_the_data() -> None:
     tagged = stack(1.5, *CEMENT_ON_BONE)
     given = fixed("cold", "top", 20.0)
     warm = laws.flux("lamp", "bottom", 0.1, ((0.0, 0.0), (1.0, 1.0)))
@@ -403,7 +403,7 @@ def heated(h: float) -> tuple[Solved, KeptFactors]:
 
 
 @BOTH
-def test_equal_steps_are_factored_once_and_another_step_anew(h: float) -> None:
+def test_conduction_equal_steps_share_factors(h: float) -> None:
     s, factors = heated(h)
     s.advance(1.0)
     made = factors.made
@@ -415,7 +415,7 @@ def test_equal_steps_are_factored_once_and_another_step_anew(h: float) -> None:
 
 
 @BOTH
-def test_old_factors_find_the_same_until_they_have_cost_as_much_as_new_ones(h: float) -> None:
+def test_conduction_old_factors_are_reused_while_cheaper(h: float) -> None:
     """Steps a little longer each: less than asks for new factors at once."""
     s, factors = heated(h)
     other, fresh = heated(h)

@@ -34,7 +34,7 @@ def interface(run: coupled.Coupled) -> np.ndarray:
 
 
 @pytest.mark.parametrize("h", SIZES)
-def test_the_interface_has_the_temperature_of_half_spaces_from_the_start(h: float) -> None:
+def test_first_contact_has_half_space_temperature(h: float) -> None:
     """At every step; what is left goes with the mesh. It began at 63.9 degC instead of 58.2.
 
     Time above 56 degC is all there is, CEM43 R^(43 - T) of it.
@@ -49,14 +49,14 @@ def test_the_interface_has_the_temperature_of_half_spaces_from_the_start(h: floa
     assert summary["cem43_max"] == pytest.approx(minutes, rel=0.02)
 
 
-def test_refinement_in_time_leads_to_the_closed_form() -> None:
+def test_first_contact_converges_in_time() -> None:
     """The hottest bone over tolerances of a step: error of the largest temperature ever."""
     for tolerance in (1.0, 0.1, 0.01):
         T = interface(half_spaces(0.5, f"time.tolerance={tolerance} K"))
         assert T.max() == pytest.approx(SPACES.contact, abs=0.1), tolerance
 
 
-def test_equal_steps_converge_in_first_order() -> None:
+def test_first_contact_equal_steps_converge_at_first_order() -> None:
     """Backward Euler: mean temperature of the bone, which is the heat that has come over."""
     e = np.sqrt(0.2 * 1.2e-6 * 1.45e6)
     came = e * (100.0 - SPACES.contact) * 2 * np.sqrt(SECONDS / np.pi)
@@ -75,7 +75,7 @@ def test_equal_steps_converge_in_first_order() -> None:
     assert fitted_order([1 / n for n in steps], errors) > 0.9, errors
 
 
-def test_a_steady_state_is_past_the_start() -> None:
+def test_first_contact_does_not_change_a_steady_state() -> None:
     """However short the times of the cells: it is linear between given temperatures."""
     ends = "heat={hot: {kind: temperature, boundary: bottom, temperature: 100 degC}, cold: "
     ends += "{kind: temperature, boundary: top, temperature: 37 degC}}"

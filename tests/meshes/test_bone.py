@@ -22,7 +22,7 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(min(1.0, a @ b))))
 
 
-def test_landmarks_of_mantles_own_femur() -> None:
+def test_bone_frame_of_the_parametric_femur() -> None:
     """Head and neck are those of its keys; a bump on a flare peaks above its middle, at 0."""
     found = bone_frame.find(own())
     turn = np.radians(15.0)
@@ -37,7 +37,7 @@ def test_landmarks_of_mantles_own_femur() -> None:
     assert "unknown without condyles" in found.told["version"]
 
 
-def test_a_ray_goes_on_over_a_gap_that_is_bridged() -> None:
+def test_bone_surface_rays_cross_bridged_gaps() -> None:
     """Walls at 3, 5, 20 mm, as of a pit of 2 mm; at 3, 8, 10, 12, 20 mm, with a bay of 5 mm."""
     for walls, expected in (((3.0, 5.0, 20.0), 20.0), ((3.0, 8.0, 10.0, 12.0, 20.0), 3.0)):
         lines = np.array([[(x, -1.0), (x, 1.0)] for x in walls])
@@ -45,7 +45,7 @@ def test_a_ray_goes_on_over_a_gap_that_is_bridged() -> None:
         assert (radii[0], times[0]) == (expected, len(walls))
 
 
-def test_landmarks_that_are_given_are_taken() -> None:
+def test_bone_frame_uses_given_landmarks() -> None:
     given = {"head_centre": (40.0, 10.0, 50.0), "lesser_trochanter": (19.0, 7.0, 0.0)}
     found = bone_frame.find(own(), given | {"shaft": ((0, 0, -99), (0, 0, -9)), "side": "right"})
     assert found.head.tolist() == [40.0, 10.0, 50.0]
@@ -84,12 +84,12 @@ def check_copies(surface: BoneSurface, number: int) -> None:
             assert np.degrees(found.version - first.version) == pytest.approx(0.0, abs=0.2)
 
 
-def test_landmarks_move_with_the_bone() -> None:
+def test_bone_frame_moves_with_the_bone() -> None:
     check_copies(own(), 4)
 
 
 @measured
-def test_landmarks_of_a_measured_femur() -> None:
+def test_bone_frame_of_a_measured_femur() -> None:
     """Against those of its description (`data/README.md`), and of copies."""
     surface = bone_surface.read(MEASURED)
     found = bone_frame.find(surface)
@@ -103,7 +103,7 @@ def test_landmarks_of_a_measured_femur() -> None:
 
 @measured
 @pytest.mark.slow
-def test_twenty_copies_of_a_measured_femur() -> None:
+def test_bone_frame_of_twenty_copies_of_a_measured_femur() -> None:
     check_copies(bone_surface.read(MEASURED), 20)
 
 
@@ -125,7 +125,9 @@ def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
 @measured
 @pytest.mark.slow
 @pytest.mark.parametrize(("rms", "head", "neck", "version"), [(0.3, 0.3, 1, 1), (0.7, 1.2, 2, 3)])
-def test_landmarks_with_bumps(rms: float, head: float, neck: float, version: float) -> None:
+def test_bone_frame_with_bumps_is_within_its_interval(
+    rms: float, head: float, neck: float, version: float
+) -> None:
     """The deviations asked for, and a spread that covers 90 % of them."""
     surface = bone_surface.read(MEASURED)
     first, covered = bone_frame.find(surface), []
@@ -148,7 +150,7 @@ def bytes_of(
     return write(tmp_path / "bone.stl", change(own()), scale)
 
 
-def test_the_unit_is_found_and_told(tmp_path: Path) -> None:
+def test_bone_surface_unit_is_found_and_reported(tmp_path: Path) -> None:
     path = bytes_of(tmp_path, lambda s: s, 1e-3)
     surface = bone_surface.read(path)
     assert np.ptp(surface.points[:, 2]) == pytest.approx(np.ptp(own().points[:, 2]), rel=1e-5)
@@ -159,7 +161,7 @@ def test_the_unit_is_found_and_told(tmp_path: Path) -> None:
         bone_surface.read(path, "mm")
 
 
-def test_flipped_triangles_are_turned_and_told(tmp_path: Path) -> None:
+def test_bone_surface_flipped_triangles_are_reversed_with_note(tmp_path: Path) -> None:
     def flip(s: BoneSurface) -> BoneSurface:
         triangles = s.triangles.copy()
         triangles[100:130] = triangles[100:130, ::-1]
@@ -176,7 +178,7 @@ def test_flipped_triangles_are_turned_and_told(tmp_path: Path) -> None:
     ("suffix", "message"),
     [("ply", "is cut short or damaged"), ("obj", r"line \d+: .* a vertex has three numbers")],
 )
-def test_other_files_have_the_same_triangles(suffix: str, message: str, tmp_path: Path) -> None:
+def test_bone_surface_of_other_formats_is_equal(suffix: str, message: str, tmp_path: Path) -> None:
     path, stl = tmp_path / f"bone.{suffix}", bone_surface.read(bytes_of(tmp_path, lambda s: s))
     meshio.Mesh(own().points, [("triangle", own().triangles)]).write(path)
     assert bone_surface.read(path).corners == pytest.approx(stl.corners, abs=1e-4)
@@ -186,12 +188,14 @@ def test_other_files_have_the_same_triangles(suffix: str, message: str, tmp_path
         bone_surface.read(path)
 
 
-def test_an_open_distal_end_is_told(tmp_path: Path) -> None:
+def test_bone_surface_open_distal_end_is_reported(tmp_path: Path) -> None:
     surface = bone_surface.read(bytes_of(tmp_path, lambda s: opened(s, -150.0)))
     assert any(line.startswith("open at an end") for line in surface.notes)
 
 
-def test_many_triangles_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bone_surface_many_triangles_are_thinned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(bone_surface, "MOST", 1000)
     monkeypatch.setattr(bone_surface, "THIN", 6.0)
     surface = bone_surface.read(bytes_of(tmp_path, lambda s: s))

@@ -66,12 +66,12 @@ def check(file: Path, mesh: str, least: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["turned", "deep"])
-def test_corners_are_on_the_faces(name: str, tmp_path: Path) -> None:
+def test_cad_stem_corners_lie_on_faces(name: str, tmp_path: Path) -> None:
     check(cad_stems.write(name, tmp_path), "{size: 8 mm, order: 1}", 0.08)
 
 
 @pytest.mark.parametrize("name", ["own", "charnley", "sharp"])
-def test_lines_stand_on_the_corners_of_sections_at_every_height(name: str, tmp_path: Path) -> None:
+def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> None:
     """On the ends of the arcs of round corners, on sharp corners: as the stem was drawn."""
     known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
     surfaces = LayeredSurfaces(known.geometry, known.mesh)
@@ -92,7 +92,9 @@ def test_lines_stand_on_the_corners_of_sections_at_every_height(name: str, tmp_p
     assert len(numbers) == 4 * len(ends)  # the same lines at all heights
 
 
-def test_check_tells_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cad_stem_check_reports_axis_head_and_neck(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Head, neck and length as drawn, in inches; what is given is not found."""
     path = case(cad_stems.write("inch", tmp_path))
     assert main(["check", str(path)]) == 0
@@ -120,7 +122,7 @@ def test_check_tells_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixtur
         ("hole", "mm above the tip its axis is not within the metal"),
     ],
 )
-def test_what_is_no_stem_is_refused(what: str, why: str, tmp_path: Path) -> None:
+def test_cad_stem_refuses_other_solids(what: str, why: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.step"
     if what == "text":
         file.write_text("a stem")
@@ -146,9 +148,7 @@ def test_what_is_no_stem_is_refused(what: str, why: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("size", [4.0, 3.9])
-def test_sections_of_shoulder_and_neck_that_are_not_convex_mesh(
-    tmp_path: Path, size: float
-) -> None:
+def test_cad_stem_nonconvex_sections_mesh(tmp_path: Path, size: float) -> None:
     """Means of the outline lie outside of it there, and cells were inverted."""
     known = load(case(cad_stems.write("anatomic", tmp_path), f"{{size: {size} mm}}")).config
     data = meshes.build(known.geometry, known.mesh)
@@ -156,7 +156,7 @@ def test_sections_of_shoulder_and_neck_that_are_not_convex_mesh(
 
 
 @pytest.mark.slow
-def test_a_collar_is_refused(tmp_path: Path) -> None:
+def test_cad_stem_refuses_a_collar(tmp_path: Path) -> None:
     file = cad_stems.write("exeter", tmp_path, collar=True)
     for tip in ("-118 mm", "-124 mm"):
         known = load(case(file), [f"geometry.stem_tip_z={tip}"]).config
@@ -166,12 +166,12 @@ def test_a_collar_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(cad_stems.STEMS))
-def test_every_stem_is_meshed(name: str, tmp_path: Path) -> None:
+def test_cad_stem_every_stem_is_meshed(name: str, tmp_path: Path) -> None:
     check(cad_stems.write(name, tmp_path), "{size: 6 mm}", 0.09)
 
 
 @pytest.mark.slow
-def test_the_parametric_stem_solves_alike_from_a_file(tmp_path: Path) -> None:
+def test_cad_stem_of_the_parametric_stem_has_equal_results(tmp_path: Path) -> None:
     """Within the errors told; below the cut they are the same, necks turn away differently."""
     plain = tmp_path / "plain.yaml"
     plain.write_text("base: stance\nmesh: {size: 8 mm}\n")

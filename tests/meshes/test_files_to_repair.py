@@ -46,7 +46,7 @@ def inner(data: MeshData) -> int:
 
 
 @pytest.mark.parametrize("corner", range(8))
-def test_a_node_dragged_through_its_neighbours_is_refused(corner: int, tmp_path: Path) -> None:
+def test_mesh_file_with_inverted_cells_is_refused(corner: int, tmp_path: Path) -> None:
     """Almost to each corner of the cube: cells turn over, and there is more volume than inside."""
     data = cube()
     node, x = inner(data), data.points.copy()
@@ -74,7 +74,7 @@ def _faces(cell: np.ndarray) -> list[list[int]]:
 
 @pytest.mark.parametrize("version", [2.2, 4.1])
 @pytest.mark.parametrize("word", ["nan", "1e999", "x"])
-def test_a_coordinate_that_is_no_number_is_refused(
+def test_mesh_file_with_nan_coordinate_is_refused(
     version: float, word: str, tmp_path: Path
 ) -> None:
     data, path = cube(), tmp_path / "a.msh"
@@ -93,7 +93,7 @@ def test_a_coordinate_that_is_no_number_is_refused(
         meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
 
 
-def test_a_coordinate_that_is_no_number_is_refused_in_a_binary_file(tmp_path: Path) -> None:
+def test_mesh_file_binary_with_nan_coordinate_is_refused(tmp_path: Path) -> None:
     data = cube()
     data.points[0, 0] = np.nan
     with pytest.raises(GeometryError, match="node 1: its coordinates are no numbers"):
@@ -102,7 +102,7 @@ def test_a_coordinate_that_is_no_number_is_refused_in_a_binary_file(tmp_path: Pa
 
 @pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize("share", [1.0, 0.3])
-def test_cells_listed_inside_out_are_turned_and_told(
+def test_mesh_file_cells_listed_inside_out_are_reoriented_with_note(
     curved: bool, share: float, tmp_path: Path
 ) -> None:
     """The order of nodes in a cell is a matter of the program that wrote it; the place is not."""
@@ -119,7 +119,7 @@ def test_cells_listed_inside_out_are_turned_and_told(
     assert read(tmp_path, data).notes["told"] == []
 
 
-def test_middle_nodes_that_neighbours_do_not_share_are_refused(tmp_path: Path) -> None:
+def test_mesh_file_with_unshared_middle_nodes_is_refused(tmp_path: Path) -> None:
     data = cube(curved=True)
     cells, x = data.cells.copy(), data.points
     # An edge inside: one of its cells gets a middle node of its own, off the others'.
@@ -130,7 +130,7 @@ def test_middle_nodes_that_neighbours_do_not_share_are_refused(tmp_path: Path) -
         read(tmp_path, replace(data, cells=cells, points=points))
 
 
-def test_a_volume_without_cells_is_told_when_the_mesh_is_made(tmp_path: Path) -> None:
+def test_mesh_file_volume_without_cells_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
     meshes.write_msh(cube(), path)
     head, names, rest = path.read_bytes().partition(b"$PhysicalNames\n")
@@ -168,7 +168,7 @@ $EndElements
     return meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
 
 
-def test_numbers_of_nodes_may_be_any(tmp_path: Path) -> None:
+def test_mesh_file_node_numbers_may_be_large(tmp_path: Path) -> None:
     """No array is as long as the largest of them: 16 GB here."""
     tracemalloc.start()
     try:
@@ -179,7 +179,7 @@ def test_numbers_of_nodes_may_be_any(tmp_path: Path) -> None:
     assert len(data.points) == 4 and cell_volumes(data.points, data.cells) == pytest.approx(1 / 6)
 
 
-def test_the_answer_of_the_child_is_no_pickle(
+def test_mesh_file_child_process_returns_no_pickle(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever a file has made gmsh do, nothing of it runs here."""

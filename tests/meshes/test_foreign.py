@@ -122,7 +122,9 @@ def edges(data: MeshData) -> set[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize("suffix", ["inp", "feb", "med", "vtu", "xdmf"])
-def test_a_mesh_through_each_format(suffix: str, rod: MeshData, tmp_path: Path) -> None:
+def test_mesh_file_of_each_format_has_the_same_mesh(
+    suffix: str, rod: MeshData, tmp_path: Path
+) -> None:
     """Volumes, areas, names and the places of all nodes, in the unit of the file."""
     path, small = tmp_path / f"rod.{suffix}", replace(rod, points=rod.points / 10)
     if suffix in ("inp", "feb"):
@@ -148,7 +150,7 @@ def test_a_mesh_through_each_format(suffix: str, rod: MeshData, tmp_path: Path) 
         assert words in said
 
 
-def test_a_deck_of_gmsh(rod: MeshData, tmp_path: Path) -> None:
+def test_mesh_file_deck_of_gmsh(rod: MeshData, tmp_path: Path) -> None:
     """It writes surfaces as plane elements, and sets of nodes on demand."""
     meshes.write_msh(rod, tmp_path / "rod.msh")
     with session("rod") as gmsh:
@@ -174,7 +176,7 @@ supports: {low: {kind: fixed, boundary: bone}}
 """
 
 
-def test_bodies_with_nodes_of_their_own_are_joined_unless_they_slide_far(
+def test_mesh_file_coincident_nodes_are_merged_unless_finite_sliding(
     rod: MeshData, tmp_path: Path
 ) -> None:
     """A deck with contact doubles the nodes of its interfaces; sets may go from, to, by steps."""
@@ -204,7 +206,7 @@ def test_bodies_with_nodes_of_their_own_are_joined_unless_they_slide_far(
     assert len(back.points) == len(rod.points) + len(np.intersect1d(one, two))
 
 
-def test_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
+def test_mesh_file_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
     """Its XDMF has cells, tags of cells and tags of facets in grids of their own."""
     tagged, path = distribute(rod, MPI.COMM_SELF), tmp_path / "rod.xdmf"
     tagged.cell_tags.name, tagged.facet_tags.name = "Cell tags", "wall"
@@ -222,7 +224,7 @@ def test_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
     assert edges(back) == edges(rod)
 
 
-def test_meshes_of_dolfinx_in_one_file(tmp_path: Path) -> None:
+def test_mesh_file_with_two_meshes_of_dolfinx(tmp_path: Path) -> None:
     """Two meshes with nodes of their own, a function over time on one and tags on the other."""
     path = tmp_path / "two.xdmf"
     lower, upper = (
@@ -287,7 +289,7 @@ FEB = (
         ("a.med", "HDF", "damaged, or no .med file (OSError"),
     ],
 )
-def test_files_that_are_damaged_or_of_no_use(
+def test_mesh_file_damaged_or_useless_is_refused(
     name: str, content: str, words: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text(content)
@@ -301,7 +303,7 @@ def test_files_that_are_damaged_or_of_no_use(
     assert message.startswith(f"{case}:3:3: geometry.path: '{name}': {words}"), message
 
 
-def test_cut_files_of_arrays_are_damaged(rod: MeshData, tmp_path: Path) -> None:
+def test_mesh_file_with_truncated_arrays_is_refused(rod: MeshData, tmp_path: Path) -> None:
     for suffix in ("vtu", "xdmf", "med"):
         path = tmp_path / f"rod.{suffix}"
         by_meshio(rod, path)

@@ -36,7 +36,7 @@ def sides(theta: Floats, part: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("kind", ["femur", "sides", "cad", "patient"])
-def test_nodes_have_the_thickness_of_their_place(kind: str, tmp_path: Path) -> None:
+def test_graded_mantle_nodes_have_the_local_thickness(kind: str, tmp_path: Path) -> None:
     """Distance from dense points of the stem, far from the cortex and from the file's neck."""
     given, asked = (SIDES, sides) if kind == "sides" else (BOTH, both)
     if kind == "patient":

@@ -18,7 +18,7 @@ GEOMETRY = Femur()
 ZONES = Zones(GEOMETRY)
 
 
-def test_zones_are_numbered_as_on_a_radiograph() -> None:
+def test_gruen_zones_are_numbered_as_on_a_radiograph() -> None:
     """1 to 3 lateral and 8 to 10 anterior downwards, then 4 and 11, then up on the other side."""
     third = (ZONES.top - ZONES.tip) / 3
     high, middle, low, below = (ZONES.tip + third * k for k in (2.5, 1.5, 0.5, -0.2))
@@ -34,7 +34,7 @@ def test_zones_are_numbered_as_on_a_radiograph() -> None:
         assert zones[2:, 1].tolist() == [anterior, posterior]
 
 
-def test_thirds_are_of_the_length_in_the_bone() -> None:
+def test_gruen_thirds_are_of_the_length_in_the_bone() -> None:
     """From the tip to where the axis of the stem leaves the neck cut; 20 mm below it none.
 
     Zones 4 and 11 begin where the stem's end is rounded.
@@ -51,7 +51,7 @@ def test_thirds_are_of_the_length_in_the_bone() -> None:
     assert Zones(GEOMETRY.model_copy(update={"stem_length": 130.0})).top == 12.0
 
 
-def test_rim_and_tip_are_where_the_cut_and_the_end_are() -> None:
+def test_gruen_rim_and_tip_follow_cut_and_end() -> None:
     """By hand: a cut at 45 degrees that leaves the anterior cortex at z = 5 mm."""
     cut = {"resection_angle": np.pi / 4, "anteversion": np.pi / 2}
     zones = Zones(GEOMETRY.model_copy(update=cut))
@@ -64,7 +64,7 @@ def test_rim_and_tip_are_where_the_cut_and_the_end_are() -> None:
     assert (borders["tip"] <= 0).tolist() == [False] * 4 + [True]
 
 
-def test_rounding_moves_no_point_between_zones() -> None:
+def test_gruen_zones_are_robust_to_rounding() -> None:
     """Layered meshes put points on the planes between zones; another BLAS rounds otherwise."""
     third = (ZONES.top - ZONES.tip) / 3
     levels = ZONES.tip + np.array([-BELOW, 0.0, third, 2 * third])
@@ -78,7 +78,7 @@ def test_rounding_moves_no_point_between_zones() -> None:
             assert np.array_equal(ZONES.is_left(points), ZONES.is_left(points + rounding))
 
 
-def test_what_the_operation_takes_is_in_no_zone() -> None:
+def test_gruen_zones_exclude_stem_cement_and_neck() -> None:
     """Stem, cement and neck; the bone beside them stays."""
 
     def left(*points: tuple[float, float, float]) -> list[bool]:
@@ -121,7 +121,7 @@ loads:
 """
 
 
-def test_strain_energy_is_half_the_work_of_the_loads() -> None:
+def test_gruen_strain_energy_is_half_the_work_of_loads() -> None:
     """Summed over all points, whatever the law: Clapeyron."""
     solved = support.solve(CASE)
     stresses = Stresses(solved.problem)
@@ -148,7 +148,7 @@ def _rollers(*sides: str) -> str:
     return f"{{{', '.join(each)}}}"
 
 
-def test_free_strain_has_no_energy() -> None:
+def test_gruen_free_strain_has_no_energy() -> None:
     """A stack that swells freely, and then one that is held: E e^2 / 2 (1 - 2 nu) times 3."""
     free = "{strain: [1e-3, 1e-3, 1e-3, 0, 0, 0]}"
     swelling = (

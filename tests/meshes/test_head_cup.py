@@ -45,7 +45,7 @@ def away(data: MeshData, nodes: Ints) -> Floats:
 
 
 @pytest.mark.parametrize(("size", "order"), [(4.0, 2), (2.0, 1), (2.0, 2)])
-def test_bodies_are_apart_named_and_on_their_spheres(size: float, order: int) -> None:
+def test_head_cup_bodies_are_separate_and_on_spheres(size: float, order: int) -> None:
     data = mesh(size, order=order)
     assert set(data.boundaries) == set(CUP.boundary_names)
     assert data.notes["quality"]["sicn_min"] >= 0.1
@@ -81,14 +81,14 @@ def exact() -> dict[str, float]:
     }
 
 
-def test_volumes_and_areas_converge_to_the_formula(cup: MeshData) -> None:
+def test_head_cup_volumes_and_areas_converge(cup: MeshData) -> None:
     """Edges are curved on both sides of the bearing, too."""
     for data, error in ((cup, 5e-4), (mesh(1.4), 2.5e-4)):
         found = region_volumes(data) | boundary_areas(data)
         assert {name: found[name] for name in exact()} == pytest.approx(exact(), rel=error)
 
 
-def test_the_bearing_is_finer_on_the_cup_unless_asked(cup: MeshData) -> None:
+def test_head_cup_bearing_is_finer_on_the_cup(cup: MeshData) -> None:
     other = mesh(2.8, CUP.model_copy(update={"head_size": 0.8}))
     sides = ((cup, "liner_inner", 1.0), (cup, "head_surface", 1.15), (other, "head_surface", 0.8))
     for data, name, ratio in sides:  # edges of regular triangles of the mean area
@@ -96,7 +96,7 @@ def test_the_bearing_is_finer_on_the_cup_unless_asked(cup: MeshData) -> None:
         assert math.sqrt(4 * area / math.sqrt(3)) == pytest.approx(2.8 * ratio, rel=0.1)
 
 
-def test_inclination_and_version_turn_the_mesh(cup: MeshData) -> None:
+def test_head_cup_inclination_and_version_rotate_the_mesh(cup: MeshData) -> None:
     upright = mesh(2.8, CUP.model_copy(update={"inclination": 0.0, "version": 0.0}))
     # Lateral, anterior and distal (Murray 1993, radiographic definitions).
     i, v = math.radians(45), math.radians(20)
@@ -119,7 +119,7 @@ CLOSED = {"cover_angle": "120 deg", "bore_taper": "0 deg"}
     "keys", [THIN, CLOSED, {"cover_angle": "30 deg"}, {"radial_clearance": "0 mm"}]
 )
 @pytest.mark.parametrize("part", [1.0, 0.7])
-def test_thin_open_and_closed_cups_are_meshed(keys: dict[str, Any], part: float) -> None:
+def test_head_cup_thin_open_and_closed_cups_mesh(keys: dict[str, Any], part: float) -> None:
     """Up to the largest cells that are allowed, or 5 mm."""
     geometry = HeadCup(**LINER | keys)
     size = part * min(5.0, geometry.coarsest_size)
@@ -131,7 +131,7 @@ def test_thin_open_and_closed_cups_are_meshed(keys: dict[str, Any], part: float)
     assert boundary_areas(data)["liner_inner"] == pytest.approx(area, rel=0.1)
 
 
-def test_impossible_bodies_are_refused() -> None:
+def test_head_cup_refuses_impossible_bodies() -> None:
     wrong = {"cover_angle": "20 deg", "bore_diameter": "27 mm", "bore_depth": "25 mm"}
     texts = ("30 to 120 deg", "leaves no head", "to the head's surface", "above its end")
     for item, text in zip({**wrong, "bore_taper": "30 deg"}.items(), texts, strict=True):

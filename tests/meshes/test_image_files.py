@@ -55,7 +55,7 @@ LYING: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", LYING)
-def test_nifti_headers_that_contradict_themselves_are_refused(name: str, tmp_path: Path) -> None:
+def test_images_nifti_contradictory_headers_are_refused(name: str, tmp_path: Path) -> None:
     given, message = LYING[name]
     with pytest.raises(InputError, match=message):
         images.read(nifti(tmp_path / "ct.nii.gz", **given))
@@ -65,7 +65,7 @@ def test_nifti_headers_that_contradict_themselves_are_refused(name: str, tmp_pat
     ("codes", "suffix", "axes"),
     [((1, 1), "nii.gz", "sform"), ((1, 0), "nii", "sform"), ((0, 1), "nii", "qform")],
 )
-def test_nifti_axes_are_taken_and_said(
+def test_images_nifti_axes_are_used_and_reported(
     codes: tuple[int, int], suffix: str, axes: str, tmp_path: Path
 ) -> None:
     image = images.read(nifti(tmp_path / f"ct.{suffix}", codes=codes))
@@ -77,7 +77,7 @@ def test_nifti_axes_are_taken_and_said(
     assert image.notes == ()
 
 
-def test_nifti_sform_that_is_moved_from_its_qform_has_a_note(tmp_path: Path) -> None:
+def test_images_nifti_shifted_sform_has_a_note(tmp_path: Path) -> None:
     moved = PLACES.copy()
     moved[:3, 3] += [3, 0, 4]
     image = images.read(nifti(tmp_path / "ct.nii", sform=moved))
@@ -86,13 +86,13 @@ def test_nifti_sform_that_is_moved_from_its_qform_has_a_note(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("code", "notes"), [(2, 0), (3, 1), (4, 1)])
-def test_nifti_sform_of_a_template_has_a_note(code: int, notes: int, tmp_path: Path) -> None:
+def test_images_nifti_template_sform_has_a_note(code: int, notes: int, tmp_path: Path) -> None:
     image = images.read(nifti(tmp_path / "ct.nii", codes=(code, 0)))
     assert len(image.notes) == notes
     assert "is it still the patient's size" in "".join(image.notes) or not notes
 
 
-def test_other_images_than_nifti_are_named(tmp_path: Path) -> None:
+def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
     nibabel.MGHImage(VALUES, PLACES).to_filename(tmp_path / "ct.mgz")
     with pytest.raises(InputError, match="is no NIfTI but MGH: convert it"):
         images.read(tmp_path / "ct.mgz")
@@ -101,7 +101,7 @@ def test_other_images_than_nifti_are_named(tmp_path: Path) -> None:
         images.read(folder / "1.2.0")
 
 
-def test_voxels_that_are_no_numbers_are_counted_and_missed_only_where_needed(
+def test_images_nan_voxels_matter_only_where_needed(
     tmp_path: Path,
 ) -> None:
     values = VALUES.astype(np.float32)
@@ -137,7 +137,9 @@ def labelled(folder: Path, values: Any) -> Path:
 @pytest.mark.parametrize(
     ("factor", "off"), [(0.99999, "2e-05"), (1.01, "0.02"), (32768 / 32767, "6.1e-05")]
 )
-def test_labels_that_are_nearly_whole_are_rounded(factor: float, off: str, tmp_path: Path) -> None:
+def test_label_surface_nearly_integer_labels_are_rounded(
+    factor: float, off: str, tmp_path: Path
+) -> None:
     corners, _ = label_surface.read(labelled(tmp_path, LABELS), 1)
     values = (LABELS * factor).astype(np.float32)
     near, told = label_surface.read(labelled(tmp_path, values), 1)
@@ -145,7 +147,7 @@ def test_labels_that_are_nearly_whole_are_rounded(factor: float, off: str, tmp_p
     assert f"labels rounded by up to {off}" in told
 
 
-def test_labels_between_whole_numbers_are_refused(tmp_path: Path) -> None:
+def test_label_surface_interpolated_labels_are_refused(tmp_path: Path) -> None:
     """As linear interpolation leaves them at borders."""
     values = 0.5 * (LABELS + np.roll(LABELS, 1, axis=0))
     between = int((values % 1 > 0).sum())
@@ -155,12 +157,12 @@ def test_labels_between_whole_numbers_are_refused(tmp_path: Path) -> None:
         label_surface.read(labelled(tmp_path, values), 1)
 
 
-def test_labels_of_a_mask_are_1(tmp_path: Path) -> None:
+def test_label_surface_mask_has_label_1(tmp_path: Path) -> None:
     corners, _ = label_surface.read(labelled(tmp_path, LABELS == 2), 1)
     assert corners == pytest.approx(label_surface.read(labelled(tmp_path, LABELS), 2)[0])
 
 
-def test_labels_that_are_no_numbers_are_background(tmp_path: Path) -> None:
+def test_label_surface_nan_labels_are_background(tmp_path: Path) -> None:
     values = np.where(LABELS > 0, LABELS, np.nan)
     corners, told = label_surface.read(labelled(tmp_path, values), 2)
     assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in told
@@ -286,7 +288,7 @@ READ: dict[str, tuple[Callable[[Path], None], str]] = {
 
 
 @pytest.mark.parametrize("name", READ)
-def test_dicom_folders_of_hospitals_are_the_series(name: str, folder: Path) -> None:
+def test_dicom_series_of_hospital_folders(name: str, folder: Path) -> None:
     alter, note = READ[name]
     alter(folder)
     image = images.read(folder)
@@ -375,7 +377,7 @@ DICOM_REFUSED: dict[str, tuple[Callable[[Path], None], str]] = {
 
 
 @pytest.mark.parametrize("name", DICOM_REFUSED)
-def test_dicom_folders_are_refused_by_file_and_reason(name: str, folder: Path) -> None:
+def test_dicom_series_folders_are_refused_with_file_and_reason(name: str, folder: Path) -> None:
     alter, message = DICOM_REFUSED[name]
     alter(folder)
     with pytest.raises(InputError, match=message):
@@ -390,7 +392,7 @@ def framed(tmp_path: Path) -> Path:
     return enhanced(tmp_path / "ct.dcm", NUMBERS, PLACES)
 
 
-def test_dicom_frames_of_a_file_are_its_slices(framed: Path) -> None:
+def test_dicom_series_frames_of_a_file_are_slices(framed: Path) -> None:
     """Given as the file, in a folder, and in one with other files."""
     images_of = [images.read(framed)]
     folder = framed.parent / "alone"
@@ -411,7 +413,7 @@ def test_dicom_frames_of_a_file_are_its_slices(framed: Path) -> None:
     assert images_of[2].summary[1] == "1 localizers left out: scout"
 
 
-def test_dicom_files_of_frames_of_one_series_are_joined(framed: Path, tmp_path: Path) -> None:
+def test_dicom_series_files_of_frames_are_joined(framed: Path, tmp_path: Path) -> None:
     """A series of two files: the lower slices in one, the upper in the other."""
     folder = tmp_path / "two"
     folder.mkdir()
@@ -482,7 +484,7 @@ FRAMES_REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
 
 
 @pytest.mark.parametrize("name", FRAMES_REFUSED)
-def test_dicom_frames_are_refused_by_frame_and_reason(name: str, framed: Path) -> None:
+def test_dicom_series_frames_are_refused_with_reason(name: str, framed: Path) -> None:
     alter, message = FRAMES_REFUSED[name]
     data = pydicom.dcmread(framed)
     alter(data)
@@ -491,7 +493,7 @@ def test_dicom_frames_are_refused_by_frame_and_reason(name: str, framed: Path) -
         images.read(framed)
 
 
-def test_damaged_images_are_read_or_refused_in_words(folder: Path, tmp_path: Path) -> None:
+def test_images_damaged_files_are_read_or_refused(folder: Path, tmp_path: Path) -> None:
     """No other error, of 150 files: NIfTI plain and compressed, arrays, slices, labels of them."""
     slice_file = folder / "1.2.3"
     paths = {

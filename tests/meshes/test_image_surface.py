@@ -66,7 +66,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_volumes_are_those_of_the_triangles(scan: Path) -> None:
+def test_label_surface_volumes_equal_those_of_triangles(scan: Path) -> None:
     """To 0.3 % each; a voxel beside the bone is left out."""
     here, there = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABELS, STL))
     assert "1 voxels in 1 other pieces left out" in here.told["surface"]
@@ -74,7 +74,7 @@ def test_volumes_are_those_of_the_triangles(scan: Path) -> None:
     assert volumes == pytest.approx(expected, rel=0.003)
 
 
-def test_nifti(tmp_path: Path) -> None:
+def test_label_surface_from_nifti(tmp_path: Path) -> None:
     """Numbers and axes of a file; none without axes, in metres, or cut off."""
     values = np.random.default_rng(0).integers(-1000, 2000, (5, 6, 7)).astype(np.int16)
     affine = np.array([[0, -0.5, 0, 9], [0.4, 0, 0, 8], [0, 0, 1, 7], [0, 0, 0, 1.0]])
@@ -96,7 +96,7 @@ def test_nifti(tmp_path: Path) -> None:
         images.read(path)
 
 
-def test_slices_are_as_their_nifti(tmp_path: Path) -> None:
+def test_label_surface_from_slices_equals_nifti(tmp_path: Path) -> None:
     """Triangles and moduli of an oblique series; what is no even series of one is refused."""
     rng = np.random.default_rng(0)
     numbers = 1.0 * rng.integers(0, 100, (24, 20, 18))
@@ -121,7 +121,7 @@ def test_slices_are_as_their_nifti(tmp_path: Path) -> None:
         images.read(folder)
 
 
-def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
+def test_label_surface_moduli_at_points_of_the_cortex(scan: Path) -> None:
     """At 200 places up to the surface: 95 % within 3 %, as the noise is; there 10 % as it is."""
     E = ImageModulus.model_validate(DENSITY, context={"folder": scan})
     geometry, rng = as_own(scan), np.random.default_rng(1)
@@ -139,7 +139,7 @@ def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
 
 
 @pytest.mark.slow
-def test_slip_is_that_of_the_triangles_within_its_error(scan: Path) -> None:
+def test_label_surface_slip_equals_that_of_triangles(scan: Path) -> None:
     """At both interfaces, with moduli from the CT."""
     E = {"kind": "isotropic", "poisson_ratio": 0.3, "youngs_modulus": DENSITY}
     case: dict[str, Any] = {"base": "stance", "mesh": {"size": "8 mm"}, "output": {"error": True}}

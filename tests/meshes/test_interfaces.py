@@ -79,7 +79,7 @@ def box_in_a_box(n: int = 3) -> tuple[InterfaceFacets, Floats]:
     return between(triangles, [0.5, 0.5, 0.5])
 
 
-def test_box_in_a_box_has_edges_and_corners() -> None:
+def test_contact_points_of_a_box_in_a_box() -> None:
     """One face inside a side, two on its edges, three at its corners, each with its own normal."""
     facets, x = box_in_a_box()
     points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
@@ -99,7 +99,7 @@ def test_box_in_a_box_has_edges_and_corners() -> None:
 
 
 @pytest.mark.parametrize(("angle", "faces"), [(10, 1), (29, 1), (31, 2), (60, 2), (90, 2)])
-def test_facets_split_above_30_degrees(angle: float, faces: int) -> None:
+def test_contact_points_faces_split_above_30_degrees(angle: float, faces: int) -> None:
     """Two half planes that meet at an angle: one averaged normal below 30 degrees, two above."""
     t = np.deg2rad(angle)
     up = np.array([-np.cos(t), 0.0, -np.sin(t)])
@@ -119,7 +119,7 @@ def test_facets_split_above_30_degrees(angle: float, faces: int) -> None:
         np.testing.assert_allclose(cosines, np.cos(t), atol=1e-12)
 
 
-def test_at_most_three_faces() -> None:
+def test_contact_points_have_at_most_three_faces() -> None:
     """The tip of a pyramid has four: the closest are merged, and all the area is kept."""
     rim = [np.array([np.cos(a), np.sin(a), 0]) for a in np.pi / 2 * np.arange(4)]
     tip = np.array([0, 0, 1.0])
@@ -135,7 +135,7 @@ def test_at_most_three_faces() -> None:
 
 
 @pytest.mark.parametrize("Q", [ROTATION, np.diag([1.0, -1.0, 1.0])], ids=["turned", "mirrored"])
-def test_faces_of_equal_area_do_not_depend_on_the_axes(Q: Floats) -> None:
+def test_contact_points_faces_are_independent_of_axes(Q: Floats) -> None:
     """The order of the faces decides which bears the force of a point that sticks."""
     facets, _ = box_in_a_box()
     turned = replace(facets, nodes=facets.nodes @ Q.T, normal=facets.normal @ Q.T)
@@ -209,7 +209,7 @@ def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
     return facets_of(triangles, interface, master, slave, inside, of)
 
 
-def test_the_stiffest_body_is_the_base() -> None:
+def test_contact_points_stiffest_body_is_the_base() -> None:
     """It is the field u itself wherever no support holds another one."""
     facets, _ = three_on_a_line(2.0, 1.0, 3.0)
     points, entries = contact_points(facets, NOTHING_HELD, ["a", "b", "c"], {})
@@ -221,7 +221,7 @@ def test_the_stiffest_body_is_the_base() -> None:
     check_mean_jumps(points, entries, 3)
 
 
-def test_three_bodies_on_a_line_have_two_jumps() -> None:
+def test_contact_points_of_three_bodies_have_two_jumps() -> None:
     """Bodies minus one; interfaces that are alike are taken by name, the last one is dependent."""
     facets, x = three_on_a_line()
     points, entries = contact_points(facets, NOTHING_HELD, ["a", "b", "c"], {})
@@ -259,7 +259,7 @@ def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
     return between(patch([0, 0, 0], [1, 0, 0], [0, 1, slope], 2), [0.5, 0.5, 1])
 
 
-def test_slave_held_alone_is_the_base() -> None:
+def test_contact_points_held_slave_is_the_base() -> None:
     """Where only the slave is held it is the field u itself, and the master moves by minus q."""
     facets, x = flat()
     points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), ["a"], {})
@@ -273,7 +273,7 @@ def test_slave_held_alone_is_the_base() -> None:
     check_jumps(points, entries, 2)
 
 
-def test_both_sides_held_give_the_jump() -> None:
+def test_contact_points_jump_is_prescribed_where_both_sides_are_held() -> None:
     """The jump of a component that both sides hold is given, and normals drop the component."""
     facets, x = flat(0.2)
     points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), ["a"], {})
@@ -289,7 +289,7 @@ def test_both_sides_held_give_the_jump() -> None:
     np.testing.assert_array_equal(points.faces, np.where(points.x[:, 1] < 1e-9, 0, 1))
 
 
-def test_chain_between_two_held_bodies() -> None:
+def test_contact_points_of_a_chain_between_held_bodies() -> None:
     """The outer two of a chain held: both jumps in that direction are given.
 
     Where the two are in contact as well their jump alone is, and the third body moves freely.
@@ -342,9 +342,7 @@ def cylinder_points(**values: object) -> ContactPoints:
 
 @pytest.mark.parametrize("taper", [0, 3])
 @pytest.mark.parametrize("size", [4.0, 1.5])
-def test_normals_of_cylinders_and_cones_are_exact_on_straight_facets(
-    size: float, taper: float
-) -> None:
+def test_smooth_normals_of_cylinders_and_cones_are_exact(size: float, taper: float) -> None:
     """At every node, rims among them, from the stiffer to the softer side."""
     text = CYLINDERS.format(size=size, taper=taper, sector="quarter")
     points = support.assemble(support.case(text, "mesh.order=1"))[0].contact.points
@@ -379,7 +377,7 @@ def bump(n: int) -> tuple[InterfaceFacets, Floats]:
     return facets, n_ / np.linalg.norm(n_, axis=1, keepdims=True)
 
 
-def test_normals_of_a_smooth_surface_converge_at_second_order() -> None:
+def test_smooth_normals_converge_at_second_order() -> None:
     errors, sizes = [], [1 / 8, 1 / 16, 1 / 32]
     for size in sizes:
         facets, exact = bump(round(1 / size))
@@ -390,7 +388,7 @@ def test_normals_of_a_smooth_surface_converge_at_second_order() -> None:
     assert errors[-1] < 1e-3, errors
 
 
-def test_doubt_about_normals_is_their_error() -> None:
+def test_smooth_normals_error_is_estimated() -> None:
     """None on cylinders of straight facets; curved facets differ a little; noise is estimated."""
     text = CYLINDERS.format(size=3.0, taper=3, sector="quarter")
     curved = support.assemble(support.case(text, "mesh.order=2", "mesh.curved=true"))[0].contact
@@ -430,7 +428,7 @@ def quadric(half: Floats, tilt: float) -> tuple[InterfaceFacets, Floats]:
 
 @pytest.mark.parametrize("half", [(7, 7, 7), (9, 6, 4), (5, 5, 8)])
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
-def test_normals_of_spheres_and_ellipsoids_are_exact(
+def test_smooth_normals_of_spheres_and_ellipsoids_are_exact(
     half: tuple[float, float, float], tilt: float
 ) -> None:
     facets, exact = quadric(np.array(half, dtype=float), tilt)
@@ -440,7 +438,7 @@ def test_normals_of_spheres_and_ellipsoids_are_exact(
 
 
 @pytest.mark.parametrize("degrees", [35, 50, 90])
-def test_creases_are_no_smooth_surface(degrees: float) -> None:
+def test_smooth_normals_keep_creases(degrees: float) -> None:
     """Two planes at an angle keep both normals at their edge, and one elsewhere."""
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     corners = patch([0, 0, 0], [4, 0, 0], [0, 4, 0], 4)
@@ -455,7 +453,7 @@ def test_creases_are_no_smooth_surface(degrees: float) -> None:
     assert points.doubt.max() < 1e-12
 
 
-def test_a_surface_of_revolution_with_noise_slides_around_its_axis() -> None:
+def test_smooth_normals_with_noise_allow_rotation_about_the_axis() -> None:
     """And along a cylinder; a slope of half a degree along the axis stays."""
     rng = np.random.default_rng(4)
     angle, z = rng.uniform(0, 2 * np.pi, 300), rng.uniform(0, 20, 300)
@@ -495,7 +493,7 @@ if MPI.COMM_WORLD.rank == 0:
 
 
 @pytest.mark.parallel
-def test_points_do_not_depend_on_the_partition(tmp_path: Path) -> None:
+def test_contact_points_are_independent_of_the_partition(tmp_path: Path) -> None:
     """The replicated arrays are the same, bit by bit, on all ranks of 1 and 3."""
     results = []
     for ranks in (1, 3):

@@ -33,7 +33,7 @@ def mesh(geometry: Cylinders = ROD, size: str = "3 mm", curved: bool = True) -> 
 
 
 @pytest.mark.parametrize(("curved", "within"), [(True, 0.02), (False, 0.2)])
-def test_concentric_cylinders_are_as_thick_as_they_say(curved: bool, within: float) -> None:
+def test_mantle_thickness_of_concentric_cylinders(curved: bool, within: float) -> None:
     """On curved cells nearly; on flat ones as well as chords of 3 mm follow the circles."""
     note = mesh(curved=curved).notes["mantle"]
     thickness = note["thickness"]
@@ -58,7 +58,7 @@ def eccentric(by: float) -> MeshData:
     return replace(data, points=x, notes={})
 
 
-def test_percentiles_and_the_clipped_part_are_by_area() -> None:
+def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
     """Between eccentric circles: the exact distance, all around."""
     by = 1.5
     thickness = mantle.describe(eccentric(by), THICKNESS, -math.inf)["thickness"]
@@ -74,7 +74,7 @@ def test_percentiles_and_the_clipped_part_are_by_area() -> None:
     assert thickness["clipped_fraction"] == pytest.approx(clipped, abs=0.02)
 
 
-def test_gruen_zones_have_the_thickness_that_is_theirs() -> None:
+def test_mantle_thickness_by_gruen_zone() -> None:
     """Beside a stem moved medially; all of the rod is in the proximal third."""
     by = 1.5
     found = mantle.describe(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
@@ -93,7 +93,7 @@ def test_gruen_zones_have_the_thickness_that_is_theirs() -> None:
     assert found["14"] == pytest.approx(found["8"], abs=0.03)
 
 
-def test_what_is_below_the_tip_is_a_plug() -> None:
+def test_mantle_below_the_tip_is_the_plug() -> None:
     """A level in the middle of the cells: half of the volume, and no thickness below."""
     data = eccentric(0.0)
     half = mantle.describe(data, THICKNESS, 0.5 * LENGTH)
@@ -107,7 +107,7 @@ def test_what_is_below_the_tip_is_a_plug() -> None:
 
 
 @pytest.mark.parametrize("curved", [True, False])
-def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
+def test_mantle_section_is_filled_with_closed_outlines(curved: bool) -> None:
     polygons, outlines, owner = sections.section(mesh(curved=curved), 2, 0.37 * LENGTH)
     area = 0.0
     for x, _ in polygons:
@@ -122,14 +122,14 @@ def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
     assert (times == 2).all()
 
 
-def test_a_stack_of_blocks_has_no_mantle() -> None:
+def test_mantle_is_absent_in_a_stack_of_blocks() -> None:
     """Whatever its parts are called."""
     blocks = [{"name": n, "size": "[4, 4, 4] mm"} for n in ("stem", "cement", "bone")]
     stack = Blocks.model_validate({"blocks": blocks})
     assert "mantle" not in meshes.build(stack, MeshOptions(size="3 mm")).notes
 
 
-def test_it_is_told_in_a_line() -> None:
+def test_mantle_is_reported_in_a_line() -> None:
     note = {
         "thickness": {
             **{"nominal": 4.0, "min": 1.591, "p5": 1.8, "median": 2.95, "mean": 3.05},

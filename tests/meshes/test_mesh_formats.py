@@ -93,7 +93,7 @@ def test_inp_dots_are_characters_without_an_instance(tmp_path: Path) -> None:
 SECTIONS = "".join(f"*SOLID SECTION, ELSET={n}\n" for n in ("bone", "cement"))
 
 
-def test_inp_parts_without_an_instance_are_no_part_of_the_model(tmp_path: Path) -> None:
+def test_inp_parts_without_an_instance_are_ignored(tmp_path: Path) -> None:
     unused = "*PART, NAME=unused\n*NODE\n901,0,0,0\n902,1,0,0\n903,0,1,0\n904,0,0,1\n"
     unused += "*ELEMENT, TYPE=C3D4, ELSET=spare\n901,901,902,903,904\n*END PART\n"
     text = f"{unused}*PART, NAME=P\n{deck(more=SECTIONS)}*END PART\n*ASSEMBLY, NAME=A\n"
@@ -325,7 +325,7 @@ def test_inp_faults_name_the_line(text: str, words: str, tmp_path: Path) -> None
     assert words in refused(tmp_path / "a.inp", text)
 
 
-def test_cells_without_a_region_are_counted(tmp_path: Path) -> None:
+def test_regions_of_cells_without_a_region_are_counted(tmp_path: Path) -> None:
     more = "*SOLID SECTION, ELSET=bone\n1.0\n"
     data = build(tmp_path / "a.inp", deck(more=more))
     assert "6 of 12 cells of the file belong to no region" in said(data)
@@ -342,7 +342,7 @@ def test_cells_without_a_region_are_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("header", ["UInt32", "UInt64"])
 @pytest.mark.parametrize("way", ["raw", "appended", "binary"])
-def test_vtu_encodings(
+def test_vtu_encodings_are_read(
     way: str, header: str, order: str, packer: str, pieces: int, tmp_path: Path
 ) -> None:
     data = build(tmp_path / "a.vtu", vtu(cut(pieces), way, header, order, packer))
@@ -411,7 +411,7 @@ def later(path: Path, raw: bytes) -> None:
     os.utime(path, (stamp, stamp))
 
 
-def test_files_that_a_file_names_are_part_of_its_content(tmp_path: Path) -> None:
+def test_named_files_are_part_of_the_content(tmp_path: Path) -> None:
     """A change of a piece is another mesh, for a process that has read the former one, too."""
     path = pvtu(tmp_path, 2)
     before, first = content(path), MeshFile(path=path)
@@ -441,7 +441,7 @@ def test_files_that_a_file_names_are_part_of_its_content(tmp_path: Path) -> None
         ),
     ],
 )
-def test_the_array_that_names_regions(data: dict, name: str, tmp_path: Path) -> None:
+def test_regions_are_named_by_an_array(data: dict, name: str, tmp_path: Path) -> None:
     blocks = {k: [v] for k, v in data.items()}
     (tmp_path / "a.vtu").write_bytes(vtu(one_piece(**data)))
     meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data=blocks).write(tmp_path / "a.xdmf")
@@ -464,14 +464,14 @@ ODD = (np.arange(12) % 2).astype("i4")
         ({"strain": np.linspace(0, 1, 12)}, r"none of its arrays of cells (strain) has"),
     ],
 )
-def test_arrays_that_disagree_or_name_no_regions_are_named(
+def test_regions_by_disagreeing_arrays_are_refused(
     arrays: dict, words: str, tmp_path: Path
 ) -> None:
     assert words in refused(tmp_path / "a.vtu", vtu(one_piece(**arrays)))
 
 
 @pytest.mark.parametrize("suffix", ["vtu", "xdmf"])
-def test_the_array_of_regions_can_be_given(suffix: str, tmp_path: Path) -> None:
+def test_regions_array_can_be_given(suffix: str, tmp_path: Path) -> None:
     """It may be one of several, or have a name that is not that of regions."""
     path = tmp_path / f"a.{suffix}"
     arrays = {"material": ODD, "global_part": TAGS, "strain": np.linspace(0, 1, 12)}
@@ -488,7 +488,7 @@ def test_the_array_of_regions_can_be_given(suffix: str, tmp_path: Path) -> None:
     assert "its array strain has no whole numbers" in refused(path, array="strain")
 
 
-def test_parts_can_be_given_where_a_file_has_them(tmp_path: Path) -> None:
+def test_regions_parts_can_be_given(tmp_path: Path) -> None:
     path = tmp_path / "a.inp"
     path.write_text(deck())
     assert "`array` is for .vtu, .pvtu, .xdmf, .xmf alone" in refused(path, array="x")
@@ -722,7 +722,7 @@ CUBE = np.arange(8)[None]
         ),
     ],
 )
-def test_xdmf_of_no_use_says_why(text: str, words: str, tmp_path: Path) -> None:
+def test_xdmf_useless_file_is_refused_with_reason(text: str, words: str, tmp_path: Path) -> None:
     assert words in refused(tmp_path / "a.xdmf", text)
 
 
@@ -772,7 +772,7 @@ MED_CELLS = CELLS[:, [0, 2, 1, 3]]
 TWO = [["bone"], ["cement"]]
 
 
-def test_med_mesh_of_tetrahedra_is_taken_among_others(tmp_path: Path) -> None:
+def test_med_mesh_of_tetrahedra_is_chosen(tmp_path: Path) -> None:
     skin = (POINTS, BOTTOM_SIDES, [["s"], ["t"]])
     data = bonded(med(tmp_path / "a.med", Hull=skin, Solid=(POINTS, MED_CELLS, TWO)))
     whole(data)
@@ -837,7 +837,7 @@ def test_feb_blocks_of_one_name_are_one_region(tmp_path: Path) -> None:
     assert region_volumes(build(tmp_path / "a.feb", text))["cup"] == pytest.approx(4.5 + 9.0)
 
 
-def test_names_that_become_equal_are_refused_in_all_formats(tmp_path: Path) -> None:
+def test_mesh_files_names_that_become_equal_are_refused(tmp_path: Path) -> None:
     data = meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"cell_tags": [-TAGS]})
     data.cell_tags = {-3: ["a b"], -8: ["a.b"]}
     data.write(tmp_path / "a.med")
@@ -880,7 +880,7 @@ supports: {floor: {kind: fixed, boundary: bottom}, lid: {kind: fixed, boundary: 
 
 @pytest.mark.parametrize("text", [HEATED, HELD], ids=["heated", "held"])
 @pytest.mark.parametrize(("lift", "noted"), [(0.0, True), (0.02, False), (0.05, False)])
-def test_bodies_on_each_other_without_a_common_node_are_noted(
+def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
     lift: float, noted: bool, text: str, tmp_path: Path
 ) -> None:
     with session("boxes") as gmsh:
@@ -931,7 +931,7 @@ def damaged(raw: bytes, dice: random.Random) -> bytes:
     return b"\n".join(lines)
 
 
-def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
+def test_mesh_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
     """Three hundred damaged files are read, or refused in words."""
     dice = random.Random(7)
     mesh = meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"a": [TAGS]})
@@ -971,6 +971,6 @@ def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
     assert refusals > 150
 
 
-def test_lz4_blocks_with_copies() -> None:
+def test_vtu_lz4_blocks_with_copies() -> None:
     """Three letters, six more from three before (they overlap), and a last letter."""
     assert lz4_decompress(b"\x32abc\x03\x00\x10x") == b"abcabcabcx"

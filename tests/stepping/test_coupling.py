@@ -45,7 +45,7 @@ ONE_WAY = f"{INTERFACE}={{{CONTACT}, conductance: 500 W/(m^2 K)}}"
     [[], ["mesh.order=2"], [COLD], STIFF, [PERFECT], [PENALTY], [CAPPED]],
     ids=["all", "P2", "no heat of friction", "no expansion", "perfect", "penalty", "capped"],
 )
-def test_taylor_remainder_is_of_second_order(
+def test_coupled_system_taylor_remainder_is_of_second_order(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str]
 ) -> None:
     """Of every block, off a solution with points that are open, stick and slip."""
@@ -108,7 +108,7 @@ def test_taylor_remainder_is_of_second_order(
 
 
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
-def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
+def test_coupled_system_equals_one_way_coupling(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
     """Mechanics that follow the heat, step by step, and the same in one system with it."""
@@ -127,7 +127,7 @@ def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
 
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
 @pytest.mark.parametrize("overrides", [[], [PENALTY]], ids=["multiplier", "penalty"])
-def test_heat_of_friction_is_what_friction_dissipates(
+def test_coupled_system_friction_heat_equals_dissipation(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
 ) -> None:
     """Step by step, to the tolerance of the equations; the balance closes."""
@@ -160,7 +160,7 @@ def together(monkeypatch: pytest.MonkeyPatch, steps: int, *overrides: str) -> co
 
 
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
-def test_heat_of_force_and_slip_that_grow_together(
+def test_coupled_system_friction_heat_of_growing_force_and_slip(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
     """Force F t, slip s t, t from 0 to 1: n implicit steps give F s (n + 1)/(2 n), of order 1."""
@@ -177,7 +177,9 @@ def test_heat_of_force_and_slip_that_grow_together(
 
 
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
-def test_what_springs_stretch_is_no_heat(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+def test_coupled_system_penalty_stretch_is_no_heat(
+    monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
     """Stuck by penalty: n increments would give A τ s (n + 1)/(2 n)."""
     law = PENALTY.replace("friction_coefficient: 0.3", "friction_coefficient: 5")
     little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
@@ -190,7 +192,9 @@ def test_what_springs_stretch_is_no_heat(monkeypatch: pytest.MonkeyPatch, method
 
 
 @pytest.mark.parametrize("perfect", [False, True], ids=["conductance", "perfect"])
-def test_insulated_bodies_keep_all_of_it(monkeypatch: pytest.MonkeyPatch, perfect: bool) -> None:
+def test_coupled_system_insulated_bodies_keep_friction_heat(
+    monkeypatch: pytest.MonkeyPatch, perfect: bool
+) -> None:
     """Nothing else warms bodies of one temperature that nothing cools; each side has its share."""
     share = 0.3
     law = "" if perfect else "conductance: 0 W/(m^2 K), "
@@ -216,7 +220,9 @@ def test_insulated_bodies_keep_all_of_it(monkeypatch: pytest.MonkeyPatch, perfec
         assert lower == pytest.approx(share * released, rel=1e-8)
 
 
-def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coupled_system_cured_cement_equals_an_elastic_solid(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Cement that has set already deforms as any solid: the same state by either law."""
     law = f"{INTERFACE}={{{CONTACT}, conductance: 500 W/(m^2 K), friction_heating: 0.3}}"
     rigid = "regions.lower.thermal.thermal_expansion=null"
@@ -233,7 +239,7 @@ def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
         assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
 
 
-def test_what_heat_sees_of_setting_cement_is_a_step_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coupled_system_setting_cement_is_one_step_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stiffness and free strain of the step come after its heat: what that misses is of order 1.
 
     In the motion, and in the heat of friction over what friction dissipates.

@@ -52,7 +52,7 @@ def at_points(strain: float, n: int) -> CreepState:
 
 @pytest.mark.parametrize("strain", [0.0, 1e-9, 1e-4, 1e-2])
 @pytest.mark.parametrize("cycles", [1.0, 1e3, 1e7])
-def test_the_equation_of_a_point_is_solved(strain: float, cycles: float) -> None:
+def test_creep_equation_at_a_point(strain: float, cycles: float) -> None:
     """By bisection of its own, in s, over all stresses of cement; flow is along the deviator."""
     sizes = np.array([0.01, 0.3, 5.0, 50.0])
     σ = sizes[:, None] * np.array([[1.0, -0.2, 0.4, 0.3, 0.0, -0.5]])
@@ -73,7 +73,7 @@ def test_the_equation_of_a_point_is_solved(strain: float, cycles: float) -> None
         )
 
 
-def test_cement_creeps_in_its_stages_alone(tmp_path: Path) -> None:
+def test_creep_of_cement_only_in_its_stages(tmp_path: Path) -> None:
     """Stem in creeping cement: balances close, work is lost, and the stem subsides."""
     run = support.run(CREEPING, tmp_path)
     s, named = run.summary, run.history
@@ -90,7 +90,7 @@ def test_cement_creeps_in_its_stages_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("iteration", [12, 19, 26])
-def test_a_stop_within_a_step_that_creeps_is_a_stop(
+def test_creep_step_is_stopped_by_a_signal(
     iteration: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A signal ends Newton's method within a step of the second stage."""
@@ -108,7 +108,7 @@ def test_a_stop_within_a_step_that_creeps_is_a_stop(
         support.run(CREEPING, tmp_path)
 
 
-def test_time_in_any_unit(tmp_path: Path) -> None:
+def test_creep_time_in_any_unit(tmp_path: Path) -> None:
     """A day by a law per second or per hour: A t^m; at order 2 as well."""
     seconds = 86400.0
     expected = 1e-6 * 10**2 * seconds**0.4
@@ -135,13 +135,13 @@ def test_time_in_any_unit(tmp_path: Path) -> None:
         assert any("linear cells lock" in note for note in notes_of(s)) == (k < 2)
 
 
-def test_a_case_that_never_creeps_has_nothing_of_it() -> None:
+def test_creep_law_alone_costs_nothing() -> None:
     """A law alone costs nothing: neither points nor forms; the stages decide."""
     problem, _ = support.assemble(support.case(BAR, "stages=[{name: hold}]"))
     assert problem.scene.creeps == () and problem.history is None and not problem.mechanics.history
 
 
-def test_a_region_that_hardly_creeps_expands_and_is_loaded_as_an_elastic_one(
+def test_creep_near_zero_equals_elasticity(
     tmp_path: Path,
 ) -> None:
     """Its stress is then history: of strains and temperatures, the same as the law's."""

@@ -50,7 +50,7 @@ def assert_lumped(found: Results, h: float, head: float, liner: float = 0.0) -> 
 
 
 @pytest.mark.parametrize("changes", [(), ELASTIC], ids=["rigid", "elastic"])
-def test_friction_warms_two_bodies_that_conduct_perfectly(
+def test_cycle_heat_of_friction_warms_two_lumped_bodies(
     changes: tuple[str, ...], tmp_path: Path
 ) -> None:
     """The heat of a cycle in its time of 1 s; between the bodies h times the cup's area."""
@@ -61,7 +61,7 @@ def test_friction_warms_two_bodies_that_conduct_perfectly(
     assert_lumped(found, 0.05 * area("liner_inner"), SHARE * power, (1 - SHARE) * power)
 
 
-def test_without_a_course_what_touches_conducts(tmp_path: Path) -> None:
+def test_cycle_heat_conductance_without_a_time_course(tmp_path: Path) -> None:
     """Conductance per pressure times the sum of the pressures on the cup."""
     still = "motions.ball={region: head, about: [0 mm, 0 mm, 0 mm]}"
     stages = "stages=[{name: press}, {name: warm, steady: true}]"
@@ -77,7 +77,7 @@ def test_without_a_course_what_touches_conducts(tmp_path: Path) -> None:
     assert_lumped(found, 1e-2 * pressed, 0.1 * volume)
 
 
-def test_a_ball_that_spins_is_as_warm_all_around(tmp_path: Path) -> None:
+def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
     """It is pressed beside the axis of its turns: the cup is warm there, the ball in a ring."""
     course = '["time [s], rotation z [deg]", "0, 0", "1, 120", "2, 240", "3, 360"]'
     few = (

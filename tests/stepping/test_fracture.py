@@ -22,7 +22,7 @@ stages: [{name: pull, increments: 4}]
 """
 
 
-def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:
+def test_energy_control_follows_the_snap_back_of_a_bar(tmp_path: Path) -> None:
     """Its end goes back by N L/E less the end of softening; two iterations a step follow it."""
     # With condensed bodies a step takes one iteration at least.
     support.run(BAR, tmp_path, "solver.linear=direct")
@@ -38,7 +38,7 @@ def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:
     np.testing.assert_allclose(end, (1 - part) * 10 * 40 / 2000 + jump, rtol=1e-6)
 
 
-def test_softening_by_an_exponential_beside_what_was_never_bonded(tmp_path: Path) -> None:
+def test_energy_control_with_exponential_softening_and_unbonded_share(tmp_path: Path) -> None:
     """The load step before needs little augmentation, which would close what opens."""
     law = ("softening=exponential", "unbonded=30 %")
     support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
@@ -101,7 +101,7 @@ class OwnCohesion(Traction):
 @pytest.mark.parametrize(
     "pull", ["x: 0 mm, y: 0 mm, z: 0.03 mm", "x: 0.03 mm, y: 0 mm, z: 0.01 mm"]
 )
-def test_cohesion_as_an_extension_has_the_same_numbers(tmp_path: Path, pull: str) -> None:
+def test_energy_control_of_a_law_from_outside(tmp_path: Path, pull: str) -> None:
     """Tension, and shear with it: tractions, jumps and energies of every step."""
     text = BAR.replace("4 mm, 20 mm", "4 mm, 4 mm").replace("2 GPa", "20 GPa")
     text = text.replace("x: 0 mm, y: 0 mm, z: 0.4 mm", pull)
@@ -126,12 +126,12 @@ def test_cohesion_as_an_extension_has_the_same_numbers(tmp_path: Path, pull: str
         ("shear_energy=0.2 - x", "shear_energy: -3.8 at (4, "),
     ],
 )
-def test_values_at_points_are_refused(tmp_path: Path, change: str, words: str) -> None:
+def test_energy_control_refuses_values_at_points(tmp_path: Path, change: str, words: str) -> None:
     with pytest.raises(InputError, match=re.escape(f"interfaces.lower_upper.{words}")):
         support.run(BAR, tmp_path, f"interfaces.lower_upper.{change}")
 
 
-def test_advice_beyond_the_peak_of_a_bond() -> None:
+def test_energy_control_is_advised_beyond_the_peak() -> None:
     """Torn by more than its strength, the advice is to control the energy; below it is borne."""
     text = BAR[: BAR.index("supports:")] + FORCED
     size = [f"geometry.blocks.{k}.size=[4 mm, 4 mm, 2 mm]" for k in (0, 1)]

@@ -18,7 +18,7 @@ from tests import support
 from tests.cases import coupled
 
 
-def test_a_step_that_is_cut_back_ends_where_its_increment_would(
+def test_advance_cut_back_steps_end_at_the_increment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Fields are written at the ends of the increments asked for, however they are reached."""
@@ -57,7 +57,9 @@ stages:
 
 
 @pytest.mark.parametrize("method", ["sdirk4", "backward_euler"])
-def test_equal_steps_do_not_cross_kinks(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+def test_heat_steps_of_equal_length_do_not_cross_kinks(
+    monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
     """A clock that jumps between the ends of 60 s steps: it releases all its heat, and no more."""
     run = coupled.solve(monkeypatch, f"time.method={method}", text=CLOCK)
     assert [s.seconds for s in run.steps] == [60, 70, 120, 180, 240, 250, 300, 360, 370, 420]
@@ -71,7 +73,7 @@ def test_equal_steps_do_not_cross_kinks(monkeypatch: pytest.MonkeyPatch, method:
 
 
 @pytest.mark.parametrize(("start", "state"), [(37, 0), (50, 1), (60, 2)])
-def test_where_there_are_three_states_it_is_told(start: float, state: int, tmp_path: Path) -> None:
+def test_heat_steps_note_unstable_steady_states(start: float, state: int, tmp_path: Path) -> None:
     """Heated walls (Barber, Dundurs and Comninou, 1980): open, closed, and one between them."""
     changes = (
         "stages=[{name: gap}, {name: rest, steady: true}]",
