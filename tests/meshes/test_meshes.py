@@ -68,13 +68,13 @@ def rod() -> MeshData:
     return mesh(ROD, 2.0)
 
 
-def test_a_package_that_only_checks_input_loads_neither_gmsh_nor_dolfinx() -> None:
+def test_meshes_import_without_gmsh_and_dolfinx() -> None:
     heavy = {"gmsh", "dolfinx", "mpi4py"}
     support.python("-c", f"import sys; import meshes; assert not {heavy} & set(sys.modules)")
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_blocks_have_exact_volumes_areas_and_all_names(curved: bool) -> None:
+def test_blocks_have_exact_volumes_areas_and_names(curved: bool) -> None:
     data = mesh(STACK, 2.0, curved=curved)
     assert data.cells.shape[1] == (10 if curved else 4)
     assert region_volumes(data) == pytest.approx({"low": 400.0, "mid": 320.0, "high": 240.0})
@@ -94,7 +94,7 @@ def test_blocks_have_exact_volumes_areas_and_all_names(curved: bool) -> None:
         assert set(data.cell_tags[outer]) == {data.regions[name.split("_")[1]]}
 
 
-def test_one_block_has_no_interface_and_a_uniform_mesh() -> None:
+def test_blocks_of_one_have_no_interface_and_a_uniform_mesh() -> None:
     data = mesh(Blocks(blocks=(Block(name="only", size=["4 mm"] * 3),)), 1.0)
     assert dict(data.interfaces) == {}
     assert np.cbrt(8.5 * cell_volumes(data.points, data.cells)).max() < 2.0
@@ -119,7 +119,7 @@ def test_cylinders_are_concentric_conforming_and_named(sector: str, part: float)
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_volume_of_cylinders_converges(curved: bool) -> None:
+def test_cylinders_volume_converges(curved: bool) -> None:
     """Straight facets lose volume as h^2, quadratic ones as h^4."""
     sizes = [4.0, 2.0]
     straight = ROD.model_copy(update={"taper": 0.0, "length": 8.0})
@@ -132,7 +132,7 @@ def test_volume_of_cylinders_converges(curved: bool) -> None:
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_normals_of_a_cylinder_point_outwards(curved: bool) -> None:
+def test_cylinders_normals_point_outwards(curved: bool) -> None:
     data = mesh(ROD, 3.0, curved=curved)
     normals = parts(data, curved=["bone_surface"]).normals["bone_surface"]
     on = np.unique(data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])])
@@ -141,12 +141,12 @@ def test_normals_of_a_cylinder_point_outwards(curved: bool) -> None:
     assert (normals[on] * radial).sum(axis=1).min() > (1 - 1e-6 if curved else 0.99)
 
 
-def test_same_input_same_mesh_in_another_process(rod: MeshData) -> None:
+def test_meshes_are_equal_in_another_process(rod: MeshData) -> None:
     program = "from tests.meshes.test_meshes import *; print(digest(mesh(ROD, 2.0)))"
     assert support.python("-c", program).stdout.strip() == digest(rod)
 
 
-def test_order_is_canonical_and_no_node_is_unused(rod: MeshData) -> None:
+def test_meshes_have_canonical_order_without_unused_nodes(rod: MeshData) -> None:
     assert np.array_equal(np.unique(rod.cells), np.arange(len(rod.points)))
     assert np.array_equal(np.lexsort(rod.points.round(9).T), np.arange(len(rod.points)))
     assert np.all(np.diff(rod.cell_tags) >= 0)
@@ -154,7 +154,7 @@ def test_order_is_canonical_and_no_node_is_unused(rod: MeshData) -> None:
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_quality_is_that_of_gmsh(tmp_path: Path, curved: bool) -> None:
+def test_quality_equals_that_of_gmsh(tmp_path: Path, curved: bool) -> None:
     data = mesh(ROD, 3.0, curved=curved)
     meshes.write_msh(data, tmp_path / "a.msh")
     with session("theirs") as gmsh:
@@ -165,7 +165,7 @@ def test_quality_is_that_of_gmsh(tmp_path: Path, curved: bool) -> None:
     assert np.sort(ours) == pytest.approx(np.sort(theirs), abs=1e-10)
 
 
-def test_the_gate_names_region_place_and_value(rod: MeshData) -> None:
+def test_quality_check_names_region_place_and_value(rod: MeshData) -> None:
     points = rod.points.copy()
     # Flatten one cell of the cement: its last vertex into the plane of the others.
     cell = rod.cells[np.flatnonzero(rod.cell_tags == rod.regions["cement"])[100]]
@@ -175,7 +175,7 @@ def test_the_gate_names_region_place_and_value(rod: MeshData) -> None:
     quality.check(rod.points, rod.cells, rod.cell_tags, rod.regions)
 
 
-def test_relaxed_moves_free_nodes_of_poor_cells_and_no_others() -> None:
+def test_quality_relaxation_moves_only_free_nodes_of_poor_cells() -> None:
     """A node among the corners of a cube is put far outside of it, and comes back."""
     corners = np.array(list(product((0.0, 1.0), repeat=3)))
     faces = ConvexHull(corners).simplices
@@ -211,7 +211,7 @@ def test_relaxed_moves_free_nodes_of_poor_cells_and_no_others() -> None:
         ),
     ],
 )
-def test_poor_cells_are_refused_with_a_length_that_meshes(
+def test_quality_poor_cells_are_refused_with_a_size_that_meshes(
     works: Callable[[Any, Any], bool], remedy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One near the given one, within the far size; where none does, all that were tried."""
@@ -224,7 +224,7 @@ def test_poor_cells_are_refused_with_a_length_that_meshes(
     assert meshes._remedy(None, ROD, options(5.0, far_size="6 mm")) == remedy
 
 
-def test_cache_returns_the_same_and_survives_damage(tmp_path: Path, rod: MeshData) -> None:
+def test_cache_returns_the_same_mesh_and_survives_damage(tmp_path: Path, rod: MeshData) -> None:
     first = meshes.build(ROD, options(2.0), tmp_path)
     (file,) = tmp_path.glob("*.npz")
     second = meshes.build(ROD, options(2.0, order=2), tmp_path)  # the order is not the mesh's
@@ -244,13 +244,13 @@ def test_cache_returns_the_same_and_survives_damage(tmp_path: Path, rod: MeshDat
         assert file.stat().st_size == len(good) and not list(tmp_path.glob("*.part"))
 
 
-def test_a_mesh_that_cannot_be_kept_is_a_mesh(caplog: pytest.LogCaptureFixture) -> None:
+def test_cache_that_cannot_be_written_is_skipped(caplog: pytest.LogCaptureFixture) -> None:
     one = Blocks(blocks=(Block(name="a", size=["4 mm"] * 3),))
     assert len(meshes.build(one, options(4.0), Path("/proc/nowhere")).cells)
     assert "the mesh cannot be kept in /proc/nowhere" in caplog.text
 
 
-def test_cache_tells_cases_apart() -> None:
+def test_cache_distinguishes_cases() -> None:
     keys = {
         cache.key(geometry, o)
         for geometry in (ROD, ROD.model_copy(update={"length": 21.0}), STACK)
@@ -259,7 +259,7 @@ def test_cache_tells_cases_apart() -> None:
     assert len(keys) == 9
 
 
-def test_names_may_overlap_and_patches_do_not() -> None:
+def test_imported_names_may_overlap_but_patches_may_not() -> None:
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)], dtype=float)
     cells = np.array([(0, 1, 2, 3), (1, 2, 3, 4)])
     facets, _ = exterior_facets(cells)
@@ -282,7 +282,7 @@ def test_names_may_overlap_and_patches_do_not() -> None:
 
 @pytest.mark.parametrize("unit", ["mm", "cm"])
 @pytest.mark.parametrize("curved", [False, True])
-def test_written_files_are_read_back(tmp_path: Path, unit: str, curved: bool) -> None:
+def test_imported_files_equal_written_ones(tmp_path: Path, unit: str, curved: bool) -> None:
     data = mesh(ROD, 3.0, curved=curved)
     path = tmp_path / "rod.msh"
     meshes.write_msh(data, path)
@@ -297,7 +297,7 @@ def test_written_files_are_read_back(tmp_path: Path, unit: str, curved: bool) ->
     assert back.notes["cells_without_region"] == 0
 
 
-def test_files_in_format_2_2_are_read_without_interior_boundaries(tmp_path: Path) -> None:
+def test_imported_files_of_format_2_2(tmp_path: Path) -> None:
     data, path = mesh(STACK, 3.0), tmp_path / "old.msh"
     meshes.write_msh(data, tmp_path / "new.msh")
     with session("old") as gmsh:
@@ -311,7 +311,7 @@ def test_files_in_format_2_2_are_read_without_interior_boundaries(tmp_path: Path
     assert not set(back.boundaries) & set(STACK.interface_sides)
 
 
-def test_files_without_names_or_regions_say_what_was_found(tmp_path: Path) -> None:
+def test_imported_files_without_names_are_refused(tmp_path: Path) -> None:
     data = mesh(STACK, 3.0)
     path = tmp_path / "a.msh"
     meshes.write_msh(data, path)
@@ -325,7 +325,7 @@ def test_files_without_names_or_regions_say_what_was_found(tmp_path: Path) -> No
         meshes.build(MeshFile.model_construct(path=path, interfaces={}), options(1.0))
 
 
-def test_bodies_of_a_file_that_meet_without_an_interface_are_refused(tmp_path: Path) -> None:
+def test_imported_bodies_that_meet_without_interface_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
     meshes.write_msh(mesh(STACK, 3.0), path)
     some = {"low_mid": STACK.interface_sides["low_mid"]}
@@ -344,7 +344,7 @@ def test_bodies_of_a_file_that_meet_without_an_interface_are_refused(tmp_path: P
         meshes.build(MeshFile(path=path), options(1.0))
 
 
-def test_regions_on_one_side_of_an_interface_are_one_body(tmp_path: Path) -> None:
+def test_imported_regions_on_one_side_are_one_body(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
     meshes.write_msh(mesh(STACK, 3.0), path)
     sides = {"joint": (("low",), ("mid", "high"))}
@@ -352,7 +352,9 @@ def test_regions_on_one_side_of_an_interface_are_one_body(tmp_path: Path) -> Non
     assert set(back.regions) == {"low", "mid", "high"}
 
 
-def test_a_hole_in_the_mantle_is_no_tie(rod: MeshData, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_meshes_stem_that_meets_bone_through_cement_is_refused(
+    rod: MeshData, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of any geometry: a stem that meets bone through its cement, here near the top."""
     centres = rod.points[rod.cells[:, :4]].mean(axis=1)
     cement = rod.cell_tags == rod.regions["cement"]
@@ -378,7 +380,7 @@ def test_sections_of_a_block_have_exact_areas(axis: int) -> None:
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o002, 0o077])
-def test_a_cached_mesh_is_of_its_user_alone(tmp_path: Path, mask: int) -> None:
+def test_cache_is_private_to_its_user(tmp_path: Path, mask: int) -> None:
     before = os.umask(mask)
     try:
         meshes.build(Blocks(blocks=(Block(name="a", size=["4 mm"] * 3),)), options(4.0), tmp_path)
@@ -389,7 +391,7 @@ def test_a_cached_mesh_is_of_its_user_alone(tmp_path: Path, mask: int) -> None:
 
 
 @pytest.mark.parametrize("sector", ["full", "half", "quarter"])
-def test_slices_one_cell_thick_mesh_at_the_first_attempt(sector: str) -> None:
+def test_cylinders_slices_one_cell_thick_mesh(sector: str) -> None:
     """At any thickness: 4.2 mm of cement did, 4.199999999999999 mm left a sliver."""
     rng = np.random.default_rng(7)
     for number in range(5):

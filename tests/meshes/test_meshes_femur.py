@@ -23,7 +23,7 @@ def outline(shape: femur_stem.Body, z: float) -> np.ndarray:
     return np.column_stack([r * np.cos(TURN), r * np.sin(TURN)])
 
 
-def test_sections_of_the_stem_are_rounded_rectangles() -> None:
+def test_femur_stem_sections_are_rounded_rectangles() -> None:
     shape = femur_stem.body(GEOMETRY.implant)
     a, b, r = shape.section(15.0)
     assert (a, b, r) == pytest.approx((8.5, 5.0, 3.0))
@@ -36,7 +36,7 @@ def test_sections_of_the_stem_are_rounded_rectangles() -> None:
 
 
 @pytest.mark.parametrize("thickness", [1.0, 4.0, 8.0])
-def test_the_offset_is_at_the_prescribed_distance(thickness: float) -> None:
+def test_femur_stem_offset_has_the_given_distance(thickness: float) -> None:
     """Flats exactly (in the normal's direction), corners within a thousandth."""
     shape = femur_stem.body(GEOMETRY.implant)
     far = shape.offset(thickness)
@@ -49,7 +49,7 @@ def test_the_offset_is_at_the_prescribed_distance(thickness: float) -> None:
     assert gap == pytest.approx(np.full(len(gap), thickness), rel=0.01)
 
 
-def test_the_canal_has_the_widths_of_its_source_and_lies_in_the_bone() -> None:
+def test_femur_bone_canal_has_published_widths() -> None:
     canal, outer = femur_bone.Tube(femur_bone.CANAL), femur_bone.PERIOSTEUM
     for z, width in ((20, 43.7), (10, 35.0), (0, 28.7), (-10, 24.0), (-20, 20.6), (-80, 13.5)):
         ends = canal.radius(np.array([0.0, np.pi]), np.array([z, z], dtype=float))
@@ -59,7 +59,7 @@ def test_the_canal_has_the_widths_of_its_source_and_lies_in_the_bone() -> None:
     assert cortex.min() > 1.5
 
 
-def test_muscles_insert_on_the_bone_and_apart() -> None:
+def test_femur_bone_muscles_insert_on_the_surface() -> None:
     x, y, z = np.array([MUSCLES[name] for name in MUSCLES]).T
     on_bone = femur_bone.PERIOSTEUM.radius(np.arctan2(y, x), z)
     np.testing.assert_allclose(np.hypot(x, y), on_bone, atol=1e-3)
@@ -67,7 +67,7 @@ def test_muscles_insert_on_the_bone_and_apart() -> None:
     assert pdist(np.array([x, y, z]).T).min() > 2 * PATCH_RADIUS
 
 
-def test_tables_are_interpolated_as_by_scipy() -> None:
+def test_femur_bone_tables_are_interpolated_as_by_scipy() -> None:
     """At and between random rows, with flat parts, turns and ends that are steep."""
     rng = np.random.default_rng(1)
     for n in (3, 4, 7, 12, 40):
@@ -77,7 +77,7 @@ def test_tables_are_interpolated_as_by_scipy() -> None:
         np.testing.assert_allclose(femur_bone.monotone(x, y)(places), expected, atol=1e-12)
 
 
-def test_a_stem_that_cuts_by_a_hair_is_never_said_to_cut_by_zero() -> None:
+def test_femur_stem_overlap_is_never_reported_as_zero() -> None:
     assert [_rounded_up(x) for x in (0.001, 0.041, 0.1, 0.31)] == [0.01, 0.05, 0.1, 0.4]
 
 
@@ -89,7 +89,7 @@ def test_a_stem_that_cuts_by_a_hair_is_never_said_to_cut_by_zero() -> None:
         (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(stem_tip_z\); 1.1 mm more are needed"),
     ],
 )
-def test_a_stem_without_room_says_by_how_much(half_width: float, words: str) -> None:
+def test_femur_stem_without_room_is_refused_with_a_length(half_width: float, words: str) -> None:
     """At the last the cells between stem and cortex would have no volume."""
     geometry = Femur.model_validate({"stem_half_width": f"{half_width} mm"})
     with pytest.raises(GeometryError, match=words):

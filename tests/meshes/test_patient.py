@@ -51,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_mantles_own_femur_as_triangles_is_the_parametric_one(folder: Path) -> None:
+def test_patient_bone_of_the_parametric_femur_equals_it(folder: Path) -> None:
     """Volumes to 1 % beside the polygons, which are within the bone. The stem is the same."""
     here, there = made(as_own(folder)), made(TURNED)
     volumes, expected = region_volumes(here), region_volumes(there)
@@ -66,7 +66,7 @@ def test_mantles_own_femur_as_triangles_is_the_parametric_one(folder: Path) -> N
     assert head[0] == pytest.approx(there.notes["head_centre"], abs=0.3)
 
 
-def test_zones_are_those_of_the_parametric_femur(folder: Path) -> None:
+def test_patient_bone_zones_equal_the_parametric_ones(folder: Path) -> None:
     x = np.random.default_rng(0).uniform((-15, -15, -150), (15, 15, 5), (4000, 3))
     here, there = Zones(as_own(folder)), Zones(TURNED)
     y = turned(x, math.radians(VERSION))
@@ -74,7 +74,7 @@ def test_zones_are_those_of_the_parametric_femur(folder: Path) -> None:
     assert here.depth(x) == pytest.approx(there.depth(y), abs=0.4)
 
 
-def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
+def test_patient_bone_is_independent_of_scan_axes(folder: Path) -> None:
     canal = {"surface": "canal_moved.stl", "ream": "broach"}
     still = patient(folder, canal=canal | {"surface": "canal.stl"})
     turned = patient(folder, bone={"surface": "bone_moved.stl"}, canal=canal)
@@ -92,7 +92,7 @@ PUT = {"depth": "-1 mm", "varus": "1 deg", "version": {"angle": "-8 deg"}}
 IN = {"canal": {"ream": "broach"}, "insertion": PUT}
 
 
-def test_a_stem_from_a_file_is_as_mantles_own(folder: Path) -> None:
+def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> None:
     """Circles of 6 mm are met to 0.008 mm, and its axis is found to 0.005 mm; its end is flat."""
     file = {"step": cad_stems.write("own", folder, neck=NECK)}
     given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
@@ -110,7 +110,7 @@ def test_a_stem_from_a_file_is_as_mantles_own(folder: Path) -> None:
     assert nominal[0] == pytest.approx(nominal[1], abs=0.02)
 
 
-def test_a_right_femur_is_the_mirrored_left_one_with_its_stem(folder: Path) -> None:
+def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
     """A stem that is not symmetric: its medial direction is that to a head beside its plane."""
     file, mirror = cad_stems.write("own", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
     write(folder / "right.stl", moved(own(), mirror, np.zeros(3)))
@@ -128,7 +128,7 @@ def test_a_right_femur_is_the_mirrored_left_one_with_its_stem(folder: Path) -> N
     assert np.abs(one[:, 1:] - one[:, :0:-1] * [1, -1, 1]).max() > 0.5
 
 
-def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
+def test_patient_muscles_are_on_the_bone_below_the_cut(folder: Path) -> None:
     geometry = patient(folder)
     placed = geometry.placement
     for name in MUSCLES:
@@ -138,7 +138,7 @@ def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
     assert "vastus_medialis" in geometry.told["muscles moved (mm)"]
 
 
-def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
+def test_patient_stem_has_the_given_position(folder: Path) -> None:
     """Version and offsets by the patient's neck."""
     at = patient(folder).placement
     aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
@@ -161,7 +161,7 @@ def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
         ({"tip_half_depth": "9 mm", "half_depth": "3.1 mm"}, "at the shoulder, z = .*has become 2"),
     ],
 )
-def test_a_stem_is_refused_alike_in_any_bone(
+def test_patient_stem_without_room_is_refused_in_any_bone(
     stem: dict[str, str], words: str, folder: Path
 ) -> None:
     """At its shoulder mantle's own stem is 18.16 mm wide; half depths fall by 5.9 in 133 mm."""
@@ -183,7 +183,7 @@ def femur(**changes: Any) -> Femur:
 
 
 @pytest.mark.parametrize("kind", ["own", "file"])
-def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> None:
+def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) -> None:
     """Nodes on the body turned by hand, and on the periosteum's own function."""
     file = {"stem": {"step": cad_stems.write("own", tmp_path, neck=NECK)}} if kind == "file" else {}
     geometry = femur(insertion=MOVED, **file)
@@ -209,7 +209,7 @@ def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> Non
     assert quality.stubby(data.points, data.cells).min() > 0.05
 
 
-def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
+def test_placement_depth_is_that_of_the_shoulder() -> None:
     normal, level = cut(femur())
     on, deep = (femur(insertion={"depth": f"{d} mm"}).placement for d in (0, 3))
     edge = np.array([[-9.0789, 0.0, 29.0]])
@@ -219,7 +219,7 @@ def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
 
 
 @pytest.mark.parametrize("kind", ["femur", "patient", "file"])
-def test_a_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> None:
+def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> None:
     """The same metal at any depth. Its top begins at the edge, and ends at the cut.
 
     By hand: the file's is flat and 11 mm long; mantle's own has 7.61 mm in 21.24 mm to the neck,
@@ -248,7 +248,7 @@ def test_a_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> N
     assert (z[top] < level + rise * along[top] + 0.01).all()
 
 
-def test_a_stem_that_leaves_the_canal_is_refused_with_the_place() -> None:
+def test_placement_refuses_a_stem_outside_the_canal() -> None:
     with pytest.raises(GeometryError, match=r"cuts .* mm into the cortex .*laterally at .* insert"):
         made(femur(insertion={"varus": "6 deg"}))
 
@@ -337,13 +337,13 @@ def check(geometry: Patient, seed: int) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_random_patients(tmp_path: Path, seed: int) -> None:
+def test_patient_random_cases_mesh_or_are_refused(tmp_path: Path, seed: int) -> None:
     check(random_patient(tmp_path, seed, own(), own_canal(), 12.0), seed)
 
 
 @measured
 @pytest.mark.slow
-def test_a_hundred_patients(tmp_path: Path) -> None:
+def test_patient_hundred_copies_have_room_in_four_fifths(tmp_path: Path) -> None:
     """On the measured femur, larger by a fifth; at least four fifths have room for the stem."""
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
@@ -354,7 +354,7 @@ def test_a_hundred_patients(tmp_path: Path) -> None:
 
 
 @measured
-def test_cells_beside_the_calcar_and_below_the_plug_are_sound(tmp_path: Path) -> None:
+def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
     """One of the worst of a hundred: layers are oblique at the neck, sections long in the shaft."""
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
@@ -383,7 +383,7 @@ def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient
 
 @measured
 @pytest.mark.parametrize("size", [3.1, 3.0, 2.7, 2.2])
-def test_any_size_meshes_a_measured_femur(tmp_path: Path, size: float) -> None:
+def test_patient_measured_femur_meshes_at_any_size(tmp_path: Path, size: float) -> None:
     """A station can cut off the corner of the shoulder next to the neck: a horn of the section."""
     data = _make(measured_hip(tmp_path, 3.0), options(size=f"{size} mm", around=None))
     assert quality.stubby(data.points, data.cells).min() > 0.035
@@ -393,7 +393,7 @@ def test_any_size_meshes_a_measured_femur(tmp_path: Path, size: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cement", [2.0, 3.0, 5.0])
 @pytest.mark.parametrize("kind", ["parametric", "measured", "mirrored"])
-def test_all_sizes_mesh(tmp_path: Path, kind: str, cement: float) -> None:
+def test_patient_meshes_at_all_sizes(tmp_path: Path, kind: str, cement: float) -> None:
     """From 8 to 2 mm by 0.1, curved: none is refused; no cell, if shorter, is below 0.03."""
     if kind == "parametric":
         geometry: Any = Femur.model_validate({"cement_thickness": f"{cement} mm"})
@@ -406,7 +406,7 @@ def test_all_sizes_mesh(tmp_path: Path, kind: str, cement: float) -> None:
 
 
 @measured
-def test_a_stem_too_deep_to_mesh_is_refused_with_what_to_change(tmp_path: Path) -> None:
+def test_patient_stem_too_deep_is_refused_with_remedy(tmp_path: Path) -> None:
     """A thin calcar next to a shoulder 11 mm below the cut: layers fold, at all sizes near."""
     surfaces = [
         moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
@@ -421,7 +421,7 @@ def test_a_stem_too_deep_to_mesh_is_refused_with_what_to_change(tmp_path: Path) 
         _make(geometry, options(size="5 mm", around=None))
 
 
-def test_places_in_an_image_are_those_of_the_file_and_in_the_bone(folder: Path) -> None:
+def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
     """Of a bone turned, shifted and mirrored: at least 1.5 mm deep, and no deeper than they are."""
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     shift = np.array([50.0, -20.0, 900.0])

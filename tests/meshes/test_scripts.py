@@ -47,14 +47,14 @@ def options(**values: object) -> MeshOptions:
     return MeshOptions.model_validate(values)
 
 
-def test_names_are_read_from_the_text(tmp_path: Path) -> None:
+def test_scripts_names_are_read_from_the_text(tmp_path: Path) -> None:
     """In the order of the script, without what is in comments."""
     path = script(tmp_path, LAYERS)
     assert physical_names(path, 3) == ("low", "high")
     assert physical_names(path, 2) == ("base", "top", "between")
 
 
-def test_layers_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) -> None:
+def test_scripts_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) -> None:
     geometry = MeshFile(path=script(tmp_path, LAYERS), interfaces={"joint": (("low",), ("high",))})
     cells = {}
     for size, far in ((1.0, 1.0), (0.5, 0.5), (0.5, 1.0)):
@@ -70,7 +70,7 @@ def test_layers_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) -> None:
     assert cells[1.0, 1.0] < cells[0.5, 1.0] < 0.8 * cells[0.5, 0.5]
 
 
-def test_sizes_are_told_in_the_unit_of_the_script(tmp_path: Path) -> None:
+def test_scripts_get_sizes_in_their_unit(tmp_path: Path) -> None:
     """The same script in cm with ten times the size is the same mesh, ten times as large."""
     path = script(tmp_path, PIN)
     millimetres, centimetres = (
@@ -83,9 +83,7 @@ def test_sizes_are_told_in_the_unit_of_the_script(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "curved"), [(PIN, True), (LAYERS, False)], ids=["pin", "layers"])
-def test_cells_of_second_order_are_curved_where_the_script_is(
-    text: str, curved: bool, tmp_path: Path
-) -> None:
+def test_scripts_of_second_order_have_curved_cells(text: str, curved: bool, tmp_path: Path) -> None:
     """As everywhere else: by default. The pin's volume is known, and flat faces need no bend."""
     script(tmp_path, text)
     (tmp_path / "case.yaml").write_text(
@@ -103,7 +101,7 @@ def test_cells_of_second_order_are_curved_where_the_script_is(
     assert found == pytest.approx(expected, rel=2e-3 if curved else 1e-12)
 
 
-def test_cached_by_what_the_mesh_depends_on(tmp_path: Path) -> None:
+def test_scripts_are_cached_by_their_content(tmp_path: Path) -> None:
     """Also what a script that it names has in quotes, but nothing outside its folder."""
     folder = tmp_path / "own"
     folder.mkdir()
@@ -131,7 +129,7 @@ def test_cached_by_what_the_mesh_depends_on(tmp_path: Path) -> None:
     assert key() == before == key(options(size="1 mm", order=2))
 
 
-def test_a_script_uses_what_it_names_in_its_folder(tmp_path: Path) -> None:
+def test_scripts_use_files_of_their_folder(tmp_path: Path) -> None:
     """Scripts and other files, each named from where it is named."""
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "pin.geo").write_text('SetFactory("OpenCASCADE"); Merge "pin.brep";\n')
@@ -148,7 +146,7 @@ def test_a_script_uses_what_it_names_in_its_folder(tmp_path: Path) -> None:
     assert region_volumes(data)["pin"] == pytest.approx(np.pi * 2**2 * 5, rel=2e-3)
 
 
-def test_a_file_that_changes_after_the_case_was_read_is_refused(tmp_path: Path) -> None:
+def test_scripts_with_changed_files_are_refused(tmp_path: Path) -> None:
     """What is meshed is what the cache and the provenance name."""
     geometry = MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     assert geometry.content
@@ -157,7 +155,7 @@ def test_a_file_that_changes_after_the_case_was_read_is_refused(tmp_path: Path) 
         meshes.build(geometry, options(size="1 mm"))
 
 
-def test_layers_are_solved(tmp_path: Path) -> None:
+def test_scripts_layers_are_solved(tmp_path: Path) -> None:
     """Pressed evenly without Poisson's effect: u_z = -p z / E, across the joint too."""
     script(tmp_path, LAYERS)
     case = load(tmp_path / "case.yaml").config
@@ -177,7 +175,7 @@ def test_layers_are_solved(tmp_path: Path) -> None:
     ],
     ids=["no size", "no names"],
 )
-def test_scripts_that_are_refused_unread(text: str, expected: str, tmp_path: Path) -> None:
+def test_scripts_refused_unread(text: str, expected: str, tmp_path: Path) -> None:
     script(tmp_path, text)
     with pytest.raises(InputError, match=rf"case\.yaml:1:24: geometry\.path: .*{expected}"):
         load(tmp_path / "case.yaml")
@@ -192,7 +190,7 @@ def test_scripts_that_are_refused_unread(text: str, expected: str, tmp_path: Pat
     ],
     ids=["unknown variable", "syntax", "no such volume"],
 )
-def test_scripts_that_fail(text: str, expected: str, tmp_path: Path) -> None:
+def test_scripts_that_fail_are_reported(text: str, expected: str, tmp_path: Path) -> None:
     """In a process of its own: gmsh reads no script correctly after one that failed."""
     script(tmp_path, text)
     command = ["-m", "mantle", "mesh", tmp_path / "case.yaml", "-o", tmp_path / "out"]
@@ -201,7 +199,7 @@ def test_scripts_that_fail(text: str, expected: str, tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_check_says_what_it_does_not_know(tmp_path: Path) -> None:
+def test_scripts_unknown_content_is_reported_by_check(tmp_path: Path) -> None:
     script(tmp_path, LAYERS)
     done = support.python("-m", "mantle", "check", tmp_path / "case.yaml")
     assert "joint (low | high): contact" in done.stdout
@@ -209,7 +207,7 @@ def test_check_says_what_it_does_not_know(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("grows", [False, True], ids=["time", "memory"])
-def test_a_script_that_never_ends_is_stopped(
+def test_scripts_that_never_end_are_stopped(
     grows: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = ""
@@ -224,7 +222,7 @@ def test_a_script_that_never_ends_is_stopped(
         meshes.build(MeshFile(path=script(tmp_path, loop + LAYERS)), options(size="1 mm"))
 
 
-def test_what_a_script_writes_is_not_beside_it(tmp_path: Path) -> None:
+def test_scripts_cannot_write(tmp_path: Path) -> None:
     write = 'Printf("x") > "written";\nSave "saved.msh";\n'
     path, sides = script(tmp_path, LAYERS + write), {"joint": (("low",), ("high",))}
     meshes.build(MeshFile(path=path, interfaces=sides), options(size="1 mm"))

@@ -174,7 +174,7 @@ SOUND: dict[str, tuple[str, str | bytes, int, str]] = {
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_surface_dialects_have_the_triangles_of_the_box(name: str, tmp_path: Path) -> None:
+def test_surface_files_dialects_have_equal_triangles(name: str, tmp_path: Path) -> None:
     file, content, count, note = SOUND[name]
     corners, notes = surface_files.read(put(tmp_path, file, content))
     assert len(corners) == count
@@ -243,13 +243,13 @@ REFUSED: dict[str, tuple[str, str | bytes, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_surface_files_are_refused_by_the_reason(name: str, tmp_path: Path) -> None:
+def test_surface_files_are_refused_with_the_reason(name: str, tmp_path: Path) -> None:
     file, content, message = REFUSED[name]
     with pytest.raises(GeometryError, match=message):
         surface_files.read(put(tmp_path, file, content))
 
 
-def test_concave_polygons_are_divided_within_their_outline() -> None:
+def test_welding_concave_polygons_are_divided_inside() -> None:
     """A comb of five teeth in any plane: no triangle is turned over, and the area is its own."""
     comb = [(0.0, 0.0), (9.0, 0.0)]
     for tooth in range(4, -1, -1):
@@ -283,7 +283,7 @@ def stl(folder: Path, corners: Any) -> Path:
     return write(folder / "bone.stl", BoneSurface(points, np.arange(len(points)).reshape(-1, 3)))
 
 
-def test_quads_on_one_side_of_an_edge_close_the_surface(tmp_path: Path) -> None:
+def test_welding_quads_next_to_a_divided_edge_close_the_surface(tmp_path: Path) -> None:
     """Above two levels, one of them far from both ends; edges of the rim are divided by a side."""
     for level in (60.0, -50.0):
         points, faces = quads(own(), level)
@@ -298,7 +298,7 @@ def test_quads_on_one_side_of_an_edge_close_the_surface(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("doubled", [slice(None), slice(200, 900)])
-def test_doubled_facets_are_kept_once(doubled: slice, turned: bool, tmp_path: Path) -> None:
+def test_welding_keeps_repeated_facets_once(doubled: slice, turned: bool, tmp_path: Path) -> None:
     """Of all facets and of some, the copies turned over or not."""
     corners = own().corners
     copies = corners[doubled, :: -1 if turned else 1]
@@ -308,14 +308,14 @@ def test_doubled_facets_are_kept_once(doubled: slice, turned: bool, tmp_path: Pa
     assert volume(surface.corners) == pytest.approx(volume(corners), rel=1e-5)
 
 
-def test_doubled_facets_of_an_open_bone_are_kept_once(tmp_path: Path) -> None:
+def test_welding_keeps_repeated_facets_of_an_open_bone_once(tmp_path: Path) -> None:
     corners = opened(own(), -150.0).corners
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners] * 3)))
     assert len(surface.triangles) == len(corners)
     assert f"{2 * len(corners):,} doubled facets left out" in surface.notes
 
 
-def test_a_fold_without_thickness_is_left_out(tmp_path: Path) -> None:
+def test_welding_removes_a_fold_without_thickness(tmp_path: Path) -> None:
     """A fin of two sheets, joined to the bone by an edge."""
     corners = own().corners
     a, b = corners[500, 0], corners[500, 1]
@@ -327,7 +327,7 @@ def test_a_fold_without_thickness_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3, 5e-3])
-def test_corners_that_differ_in_the_last_digits_are_one(noise: float, tmp_path: Path) -> None:
+def test_welding_merges_corners_that_differ_in_last_digits(noise: float, tmp_path: Path) -> None:
     rng, corners = np.random.default_rng(4), own().corners
     surface = bone_surface.read(stl(tmp_path, corners + rng.normal(0, noise, corners.shape)))
     assert len(surface.triangles) == len(corners) and not len(surface.rim)
@@ -336,13 +336,13 @@ def test_corners_that_differ_in_the_last_digits_are_one(noise: float, tmp_path: 
     assert noise < 1e-4 or "made one, moved by" in " ".join(surface.notes)
 
 
-def test_a_bone_far_from_the_origin_is_joined(tmp_path: Path) -> None:
+def test_welding_joins_a_bone_far_from_the_origin(tmp_path: Path) -> None:
     """At two metres numbers of four bytes have steps of 0.0001 mm."""
     surface = bone_surface.read(stl(tmp_path, own().corners + FAR))
     assert len(surface.triangles) == len(own().triangles) and not len(surface.rim)
 
 
-def test_loose_corners_are_refused_with_their_distance(tmp_path: Path) -> None:
+def test_welding_refuses_loose_corners_with_their_distance(tmp_path: Path) -> None:
     rng, corners = np.random.default_rng(4), own().corners
     path = stl(tmp_path, corners + rng.normal(0, 0.1, corners.shape))
     with pytest.raises(GeometryError, match=r"not joined: .* are 0\.1\d mm from the next; merge"):
@@ -358,7 +358,7 @@ def test_loose_corners_are_refused_with_their_distance(tmp_path: Path) -> None:
         ([1, 1, 1], ""),
     ],
 )
-def test_a_femur_of_rare_size_or_shape_has_a_note(
+def test_bone_frame_note_on_rare_size_or_shape(
     scale: list[float], note: str, tmp_path: Path
 ) -> None:
     surface, frame = judged(stl(tmp_path, own().corners * scale))
@@ -367,7 +367,7 @@ def test_a_femur_of_rare_size_or_shape_has_a_note(
     assert re.search(note, " ".join(notes))
 
 
-def test_a_femur_too_long_for_its_head_has_a_note() -> None:
+def test_bone_frame_note_on_length_over_head() -> None:
     """With condyles 15 to 25 radii of the head are usual; without them the length is any."""
     frame = bone_frame.find(own())
     whole = replace(frame, version=0.2, length=18 * frame.radius)
@@ -377,7 +377,7 @@ def test_a_femur_too_long_for_its_head_has_a_note() -> None:
     assert replace(whole, length=9 * frame.radius, version=None).doubts(own()) == []
 
 
-def test_an_open_proximal_end_has_a_note_and_a_distal_one_none(tmp_path: Path) -> None:
+def test_bone_surface_note_on_an_open_proximal_end(tmp_path: Path) -> None:
     """The top of the head is missing; one triangle of it; the shaft is cut."""
     corners = own().corners
     high = corners[:, :, 2].max(axis=1)
@@ -411,7 +411,7 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
     return content
 
 
-def test_damaged_surfaces_are_read_or_refused_in_words(tmp_path: Path) -> None:
+def test_surface_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
     """No other error and no warning, of 240 files; landmarks are sought on what is read."""
     surface = opened(own(), -150.0)
     whole = {
@@ -459,7 +459,7 @@ def odd(corners: Any, seed: int) -> Any:
 
 
 @pytest.mark.slow
-def test_patients_with_damaged_bones_are_placed_or_refused_in_words(tmp_path: Path) -> None:
+def test_patient_with_damaged_bone_is_placed_or_refused(tmp_path: Path) -> None:
     """Bytes of files, or shapes, are damaged; no warning of numpy either."""
     surface = own()
     whole = {
@@ -503,14 +503,14 @@ def listed(binary: bool) -> bytes:
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_vertices_with_lists_keep_their_places(binary: bool, tmp_path: Path) -> None:
+def test_surface_files_vertices_with_lists(binary: bool, tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_bytes(listed(binary))
     triangles, _ = surface_files.read(tmp_path / "a.ply")
     np.testing.assert_allclose(triangles, BOX.points[TRIANGLES], rtol=1e-6)
 
 
 @pytest.mark.parametrize("header", [b"OFFSET surface", b"# vtk export", b"PK\x03\x04", b"<html"])
-def test_a_binary_stl_may_have_any_header(header: bytes, tmp_path: Path) -> None:
+def test_surface_files_binary_stl_with_any_header(header: bytes, tmp_path: Path) -> None:
     corners = BOX.points[TRIANGLES].astype("<f4")
     body = b"".join(bytes(12) + t.tobytes() + bytes(2) for t in corners)
     path = tmp_path / "a.stl"

@@ -64,7 +64,7 @@ def sized(size: float, curved: bool = False, **values: Any) -> MeshOptions:
 
 @pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize("thickness", [2.0, 4.0])
-def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None:
+def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> None:
     """Stem's body everywhere; the mantle's outer side but where a layer ends."""
     data = built(6.0, curved, cement_thickness=thickness)
     geometry = hip(cement_thickness=thickness)
@@ -105,7 +105,7 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
 
 
 @pytest.mark.parametrize("build", [femur.build, femur_intact.build])
-def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
+def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
     """By 15 degrees to anterior: what is of the stem turns, the outside of the bone stays."""
     angle = np.deg2rad(15.0)
     kind = Femur if build is femur.build else IntactFemur
@@ -132,7 +132,7 @@ def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
 
 
 @pytest.mark.parametrize("fillet", [3.0, 6.0])
-def test_the_stem_turns_into_the_neck_with_the_fillet(fillet: float) -> None:
+def test_swept_stem_joins_the_neck_with_the_fillet(fillet: float) -> None:
     """Least radius, by differences along lines, which have no corners from the shoulder on."""
     upper = Surfaces(hip(neck_fillet=fillet), sized(4.0)).stem.upper
     s = np.linspace(upper.ends[0], upper.ends[-1], 40001)
@@ -148,7 +148,7 @@ def test_the_stem_turns_into_the_neck_with_the_fillet(fillet: float) -> None:
     assert curvatures.index(max(curvatures)) in (7, 8, 9)  # on the lateral side
 
 
-def test_cement_is_left_out_below_the_end() -> None:
+def test_swept_void_below_the_tip_has_no_cement() -> None:
     """As far as asked for, over the section of the stem; nothing bears on the end."""
     data, full = built(6.0, True, tip_void=5.0), built(6.0, True, tip_rounding=0.0)
     left, whole = (region_volumes(d)["cement"] for d in (data, full))
@@ -163,7 +163,7 @@ def test_cement_is_left_out_below_the_end() -> None:
 
 
 @pytest.mark.parametrize("least_size", [5.0, pytest.param(1.5, marks=pytest.mark.slow)])
-def test_unknowns_grow_steadily_with_the_size(least_size: float) -> None:
+def test_swept_unknowns_grow_steadily_with_refinement(least_size: float) -> None:
     """Five per cent smaller cells: at most two fifths more nodes, from 10 mm on."""
     sizes = 10.0 * 0.95 ** np.arange(int(np.log(least_size / 10.0) / np.log(0.95)) + 1)
     nodes = np.array([len(femur.build(hip(), sized(float(s), order=1)).points) for s in sizes])
@@ -171,7 +171,7 @@ def test_unknowns_grow_steadily_with_the_size(least_size: float) -> None:
 
 
 @pytest.mark.parametrize(("size", "lines"), [(8.0, 28), (6.0, 36), (5.0, 44), (4.0, 56)])
-def test_size_alone_sets_lines_around_and_steps_along(size: float, lines: int) -> None:
+def test_swept_size_sets_lines_and_steps(size: float, lines: int) -> None:
     """Distances of lines are a fraction of the size where lines are counted; steps are the size."""
     surfaces = Surfaces(hip(), sized(size))
     assert surfaces.around == lines
@@ -182,7 +182,7 @@ def test_size_alone_sets_lines_around_and_steps_along(size: float, lines: int) -
     assert steps.max() == pytest.approx(size, rel=0.1)
 
 
-def test_lines_and_steps_have_lengths_of_their_own() -> None:
+def test_swept_lines_and_steps_have_separate_lengths() -> None:
     """A distance of lines, a step along, and the rest of the mesh by the size."""
     base, given = (
         Surfaces(hip(), sized(6.0, **more)) for more in ({}, {"around": "2.2 mm", "along": "3 mm"})
@@ -198,7 +198,7 @@ def test_lines_and_steps_have_lengths_of_their_own() -> None:
     ("around", "pieces"),
     [(16, [1, 2, 1]), (24, [1, 3, 2]), (28, [1, 4, 2]), (36, [2, 4, 3]), (44, [2, 5, 4])],
 )
-def test_lines_stand_on_the_ends_of_arcs_at_every_height(around: int, pieces: list[int]) -> None:
+def test_swept_lines_follow_the_ends_of_arcs(around: int, pieces: list[int]) -> None:
     """Of half a side, the corner's arc and half a front, in level and in oblique sections."""
     surfaces = Surfaces(hip(), sized(6.0, around=around))
     ends = np.array([pieces[0], pieces[0] + pieces[1]]) / around
@@ -210,7 +210,7 @@ def test_lines_stand_on_the_ends_of_arcs_at_every_height(around: int, pieces: li
         np.testing.assert_allclose([x[1], y[1]], [(a - r)[1], b[1]], atol=1e-9)
 
 
-def test_lines_leave_the_ends_of_arcs_where_sections_get_round() -> None:
+def test_swept_lines_leave_arcs_of_round_sections() -> None:
     """No edge at the end of such a stem is shorter than a sixth of the mean."""
     surfaces = Surfaces(hip(stem_tip_corner_radius=2.99), sized(6.0))
     phi = np.arange(surfaces.around) / surfaces.around
@@ -220,7 +220,7 @@ def test_lines_leave_the_ends_of_arcs_where_sections_get_round() -> None:
 
 
 @pytest.mark.parametrize("around", [24, 28, 44])
-def test_the_intact_femur_is_closed(around: int) -> None:
+def test_femur_intact_surface_is_closed(around: int) -> None:
     """Each edge of its surface is on two facets: lines on flat sides of the stem leave no hole."""
     data = femur_intact.build(IntactFemur(), sized(6.0, around=around))
     facets, _ = exterior_facets(data.cells)
@@ -228,7 +228,7 @@ def test_the_intact_femur_is_closed(around: int) -> None:
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
 
 
-def test_lines_and_cells_through_the_cement_can_be_given() -> None:
+def test_swept_lines_and_cells_through_cement_can_be_given() -> None:
     """Any number of lines, even an odd one; several cells through each layer."""
     data = femur.build(hip(), sized(6.0, True, around=13, through_cement=3))
     notes = data.notes["layers"]
@@ -237,7 +237,7 @@ def test_lines_and_cells_through_the_cement_can_be_given() -> None:
     assert femur.build(hip(), sized(6.0, order=1)).notes["layers"]["cells_through"][0] == 2
 
 
-def test_a_coarser_mesh_has_larger_cells_all_around() -> None:
+def test_swept_coarser_mesh_has_larger_cells() -> None:
     fine = sized(3.0, around=24, through_cement=4)
     coarse = fine.coarser(2.0)
     assert (coarse.size, coarse.around, coarse.through_cement) == (6.0, 12, 2)
@@ -252,7 +252,7 @@ def test_a_coarser_mesh_has_larger_cells_all_around() -> None:
 # ------------------------------------------------------------------------------ reference body
 
 
-def test_the_reference_body_is_what_it_was_asked_for() -> None:
+def test_reference_body_volumes_and_coordinates() -> None:
     """Volume by region of straight rings about an ellipse, and linear mean value coordinates."""
     turn = 2 * np.pi * np.arange(9) / 9
     outline = np.stack([5 * np.cos(turn), 3 * np.sin(turn)], axis=1)
@@ -275,7 +275,7 @@ def test_the_reference_body_is_what_it_was_asked_for() -> None:
     assert (body.weights > 0).all()
 
 
-def test_no_femur_without_gmsh() -> None:
+def test_swept_needs_gmsh() -> None:
     program = (
         "import sys; sys.modules['gmsh'] = None\n"
         "from tests.meshes import test_swept\n"
@@ -285,7 +285,7 @@ def test_no_femur_without_gmsh() -> None:
     assert support.python("-c", program).stdout.startswith("none:")
 
 
-def test_gmsh_opens_the_mesh_with_its_groups(tmp_path: Path) -> None:
+def test_swept_mesh_opens_in_gmsh_with_groups(tmp_path: Path) -> None:
     data = built(8.0)
     write_msh(data, tmp_path / "hip.msh")
     with session("hip") as gmsh:
@@ -302,7 +302,7 @@ def test_gmsh_opens_the_mesh_with_its_groups(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------ shared shaft
 
 
-def test_the_intact_femur_shares_the_shaft_cell_by_cell() -> None:
+def test_femur_intact_shares_the_shaft_cells() -> None:
     options = sized(6.0)
     whole, operated = femur_intact.build(IntactFemur(), options), built(6.0)
     normal, level = cut(hip())
@@ -338,7 +338,7 @@ def random_hip(rng: np.random.Generator) -> tuple[dict[str, float], float, bool]
     ("seed", "number", "least_size"),
     [(20, 20, 5.01), pytest.param(200, 200, 2.0, marks=pytest.mark.slow)],
 )
-def test_random_hips_mesh_at_the_first_attempt(seed: int, number: int, least_size: float) -> None:
+def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_size: float) -> None:
     """Those that anatomy forbids are refused in words; all others mesh, and well."""
     rng = np.random.default_rng(seed)
     made = refused = 0
@@ -362,7 +362,7 @@ def test_random_hips_mesh_at_the_first_attempt(seed: int, number: int, least_siz
     assert refused < number
 
 
-def test_random_hips_mesh_as_coarse_companions() -> None:
+def test_swept_random_hips_mesh_as_companions() -> None:
     """With four lines around no cell is inverted, curved or not."""
     rng = np.random.default_rng(7)
     for _ in range(12):
@@ -381,7 +381,7 @@ def test_random_hips_mesh_as_coarse_companions() -> None:
     + [(True, size) for size in (8.0, 6.0, 5.0, 3.0)]
     + [pytest.param(True, 2.0, marks=pytest.mark.slow)],
 )
-def test_cells_of_the_intact_femur_are_good(curved: bool, size: float) -> None:
+def test_femur_intact_cells_are_good(curved: bool, size: float) -> None:
     data = femur_intact.build(IntactFemur(), sized(size, curved))
     assert quality.stubby(data.points, data.cells).min() > 0.07
 
@@ -395,14 +395,14 @@ def test_cells_of_the_intact_femur_are_good(curved: bool, size: float) -> None:
         {"resection_angle": 0.87},
     ],
 )
-def test_other_intact_femurs_mesh_well(values: dict[str, float]) -> None:
+def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, float]) -> None:
     geometry = IntactFemur().model_copy(update=values)
     for size in (8.0, 5.0):
         data = femur_intact.build(geometry, sized(size, False))
         assert quality.stubby(data.points, data.cells).min() > 0.08, size
 
 
-def test_a_stem_of_any_length_finds_a_mesh() -> None:
+def test_swept_stem_of_any_length_meshes() -> None:
     """172 mm, which had none, and one from the shelf that stands out of a low cut."""
     assert built(6.0, stem_length=172.0, stem_tip_z=-143.0).cells.size
     out = built(6.0, stem_length=165.0, resection_height=-10.0, resection_angle=0.3)
@@ -410,7 +410,7 @@ def test_a_stem_of_any_length_finds_a_mesh() -> None:
 
 
 @pytest.mark.parametrize(("size", "curved"), [(6.0, False), (4.0, True)])
-def test_a_low_head_has_a_neck_clear_of_the_bone(size: float, curved: bool) -> None:
+def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None:
     """At 45 mm, with all else as it is: the neck passes 2 mm above the bone, in good cells."""
     data = built(size, curved, head_height=45.0)
     cut = data.points[np.unique(boundary_facets(data, "resection"))]
@@ -425,7 +425,7 @@ def test_a_low_head_has_a_neck_clear_of_the_bone(size: float, curved: bool) -> N
     assert quality.stubby(data.points, data.cells).min() > 0.08
 
 
-def test_curved_cells_are_positive_everywhere() -> None:
+def test_swept_curved_cells_have_positive_jacobian() -> None:
     data = built(6.0, curved=True)
     grid = np.random.default_rng(0).dirichlet(np.ones(4), 40)
     edges = tangents(data.points[data.cells], grid, EDGES)
@@ -448,12 +448,12 @@ def test_curved_cells_are_positive_everywhere() -> None:
         ({"neck_fillet": 8.0, "head_height": 36.0}, "geometry.neck_fillet: 8 mm .*at most 6"),
     ],
 )
-def test_what_cannot_be_is_refused_before_meshing(values: dict[str, float], words: str) -> None:
+def test_swept_impossible_geometry_is_refused(values: dict[str, float], words: str) -> None:
     with pytest.raises(GeometryError, match=words):
         Surfaces(hip(**values), sized(6.0))
 
 
-def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
+def test_swept_section_that_is_not_star_shaped_is_refused() -> None:
     """A ledge in the canal, which a line to the turned neck cut meets three times."""
     surfaces = _plain()
 
@@ -466,7 +466,7 @@ def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
         surfaces._refuse()
 
 
-def test_layers_that_cut_through_each_other_are_told() -> None:
+def test_swept_intersecting_layers_are_reported() -> None:
     made = swept.mesh(_plain(), False)
     inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 40))
     made.nodes.x[inner[0]] += [40.0, 0.0, 0.0]
@@ -481,7 +481,7 @@ def _plain() -> Surfaces:
 
 @pytest.mark.parametrize("size", [8.0, 6.0, 3.0])
 @pytest.mark.parametrize("kind", [Femur, IntactFemur])
-def test_the_estimate_is_within_an_eighth(kind: Any, size: float) -> None:
+def test_swept_size_estimate_is_within_an_eighth(kind: Any, size: float) -> None:
     options = sized(size, False)
     maker = femur_intact if kind is IntactFemur else femur
     for values in ({}, {"cement_thickness": 2.0}, {"cement_thickness": 7.0, "canal_widening": 2.0}):
@@ -490,7 +490,7 @@ def test_the_estimate_is_within_an_eighth(kind: Any, size: float) -> None:
         assert geometry.estimate_cells(options) == pytest.approx(cells, rel=0.12), values
 
 
-def test_patches_have_the_area_of_discs() -> None:
+def test_swept_patches_have_the_area_of_discs() -> None:
     """To half a facet, at any size."""
     for size in (8.0, 6.0, 3.0):
         data = built(size)
@@ -527,6 +527,6 @@ def own_digest() -> str:
         *(pytest.param(n, marks=pytest.mark.slow) for n in ("Nehalem", "Haswell", "Zen")),
     ],
 )
-def test_the_same_bytes_on_every_processor(name: str) -> None:
+def test_swept_mesh_is_equal_on_every_processor(name: str) -> None:
     environ = PROCESSORS.get(name, {"OPENBLAS_CORETYPE": name})
     assert support.python("-c", DIGEST, **environ).stdout.strip() == own_digest()

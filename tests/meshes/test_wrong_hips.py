@@ -192,13 +192,13 @@ def written(folder: Path, changes: dict[str, Any], mesh: str = "{}") -> Path:
     return case
 
 
-def test_a_sound_hip_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_hips_sound_hip_is_reported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(written(folder, {}, "{size: 6 mm, around: 14}"))]) == 0
     assert "cells through cement, cancellous and cortical bone" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_wrong_hip_is_refused(
+def test_wrong_hips_are_refused(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     changes, words = WRONG[name]
