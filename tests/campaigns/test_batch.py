@@ -25,7 +25,7 @@ from tests.support import CONFIGS
 SIDES = "interfaces: {lower_upper: [lower, upper]}"
 
 
-def test_failures_are_isolated_and_alone_run_again(
+def test_batch_failures_are_isolated_and_repeated(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "mantle")
@@ -57,7 +57,7 @@ def test_failures_are_isolated_and_alone_run_again(
     assert bench.run(*jobs)[0].exit_code == 1 and bench.sizes() == [1.0]
 
 
-def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
+def test_batch_repeats_only_changed_runs(bench: Bench) -> None:
     """Also under another name or written otherwise, but not for another number of ranks."""
     first = bench.run(bench.job(1.0), bench.job(2.0))
     assert bench.sizes() == [1.0, 2.0]
@@ -86,7 +86,7 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     assert not bench.sizes()
 
 
-def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
+def test_batch_repeats_runs_with_a_changed_mesh_file(bench: Bench) -> None:
     mesh = bench.folder / "box.msh"
     case = load(bench.case).config
     meshes.write_msh(meshes.build(case.geometry, case.mesh), mesh)
@@ -103,7 +103,7 @@ def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("part", ["mantle", "dolfinx", "petsc", "gmsh", "blas"])
-def test_what_another_stack_has_done_is_not_done(
+def test_batch_repeats_runs_of_another_stack(
     part: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def exit_code() -> int:
@@ -124,7 +124,7 @@ def test_what_another_stack_has_done_is_not_done(
 @pytest.mark.parametrize(
     ("alone", "gigabytes", "together"), [(False, 3, True), (True, 3, False), (False, 5, False)]
 )
-def test_what_runs_beside_what(
+def test_batch_jobs_share_cores_and_memory(
     alone: bool, gigabytes: int, together: bool, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two jobs on two cores with 8 GB, unless they are to be timed; one thread each."""
@@ -137,7 +137,7 @@ def test_what_runs_beside_what(
     assert all(line.endswith(" 1") for line in bench.told("calls"))
 
 
-def test_nothing_runs_on_where_the_table_cannot_be_written(bench: Bench) -> None:
+def test_batch_stops_if_the_table_cannot_be_written(bench: Bench) -> None:
     """One case has failed, the other is running."""
     bench.tell(seconds="60", broken="2.0")
 
@@ -150,7 +150,7 @@ def test_nothing_runs_on_where_the_table_cannot_be_written(bench: Bench) -> None
     assert not bench.processes()
 
 
-def test_a_folder_is_a_folder_and_has_one_batch_at_a_time(bench: Bench) -> None:
+def test_batch_folder_has_one_batch_at_a_time(bench: Bench) -> None:
     bench.out.write_text("a file")
     with pytest.raises(InputError, match="cannot be written"):
         bench.run(bench.job(1.0))
@@ -160,7 +160,7 @@ def test_a_folder_is_a_folder_and_has_one_batch_at_a_time(bench: Bench) -> None:
         bench.run(bench.job(1.0))
 
 
-def test_a_broken_snakemake_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_batch_reports_a_broken_snakemake(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = bench.folder / "Snakefile"
     bad.write_text("rule: nonsense nonsense\n")
     monkeypatch.setattr(engine, "SNAKEFILE", bad)
@@ -168,9 +168,7 @@ def test_a_broken_snakemake_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatc
         bench.run(bench.job(1.0))
 
 
-def test_missing_slurm_is_told_before_anything_is_written(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_batch_reports_missing_slurm_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(bench.folder))
     with pytest.raises(EnvironmentProblem, match="sbatch is not here") as error:
         batch.run([bench.job(1.0)], bench.out, 2, slurm=("--mem=1G",))
@@ -190,7 +188,7 @@ def test_missing_slurm_is_told_before_anything_is_written(
         ("slurm_load_jobs error: Unable to contact slurm controller", 1, "running"),
     ],
 )
-def test_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path) -> None:
+def test_batch_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path) -> None:
     squeue = tmp_path / "squeue"
     squeue.write_text(f"#!/bin/sh\necho '{answer}'\nexit {code}\n")
     squeue.chmod(0o755)
@@ -201,7 +199,7 @@ def test_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path) -> N
     assert (done.stdout, done.stderr, done.returncode) == (f"{state}\n", "", 0)
 
 
-def test_real_runs(tmp_path: Path) -> None:
+def test_batch_of_real_runs(tmp_path: Path) -> None:
     """``mantle run`` itself, on two ranks beside a block that is pulled off."""
     case = tmp_path / "case.yaml"
     case.write_text(CASE)
@@ -230,7 +228,7 @@ WICKED = [
 ]
 
 
-def test_names_values_and_folders_are_never_commands(bench: Bench) -> None:
+def test_batch_names_and_values_are_never_commands(bench: Bench) -> None:
     """Neither those of cases nor what is in them, by Snakemake, the shell or Python."""
     bench.out = bench.folder / "out ;$(touch PWNED) '{x}"
     jobs = [PlannedRun.load(word, bench.case, (f"title={json.dumps(word)}",)) for word in WICKED]
@@ -243,7 +241,7 @@ def test_names_values_and_folders_are_never_commands(bench: Bench) -> None:
     assert not [p for p in everything if p.name == "PWNED"]
 
 
-def test_a_run_killed_for_memory_names_what_it_needs_and_how_many_fit(
+def test_batch_run_killed_for_memory_names_its_need(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """SIGKILL of the system: the exit code of the environment, and fewer runs at once."""

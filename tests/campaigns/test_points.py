@@ -42,7 +42,7 @@ def refused(path: Path, text: str, *overrides: str) -> list[str]:
     return [m.removeprefix(f"{path}:").removeprefix(" ") for m in error.value.messages]
 
 
-def test_axes_multiply_and_the_last_changes_fastest(path: Path) -> None:
+def test_points_axes_are_combined_last_fastest(path: Path) -> None:
     found = expand(path, SWEEP)
     assert [p.name for p in found[:5]] == [
         "soft_friction_coefficient=0.2_pressure=1MPa",
@@ -61,7 +61,7 @@ def test_axes_multiply_and_the_last_changes_fastest(path: Path) -> None:
     assert "regions.upper.poisson_ratio" not in found[5].varied
 
 
-def test_lists_vary_together_and_parts_have_bases_of_their_own(path: Path) -> None:
+def test_points_of_lists_and_parts(path: Path) -> None:
     path.with_name("other.yaml").write_text(CASE.replace("1 GPa", "5 GPa"))
     found = expand(
         path,
@@ -95,7 +95,7 @@ parts:
         (f"{{a.b: [{'1' * 30}]}}", ["b=#1"]),
     ],
 )
-def test_values_name_the_points(grid: str, names: list[str], path: Path) -> None:
+def test_points_are_named_by_values(grid: str, names: list[str], path: Path) -> None:
     path.write_text(f"base: case.yaml\ngrid: {grid}\n")
     sweep = sweep_file.Sweep.model_validate(yaml_file.read(path).data)
     assert [p.name for p in sweep.points()] == names
@@ -103,7 +103,7 @@ def test_values_name_the_points(grid: str, names: list[str], path: Path) -> None
 
 @settings(deadline=None)  # the first draw imports scipy
 @given(samples=st.integers(2, 40), seed=st.integers(0, 1000))
-def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed: int) -> None:
+def test_points_of_a_latin_hypercube(samples: int, seed: int) -> None:
     design = {
         "samples": samples,
         "seed": seed,
@@ -127,7 +127,7 @@ def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed:
         assert len(shares) == samples
 
 
-def test_a_study_has_its_lines_and_then_its_reference(path: Path) -> None:
+def test_points_of_a_study(path: Path) -> None:
     path.write_text(STUDY)
     study, runs, common = study_file.read(path, ["mesh.curved=false", "study.target=0.05"])
     names = [r.name for r in runs]
@@ -165,7 +165,7 @@ SWEEPS = [
 
 
 @pytest.mark.parametrize(("text", "message"), SWEEPS)
-def test_what_is_no_sweep_is_refused(text: str, message: str, path: Path) -> None:
+def test_points_refuse_wrong_sweeps(text: str, message: str, path: Path) -> None:
     told = refused(path, text + "\n")
     assert any(m.startswith(message) if message[0].isdigit() else message in m for m in told), told
 
@@ -206,13 +206,13 @@ STUDIES = [
 
 
 @pytest.mark.parametrize(("old", "new", "message"), STUDIES)
-def test_what_is_no_study_is_refused(old: str, new: str, message: str, path: Path) -> None:
+def test_points_refuse_wrong_studies(old: str, new: str, message: str, path: Path) -> None:
     assert old in STUDY
     told = refused(path, STUDY.replace(old, new, 1))
     assert any(m.startswith(message) for m in told), told
 
 
-def test_every_error_is_told_at_once_where_it_stands(path: Path) -> None:
+def test_points_errors_are_reported_together(path: Path) -> None:
     told = refused(
         path,
         """\
@@ -237,7 +237,7 @@ parts:
     assert len(told) == 3
 
 
-def test_a_study_is_no_part_of_a_case_and_a_grid_none_of_variations(path: Path) -> None:
+def test_points_refuse_misplaced_sections(path: Path) -> None:
     """The message tells what to do instead."""
     section, grid = STUDY[STUDY.index("study:") :], f"variations: {{grid: {{{FRICTION}: [1]}}}}\n"
     path.write_text(CASE + section + grid)
@@ -280,16 +280,14 @@ parts:
         (STUDY, "mesh={order: 1, size: 3 mm}", "6:10: study.lines.P1.mesh.order"),
     ],
 )
-def test_what_varies_cannot_be_set_for_every_case(
-    text: str, option: str, place: str, path: Path
-) -> None:
+def test_points_refuse_set_of_varying_keys(text: str, option: str, place: str, path: Path) -> None:
     """Or the table would show values that were never used."""
     why = f"varies, but --set {option.split('=')[0]}"
     told = [m for m in refused(path, text, option) if why in m]
     assert told[0].startswith(place), told
 
 
-def test_overrides_hold_for_every_case(path: Path) -> None:
+def test_points_overrides_apply_to_every_case(path: Path) -> None:
     """In place of what is under set."""
     path.write_text(SWEEP)
     for r in sweep_file.read(path, ["regions.upper.poisson_ratio=0.4", "ranks=2"])[1]:
@@ -312,7 +310,7 @@ def test_overrides_hold_for_every_case(path: Path) -> None:
         ("mesh.size: 4 mm, stages.0.increments: [2, 4]", ""),  # of the method, on this mesh
     ],
 )
-def test_a_reference_has_lines_around_of_its_own(run: str, told: str, path: Path) -> None:
+def test_points_reference_has_separate_lines_around(run: str, told: str, path: Path) -> None:
     text = f"""\
 base: {support.CONFIGS / "stance.yaml"}
 study:
@@ -331,14 +329,14 @@ MANY = [p for name in ("studies", "sweeps") for p in (support.CONFIGS / name).gl
 
 
 @pytest.mark.parametrize("path", sorted(MANY), ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_every_point_of_a_shipped_file_is_a_valid_case(path: Path) -> None:
+def test_points_of_shipped_files_are_valid(path: Path) -> None:
     if "study" in yaml_file.read(path).data:
         assert study_file.read(path)[1]
     else:
         assert sweep_file.read(path)[1]
 
 
-def test_the_shipped_study_of_the_paper_is_all_there() -> None:
+def test_points_of_the_paper_are_complete() -> None:
     """Figures 3 to 8 need so many cases; what friction changes alone shares a process."""
     _, planned = sweep_file.read(support.CONFIGS / "sweeps" / "paper.yaml")
     stances = {
@@ -359,7 +357,7 @@ def test_the_shipped_study_of_the_paper_is_all_there() -> None:
     assert {p.point.part for p in planned} >= {"limits", "residual", "intact"}
 
 
-def test_patients_of_the_shipped_cohort_have_the_mean_of_the_library() -> None:
+def test_points_of_the_cohort_have_the_library_mean() -> None:
     """Hip forces for 600 N, whose mean is that of the set; scaled to their own body weights."""
     path = support.CONFIGS / "sweeps" / "cohort.yaml"
     parts = yaml_file.read(path).data["parts"]

@@ -65,7 +65,7 @@ def read(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
         return json.loads((folder / "study.json").read_text()), list(csv.DictReader(file))
 
 
-def test_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_study_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
     out = file.parent / "out"
     study.run(file, [], Options(out, 2))
@@ -113,7 +113,7 @@ def test_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFix
     assert "reference is not yet converging; refine" in study._costs(0.02, "a", [], [measured])
 
 
-def test_a_run_that_is_close_by_chance_is_not_advised() -> None:
+def test_study_ignores_accidentally_accurate_runs() -> None:
     """4, 1, 3 and 1.5 % in turn, where the reference is known to 1.2 %."""
     runs = [
         SimpleNamespace(line="P2", key="mesh.size", label=f"{h} mm", time=t)
@@ -126,7 +126,7 @@ def test_a_run_that_is_close_by_chance_is_not_advised() -> None:
     )
 
 
-def test_given_values_estimates_and_a_target(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_study_with_known_values_and_target(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Estimates are twice and eight times the true error; --set reaches every run."""
     caplog.set_level(logging.INFO, "mantle")
     values = "{lower_upper.slip_p99: 40 um, lower_upper.pressure_p99: 5 MPa}"
@@ -141,7 +141,7 @@ def test_given_values_estimates_and_a_target(file: Path, caplog: pytest.LogCaptu
     assert record["reference_runs"] == []
 
 
-def test_some_lines_and_a_quick_look(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_study_of_some_lines_and_quick_tier(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By ``-k``, and the first two points of each line and of the reference; or told only."""
     options = ["study", str(file), "-o", str(file.parent / "out"), "--cores", "2", "-k", "P2"]
     assert main([*options, "--dry-run"]) == 0
@@ -154,7 +154,7 @@ def test_some_lines_and_a_quick_look(file: Path, capsys: pytest.CaptureFixture[s
     assert "-k P3: no line has this in its name; allowed: P1, P2" in capsys.readouterr().err
 
 
-def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_study_shows_failed_points(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
     (file.parent / "broken").write_text("4")
     out = file.parent / "out"
@@ -174,7 +174,7 @@ def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCapture
     assert "no advice on lower_upper.slip_p99: no run has a known error" in caplog.text
 
 
-def test_a_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Values of what has no error; one run as the reference; a picture over the penalty."""
     caplog.set_level(logging.INFO, "mantle")
     path, out = file.parent / "studies" / "penalty.yaml", file.parent / "out"
@@ -222,7 +222,7 @@ def test_a_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) ->
         ([], "linear"),
     ],
 )
-def test_axes_that_span_decades_are_logarithmic(values: list[float], scale: str) -> None:
+def test_study_picture_axes_over_decades_are_logarithmic(values: list[float], scale: str) -> None:
     from matplotlib.figure import Figure
 
     axes = Figure().subplots()
@@ -230,7 +230,7 @@ def test_axes_that_span_decades_are_logarithmic(values: list[float], scale: str)
     assert axes.get_yscale() == scale
 
 
-def test_labels_of_a_picture_cover_neither_each_other_nor_points() -> None:
+def test_study_picture_labels_do_not_overlap() -> None:
     """Six points close together: each label stands free inside the frame, or is left out."""
     figure = figures.new(5, 4)
     axes = figure.subplots()
@@ -245,7 +245,7 @@ def test_labels_of_a_picture_cover_neither_each_other_nor_points() -> None:
     assert not any(box.count_contains(axes.transData.transform(at)) for box in boxes)
 
 
-def test_lines_vary_ranks_laws_and_list_items(file: Path) -> None:
+def test_study_lines_vary_ranks_laws_and_list_items(file: Path) -> None:
     file.write_text("""\
 base: case.yaml
 study:
@@ -274,7 +274,7 @@ study:
     assert [p.case.stages[0].increments for p in planned[6:]] == [1, 2]
 
 
-def test_quantities_have_a_row_for_each_level_gauge_and_rule() -> None:
+def test_study_quantities_have_a_row_each() -> None:
     rows = {section: set(table) for section, table in quantities.TABLE.items()}
     assert rows["regions"] >= {f"volume_over_{level}_MPa" for level in quantities.STRESSED}
     assert rows["femur"] >= {
@@ -285,7 +285,7 @@ def test_quantities_have_a_row_for_each_level_gauge_and_rule() -> None:
     }
 
 
-def test_quantities_are_found_in_a_summary() -> None:
+def test_study_quantities_are_found_in_a_summary() -> None:
     summary = {
         "interfaces": {"a_b": {"slip_p99": 0.1, "force": [1, 2, 3], "force_error": [4, 5, 6]}},
         "regions": {"stem": {"von_mises_p99": 7.0}},
@@ -314,7 +314,7 @@ def test_quantities_are_found_in_a_summary() -> None:
         ("cement_bone.strength_fraction", "-", 0.5, 0.5),
     ],
 )
-def test_known_values_have_the_unit_of_their_quantity(
+def test_study_known_values_have_units(
     quantity: str, unit: str, given: str | float, value: float
 ) -> None:
     assert quantities.find(quantity).unit == unit
@@ -344,7 +344,7 @@ ELSEWHERE = {
 }
 
 
-def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_study_of_real_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The patch test: 2 MPa on any mesh; and every quantity on offer is in a summary."""
     rollers = """\
   base: {kind: roller, boundary: bottom, axis: z}

@@ -41,7 +41,7 @@ def cases_of(folder: Path) -> list[dict[str, Any]]:
     return list(json.loads((folder / "sweep.json").read_text())["cases"])
 
 
-def test_cases_share_processes_and_have_a_row_each(
+def test_sweep_cases_share_processes_and_have_a_row_each(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Two moduli: two processes with four cases each, which are those of the sweep."""
@@ -82,7 +82,7 @@ def test_cases_share_processes_and_have_a_row_each(
     assert yaml_file.read(bench.out / "sweep.yaml").data == yaml_file.read(bench.sweep).data
 
 
-def test_the_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sweep_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "OFTEN", 0.0)
     bench.tell(awaited="out put/sweep.json")
     written: list[list[str]] = []
@@ -100,7 +100,7 @@ def test_the_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("code", ["5", "1"])
-def test_an_interrupted_sweep_has_its_table_and_goes_on(code: str, bench: Bench) -> None:
+def test_sweep_interrupted_has_its_table_and_resumes(code: str, bench: Bench) -> None:
     """Nothing is left running, and what is done is not run again.
 
     Python that is interrupted before it has started leaves with 1.
@@ -126,7 +126,7 @@ def test_an_interrupted_sweep_has_its_table_and_goes_on(code: str, bench: Bench)
     assert {c["status"] for c in cases_of(bench.out)} == {"converged"}
 
 
-def test_only_what_failed_or_changed_runs_again(bench: Bench) -> None:
+def test_sweep_repeats_only_failed_or_changed_cases(bench: Bench) -> None:
     bench.tell(broken="0.4", code="4")
     with pytest.raises(ConvergenceError, match=r"4 of 8 cases failed(?s:.*)block slides away"):
         run(bench)
@@ -152,7 +152,7 @@ def test_only_what_failed_or_changed_runs_again(bench: Bench) -> None:
         (["--slurm=--partition=long --comment='a b'"], ["--partition=long", "--comment=a b"]),
     ],
 )
-def test_options_of_slurm_reach_it(
+def test_sweep_passes_options_to_slurm(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, option: list[str], expected: list[str] | None
 ) -> None:
     given: list[object] = []
@@ -167,7 +167,7 @@ def test_options_of_slurm_reach_it(
     assert given == [expected]
 
 
-def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sweep_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["sweep", str(bench.sweep), "-o", str(bench.out), "--cores", "2"]
     assert main([*arguments, "--dry-run"]) == 0
     said = capsys.readouterr().out
@@ -180,7 +180,7 @@ def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize(("ranks", "each"), [(1, 30), (2, 15), (8, 15)])
-def test_a_dry_run_tells_what_cores_take_together(
+def test_sweep_dry_run_estimates_time_on_cores(
     bench: Bench,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -207,9 +207,7 @@ def shared_jobs(bench: Bench, number: int, ranks: int = 1) -> list[PlannedRun]:
 @pytest.mark.parametrize(
     ("cores", "ranks", "sizes"), [(1, 1, [20]), (8, 2, [5] * 4), (64, 1, [1] * 20)]
 )
-def test_a_group_keeps_all_cores_busy(
-    bench: Bench, cores: int, ranks: int, sizes: list[int]
-) -> None:
+def test_sweep_groups_use_all_cores(bench: Bench, cores: int, ranks: int, sizes: list[int]) -> None:
     """Cases of one mesh share their matrices; what has begun stays where its state is."""
     jobs = shared_jobs(bench, 20, ranks)
     runs = runs_of(jobs, bench.out, cores)
@@ -223,7 +221,7 @@ def test_a_group_keeps_all_cores_busy(
 
 
 @pytest.mark.parametrize("saved", ["checkpoint-3.state", "DONE"])
-def test_names_of_folders_are_not_run(bench: Bench, saved: str) -> None:
+def test_sweep_ignores_foreign_folders(bench: Bench, saved: str) -> None:
     """A folder that somebody has left there is none of the runs, whatever its end is."""
     jobs = shared_jobs(bench, 2)
     expected = [r.path for r in runs_of(jobs, bench.out, 1)]
@@ -238,7 +236,7 @@ def test_names_of_folders_are_not_run(bench: Bench, saved: str) -> None:
     assert "PWNED" not in (bench.out / "jobs.json").read_text()
 
 
-def test_the_gravest_exit_code_wins() -> None:
+def test_sweep_exit_code_is_the_gravest() -> None:
     assert gravest([4, 3, 4], "").exit_code == 4
     assert gravest([5, 2], "").exit_code == 5
     assert gravest([4, 69], "").exit_code == 69
@@ -256,7 +254,7 @@ sweep.run(Path(sys.argv[1]), (), Options(Path(sys.argv[2]), 2))
 """
 
 
-def test_a_killed_sweep_goes_on(bench: Bench) -> None:
+def test_sweep_resumes_after_kills(bench: Bench) -> None:
     """Killed at random moments it keeps what it has, and ends with everything done.
 
     Twice with all that it runs, as if the power failed, and once alone: what is left is waited for.
@@ -292,7 +290,7 @@ def test_a_killed_sweep_goes_on(bench: Bench) -> None:
     assert {c["status"] for c in cases_of(bench.out)} == {"converged"}
 
 
-def test_samples_tell_spread_and_cause() -> None:
+def test_uncertainty_spread_and_cause_of_samples() -> None:
     """A number that grows with one input and not with the other; ranks by hand."""
     a, b = [0.1, 0.2, 0.3, 0.4, 0.5], [2, 5, 1, 4, 3]
     rows = [
@@ -317,7 +315,7 @@ def test_samples_tell_spread_and_cause() -> None:
     assert "a +1.00, b +0.10" in said and "retroversion" not in said
 
 
-def test_inputs_without_an_order() -> None:
+def test_uncertainty_of_choices() -> None:
     """Of ranks, 1.5 of 17.5 is left within three pairs, 16 within two triples; 3, 4 and 5 d.o.f."""
     pairs = [{"kind": name} for name in "aabbcc"]
     assert uncertainty.correlation([1, 2, 3, 4, 5, 60], pairs) == pytest.approx((6 / 7) ** 0.5)
@@ -327,7 +325,7 @@ def test_inputs_without_an_order() -> None:
 
 
 @pytest.mark.slow
-def test_the_sweep_for_learning(tmp_path: Path) -> None:
+def test_sweep_shipped_for_learning(tmp_path: Path) -> None:
     """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""
     path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"
     overrides = ["mesh.size=6 mm", "mesh.far_size=6 mm", "mesh.order=1", "stages.1.increments=1"]

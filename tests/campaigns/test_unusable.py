@@ -37,7 +37,7 @@ def case(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_run_that_is_not_to_be_used_says_so(
+def test_unusable_run_has_status_and_exit_code(
     case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "out"
@@ -54,7 +54,7 @@ def test_a_run_that_is_not_to_be_used_says_so(
     assert main(["run", str(case), "-o", str(tmp_path / "near")]) == 0
 
 
-def test_what_is_out_of_balance_is_not_to_be_used() -> None:
+def test_unusable_results_out_of_balance() -> None:
     """A balance of 1e-8 and more of force, and one that is no number."""
     good = {"balance": {"force": 9e-9, "heat": 9e-7}, "interfaces": {}}
     assert unbalanced(good) == []
@@ -62,7 +62,9 @@ def test_what_is_out_of_balance_is_not_to_be_used() -> None:
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_sweeps_and_reports_set_it_apart(shared: bool, case: Path, tmp_path: Path) -> None:
+def test_unusable_runs_are_separate_in_sweeps_and_reports(
+    shared: bool, case: Path, tmp_path: Path
+) -> None:
     """Also where a process has several cases: of friction, which leaves the stiffness alone."""
     grid = "supports.grip.x: [0.1 mm, 4 mm]"
     if shared:

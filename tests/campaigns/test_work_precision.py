@@ -10,7 +10,9 @@ from app.campaigns.work_precision import ErrorPoint, ReferenceValue
 
 @pytest.mark.parametrize("order", [0.6, 1.0, 1.7, 2.0, 3.0, 3.9])
 @pytest.mark.parametrize("sizes", [(4.0, 2.0, 1.0), (3.0, 2.0, 1.5), (2.5, 2.4, 1.0)])
-def test_a_power_law_is_extrapolated_exactly(order: float, sizes: tuple[float, ...]) -> None:
+def test_work_precision_extrapolates_a_power_law_exactly(
+    order: float, sizes: tuple[float, ...]
+) -> None:
     """f = 7 - 0.3 h^p, whatever the ratios of the sizes; earlier runs do not matter."""
     values = [7 - 0.3 * h**order for h in sizes]
     found = wp.extrapolate([9.0, *sizes], [123.0, *values])
@@ -31,7 +33,7 @@ def test_a_power_law_is_extrapolated_exactly(order: float, sizes: tuple[float, .
         ([1.0, 1.5], 0.0, 0.5, "finest of two"),
     ],
 )
-def test_without_an_order_of_its_elements_the_finest_stands(
+def test_work_precision_finest_run_without_an_order(
     values: list[float], tolerance: float, uncertainty: float, method: str
 ) -> None:
     """With the larger of the last two differences."""
@@ -40,7 +42,7 @@ def test_without_an_order_of_its_elements_the_finest_stands(
     assert found.uncertainty == pytest.approx(uncertainty, abs=1e-12)
 
 
-def test_without_a_number_along_the_ladder_nothing_is_extrapolated() -> None:
+def test_work_precision_missing_numbers() -> None:
     found = wp.extrapolate([], [7.0, 7.5, 7.6])
     assert (found.value, found.order) == (7.6, None)
     assert found.uncertainty == pytest.approx(0.1)
@@ -52,7 +54,7 @@ def point(error: float, estimate: float | None = None, algebraic: float = 0.0) -
     return wp.compare(raw, ReferenceValue(2.0, 0.002, None, "given"))
 
 
-def test_error_and_what_can_be_trusted() -> None:
+def test_work_precision_error_and_reliability() -> None:
     good, close = point(0.05), point(-0.0005)
     assert good.error == pytest.approx(0.05) and good.deviation == pytest.approx(0.1)
     assert good.trusted and not close.trusted
@@ -64,7 +66,7 @@ def test_error_and_what_can_be_trusted() -> None:
     assert failed.bound is plain.bound is None and not plain.trusted
 
 
-def test_exponent() -> None:
+def test_work_precision_exponent() -> None:
     """Least squares over the points that mean something: 0.1 h^2 here."""
     sizes = [1.0, 0.5, 0.25]
     line = [point(0.1 * h**2) for h in sizes]
@@ -79,14 +81,14 @@ def test_exponent() -> None:
     assert wp.exponent(counts, [point(0.1 / n) for n in counts]) == pytest.approx(-1)
 
 
-def test_pareto() -> None:
+def test_work_precision_pareto() -> None:
     costs = [1.0, 2.0, 3.0, 4.0, None, 5.0, 6.0, 2.0]
     errors = [0.5, 0.2, 0.3, 0.1, 0.01, None, 0.1, 0.25]
     assert wp.pareto(costs, errors) == [0, 1, 3]
     assert wp.pareto([], []) == []
 
 
-def test_best() -> None:
+def test_work_precision_best() -> None:
     costs, errors = [1.0, 2.0, 3.0, None, 4.0], [0.5, 0.02, 0.01, 0.001, None]
     assert wp.best(costs, errors, 0.02) == 1
     assert wp.best(costs, errors, 0.015) == 2
@@ -94,7 +96,7 @@ def test_best() -> None:
     assert wp.best([None, 1.0], [0.1, None], 0.1) is None
 
 
-def test_effectivity() -> None:
+def test_work_precision_effectivity() -> None:
     """Estimates for a true 0.1."""
     points = [point(0.05, estimate=e) for e in (0.04, 0.051, 0.299, 0.31)]
     assert [p.effectivity for p in points] == pytest.approx([0.4, 0.51, 2.99, 3.1])

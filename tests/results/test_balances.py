@@ -66,7 +66,7 @@ LET_GO = (support.STEM, ("stages=[{name: push}, {name: release}]", "loads.hip.hi
 
 @ORDERS
 @pytest.mark.parametrize("stack", [LET_GO, *((ROD, changes) for changes in STACKS)])
-def test_what_is_lifted_off_or_hardly_loaded(
+def test_balance_of_lifted_or_lightly_loaded_bodies(
     stack: tuple[str, tuple[str, ...]], order: int
 ) -> None:
     text, changes = stack
@@ -99,7 +99,9 @@ def heated(changes: tuple[str, ...], *rises: float) -> Heated:
 @ORDERS
 @pytest.mark.parametrize("rises", [(1e-9, 0), (40, 20), (1e3, 0), (-60, 40)])
 @pytest.mark.parametrize("changes", BARS)
-def test_a_bar_that_grows(changes: tuple[str, ...], rises: tuple[float, ...], order: int) -> None:
+def test_balance_of_a_growing_bar(
+    changes: tuple[str, ...], rises: tuple[float, ...], order: int
+) -> None:
     model = heated((*changes, f"mesh.order={order}"), *rises)
     model.step()
     assert not judged(model), (model.balance.force, model.balance.energy)
@@ -129,7 +131,7 @@ def set_on(stem: str, bone: str, *changes: str) -> Heated:
 @pytest.mark.parametrize("ends", [(), (LOOSE,)])
 @pytest.mark.parametrize("stem", [SMOOTH, ROUGH, SMOOTH + ", gap: 0.1 mm", "bonded"])
 @pytest.mark.parametrize("bone", [SMOOTH, "bonded"])
-def test_cement_that_sets(stem: str, bone: str, ends: tuple[str, ...], order: int) -> None:
+def test_balance_of_setting_cement(stem: str, bone: str, ends: tuple[str, ...], order: int) -> None:
     curved = f"mesh.curved={str(order == 2).lower()}"
     model = set_on(stem, bone, *ends, f"mesh.order={order}", curved)
     model.step()
@@ -169,7 +171,9 @@ FAULTS = {"lost": 0.0, "turned": -1.0, "off": 1.001, "unknown": np.nan}
 
 @pytest.mark.parametrize("fault", [*FAULTS, "largest-lost"])
 @pytest.mark.parametrize("what", PARTS)
-def test_a_planted_fault_is_refused(what: str, fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_balance_detects_a_planted_fault(
+    what: str, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     make, part = PARTS[what]
     model = make()
     update = model.balance.update
@@ -202,7 +206,7 @@ def cool(theta: float, steps: int, leak: float = 0.0) -> HeatBalance:
     return balance
 
 
-def test_the_integrators_sum_is_exact() -> None:
+def test_balance_of_heat_by_the_integrator_is_exact() -> None:
     """The other sum is that of the trapezoidal rule; a leak shows."""
     balance = cool(1.0, 12)
     assert balance.heat < 1e-14
@@ -213,7 +217,7 @@ def test_the_integrators_sum_is_exact() -> None:
     assert cool(1.0, 5, leak=1e-3).heat == pytest.approx(1e-3, rel=1e-9)
 
 
-def test_flows_are_summed_by_condition() -> None:
+def test_balance_of_heat_sums_flows_by_condition() -> None:
     balance = HeatBalance(0.0, {})
     for stored in (1.0, 2.0):
         flows = {"cure": 5.0, "air": -3.0}
@@ -223,13 +227,13 @@ def test_flows_are_summed_by_condition() -> None:
     assert balance.heat < 1e-14 and balance.quadrature < 1e-14
 
 
-def test_heat_that_only_moves_within_is_a_scale() -> None:
+def test_balance_of_heat_is_relative_to_internal_flow() -> None:
     balance = HeatBalance(100.0, {})
     balance.update(1.0, {}, {}, 100.0 + 1e-9, 50.0)
     assert balance.heat == pytest.approx(2e-11, rel=1e-3)
 
 
-def test_steady_states_are_balanced_by_their_flows() -> None:
+def test_balance_of_heat_in_steady_states() -> None:
     balance = HeatBalance(10.0, {})
     balance.update(1.0, {"in": 1.0}, {"in": 1.0}, 11.0, 0.0)
     balance.steady({"in": 2.0, "out": -2.0 + 4e-7}, 500.0, 1e-12)
@@ -242,7 +246,7 @@ def test_steady_states_are_balanced_by_their_flows() -> None:
     assert np.isfinite(balance.quadrature)
 
 
-def test_rounding_is_not_compared_with_rounding() -> None:
+def test_balance_of_heat_ignores_rounding() -> None:
     """A model that waits for its first heat; once that is there all of it counts."""
     balance = HeatBalance(0.0, {})
     balance.update(1.0, {"friction": 2e-22}, {"friction": 0.0}, 1e-16, 2e-16, 1e-12)

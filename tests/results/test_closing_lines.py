@@ -29,7 +29,7 @@ def heat() -> dict[str, Any]:
     }
 
 
-def test_every_number_of_heat_has_its_place() -> None:
+def test_closing_lines_have_every_number_of_heat() -> None:
     assert list(closing_lines.lines({"interfaces": {}, "regions": {}, "stem": {}})) == []
     lines = list(closing_lines.lines(heat()))
     hottest = next(line for line in lines if line.startswith("bone"))
@@ -43,7 +43,7 @@ def test_every_number_of_heat_has_its_place() -> None:
     )
 
 
-def test_a_run_of_heat_alone_says_nothing_of_forces() -> None:
+def test_closing_lines_of_heat_alone_have_no_forces() -> None:
     told = closing_lines.closing_table(heat())
     assert "von Mises" not in told and "contact" not in told
     assert told.endswith("balance of heat 3.0e-12")

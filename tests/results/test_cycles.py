@@ -32,7 +32,7 @@ output: {{fields: false, report: false}}
 
 
 @pytest.mark.parametrize(("pull", "way"), [(0.1, "stays"), (0.035, "vanishes")])
-def test_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) -> None:
+def test_cycles_of_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) -> None:
     """It slides back in every valley if what is taken off exceeds friction twice."""
     valley, τ = 0.1, FRICTION * PRESS
     results = support.run(
@@ -59,7 +59,7 @@ def test_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) -> None:
     assert line.startswith("pull: permanent / inducible: motion p99 of lower_upper") and way in line
 
 
-def test_trends() -> None:
+def test_cycles_trends() -> None:
     assert trend(20.0, [18.0, 18.0, 17.0]) == "stays"
     assert trend(20.0, [10.0, 5.0, 0.3]) == "vanishes"
     assert trend(20.0, [10.0, 5.0]) == "falls"

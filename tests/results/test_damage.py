@@ -29,7 +29,7 @@ def disc(n: int) -> tuple[Floats, Floats]:
     return x, np.full(len(x), (40 / n) ** 2 / 2)
 
 
-def test_process_zone_is_as_wide_as_the_ring_between_bond_and_crack() -> None:
+def test_damage_process_zone_has_the_width_of_the_ring() -> None:
     """Spent energy falls from 1 to 0 between two circles, or two lines."""
     x, area = disc(160)
     cell = 40 / 160
@@ -43,7 +43,7 @@ def test_process_zone_is_as_wide_as_the_ring_between_bond_and_crack() -> None:
     assert zone(x, np.full(x.shape[:2], 0.3), area) == pytest.approx(40 * np.sqrt(2))
 
 
-def test_patches_are_placed_by_seed_alone() -> None:
+def test_damage_unbonded_patches_depend_on_the_seed_alone() -> None:
     x = 50 * np.random.default_rng(1).random((200_000, 3))
     patches = Patches(share=0.3, patch="5 mm", seed=1)
     found = patches(x)
@@ -65,7 +65,7 @@ def law(text: str) -> Cohesive:
     return found
 
 
-def test_finish_gives_strength_in_shear_and_leaves_the_rest() -> None:
+def test_damage_finish_gives_only_shear_strength() -> None:
     found = law(f"{SATIN}, {ENERGIES}, unbonded: {{share: 10 %}}}}")
     assert (found.shear_strength, found.tensile_strength) == (0.38, 0.3)
     assert found.unbonded == Patches(share=0.1, patch="5 mm")
@@ -74,6 +74,6 @@ def test_finish_gives_strength_in_shear_and_leaves_the_rest() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(library.read().data["finishes"]))
-def test_finish_without_energy_is_refused(name: str) -> None:
+def test_damage_finish_without_energy_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="stem and cement none is known: give it"):
         law(f"{SATIN.replace('satin', name)}}}")

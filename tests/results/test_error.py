@@ -80,7 +80,7 @@ def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
     ],
     ids=("not asked", "nine", "one", "smooth", "steady"),
 )
-def test_companions_are_coarser_and_take_half_the_steps(
+def test_error_estimate_companions_are_coarser(
     text: str, changes: tuple[str, ...], found: list[tuple[float, ...]]
 ) -> None:
     """Mesh sizes, increments, and steps over those of the run."""
@@ -89,14 +89,14 @@ def test_companions_are_coarser_and_take_half_the_steps(
     assert all(c.case.mesh.far == 4 * c.case.mesh.size for c in own)
 
 
-def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
+def test_error_estimate_with_fewer_companions() -> None:
     text = (support.CONFIGS / "stance.yaml").read_text(encoding="utf-8")
     femur = support.case(text, "mesh.size=8 mm")
     sizes = [c.case.mesh.size for c in error_estimate.companions(femur)]
     assert sizes == [16, 20, 20] and femur.geometry.coarsest_size == 20
 
 
-def test_an_error_is_of_what_was_compared() -> None:
+def test_error_estimate_names_its_sources() -> None:
     for text, coarsening, sources in (
         (STACK, 2.0, "mesh and step"),
         (STACK, 1.0, "load step"),
@@ -107,7 +107,7 @@ def test_an_error_is_of_what_was_compared() -> None:
 
 
 @pytest.mark.parametrize(("method", "power"), [("sdirk4", 1), ("backward_euler", 2)])
-def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> None:
+def test_error_estimate_companions_in_time(method: str, power: int) -> None:
     """Of order p with an estimate of order q, error goes with tolerance^(p / q): 4/4 and 1/2."""
     found = error_estimate.companions(
         support.case(HEAT, f"time.method={method}", "time.tolerance=3e-4 K")
@@ -118,7 +118,7 @@ def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> 
 
 
 @pytest.mark.parametrize("increments", [1, 8, 9])
-def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
+def test_error_estimate_is_exact_for_its_model(increments: int) -> None:
     p = quantities.MOTION[1]
     run, this = numbers(1.0, increments, p), case(f"stages.0.increments={increments}")
     unsettled = modelled(run, this, lambda size, n: numbers(size, n, p))
@@ -135,7 +135,7 @@ def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
     assert "slip_max_error" not in q
 
 
-def test_peaks_that_do_not_converge_have_their_values_on_every_mesh() -> None:
+def test_error_estimate_lists_maxima_that_do_not_converge() -> None:
     """Finest mesh first, worst peak first; of two runs on a mesh the one with the run's steps."""
     this = case("stages.0.increments=8")
 
@@ -162,7 +162,7 @@ def test_peaks_that_do_not_converge_have_their_values_on_every_mesh() -> None:
     assert json.loads(json.dumps(unsettled)) == unsettled
 
 
-def test_peaks_are_compared_on_the_meshes_that_were_solved() -> None:
+def test_error_estimate_compares_maxima_on_solved_meshes() -> None:
     """A companion has failed, another has no such number, and steps alone say nothing."""
     this = case("stages.0.increments=8")
     finer, coarser, _ = error_estimate.companions(this)
@@ -180,7 +180,7 @@ def test_peaks_are_compared_on_the_meshes_that_were_solved() -> None:
     assert error_estimate.estimate(run, this, []) == {}
 
 
-def test_an_error_that_is_small_by_chance_is_raised() -> None:
+def test_error_estimate_raises_accidentally_small_errors() -> None:
     """To b times the median of all numbers, relative to the numbers; a peak has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
     values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
@@ -193,7 +193,7 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
     assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
-def test_gruen_zones_have_errors() -> None:
+def test_error_estimate_of_gruen_zones() -> None:
     """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
 
@@ -217,7 +217,7 @@ def test_gruen_zones_have_errors() -> None:
     assert second == zone(1.0)
 
 
-def test_on_one_coarser_mesh_half_the_steps_show() -> None:
+def test_error_estimate_of_steps_on_one_coarser_mesh() -> None:
     this = case("stages.0.increments=8")
     first = error_estimate.companions(this)[0]
     half = error_estimate.Companion(first.case, 5 / 3, 0.5)
@@ -243,7 +243,7 @@ def heated(size: float, increments: float) -> dict[str, Any]:
     }
 
 
-def test_numbers_of_heat_converge_as_temperature_does() -> None:
+def test_error_estimate_of_heat_follows_temperature() -> None:
     run, this = heated(1.0, 8), case("stages.0.increments=8")
     modelled(run, this, heated)
     wrong, dose = (
@@ -276,7 +276,9 @@ def test_numbers_of_heat_converge_as_temperature_does() -> None:
         (None, None, "-"),
     ],
 )
-def test_digits_go_by_the_error(value: float | None, error: float | None, text: str) -> None:
+def test_error_estimate_sets_printed_digits(
+    value: float | None, error: float | None, text: str
+) -> None:
     q = quantities.TABLE["interfaces"]["gap_p99"]  # mm, shown in um with one decimal
     assert q.text({"gap_p99": value, "gap_p99_error": error}) == text
 
@@ -307,7 +309,7 @@ def test_error_estimate_of_the_stance_covers_a_finer_mesh() -> None:
     assert max(off) <= 1, sorted(off)
 
 
-def test_numbers_that_are_zero_set_no_error() -> None:
+def test_error_estimate_ignores_zero_numbers() -> None:
     """Rounding, and a slip that the mesh makes, leave the median; the rest keeps its errors."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
 
@@ -331,7 +333,7 @@ def test_numbers_that_are_zero_set_no_error() -> None:
 
 
 @pytest.mark.parametrize("jump", [0.0, 1e-13])
-def test_a_temperature_jump_of_zero_sets_no_error(jump: float) -> None:
+def test_error_estimate_ignores_zero_temperature_jumps(jump: float) -> None:
     this = support.case(HEAT, "stages=[{name: cool, steady: true}]")
 
     def on(size: float) -> dict[str, Any]:

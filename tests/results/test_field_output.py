@@ -139,7 +139,7 @@ def check_both(comm: MPI.Comm, path: Path) -> None:
 
 
 @pytest.mark.parametrize("ranks", support.RANKS)
-def test_files_on_ranks(ranks: int, tmp_path: Path) -> None:
+def test_field_output_is_equal_on_ranks(ranks: int, tmp_path: Path) -> None:
     support.on_ranks(ranks, __file__, tmp_path / "fields.vtkhdf")
 
 
@@ -148,7 +148,7 @@ if __name__ == "__main__":
         check(MPI.COMM_WORLD, Path(sys.argv[1]))
 
 
-def test_a_linear_field_is_continued_to_the_nodes_of_each_cell() -> None:
+def test_field_output_extrapolates_linear_fields_to_nodes() -> None:
     rng = np.random.default_rng(2)
     inside, nodes, slopes = rng.random((5, 3)), rng.random((10, 3)), rng.random((4, 3, 6))
     found = extrapolated(1.0 + inside @ slopes, inside, nodes)

@@ -59,7 +59,7 @@ def pressure(summary: Any) -> float:
     return float(summary["interfaces"]["stem_cement"]["pressure_mean"])
 
 
-def test_cement_that_shrinks_on_a_core_as_it_stiffens(tmp_path: Path) -> None:
+def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
     """The pressure of the set ring times the mean of its modulus since gelation."""
     exact = pressure(solve(tmp_path, *SHRUNK)) * (FLOOR + (1 - FLOOR) / (POWER + 1))
     errors = []
@@ -72,7 +72,7 @@ def test_cement_that_shrinks_on_a_core_as_it_stiffens(tmp_path: Path) -> None:
     assert errors[0] / errors[-1] > 8
 
 
-def test_heat_that_is_lost_to_rounding_alone_is_balanced(tmp_path: Path) -> None:
+def test_heated_mechanics_heat_balance_with_rounding(tmp_path: Path) -> None:
     """A cure that begins at 0 begins with a step of 1e-7 s, which warms by 1e-8 K."""
     alone = ("interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
     found = support.run(RING, tmp_path, *SET, *alone).summary

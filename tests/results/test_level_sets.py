@@ -9,7 +9,7 @@ from app.results.level_sets import positive_share
 from meshes.mantle import distance
 
 
-def test_part_of_a_tetrahedron_by_counting() -> None:
+def test_level_sets_part_of_a_tetrahedron() -> None:
     rng = np.random.default_rng(3)
     f = rng.uniform(-1, 1, (40, 4))
     points = rng.dirichlet(np.ones(4), 400_000)
@@ -25,17 +25,17 @@ def test_part_of_a_tetrahedron_by_counting() -> None:
         *[((0, 0, 0, -1), 0), ((0, 0, 1, 1), 1), ((0, 0, 0, 0), 1), ((1, 0, 0, -1), 1 / 2)],
     ],
 )
-def test_special_cases(f: tuple[int, ...], share: float) -> None:
+def test_level_sets_special_cases(f: tuple[int, ...], share: float) -> None:
     for order in ((0, 1, 2, 3), (3, 1, 0, 2), (2, 3, 1, 0)):
         assert positive_share(np.array([f], dtype=float)[:, order]) == pytest.approx(share)
 
 
-def test_what_is_dead_and_what_is_not_is_all() -> None:
+def test_level_sets_volumes_add_up() -> None:
     f = np.random.default_rng(5).normal(size=(1000, 4))
     assert positive_share(f) + positive_share(-f) == pytest.approx(1)
 
 
-def test_distance_from_a_triangle() -> None:
+def test_level_sets_distance_from_a_triangle() -> None:
     triangle = np.array([[[0.0, 0, 0], [3, 0, 0], [0, 3, 0]]])
     points = np.array(
         [[1, 1, 2], [1, -1, 0], [-3, -4, 0], [3, 3, 0], [1, 1, -0.5], [5, 0, 0]], float
@@ -43,7 +43,7 @@ def test_distance_from_a_triangle() -> None:
     assert distance(points, triangle) == pytest.approx([2, 1, 5, 1.5 * 2**0.5, 0.5, 2])
 
 
-def test_distance_from_a_surface_of_many() -> None:
+def test_level_sets_distance_from_a_surface() -> None:
     n = 12
     grid = np.stack(np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0), indexing="ij"), axis=-1)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]

@@ -24,12 +24,12 @@ DEADLY = {45.0: 4.10e4, 47.0: 9313.0, 50.0: 1042.0, 53.0: 121.0, 55.0: 29.6, 60.
 
 
 @pytest.mark.parametrize(("celsius", "seconds"), [*DEADLY.items(), (70.0, 1.26e-3)])
-def test_damage_of_constant_temperatures(celsius: float, seconds: float) -> None:
+def test_necrosis_damage_at_constant_temperature(celsius: float, seconds: float) -> None:
     T = kelvin(celsius)
     assert necrosis.henriques_moritz(T, T, seconds) == pytest.approx(1.0, rel=6e-3)
 
 
-def test_damage_far_above_boiling_is_finite() -> None:
+def test_necrosis_damage_far_above_boiling_is_finite() -> None:
     hot = kelvin(100.0, 200.0, 1500.0)
     dose = necrosis.henriques_moritz(kelvin(37.0, 37.0, 37.0), hot, 3600.0)
     assert np.isfinite(dose).all() and (np.diff(dose) > 0).all()
@@ -45,7 +45,7 @@ RAMPS = [(37.0, 60.0, 300.0), (60.0, 37.0, 300.0), (48.0, 48.05, 20.0), (49.95, 
 
 
 @pytest.mark.parametrize(("a", "b", "seconds"), [*RAMPS, (37.0, 100.0, 3600.0)])
-def test_damage_of_ramps_however_long(a: float, b: float, seconds: float) -> None:
+def test_necrosis_damage_of_ramps(a: float, b: float, seconds: float) -> None:
     exact = integral(
         lambda T: np.exp(np.log(3.1e98) - 6.28e5 / (R * (T + ZERO))), a, b, seconds, [b - 1, b - 5]
     )
@@ -53,14 +53,14 @@ def test_damage_of_ramps_however_long(a: float, b: float, seconds: float) -> Non
     assert got == pytest.approx(exact, rel=1e-11)
 
 
-def test_cem43_of_constant_temperatures() -> None:
+def test_necrosis_cem43_at_constant_temperature() -> None:
     T = kelvin(47.0, 50.0, 43.0, 42.0, 38.9)
     assert necrosis.cem43(T, T, 60.0) == pytest.approx([16, 128, 1, 0.25, 0])
     assert necrosis.cem43(kelvin(50.0), kelvin(50.0), 30.0) == pytest.approx(64)
 
 
 @pytest.mark.parametrize(("a", "b", "seconds"), [*RAMPS, (30.0, 41.0, 60.0), (30.0, 38.0, 60.0)])
-def test_cem43_of_ramps_however_long(a: float, b: float, seconds: float) -> None:
+def test_necrosis_cem43_of_ramps(a: float, b: float, seconds: float) -> None:
     def rate(T: float) -> float:
         return 0.0 if T < 39 else (0.5 if T >= 43 else 0.25) ** (43 - T)
 
@@ -69,12 +69,12 @@ def test_cem43_of_ramps_however_long(a: float, b: float, seconds: float) -> None
     assert got == pytest.approx(exact, rel=1e-11, abs=1e-300)
 
 
-def test_time_above_a_level() -> None:
+def test_necrosis_time_above_a_level() -> None:
     start, end = kelvin(37.0, 57.0, 40.0, 50.0, 47.0), kelvin(57.0, 37.0, 46.0, 60.0, 47.0)
     assert necrosis.seconds_over(start, end, 10.0, 47.0) == pytest.approx([5, 5, 0, 10, 10])
 
 
-def test_a_step_may_be_cut_anywhere() -> None:
+def test_necrosis_doses_add_up_over_divided_steps() -> None:
     """Doses add up: one long line is as many short ones."""
     whole, parts = (Integrals(necrosis.DOSES, 2) for _ in range(2))
     start, end = kelvin(37.0, 70.0), kelvin(58.0, 44.0)
@@ -86,7 +86,7 @@ def test_a_step_may_be_cut_anywhere() -> None:
         assert parts.totals[name] == pytest.approx(total, rel=1e-10)
 
 
-def test_the_criteria_disagree() -> None:
+def test_necrosis_criteria_disagree() -> None:
     e = Integrals(necrosis.DOSES, 3)
     T = kelvin(47.0, 50.0, 57.0)
     e.add(T, T, 59.0)
@@ -106,7 +106,7 @@ def test_the_criteria_disagree() -> None:
     }
 
 
-def test_levels_of_exponential_doses_are_linear_in_temperature() -> None:
+def test_necrosis_levels_are_linear_in_temperature() -> None:
     e = Integrals(necrosis.DOSES, 3)
     T = kelvin(45.0, 47.0, 49.0)
     e.add(T, T, 60.0)

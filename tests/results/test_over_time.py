@@ -8,7 +8,7 @@ import pytest
 from app.results.over_time import Integrals, Maximum, bend, peak_between
 
 
-def test_maximum_keeps_value_and_time_of_each_node() -> None:
+def test_over_time_maximum_keeps_value_and_time() -> None:
     maximum = Maximum(np.array([1.0, 5.0]), 0.0)
     maximum.take(np.array([2.0, 4.0]), 10.0)
     maximum.take(np.array([2.0, 6.0]), np.array([20.0, 17.0]))
@@ -16,7 +16,7 @@ def test_maximum_keeps_value_and_time_of_each_node() -> None:
     assert maximum.time.tolist() == [10.0, 17.0]
 
 
-def test_integrals_along_a_parabola_are_those_of_its_pieces() -> None:
+def test_over_time_integrals_along_a_parabola() -> None:
     """4 t (1 - t) passes 1 above its chord, 0; n chords lose 2 / (3 n^2) of its integral, 2/3."""
     integrals = Integrals({"mean": lambda a, b, seconds: (a + b) / 2 * seconds}, 1)
     zero = np.zeros(1)
@@ -26,14 +26,14 @@ def test_integrals_along_a_parabola_are_those_of_its_pieces() -> None:
     assert integrals.forgotten
 
 
-def test_peak_between_steps_is_the_vertex_of_a_parabola() -> None:
+def test_over_time_peak_between_steps_is_a_vertex() -> None:
     states = [(t, np.array([3.0 - (t - 1.4) ** 2])) for t in (0.0, 1.0, 2.0, 3.0)]
     value, time = peak_between(*states)
     assert value == pytest.approx(3.0)
     assert time == pytest.approx(1.4)
 
 
-def test_bend_stays_between_the_ends_of_a_step() -> None:
+def test_over_time_bend_is_limited() -> None:
     """t^2 passes h^2 / 4 below its chord; a bend is limited to a quarter of the change."""
     before, start, end = ((t, np.array([t**2])) for t in (1.0, 2.0, 3.0))
     assert bend(before, start, end) == pytest.approx(0.25)

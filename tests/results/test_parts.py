@@ -41,7 +41,7 @@ def divided(solved: support.Solved) -> tuple[Surface, dict[str, Any]]:
     return surface, ContactSamples(solved.problem, trial, None, [surface]).numbers["stem_upper"]
 
 
-def test_parts_add_up_to_the_interface(pressed: support.Solved) -> None:
+def test_surface_parts_add_up_to_the_interface(pressed: support.Solved) -> None:
     _, numbers = divided(pressed)
     for part in ("rim", "tip"):
         area = numbers[part]["area"]
@@ -52,7 +52,7 @@ def test_parts_add_up_to_the_interface(pressed: support.Solved) -> None:
     assert numbers["force"] == pytest.approx([0, 0, 0.05 * 16.0], abs=1e-9)
 
 
-def test_each_part_has_its_own_statistics(pressed: support.Solved) -> None:
+def test_surface_parts_have_separate_statistics(pressed: support.Solved) -> None:
     """Of the coordinate x, which is 2.5 mm in the mean of what is left."""
     surface, numbers = divided(pressed)
     x = pressed.last.x[:, 0]
@@ -64,12 +64,12 @@ def test_each_part_has_its_own_statistics(pressed: support.Solved) -> None:
     assert min(numbers["gap_max_at"][:2]) >= 1.0 >= numbers["rim"]["gap_max_at"][0]
 
 
-def test_an_interface_without_parts_is_the_rest(pressed: support.Solved) -> None:
+def test_surface_parts_of_an_undivided_interface(pressed: support.Solved) -> None:
     numbers = pressed.interfaces["stem_upper"]
     assert numbers["area"] == pytest.approx(16.0) and not {"rim", "tip"} & numbers.keys()
 
 
-def test_the_neck_is_no_part_of_the_stem(
+def test_surface_parts_neck_is_separate_from_the_stem(
     pressed: support.Solved, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tension by z [MPa]: the neck, above 1 mm, has what is above 1 MPa."""

@@ -47,7 +47,7 @@ def on_a_cylinder(radius: float, angle: float) -> tuple[InterfaceFacets, Floats]
     return facets, nodes
 
 
-def test_a_slide_along_a_curved_facet_opens_nothing() -> None:
+def test_penetration_of_sliding_along_a_curved_facet_is_zero() -> None:
     """Turning about the axis keeps a distance of 0, moving aside opens by c . n, widening by w."""
     facets, x = on_a_cylinder(7.0, 0.3)
     rows = np.zeros(1, dtype=np.int64)
@@ -93,7 +93,7 @@ def distances(s: Solved, i: int) -> Floats:
 
 
 @pytest.mark.slow
-def test_it_is_the_distance_of_the_deformed_surfaces() -> None:
+def test_penetration_is_the_distance_of_deformed_surfaces() -> None:
     """Along the normals of the deformed facets, to what small motions neglect."""
     s = solve(STEM, "mesh.order=2", "mesh.size=3.5 mm")
     deepest = -distances(s, 0).min()
@@ -101,7 +101,7 @@ def test_it_is_the_distance_of_the_deformed_surfaces() -> None:
     assert s.interfaces["stem_cement"]["penetration_sampled"] == pytest.approx(deepest, rel=0.3)
 
 
-def test_a_penalty_penetrates_between_points_as_at_points() -> None:
+def test_penetration_of_a_penalty_is_equal_between_points() -> None:
     """Both methods are measured alike: on plane facets between points is what is at points."""
     s = solve(PRESSED)
     q = s.interfaces["base_upper"]

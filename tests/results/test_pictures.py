@@ -35,7 +35,7 @@ def cylinder(turn: float) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("turn", [0.0, 7.0, 15.0, -100.0])
-def test_a_cylinder_is_unrolled_exactly(turn: float) -> None:
+def test_pictures_cylinder_is_unrolled_exactly(turn: float) -> None:
     """Without holes or smears at the seam: each place in the window is in one triangle."""
     points, triangles = cylinder(turn)
     corners, nodes = pictures.unroll(points, triangles)
@@ -73,7 +73,7 @@ def two_bodies(order: int) -> Any:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_facets_are_those_between_the_bodies(order: int) -> None:
+def test_pictures_facets_are_those_of_the_interface(order: int) -> None:
     run = two_bodies(order)
     triangles = pictures.facets(run, [2], [1])
     assert (triangles >= len(run.points) // 2).all()
@@ -84,7 +84,7 @@ def test_facets_are_those_between_the_bodies(order: int) -> None:
     assert area == pytest.approx([2.0] if order == 1 else [0.5] * 4)
 
 
-def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
+def test_pictures_flat_interface_is_drawn_in_its_plane() -> None:
     run = two_bodies(1)
     sheet = pictures.sheet(run, "blocks", (("lower",), ("upper",)), ("lower", "upper"))
     assert sheet is not None and not sheet.round
@@ -96,7 +96,7 @@ def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
     assert pictures.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
 
 
-def test_a_picture_has_the_rows_that_there_are(
+def test_pictures_rows_and_titles_do_not_overlap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And titles that cover neither each other nor what is beside them."""
@@ -127,7 +127,7 @@ def test_a_picture_has_the_rows_that_there_are(
     assert not (tmp_path / "none.png").exists()
 
 
-def test_points_and_bars_keep_off_the_frame() -> None:
+def test_pictures_points_and_bars_stay_inside_the_frame() -> None:
     """Of numbers far from zero and alike, whose axis begins at zero; inside a page as well."""
     line = curves.Line("a", 0, [0.2, 0.8], [98.8, 91.0], [2.0, 2.0])
     panel = curves.Panel("slip", "µm", [line], "friction")
@@ -142,7 +142,7 @@ def test_points_and_bars_keep_off_the_frame() -> None:
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_linear_field_is_shaded_without_streaks(way: int) -> None:
+def test_pictures_linear_field_is_shaded_without_streaks(way: int) -> None:
     """On thin triangles whose diagonals all go one way, and not beside them."""
     u, v = (g.ravel() for g in np.meshgrid(np.arange(9.0) * 40.0, np.arange(61.0)))
     a = np.arange(len(u)).reshape(61, 9)

@@ -14,7 +14,7 @@ from meshes.femur_bone import CANAL, PERIOSTEUM, Tube
 from tests import support
 
 
-def test_strain_of_the_cortex_is_that_of_a_beam() -> None:
+def test_section_loads_cortex_strain_is_that_of_a_beam() -> None:
     """At z = -80 and -113: N / EA + M x / EI of the sections of cortex and cancellous bone."""
     text = (support.CONFIGS / "intact.yaml").read_text()
     solved = support.solve(text, "mesh.size=10 mm", "mesh.around=8")
@@ -66,7 +66,7 @@ def test_section_loads_of_two_forces_by_hand() -> None:
 
 
 @pytest.mark.parametrize("name", ["walking_hip", "standing_up_hip", "stairs_up_hip"])
-def test_torsion_in_the_manual_is_that_of_tilt_and_anteversion(name: str) -> None:
+def test_section_loads_torsion_by_tilt_and_anteversion(name: str) -> None:
     """With the head at 43 mm (cos a, sin a) and the force turned about x by the tilt."""
     text = (support.ROOT / "docs/howto/loads.md").read_text()
     (row,) = re.findall(rf"^\| `{name}` \| (.*) \|$", text, re.MULTILINE)
@@ -82,7 +82,7 @@ def test_torsion_in_the_manual_is_that_of_tilt_and_anteversion(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", ["one_leg_stance", "standing_up", "stairs_up"])
-def test_sets_with_muscles_are_in_balance(name: str) -> None:
+def test_section_loads_of_sets_with_muscles_are_plausible(name: str) -> None:
     """At the knee the line of action runs between shaft and head; 0.9 bodies stand on the leg."""
     case = support.case(f"base: stance\nloads: {{library: {name}}}\n")
     knee = section_loads(case, 1.0)[-1]
@@ -94,7 +94,7 @@ def test_sets_with_muscles_are_in_balance(name: str) -> None:
         assert np.linalg.norm(forces[-1]) == pytest.approx(np.linalg.norm(forces[-2]), abs=0.1)
 
 
-def test_the_potting_of_the_bench_test_bears_what_its_angles_give() -> None:
+def test_section_loads_of_the_bench_test() -> None:
     """2300 N at 10 and 9 degrees, 80 mm below a head at 43 mm."""
     case = support.case("base: iso_7206_4\n", "geometry.distal_cut_z=-204.5 mm")
     (at,) = (s for s in section_loads(case, 1.0) if s.z == -26.0)
@@ -102,7 +102,7 @@ def test_the_potting_of_the_bench_test_bears_what_its_angles_give() -> None:
     assert np.array(at.moment) / 1e3 == pytest.approx([28.4, 64.3, -15.2], abs=0.1)
 
 
-def test_the_stress_over_a_cut_has_the_section_loads() -> None:
+def test_section_loads_equal_integrated_stress() -> None:
     """Above the tip, through stem, cement and bone: means over 40 mm about the cut."""
     solved = support.solve(
         (support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm", "mesh.around=8"

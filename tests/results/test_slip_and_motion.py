@@ -58,7 +58,7 @@ ROUND = [
         (ROUND + ROUND + ROUND[:2], 0.04, 0.30),
     ],
 )
-def test_slip_is_a_state_and_its_path_has_a_history(
+def test_slip_is_a_state_and_its_path_accumulates(
     path: list[tuple[float, float]], slip: float, way: float
 ) -> None:
     q = moved(path)
@@ -73,7 +73,7 @@ def test_slip_is_a_state_and_its_path_has_a_history(
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
-def test_slip_of_a_proportional_load_does_not_count_its_steps(friction: float) -> None:
+def test_slip_is_independent_of_proportional_steps(friction: float) -> None:
     """A taper pressed home: the same slip in 1, 3 and 16 steps."""
     found = [
         support.solve(
@@ -90,14 +90,14 @@ def test_slip_of_a_proportional_load_does_not_count_its_steps(friction: float) -
         assert found[0][name]["slip_mean"] > 1e-4
 
 
-def test_what_sticks_has_not_slid() -> None:
+def test_slip_is_zero_where_points_stick() -> None:
     """Friction of 10 holds what moves aside by as much as it is pressed."""
     q = moved([(0, -0.01), (0.01, -0.01)], "friction_coefficient: 10")
     assert q["slip_max"] < 1e-12 and q["motion_max"] < 1e-12
 
 
 @pytest.mark.parametrize("stiff", ["lower", "upper"])
-def test_the_force_is_that_on_the_second_body(stiff: str) -> None:
+def test_interface_force_acts_on_the_second_body(stiff: str) -> None:
     """Pressed down by 16 N, whichever side is the softer one."""
     q = support.solve(
         ELASTIC,
@@ -135,7 +135,7 @@ BENT = (
 )
 
 
-def test_a_bonded_stem_hardly_moves_against_its_own_bone() -> None:
+def test_hip_motion_of_a_bonded_stem_is_small() -> None:
     """However much the bone bends: its top moves a hundred times as far."""
     solved = support.solve(support.STEM, *BONDED, *BENT)
     motion = StemMotion(solved.problem, solved.case)(solved.case.side)
@@ -145,7 +145,7 @@ def test_a_bonded_stem_hardly_moves_against_its_own_bone() -> None:
     assert np.linalg.norm(motion["tip_displacement"]) < 0.1 * top
 
 
-def test_a_hip_that_turns_as_a_whole_has_no_motion_inside() -> None:
+def test_hip_motion_is_zero_in_a_rigid_rotation() -> None:
     """By 0.01 rad about an axis askew: stem and bone keep their places to each other."""
     turn = "outer: {kind: displacement, boundary: bone_surface, x: 0.004 * z - 0.008 * y, "
     turn += "y: 0.008 * x - 0.005 * z, z: 0.005 * y - 0.004 * x}"
@@ -155,7 +155,7 @@ def test_a_hip_that_turns_as_a_whole_has_no_motion_inside() -> None:
     assert np.linalg.norm(motion["top_displacement"]) > 0.01
 
 
-def test_a_right_hip_is_the_mirror_image_of_a_left_one() -> None:
+def test_hip_motion_of_a_right_hip_is_mirrored() -> None:
     """Of a load towards +x and one towards -x, with a torque about the axis."""
     found = []
     for side, sign in (("left", 1), ("right", -1)):
@@ -176,14 +176,14 @@ def test_a_right_hip_is_the_mirror_image_of_a_left_one() -> None:
         assert right[key] == pytest.approx(left[key], rel=0.02), (key, left, right)
 
 
-def test_only_what_has_an_axis_has_hoop_stress() -> None:
+def test_stresses_hoop_needs_an_axis() -> None:
     solved = support.solve(BLOCKS, "supports.lid={kind: fixed, boundary: top}")
     assert "hoop_p99" not in Stresses(solved.problem).region("lower")
     assert "hoop_p99" in Stresses(solved.problem, around_z=True).region("lower")
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_uniform_stress_is_that_of_every_node(order: int, tmp_path: Path) -> None:
+def test_stresses_uniform_at_every_node(order: int, tmp_path: Path) -> None:
     """1 MPa on a block without Poisson's ratio, however many points a cell has."""
     text = ELASTIC + "loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     found = support.run(text, tmp_path, "interfaces={}", f"mesh.order={order}")
@@ -192,9 +192,7 @@ def test_uniform_stress_is_that_of_every_node(order: int, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("doubt", "decides"), [(0.0, False), (0.1, True)])
-def test_pressure_by_facets_is_stiffness_times_slip_times_angle(
-    doubt: float, decides: bool
-) -> None:
+def test_interface_pressure_by_facets(doubt: float, decides: bool) -> None:
     """A normal that is off by an angle a presses the surface by k s sin a at a slip s."""
     solved = support.solve(support.STEM)
     contact = solved.problem.contact

@@ -25,7 +25,9 @@ CONTACT = f"interfaces.one_two={{kind: contact, friction_coefficient: 5, {STRENG
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("pull", "shear"), [(1.3, 0.0), (2.7, 0.0), (-9.0, 2.0), (1.0, 4.0)])
-def test_a_bond_pulled_and_sheared(tmp_path: Path, order: int, pull: float, shear: float) -> None:
+def test_bond_forces_of_a_pulled_and_sheared_interface(
+    tmp_path: Path, order: int, pull: float, shear: float
+) -> None:
     """Uniform tractions: strains by modulus, the displacement given on the surface all around."""
     below, above = f"min(z, 4) * {1 / 2e3}", f"max(z - 4, 0) * {1 / 20e3}"
     along = f"({below} + {above})"
@@ -42,7 +44,7 @@ def test_a_bond_pulled_and_sheared(tmp_path: Path, order: int, pull: float, shea
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_bond_has_the_tractions_of_contact_that_sticks(tmp_path: Path, order: int) -> None:
+def test_bond_forces_equal_those_of_sticking_contact(tmp_path: Path, order: int) -> None:
     """Edges, unlike sides, rollers on the rim, a region in two bodies: by the multiplier."""
     supports = (
         "{base: {kind: fixed, boundary: bottom}, cut: {kind: roller, boundary: y_min, axis: y}}"
@@ -66,7 +68,7 @@ def test_a_bond_has_the_tractions_of_contact_that_sticks(tmp_path: Path, order: 
     assert last == numbers[0]["failure_index_p99"] == pytest.approx(1 / numbers[0][key], rel=1e-12)
 
 
-def test_the_load_factor_is_where_a_hundredth_fails(tmp_path: Path) -> None:
+def test_bond_forces_load_factor_at_one_percent_failure(tmp_path: Path) -> None:
     """A bond under a moment: loaded by its factor, a hundredth of it is beyond its strength."""
     supports = "supports={base: {kind: fixed, boundary: bottom}}"
     bent = "loads.bent={{kind: force, boundary: top, force: '[1, 0, 4] N', history: [{}]}}"
@@ -81,7 +83,7 @@ def test_the_load_factor_is_where_a_hundredth_fails(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("pull", "fraction"), [(1.34, 0.0), (1.36, 1.0)])
-def test_a_bar_pulled_has_the_strength_of_cement_on_bone(
+def test_bond_forces_of_a_pulled_bar_reach_the_strength(
     tmp_path: Path, pull: float, fraction: float
 ) -> None:
     changes = ("supports.base={kind: fixed, boundary: bottom}", "interfaces={}")
@@ -94,7 +96,7 @@ def test_a_bar_pulled_has_the_strength_of_cement_on_bone(
     assert found["area"] == pytest.approx(16.0)
 
 
-def test_without_strength_there_is_none(tmp_path: Path) -> None:
+def test_bond_forces_need_a_strength(tmp_path: Path) -> None:
     load = "loads.press={kind: pressure, boundary: top, pressure: 1 MPa}"
     base = "supports={base: {kind: fixed, boundary: bottom}}"
     for law in ("{kind: bonded}", CONTACT.partition("=")[2].replace(f", {STRENGTH}", "")):

@@ -51,7 +51,7 @@ def plane(n: int, **borders: Function) -> tuple[Floats, Surface]:
     return x, Surface(flat(x, triangles), 0, {k: f(x[:, 0], x[:, 1]) for k, f in borders.items()})
 
 
-def test_a_part_is_cut_along_its_border() -> None:
+def test_surface_parts_are_cut_along_their_border() -> None:
     """Half-planes of the unit square: areas and means are exact on any mesh."""
     x, surface = plane(5, tip=lambda x, y: y - 0.37, rim=lambda x, y: x + y - 0.9)
     # Above y = 0.37, the triangle x + y < 0.9 has legs of 0.53.
@@ -70,7 +70,7 @@ def test_a_part_is_cut_along_its_border() -> None:
     assert surface.field(x[:, 1], "tip").percentile() == pytest.approx(0.99 * 0.37)
 
 
-def test_areas_of_points_add_up() -> None:
+def test_surface_parts_areas_add_up() -> None:
     x, surface = plane(6, tip=lambda x, y: y - 0.4, rim=lambda x, y: (x - 0.5) ** 2 - 0.04)
     whole = flat(x, surface.triangles).weight
     assert sum(surface.weight.values()) == pytest.approx(whole)
@@ -83,7 +83,7 @@ def test_areas_of_points_add_up() -> None:
     levels=st.lists(st.integers(-50, 50), min_size=16, max_size=16),
     fraction=st.floats(0.0, 1.0),
 )
-def test_a_percentile_is_not_above_its_maximum(
+def test_surface_parts_percentile_is_below_the_maximum(
     values: list[int], levels: list[int], fraction: float
 ) -> None:
     """Of any values, means or recovered, in any part."""
@@ -119,7 +119,7 @@ def recovered(x: Floats, triangles: Ints, f: Function) -> tuple[Floats, Floats, 
     return f(x[:, 0], x[:, 1]), means, surface.sharpened(three)[:, 0]
 
 
-def test_constants_stay_and_signs_stay() -> None:
+def test_surface_parts_recovery_keeps_constants_and_signs() -> None:
     """Where a mean is zero, as at open points, and where it is negative, as in tension."""
     x, triangles = grid(6, jitter=0.2)
     surface = Surface(flat(x, triangles), 0, {})
@@ -135,7 +135,7 @@ def order(errors: list[float]) -> float:
     return float(-np.polyfit(np.arange(len(errors)), np.log2(errors), 1)[0])
 
 
-def test_smooth_tractions_converge_with_second_order() -> None:
+def test_surface_parts_recovery_converges_at_second_order() -> None:
     """Inside; at the border, where means are one-sided, sharp values gain an order."""
     found: dict[str, list[float]] = {"mean": [], "sharp": [], "mean, edge": [], "sharp, edge": []}
     for n in (8, 16, 32):
@@ -153,7 +153,7 @@ def test_smooth_tractions_converge_with_second_order() -> None:
     assert found["sharp, edge"][-1] < 0.3 * found["mean, edge"][-1]
 
 
-def test_a_ridge_is_read_to_a_sixth_of_the_error_of_means() -> None:
+def test_surface_parts_recovery_at_a_ridge() -> None:
     """A kink of slope s on points at a distance h: means are s h / 3 too low there."""
     for n in (8, 16, 32):
         # A strip, so that the shape functions are those of one dimension in the middle.
@@ -165,7 +165,7 @@ def test_a_ridge_is_read_to_a_sixth_of_the_error_of_means() -> None:
         assert left < low / 4
 
 
-def test_a_punch_with_rounded_edges() -> None:
+def test_surface_parts_recovery_of_a_rounded_punch() -> None:
     """Its pressure rises like a root beside its edge and falls to zero there: no value grows.
 
     p = sqrt(1 - x^2) within |x| < 1, as of a cylinder, and zero beyond (Hertz): the largest value
@@ -186,7 +186,7 @@ def test_a_punch_with_rounded_edges() -> None:
     assert errors["sharp"][-1] < 5e-3 and order(errors["sharp"]) > 0.9
 
 
-def test_values_beside_held_points_stay_means() -> None:
+def test_surface_parts_recovery_skips_held_points() -> None:
     """A point that supports hold has no reported traction: its zero is no traction of zero."""
     x, triangles = grid(6)
     points = flat(x, triangles)
@@ -199,7 +199,7 @@ def test_values_beside_held_points_stay_means() -> None:
     assert sharp[np.isclose(x[:, 0], 1 / 6)] == pytest.approx(3.0)
 
 
-def test_faces_of_an_edge_have_their_own_means() -> None:
+def test_surface_parts_faces_of_an_edge_have_separate_means() -> None:
     """A right angle under one pressure: the force of its edge, over the areas of its faces."""
     x, triangles = grid(4)
     other = x[:, [2, 1, 0]] * [1.0, 1.0, -1.0]

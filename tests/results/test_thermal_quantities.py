@@ -44,7 +44,7 @@ def falling(x: np.ndarray, t: float) -> np.ndarray:
     return 43.0 + 4.75 * x[:, 2]
 
 
-def test_necrosis_of_a_known_field(stack: TaggedMesh) -> None:
+def test_thermal_record_necrosis_of_a_known_field(stack: TaggedMesh) -> None:
     play = Play(stack, falling, constant(80.0))
     early = play.through(59.0)["regions"]["bone"]
     assert early["necrosis_47C_1min_volume"] == 0 and early["necrosis_47C_1min_depth"] == 0
@@ -72,7 +72,7 @@ def test_necrosis_of_a_known_field(stack: TaggedMesh) -> None:
     assert cement["volume_over_56"] == pytest.approx(32)
 
 
-def test_the_sides_of_an_interface_are_apart(stack: TaggedMesh) -> None:
+def test_thermal_record_separates_sides_of_an_interface(stack: TaggedMesh) -> None:
     play = Play(stack, falling, lambda x, t: 80.0 - t + x[:, 0])
     summary, row = play.through(5.0), play.record.row
     q = summary["interfaces"]["bone_cement"]
@@ -86,7 +86,7 @@ def test_the_sides_of_an_interface_are_apart(stack: TaggedMesh) -> None:
     assert summary["regions"]["cement"]["temperature_end_max"] == pytest.approx(79.0)
 
 
-def test_a_peak_between_steps_is_found(stack: TaggedMesh) -> None:
+def test_thermal_record_finds_peaks_between_steps(stack: TaggedMesh) -> None:
     def parabola(x: np.ndarray, t: float) -> np.ndarray:
         return 60.0 - (t - 3.2) ** 2 - x[:, 2]
 
@@ -97,7 +97,7 @@ def test_a_peak_between_steps_is_found(stack: TaggedMesh) -> None:
         assert bone["temperature_max_at"][2] == pytest.approx(0)  # all of the base is as hot
 
 
-def test_no_peak_is_made_up(stack: TaggedMesh) -> None:
+def test_thermal_record_invents_no_peak(stack: TaggedMesh) -> None:
     """After very unequal steps, and at a sharp turn."""
     bone = bone_through(stack, lambda t: 37.0 if t == 0 else 60.0 - 1e-3 * t, 1e-3, 100.0)
     assert 60.0 - 1e-6 <= bone["temperature_max"] < 60.02
@@ -107,7 +107,7 @@ def test_no_peak_is_made_up(stack: TaggedMesh) -> None:
 
 
 @pytest.mark.parametrize(("step", "error"), [(6.0, 0.008), (12.0, 0.035)])
-def test_doses_follow_the_curve_and_not_its_chords(
+def test_thermal_record_doses_follow_the_curve(
     stack: TaggedMesh, step: float, error: float
 ) -> None:
     """Warming and cooling within two minutes: chords lose 2.5 and 9.6 % of the damage integral."""
@@ -124,7 +124,7 @@ def test_doses_follow_the_curve_and_not_its_chords(
     assert bone["henriques_moritz_max"] == pytest.approx(exact, rel=error)
 
 
-def test_a_kink_is_not_rounded_off(stack: TaggedMesh) -> None:
+def test_thermal_record_keeps_kinks(stack: TaggedMesh) -> None:
     """Heating that is switched off: what was rising does not go on."""
     bone = bone_through(stack, lambda t: min(37.0 + t, 57.0), *np.arange(5.0, 61.0, 5.0))
     assert bone["temperature_max"] == pytest.approx(57.0)
@@ -151,7 +151,7 @@ BATH = ([0, 20, 30, 60, 75, 100, 110], [37, 47, 52, 52, 49, 37, 37])
 
 
 @pytest.mark.parametrize("equal", [False, True])
-def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
+def test_thermal_record_doses_of_piecewise_linear_temperatures(
     monkeypatch: pytest.MonkeyPatch, equal: bool
 ) -> None:
     """Held at temperatures that are linear in time between kinks."""
@@ -175,7 +175,7 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
 @pytest.mark.parametrize(
     ("celsius", "known"), [((30.0, 60.0), False), ((60.0, 30.0), False), ((20.0, 38.9), True)]
 )
-def test_doses_of_a_steady_state_are_unknown_if_it_is_warm(
+def test_thermal_record_doses_after_a_warm_steady_state(
     stack: TaggedMesh, celsius: tuple[float, float], known: bool
 ) -> None:
     """However long it takes, and whatever comes later; CEM43 counts from 39 degC on."""
@@ -199,7 +199,7 @@ def test_doses_of_a_steady_state_are_unknown_if_it_is_warm(
         assert later["regions"]["bone"]["seconds_over_47"] == pytest.approx(over, rel=1e-6)
 
 
-def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
+def test_thermal_record_flux_of_interfaces(stack: TaggedMesh) -> None:
     play = Play(stack, constant(30.0), constant(40.0))
     for flux, entropy in ((-2e-3, 3e-9), (1e-3, -1e-25)):
         one = np.array([flux]), np.array([entropy])
@@ -211,7 +211,7 @@ def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
     assert "heat_flux_max" not in Play(stack, falling, falling).through(1.0)["interfaces"]
 
 
-def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
+def test_thermal_record_probes_use_their_region(stack: TaggedMesh) -> None:
     play = Play(
         stack,
         falling,
@@ -227,7 +227,7 @@ def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
     assert row["anywhere [degC]"] == pytest.approx(61 + 0.2 - 0.6)
 
 
-def test_probes_in_curved_cells() -> None:
+def test_thermal_record_probes_in_curved_cells() -> None:
     tagged = support.mesh(support.case(support.STEM, "mesh.order=2", "geometry.taper=0 deg"))
     assert tagged.mesh.geometry.dofmap.shape[1] == 10
     bodies = bodies_of(tagged, (), ())
@@ -247,7 +247,7 @@ def test_probes_in_curved_cells() -> None:
     assert row["cement_bone temperature_max_first [degC]"] == pytest.approx(11.0)
 
 
-def test_a_probe_outside_is_refused(stack: TaggedMesh) -> None:
+def test_thermal_record_refuses_a_probe_outside(stack: TaggedMesh) -> None:
     with pytest.raises(InputError, match=r"probes\.far: .* region 'bone'"):
         Play(stack, falling, falling, far=((1.0, 1.0, 3.0), "bone"))
 
@@ -256,7 +256,7 @@ def logistic(t: np.ndarray | float, k: float = 6.82396e-3, seed: float = 1e-3) -
     return 1 / (1 + (1 / seed - 1) * np.exp(-k * np.asarray(t)))
 
 
-def test_cure_of_a_logistic_curve() -> None:
+def test_thermal_record_cure_of_a_logistic_curve() -> None:
     """Isothermal autocatalysis, m = n = 1: t50 = 1012.133 s; a second node half a minute late."""
     k = 6.82396e-3
     late = np.array([0.0, 30.0])
@@ -273,7 +273,7 @@ def test_cure_of_a_logistic_curve() -> None:
     }
 
 
-def test_a_degree_that_is_not_reached_has_no_time() -> None:
+def test_thermal_record_unreached_degree_has_no_time() -> None:
     record = CureRecord(MPI.COMM_SELF, {"cement": np.array([0.0, 0.0])}, {})
     record.update(1.0, {"cement": np.array([0.6, 0.4])}, {"cement": np.array([0.0, 0.1])})
     assert record.summary()["cement"]["time_50"] is None
@@ -287,7 +287,7 @@ def wandering(x: np.ndarray, t: float) -> np.ndarray:
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_ranks_agree(ranks: int, tmp_path: Path) -> None:
+def test_thermal_record_is_equal_on_ranks(ranks: int, tmp_path: Path) -> None:
     found = []
     for n in (1, ranks):
         out = tmp_path / f"{n}.json"

@@ -31,7 +31,7 @@ def judged(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
     return {v.where: (f"{v.what}; {v.cure}" if v.cure else v.what, v.severity) for v in rest}
 
 
-def test_what_is_good() -> None:
+def test_verdicts_on_good_results() -> None:
     assert judged(summary()) == {
         "equilibrium": ("exact to rounding", "good"),
         "contact": ("exact to rounding at points, within 4.1 um between them", "good"),
@@ -39,7 +39,7 @@ def test_what_is_good() -> None:
     }
 
 
-def test_largest_pressure_that_facets_decide() -> None:
+def test_verdicts_on_pressure_by_facets() -> None:
     found = summary()
     found["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
     words, tone = judged(found)["pressure"]
@@ -47,7 +47,7 @@ def test_largest_pressure_that_facets_decide() -> None:
     assert "makes up to 4.00 MPa" in words and tone == "warning"
 
 
-def test_largest_pressure_far_above_the_means_of_points() -> None:
+def test_verdicts_on_singular_pressure() -> None:
     found = summary()
     found["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
     words, tone = judged(found)["pressure"]
@@ -60,7 +60,7 @@ def test_largest_pressure_far_above_the_means_of_points() -> None:
     assert "pressure" not in judged(found)
 
 
-def test_what_is_bad_stands_out() -> None:
+def test_verdicts_on_bad_results() -> None:
     found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
     found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}
     lines = judged(found)
@@ -71,7 +71,7 @@ def test_what_is_bad_stands_out() -> None:
     assert lines["slip"][0].endswith("`sliding: finite` follows it") and lines["slip"][1] == "error"
 
 
-def test_what_is_reported_apart() -> None:
+def test_verdicts_on_rim_and_tip() -> None:
     """The rim's gap is told; bodies that slip too far there are not to be used."""
     found = summary()
     found["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
@@ -81,7 +81,7 @@ def test_what_is_reported_apart() -> None:
     assert lines["slip"][0].startswith("on stem_cement exceeds")
 
 
-def test_the_error_is_told_without_peaks() -> None:
+def test_verdicts_on_errors_exclude_maxima() -> None:
     unsettled = {"stem_cement.pressure_max": [[4.0, 9.0], [8.0, 6.1], [12.0, 4.25]]}
     error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}
     lines = judged(summary(error=error))
@@ -95,7 +95,7 @@ def test_the_error_is_told_without_peaks() -> None:
     assert lines[verdicts.PEAKS] == (peaks, "warning")
 
 
-def test_of_many_peaks_the_three_worst_are_judged() -> None:
+def test_verdicts_name_the_three_worst_maxima() -> None:
     keys = ("gap_max", "pressure_max", "slip_max", "motion_max", "shear_max")
     unsettled = {f"stem_cement.{k}": [[2.5, 0.0742], [5.0, 0.06]] for k in keys}
     words, _ = judged(summary(error={"companions": ["mesh 5 mm"], "unsettled": unsettled}))[
@@ -107,7 +107,7 @@ def test_of_many_peaks_the_three_worst_are_judged() -> None:
     assert rest == "2 more in error.unsettled of summary.json"
 
 
-def test_where_only_steps_were_compared_the_error_is_theirs() -> None:
+def test_verdicts_on_errors_of_steps_alone() -> None:
     """The mesh of a file has no coarser one."""
     error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
     lines = judged(summary(error=error))
@@ -115,7 +115,7 @@ def test_where_only_steps_were_compared_the_error_is_theirs() -> None:
     assert lines["load step"][0].endswith("within ± 5 %; error of the mesh not estimated")
 
 
-def test_heat_is_judged_without_forces() -> None:
+def test_verdicts_on_heat_alone() -> None:
     """A balance of 2e-6 is above its limit."""
     found = summary(interfaces={}, balance={"heat": 3e-12, "heat_quadrature": 1e-3})
     assert judged(found)["heat"] == ("none is lost", "good")
@@ -124,7 +124,7 @@ def test_heat_is_judged_without_forces() -> None:
     assert judged(found)["heat"][1] == "error"
 
 
-def test_verdicts_are_read_as_they_were_recorded() -> None:
+def test_verdicts_are_read_as_recorded() -> None:
     found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0})
     remark = note("is it in per cent?", "interfaces.a", "expected 0 to 1.5")
     verdicts.record(found, [remark])
@@ -135,13 +135,13 @@ def test_verdicts_are_read_as_they_were_recorded() -> None:
     ]
 
 
-def test_companions_that_failed_are_named() -> None:
+def test_verdicts_name_failed_companions() -> None:
     found = summary(error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "within": 0.9})
     words = "estimated without companions that failed: mesh 12 mm"
     assert Verdict(words, "error", severity=Severity.WARNING) in verdicts.of_numbers(found)
 
 
-def test_a_femur_that_is_not_a_living_one_is_judged() -> None:
+def test_verdicts_on_physiology() -> None:
     femur = {"head_displacement": [3.0, 0.0, -3.9], "strain_lateral_10": 1.2e-3}
     loads = [{"force": (0.0, 0.0, -500.0)}]
     good = femur | {"strain_lateral_10_error": 0.1}

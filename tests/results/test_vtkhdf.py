@@ -137,7 +137,7 @@ def strips_are_whole(root, steps):
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_all_steps_read_back(tmp_path, ranks, order):
+def test_vtkhdf_steps_are_read_back(tmp_path, ranks, order):
     path = tmp_path / "fields.vtkhdf"
     support.on_ranks(ranks, __file__, "write_cube", path, str(order))
     with h5py.File(path) as file:
@@ -173,7 +173,7 @@ def test_all_steps_read_back(tmp_path, ranks, order):
             assert (found["region"] == (middle[:, 2] > 0.5)).all()
 
 
-def test_surface_of_arrays(tmp_path, ranks):
+def test_vtkhdf_surface_of_arrays(tmp_path, ranks):
     """Points and cells stand in the order of their keys, on any number of ranks."""
     path = tmp_path / "surface.vtkhdf"
     support.on_ranks(ranks, __file__, "write_strip", path)
@@ -186,7 +186,7 @@ def test_surface_of_arrays(tmp_path, ranks):
         strips_are_whole(root, STEPS)
 
 
-def test_killed_run_leaves_the_finished_steps(tmp_path, ranks):
+def test_vtkhdf_of_a_killed_run_has_finished_steps(tmp_path, ranks):
     path = tmp_path / "killed.vtkhdf"
     command = support.mpirun(ranks, __file__, "die_in_the_third_step", path)
     done = subprocess.run(command, env=support.environment(), capture_output=True, timeout=120)
@@ -198,7 +198,7 @@ def test_killed_run_leaves_the_finished_steps(tmp_path, ranks):
 
 
 @pytest.mark.parametrize("reserve", ["yes", "no"])
-def test_full_disk_is_an_error_on_every_rank_and_can_be_mended(tmp_path, ranks, reserve):
+def test_vtkhdf_full_disk_is_an_error_on_every_rank(tmp_path, ranks, reserve):
     path = tmp_path / "full.vtkhdf"
     support.on_ranks(ranks, __file__, "fill_the_disk", path, reserve)
     with h5py.File(path) as file:
@@ -208,7 +208,7 @@ def test_full_disk_is_an_error_on_every_rank_and_can_be_mended(tmp_path, ranks, 
             assert (rows(root, "PointData", "values", step) == x + step).all()
 
 
-def test_wrong_fields_are_refused(tmp_path):
+def test_vtkhdf_refuses_wrong_fields(tmp_path):
     file, points = strip(tmp_path / "fields.vtkhdf")
     x = points[:, 0]
     file.write(0.0, {"u": x}, {})

@@ -34,7 +34,7 @@ def chosen(*constants: float, walltime: float | None = None) -> tuple[Case, str,
     return *accuracy.choose(support.case(ASKED), solve, walltime), solved
 
 
-def test_the_cheapest_mesh_within_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     for constants, order in (((0.4, 0.1), 2), ((0.05, 0.2), 1)):
         best, told, solved = chosen(*constants)
         size = (0.05 / constants[order - 1]) ** (1 / MOTION[order - 1])
@@ -51,7 +51,7 @@ def test_the_cheapest_mesh_within_limits(monkeypatch: pytest.MonkeyPatch) -> Non
     assert all(1.5 * memory.needed(c) <= 5e8 for c in (best, *solved))
 
 
-def test_an_accuracy_that_is_refused(tmp_path: Path) -> None:
+def test_accuracy_is_refused(tmp_path: Path) -> None:
     contact = "kind: contact, friction_coefficient: 0.3"
     for change in (
         ("5 %", "5 mm"),
@@ -64,7 +64,7 @@ def test_an_accuracy_that_is_refused(tmp_path: Path) -> None:
             load(tmp_path / "case.yaml")
 
 
-def test_a_run_tells_what_was_reached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "case.yaml", tmp_path / "out"
     path.write_text(
         STACK.replace("size: 1 mm", "size: 2 mm").replace("coefficient: 0.3", "coefficient: 0.01")

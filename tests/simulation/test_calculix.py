@@ -70,7 +70,7 @@ def blocks(text: str, key: str) -> list[np.ndarray]:
     ]
 
 
-def test_forces_have_the_resultant_and_the_moment_of_the_loads(tmp_path: Path) -> None:
+def test_calculix_forces_have_resultant_and_moment(tmp_path: Path) -> None:
     """F and r x F of the force at its point; of the pressure on a half cylinder 2 R L p."""
     text, data = deck(tmp_path, CASE.replace("FIBRE", "[0, 0, 1]"))
     x = blocks(text, "NODE, ")[0][:, 1:]
@@ -97,7 +97,7 @@ def test_forces_have_the_resultant_and_the_moment_of_the_loads(tmp_path: Path) -
     assert len(back.points) == doubled < len(x)
 
 
-def test_supports_by_stage(tmp_path: Path) -> None:
+def test_calculix_supports_by_stage(tmp_path: Path) -> None:
     """The floor is let go in the second stage, in which the foot moves: of the same nodes."""
     text, _ = deck(tmp_path, CASE.replace("FIBRE", "[0, 0, 1]"))
     x, (first, second) = blocks(text, "NODE, ")[0][:, 1:], blocks(text, "BOUNDARY")
@@ -126,7 +126,9 @@ def test_supports_by_stage(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_materials(fibre: str, constants: list[float], orientation: str, tmp_path: Path) -> None:
+def test_calculix_materials(
+    fibre: str, constants: list[float], orientation: str, tmp_path: Path
+) -> None:
     """E1 E2 E3 nu12 nu13 nu23 G12 G13 G23, by nu12 / E1 = nu21 / E2; axis 2 is the hoop's."""
     text, _ = deck(tmp_path, CASE.replace("FIBRE", fibre))
     lines = text.partition("*ELASTIC, TYPE=ENGINEERING CONSTANTS\n")[2].splitlines()
@@ -136,7 +138,7 @@ def test_materials(fibre: str, constants: list[float], orientation: str, tmp_pat
     assert "*ELASTIC\n1.1" in text and "*FRICTION\n4.000000000000e-01, 1.0" in text
 
 
-def test_a_modulus_that_varies(tmp_path: Path) -> None:
+def test_calculix_varying_modulus(tmp_path: Path) -> None:
     """Each cell has, to 1 %, the modulus at its middle: it is linear in z."""
     text = CASE.replace("FIBRE", "[0, 0, 1]").replace("order: 2", "order: 2, curved: false")
     text = text.replace("youngs_modulus: 2 GPa", "youngs_modulus: [[0 mm, 1 GPa], [12 mm, 10 GPa]]")
@@ -150,7 +152,7 @@ def test_a_modulus_that_varies(tmp_path: Path) -> None:
     assert E[E > 0] == pytest.approx(1000 + 750 * z, rel=math.exp(0.01) - 1)
 
 
-def test_what_a_deck_does_not_hold_is_refused_at_its_place(tmp_path: Path) -> None:
+def test_calculix_refuses_unsupported_parts(tmp_path: Path) -> None:
     text = CASE.replace("FIBRE", "[0, 0, 1]").replace("increments: 4", "cycles: 3")
     text = text.replace("friction_coefficient: 0.4", "friction_coefficient: 0.4, gap: 0.1 mm")
     text = text.replace("axis: y,", "normal: face,").replace(
@@ -214,7 +216,7 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
         ("kind: penalty, penalty: 1e4 MPa/mm, friction_coefficient: μ", [0.02, 0.05, 0.05]),
     ],
 )
-def test_a_hip_in_calculix(
+def test_calculix_hip_has_equal_displacements(
     law: str, same: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bonded displacements agree to the digits that it prints, contact as far as its facets do."""

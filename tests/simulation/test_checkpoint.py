@@ -40,7 +40,7 @@ def written(path: Path) -> Path:
     return path
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_checkpoint_is_read_as_written(tmp_path: Path) -> None:
     found = checkpoint.read(written(tmp_path / "checkpoint-1.state"))
     assert found.header["step"] == 3
     assert found.state["a"] == 1.5 and found.state["c"] is None
@@ -53,7 +53,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", [b"PK", b'"step"', np.float64(5).tobytes(), b"keys "])
-def test_a_changed_byte_is_found(tmp_path: Path, where: bytes) -> None:
+def test_checkpoint_with_a_changed_byte_is_damaged(tmp_path: Path, where: bytes) -> None:
     path = written(tmp_path / "checkpoint-1.state")
     content = bytearray(path.read_bytes())
     content[content.index(where)] ^= 1
@@ -62,7 +62,7 @@ def test_a_changed_byte_is_found(tmp_path: Path, where: bytes) -> None:
         checkpoint.read(path)
 
 
-def test_a_failed_write_leaves_what_was_there(
+def test_checkpoint_failed_write_keeps_the_previous(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path / "checkpoint-1.state")
@@ -100,13 +100,13 @@ def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -
     return found and found.path
 
 
-def test_two_are_kept(run_of_blocks: Path) -> None:
+def test_checkpoint_keeps_two_files(run_of_blocks: Path) -> None:
     names = [p.name for p in saved(run_of_blocks / "out")]
     assert names == ["checkpoint-6.state", "checkpoint-5.state"]
 
 
 @pytest.mark.parametrize("damage", ["cut", "garbage", "empty"])
-def test_a_damaged_one_is_passed_over(
+def test_checkpoint_damaged_file_is_skipped(
     run_of_blocks: Path, tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     out = copied(run_of_blocks, tmp_path / "out")
@@ -124,7 +124,7 @@ def test_a_damaged_one_is_passed_over(
     assert "from the beginning" in caplog.text
 
 
-def test_another_configuration_is_refused(
+def test_checkpoint_of_another_case_is_refused(
     run_of_blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = copied(run_of_blocks, tmp_path / "out")
@@ -140,7 +140,7 @@ def test_another_configuration_is_refused(
     assert main([*command, "--set", other, "--force"]) == 0
 
 
-def test_another_version_is_refused(
+def test_checkpoint_of_another_version_is_refused(
     run_of_blocks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = copied(run_of_blocks, tmp_path / "out")
@@ -160,7 +160,7 @@ def test_another_version_is_refused(
 
 
 @pytest.mark.parametrize(("minutes", "kept"), [(1e-9, 2), (60, 0)])
-def test_minutes_between_checkpoints(
+def test_checkpoint_minutes_do_not_change_steps(
     run_of_blocks: Path, tmp_path: Path, minutes: float, kept: int
 ) -> None:
     """However many there are, the steps are the same."""
@@ -171,7 +171,7 @@ def test_minutes_between_checkpoints(
     assert restarted.rows(out) == restarted.rows(run_of_blocks / "out")
 
 
-def test_a_finished_run_stays_and_what_was_restored_is_told(
+def test_checkpoint_restart_is_reported(
     run_of_blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = copied(run_of_blocks, tmp_path / "out")
@@ -184,7 +184,7 @@ def test_a_finished_run_stays_and_what_was_restored_is_told(
     assert capsys.readouterr().out.startswith(f"{out} is finished already")
 
 
-def test_spans_of_time() -> None:
+def test_checkpoint_time_spans() -> None:
     assert stopping.seconds("2:00:00") == 7200
     assert stopping.seconds("30:05") == 1805
     assert stopping.seconds("1-1:00:00") == 90000
@@ -205,7 +205,7 @@ LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]
         *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGTERM, signal.SIGINT)),
     ],
 )
-def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> None:
+def test_checkpoint_is_saved_on_a_signal(tmp_path: Path, number: signal.Signals) -> None:
     out = tmp_path / "out"
     process = begun(tmp_path, out, signal.SIG_DFL)
     process.send_signal(number)
@@ -216,7 +216,7 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> Non
     assert len(restarted.rows(out)) == 1 + int(path.stem.split("-")[1])
 
 
-def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
+def test_checkpoint_run_under_nohup_continues(tmp_path: Path) -> None:
     process = begun(tmp_path, tmp_path / "out", signal.SIG_IGN)
     process.send_signal(signal.SIGHUP)
     wait_for(process, 3)
@@ -249,7 +249,7 @@ def wait_for(process: subprocess.Popen[str], step: int) -> None:
 
 
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_interruption_stops_a_single_rank_at_once(
+def test_checkpoint_second_interrupt_stops_at_once(
     first: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """But not the same one, which may arrive twice, nor a scheduler's, which come in turn."""
@@ -277,7 +277,7 @@ def test_a_second_interruption_stops_a_single_rank_at_once(
 
 
 @pytest.mark.parametrize("tick", [0.02, 0.05])
-def test_the_wall_time_is_kept(
+def test_checkpoint_is_saved_at_the_wall_time(
     tmp_path: Path, tick: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By a clock that goes on by a tick whenever it is looked at."""
@@ -303,7 +303,7 @@ def test_the_wall_time_is_kept(
 
 
 @pytest.mark.slow
-def test_twenty_kills(tmp_path: Path) -> None:
+def test_checkpoint_restarts_after_twenty_kills(tmp_path: Path) -> None:
     """Whenever a run is killed, what it left goes on to the same numbers."""
     case, _ = restarted.whole(restarted.RUBBING, tmp_path, FIELDS)
     command = ["run", str(case), "--set", FIELDS, "--set", "output.checkpoint.steps=1"]

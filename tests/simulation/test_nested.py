@@ -60,14 +60,14 @@ def states(model: Model) -> Any:
         ("loads.push.history=[1, 1.5]", "stages=[{name: one}, {name: two}]"),
     ],
 )
-def test_proportional_loads_are_solved_once(overrides: tuple[str, ...]) -> None:
+def test_predictors_proportional_loads_are_solved_once(overrides: tuple[str, ...]) -> None:
     """Contact with friction is homogeneous: later steps need a correction of rounding at most."""
     first, *later = (s.outcome.iterations for s in go(*overrides)[1])
     assert first > 3
     assert later and max(later) <= 1
 
 
-def test_a_line_that_leads_away_is_not_followed() -> None:
+def test_predictors_reject_a_wrong_extrapolation() -> None:
     """Where the load turns back, the step starts from the state before it, not from the line."""
     turn = ("loads.push.history=[1, 0.9]", "stages=[{name: up}, {name: back}]")
     straight, _ = go("stages.0.increments=1")
@@ -81,7 +81,7 @@ def test_a_line_that_leads_away_is_not_followed() -> None:
 
 
 @pytest.mark.parametrize("overrides", [(), TURNS, (*TURNS, SIDES), (*AT_FIRST, *TURNS)])
-def test_a_nested_start_changes_the_way_and_not_the_answer(
+def test_coarse_start_changes_iterations_but_not_results(
     overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same jumps and forces, and the first of them from a start that is much nearer.
@@ -99,7 +99,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
     assert then[0].outcome.residuals[0] < 0.3 * first[0].outcome.residuals[0]
 
 
-def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch) -> None:
     """A companion of the cheaper model's mesh goes on from its states, to its own tolerance."""
     always(monkeypatch)
     monkeypatch.setattr(models, "TOLERANCE", 1e-2)
@@ -127,7 +127,7 @@ def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.Mo
             assert number == pytest.approx(expected[name], rel=1e-6, abs=1e-9), name
 
 
-def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coarse_start_only_for_large_models_with_contact(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither small nor bonded ones."""
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
     tied, small = (
@@ -149,7 +149,7 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
         (11.0, 1, 100_000, None),
     ],
 )
-def test_what_is_cheaper(
+def test_coarse_start_cheaper_models(
     size: float, order: int, unknowns: int, found: tuple[float, int] | None
 ) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
@@ -162,7 +162,7 @@ def test_what_is_cheaper(
 
 
 @pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])
-def test_a_coarse_model_that_fails_is_done_without(
+def test_coarse_start_failure_is_ignored(
     error: MantleError, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A run that is to stop stops; nothing else that happens to the coarse one matters."""
@@ -182,7 +182,7 @@ def test_a_coarse_model_that_fails_is_done_without(
     assert caplog.text.count("no such mesh") == 1
 
 
-def test_interpolation_is_exact_for_linear_jumps() -> None:
+def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
     """On a plane interface, between meshes of which neither contains the other."""
     coarse, fine = (
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
@@ -195,14 +195,14 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
     assert support.difference(found, fine.own.x @ slope + 1.0) < 1e-12
 
 
-def test_between_the_last_two() -> None:
+def test_coarse_start_between_two_states() -> None:
     """A fine step that was cut asks for a time that the coarse model has passed."""
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
     assert coarse_start.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
     assert coarse_start.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
 
 
-def test_the_nearest_point_of_a_triangle() -> None:
+def test_coarse_start_nearest_point_of_a_triangle() -> None:
     """No point of a fine grid on any of the triangles is nearer, beside a corner or an edge too."""
     random = np.random.default_rng(1)
     corners, x = random.normal(size=(5, 3, 3)), 2 * random.normal(size=(200, 3))

@@ -17,7 +17,7 @@ loads: {press: {kind: pressure, boundary: top, pressure: 2 MPa}}
 """
 
 
-def test_a_case_that_goes_while_it_runs_is_known_as_it_was_read(tmp_path: Path) -> None:
+def test_provenance_has_the_case_as_it_was_read(tmp_path: Path) -> None:
     """The run ends as any other; digests are those of the bytes that were parsed."""
     base, case = tmp_path / "base.yaml", tmp_path / "case.yaml"
     base.write_text(BASE, encoding="utf-8")

@@ -106,7 +106,7 @@ SLOW = {"life"}
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in RESTARTS]
 )
-def test_a_run_goes_on_from_a_checkpoint(tmp_path: Path, name: str) -> None:
+def test_restart_from_a_checkpoint(tmp_path: Path, name: str) -> None:
     this = RESTARTS[name]
     case, files = restarted.whole(this.text, tmp_path, *this.overrides)
     balance = support.summary(tmp_path / "whole")["balance"]
@@ -130,7 +130,7 @@ EVERY = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
-def test_a_run_goes_on_from_every_checkpoint(tmp_path: Path, name: str) -> None:
+def test_restart_from_every_checkpoint(tmp_path: Path, name: str) -> None:
     text, changes = EVERY[name]
     case, files = restarted.whole(text, tmp_path, FIELDS, *changes)
     for file in files:
@@ -138,7 +138,7 @@ def test_a_run_goes_on_from_every_checkpoint(tmp_path: Path, name: str) -> None:
         restarted.assert_same(tmp_path / "whole", part)
 
 
-def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_restart_with_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in nested_stem.ALWAYS.items():
         monkeypatch.setattr(models, name, value)
     options = (FIELDS, *nested_stem.TURNS)
@@ -167,7 +167,7 @@ SHIPPED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_cases(tmp_path: Path, name: str) -> None:
+def test_restart_of_shipped_cases(tmp_path: Path, name: str) -> None:
     text = (support.CONFIGS / f"{name}.yaml").read_text()
     case, files = restarted.whole(text, tmp_path, *SHIPPED[name])
     n = len(files)
@@ -177,7 +177,7 @@ def test_shipped_cases(tmp_path: Path, name: str) -> None:
         restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)
 
 
-def test_an_interruption_while_companions_are_solved(
+def test_restart_after_interrupted_companions(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = (FIELDS, "output.error=true", "mesh.size=1.5 mm", "mesh.far_size=1.5 mm")
@@ -204,7 +204,7 @@ def test_an_interruption_while_companions_are_solved(
 
 
 @pytest.mark.parametrize("linear", ["auto", "condensed"])
-def test_mechanics_that_have_not_been_solved_yet(linear: str, tmp_path: Path) -> None:
+def test_restart_before_mechanics_were_solved(linear: str, tmp_path: Path) -> None:
     """The balance of energy begins at rest, not at the temperatures of the first checkpoint.
 
     The pattern of the stiffness changes between the stages.
@@ -215,7 +215,7 @@ def test_mechanics_that_have_not_been_solved_yet(linear: str, tmp_path: Path) ->
     restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, files[0], *options))
 
 
-def test_fields_go_on_in_their_file(tmp_path: Path) -> None:
+def test_restart_appends_fields_to_their_file(tmp_path: Path) -> None:
     case, files = restarted.whole(restarted.RUBBING, tmp_path)
     whole = Run(tmp_path / "whole")
     before = [whole.displacement(k) for k in range(len(whole.times))]

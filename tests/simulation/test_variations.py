@@ -36,7 +36,7 @@ def written(tmp_path: Path, text: str) -> Path:
 # What may vary
 
 
-def test_a_star_is_every_name(tmp_path: Path) -> None:
+def test_variations_star_is_every_name(tmp_path: Path) -> None:
     """Of what the file lists: all loads grow together."""
     section = "variations: {twice: {'loads.*.history': [2, 2]}}\n"
     (twice,) = load(written(tmp_path, STEM + section)).variations
@@ -50,7 +50,7 @@ def test_a_star_is_every_name(tmp_path: Path) -> None:
     assert [m.startswith(start) for m in caught.value.messages] == [True]
 
 
-def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
+def test_variations_equal_cases_with_set(tmp_path: Path) -> None:
     """Its overrides, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
     found = load(path, ["title=mine"]).variations
@@ -63,7 +63,7 @@ def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
     assert found[-1].case.loads["down"].force == (0, 0, -600)  # type: ignore[union-attr]
 
 
-def test_what_varies_is_not_set(tmp_path: Path) -> None:
+def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
     """For every variation: as in sweeps and studies."""
     path = written(tmp_path, STEM + SECTION)
     option = "interfaces.stem_cement={kind: contact, friction_coefficient: 0.5}"
@@ -97,7 +97,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_what_may_not_vary_is_refused(what: str, tmp_path: Path) -> None:
+def test_variations_refuse_keys_of_mesh_and_stiffness(what: str, tmp_path: Path) -> None:
     section, expected = WRONG[what]
     start = STEM.count("\n")
     path = written(tmp_path, STEM + "variations:\n" + section + "\n")
@@ -135,7 +135,7 @@ CASES = {
 }
 
 
-def test_neither_order_nor_company_changes_anything() -> None:
+def test_variations_are_independent_of_order_and_company() -> None:
     """Forward, backward and each alone."""
     alone = {name: Runs().run(case) for name, case in CASES.items()}
     for names in (list(CASES), list(CASES)[::-1]):
@@ -149,7 +149,7 @@ def test_neither_order_nor_company_changes_anything() -> None:
         assert one.tagged is other.tagged
 
 
-def test_scaled_loads_and_other_steps_take_no_iterations() -> None:
+def test_variations_with_scaled_loads_take_no_iterations() -> None:
     """Contact with friction is homogeneous: from one load follow all, whatever the path."""
     runs = Runs()
     u, iterations, numbers = runs.run(CASES["as_is"])
@@ -168,7 +168,7 @@ def test_scaled_loads_and_other_steps_take_no_iterations() -> None:
     assert q["slip_path_max"] == pytest.approx(2 * p["slip_path_max"], rel=1e-10)
 
 
-def test_neighbours_save_iterations() -> None:
+def test_variations_warm_start_saves_iterations() -> None:
     """From its neighbours a friction coefficient takes far less than from rest."""
     runs = Runs()
     taken = [sum(runs.run(changed(f"{MU}={μ}"))[1]) for μ in (0.3, 0.35, 0.4, 0.45)]
@@ -176,7 +176,7 @@ def test_neighbours_save_iterations() -> None:
     assert taken[0] > 0.8 * alone and 0 < taken[-1] < 0.8 * alone
 
 
-def test_companions_share_their_mesh_too() -> None:
+def test_variations_companions_share_their_mesh() -> None:
     """The error companion of a second variation is on the mesh and the matrices of the first's."""
     runs = Runs()
     for override in (f"{MU}=0.4", f"{MU}=0.3"):
@@ -190,7 +190,7 @@ def test_companions_share_their_mesh_too() -> None:
         assert slip == pytest.approx(expected, rel=1e-8)
 
 
-def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> None:
+def test_variations_of_conductance_in_coupled_cases() -> None:
     """Mechanics are taken over, at rest and as cold as before the run."""
     key = "interfaces.lower_upper.conductance.per_pressure"
     cases = [
