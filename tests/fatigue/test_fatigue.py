@@ -41,11 +41,13 @@ def turned(*principal: float, angle: float = 0.3) -> Floats:
         (turned(10, 0, 0), turned(6, 0, 0, angle=0.3 + math.pi / 4), (10, 3)),
     ],
 )
-def test_tensions_of_a_cycle(peak: Floats, valley: Floats, expected: tuple[float, float]) -> None:
+def test_fatigue_tensions_of_a_cycle(
+    peak: Floats, valley: Floats, expected: tuple[float, float]
+) -> None:
     np.testing.assert_allclose(np.ravel(tensions(peak, valley)), expected, atol=1e-12)
 
 
-def test_lives_under_the_laws_side_by_side() -> None:
+def test_fatigue_lives_by_two_laws() -> None:
     """Years of walking, stairs and stumbling by two laws: `laws.md` gives them with two digits."""
     years = {1.5: (82, 44), 3.0: (3.2, 21), 5.0: (0.29, 7.9), 7.0: (0.06, 3.0)}
     laws: list[Power | Murphy] = [Verdonschot(), Murphy(ratio=0.0)]
@@ -58,7 +60,7 @@ def test_lives_under_the_laws_side_by_side() -> None:
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
-def test_mean_stress(ratio: float) -> None:
+def test_fatigue_mean_stress(ratio: float) -> None:
     """A cycle of the law's own ratio is itself; another one lies on the same line of Goodman."""
     f = {"spectrum": {"a": 1}, "laws": {"x": {"intercept": 8.77, "slope": 4.68}}}
     plain = Fatigue.model_validate(f)
@@ -74,14 +76,14 @@ def test_mean_stress(ratio: float) -> None:
     assert line.equivalent(law, 0.0, 0.0) == 0
 
 
-def test_risk_of_a_volume() -> None:
+def test_fatigue_weibull_risk_of_a_volume() -> None:
     law = Weibull.model_validate(
         {"shape": 2, "scale": "2 MPa", "threshold": "3 MPa", "reference_volume": "4 mm^3"}
     )
     np.testing.assert_allclose(law.risk(np.array([-9.0, 3.0, 5.0, 7.0])), [0, 0, 0.25, 1.0])
 
 
-def test_edges_that_turn_in() -> None:
+def test_fatigue_reentrant_edges() -> None:
     """That of an L, in pieces; none of a bar, and none on the facets around a stem."""
     edges = turning_in(
         support.mesh(load(support.CONFIGS / "verification/corner.yaml").config), "corner"
@@ -95,7 +97,7 @@ def test_edges_that_turn_in() -> None:
     assert not len(turning_in(around, "cement")) and NEAR > 0
 
 
-def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
+def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     """Damage in numbers, fields and the closing lines; notes on laws and on what they are used at.
 
     Without a band, of one law on one mesh, there is no year.
@@ -129,7 +131,7 @@ def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
     assert panel.lines[0].y == pytest.approx(volumes)
 
 
-def test_growing_risk_is_told() -> None:
+def test_fatigue_risk_that_grows_with_refinement_is_reported() -> None:
     told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
     q = {"failure_probability": 2e-3, "edge": {"failure_risk": 0.03, "failure_probability": 0.031}}
     q["neck"] = {"von_mises_max": 1.0}  # of a stem

@@ -36,7 +36,7 @@ def end(folder: Path, *overrides: str) -> float:
     return float(rho[0])
 
 
-def test_what_is_above_the_largest_density_is_set_to_it(tmp_path: Path) -> None:
+def test_remodelling_density_is_limited_to_the_largest(tmp_path: Path) -> None:
     """Copies of the law in circulation set it to the least one."""
     found = solved(tmp_path / "a", "loads.press.pressure=40 MPa")
     assert np.all(found.on_cells("density") == 1.74)
@@ -46,7 +46,7 @@ def test_what_is_above_the_largest_density_is_set_to_it(tmp_path: Path) -> None:
     assert found.history["remodelled [s]"][-1] == pytest.approx(30.0)
 
 
-def test_the_mean_of_energies_is_not_the_energy_of_the_mean(tmp_path: Path) -> None:
+def test_remodelling_stimulus_is_the_mean_of_energies(tmp_path: Path) -> None:
     """A load and its opposite: as each alone. With half of it, the mean of 1 and 1/4 of it."""
     reverse = "stages=[{name: press}, {name: pull}, {name: time, remodels: 2 s}]"
     both = "remodelling.load_cases=[press, pull]"
@@ -62,7 +62,7 @@ def test_the_mean_of_energies_is_not_the_energy_of_the_mean(tmp_path: Path) -> N
         assert found == pytest.approx(same, abs=1e-9)
 
 
-def test_other_units(tmp_path: Path) -> None:
+def test_remodelling_in_other_units(tmp_path: Path) -> None:
     other = {
         "stimulus": "250 J/kg",
         "rate": "60 kg^2/(m^6 Pa min)",
@@ -75,7 +75,7 @@ def test_other_units(tmp_path: Path) -> None:
     assert a == b and a is not None
 
 
-def test_bone_as_it_was_stays(tmp_path: Path) -> None:
+def test_remodelling_unchanged_load_changes_nothing(tmp_path: Path) -> None:
     """The intact case is the same: nothing changes; under a tenth of its load bone goes."""
     text = CASE.read_text()
     intact = tmp_path / "intact.yaml"
@@ -104,7 +104,7 @@ def test_bone_as_it_was_stays(tmp_path: Path) -> None:
         solved(tmp_path / "x", *reference, stages, "remodelling.load_cases=[stroll]")
 
 
-def test_bone_at_loads_and_clamps_is_frozen(tmp_path: Path) -> None:
+def test_remodelling_bone_at_loads_and_supports_is_frozen(tmp_path: Path) -> None:
     found = solved(
         tmp_path / "a",
         SHORT,
@@ -118,7 +118,7 @@ def test_bone_at_loads_and_clamps_is_frozen(tmp_path: Path) -> None:
     assert np.all(rho[~at_ends.any(axis=1)] < 0.75)
 
 
-def test_a_long_filter_makes_one_stimulus(tmp_path: Path) -> None:
+def test_remodelling_long_filter_gives_uniform_stimulus(tmp_path: Path) -> None:
     """That of the mean energy per mass: the density stays even where the load is not."""
     plate = CASE.with_name("plate.yaml")
     shares = []
@@ -128,7 +128,7 @@ def test_a_long_filter_makes_one_stimulus(tmp_path: Path) -> None:
     assert shares[1] < 1e-3 * shares[0]
 
 
-def test_density_is_the_field_of_the_modulus() -> None:
+def test_remodelling_density_follows_the_modulus() -> None:
     """A modulus that varies in the case is that of its density, linear between vertices."""
     text = (
         PULLED
@@ -147,7 +147,7 @@ remodelling: {load_cases: [pull], stimulus: 1 J/g, rate: 1 g^2/(cm^6 MPa s), laz
         assert (K[0] - K[1]).norm() < 1e-12 * K[0].norm()
 
 
-def test_values_of_another_mesh() -> None:
+def test_remodelling_interpolates_from_another_mesh() -> None:
     """Linear within its cells, and those of its border beyond."""
     rng = np.random.default_rng(0)
     corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
@@ -157,13 +157,13 @@ def test_values_of_another_mesh() -> None:
     assert interpolated(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
 
 
-def test_no_lazy_zone_is_told() -> None:
+def test_remodelling_notes_a_missing_lazy_zone() -> None:
     assert not warnings(load(CASE).config)
     (note,) = warnings(load(CASE, ["remodelling.lazy_zone=0"]).config)
     assert "remodelling.lazy_zone is 0: of parallel columns all but one vanish" in note.text
 
 
-def test_scenes_without_it_have_none_of_it() -> None:
+def test_remodelling_costs_nothing_if_absent() -> None:
     scene = build_scene(load(support.CONFIGS / "blocks.yaml").config)
     assert not scene.stiffens and not scene.loads_of
     assert not any(e.varies for e in scene.elastic)
@@ -195,11 +195,11 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
         ("stages.1.cycles=2", r"cycles: a stage that takes time has no cycles"),
     ],
 )
-def test_bad_input(overrides: str, message: str) -> None:
+def test_remodelling_refuses_bad_input(overrides: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         load(CASE, [overrides])
 
 
-def test_a_stimulus_that_vanishes_somewhere(tmp_path: Path) -> None:
+def test_remodelling_with_zero_stimulus(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"remodelling.stimulus: -0.5 J/g somewhere"):
         solved(tmp_path / "x", "remodelling.stimulus=x - 0.5")

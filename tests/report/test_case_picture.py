@@ -27,7 +27,9 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_labels_do_not_collide(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_case_picture_labels_do_not_overlap(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made: list[Any] = []
     new = figures.new
     monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
@@ -54,7 +56,9 @@ def test_labels_do_not_collide(name: str, tmp_path: Path, monkeypatch: pytest.Mo
         )
 
 
-def test_a_long_title_and_legend_have_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_case_picture_long_title_and_legend_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A title of three lines is inside the picture; a legend of four lines covers no axis."""
     made: list[Any] = []
     new = figures.new

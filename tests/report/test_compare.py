@@ -24,7 +24,7 @@ def cells(html: str, anchor: str) -> list[list[str]]:
     return [re.findall(r"<td[^>]*>(.*?)</td>", row, re.S) for row in rows]
 
 
-def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> None:
+def test_compare_page_lists_differences(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """The changed key alone, and numbers of both with what the second has more."""
     folders = [run.folder for run in stems]
     html = compare.write(folders, tmp_path / "new" / "page.html").read_text(encoding="utf-8")
@@ -52,7 +52,7 @@ def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> N
     assert not re.search(r"(src|href)=\"(?!#|data:)", scripts)
 
 
-def test_the_same_run_twice_does_not_differ(stems: tuple[Run, Run], tmp_path: Path) -> None:
+def test_compare_equal_runs_have_no_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """Neither in input nor in numbers."""
     html = compare.write([stems[0].folder] * 2, tmp_path / "same.html").read_text("utf-8")
     assert "none differ from those of" in html
@@ -69,12 +69,14 @@ def test_the_same_run_twice_does_not_differ(stems: tuple[Run, Run], tmp_path: Pa
         (Number(10.0), Number(10.0), False),
     ],
 )
-def test_numbers_differ_beyond_both_errors(first: Number, second: Number, expected: bool) -> None:
+def test_compare_numbers_differ_beyond_both_errors(
+    first: Number, second: Number, expected: bool
+) -> None:
     """The sum of both errors decides; without errors any difference that is shown."""
     assert compare.differs(first, second, "stem_cement.slip_p99") == expected
 
 
-def test_folders_without_results_are_told_at_once(tmp_path: Path) -> None:
+def test_compare_refuses_folders_without_results(tmp_path: Path) -> None:
     """Each of them; one run alone cannot be compared."""
     with pytest.raises(InputError) as told:
         compare.write([tmp_path / "a", tmp_path / "b"], tmp_path / "page.html")

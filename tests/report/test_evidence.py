@@ -22,9 +22,7 @@ CHECKS = [
 ]
 
 
-def test_every_factor_has_evidence_or_is_left_to_the_applicant(
-    stems: tuple[Run, Run], tmp_path: Path
-) -> None:
+def test_evidence_of_every_factor(stems: tuple[Run, Run], tmp_path: Path) -> None:
     run, checks = tmp_path / "run", tmp_path / "verify"
     shutil.copytree(stems[0].folder, run)
     checks.mkdir()
@@ -45,7 +43,9 @@ def test_every_factor_has_evidence_or_is_left_to_the_applicant(
     assert all(f["name"] in text for f in found["factors"])
 
 
-def test_methods_have_the_numbers_of_the_run(stems: tuple[Run, Run], tmp_path: Path) -> None:
+def test_evidence_methods_have_the_numbers_of_the_run(
+    stems: tuple[Run, Run], tmp_path: Path
+) -> None:
     shutil.copytree(stems[0].folder, tmp_path / "run")
     text = evidence.methods(tmp_path / "run").read_text()
     summary = support.summary(tmp_path / "run")
@@ -57,6 +57,6 @@ def test_methods_have_the_numbers_of_the_run(stems: tuple[Run, Run], tmp_path: P
         assert number in text
 
 
-def test_evidence_begins_with_a_finished_run(tmp_path: Path) -> None:
+def test_evidence_needs_a_finished_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no finished run"):
         evidence.write([tmp_path])

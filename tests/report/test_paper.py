@@ -20,7 +20,7 @@ def verdicts(found: rs.SweepResults) -> dict[str, str]:
     return {t.name: t.verdict for t in claims.judge(paper.Cases(found))}
 
 
-def test_a_statement_is_undecided_within_the_errors() -> None:
+def test_paper_statement_is_undecided_within_errors() -> None:
     assert claims.exceeds(Number(3.0, 0.4), Number(2.0, 0.5)) == AGREES
     assert claims.exceeds(Number(3.0, 0.5), Number(2.0, 0.5)) == UNDECIDED
     assert claims.exceeds(Number(2.0, 0.4), Number(3.0, 0.5)) == DIFFERS
@@ -35,7 +35,7 @@ def test_a_statement_is_undecided_within_the_errors() -> None:
 # The paper's cases
 
 
-def test_the_papers_cases_are_those_of_the_parts_that_it_names(maker: Maker) -> None:
+def test_paper_cases_are_those_of_named_parts(maker: Maker) -> None:
     """By stem, thickness and friction; of two that are alike the finer, then the first."""
     for t in (3.0, 4.0):
         maker.stance("titanium", t, 1.0, {})
@@ -49,7 +49,7 @@ def test_the_papers_cases_are_those_of_the_parts_that_it_names(maker: Maker) -> 
     assert list(found.over("friction", stem="CoCr")) == [0.4]
 
 
-def test_shipped_parts_are_known() -> None:
+def test_paper_parts_are_shipped() -> None:
     """Every label is a part of the shipped sweep, and both readings are told by their override."""
     data = yaml_file.read(CONFIGS / "sweeps" / "paper.yaml").data["parts"]
     assert {*paper.MODELS, *paper.CAUSES} <= set(data)
@@ -61,9 +61,7 @@ def test_shipped_parts_are_known() -> None:
 
 
 @pytest.mark.parametrize(("error", "verdict"), [(1e-3, AGREES), (0.8, UNDECIDED)])
-def test_trends_hold_where_numbers_are_as_the_paper_says(
-    maker: Maker, error: float, verdict: str
-) -> None:
+def test_paper_trends_hold_for_its_numbers(maker: Maker, error: float, verdict: str) -> None:
     """Undecided where errors are as large; of heat there are no numbers."""
     found = verdicts(sweep(maker, as_the_paper_says, error))
     mechanical = dict.fromkeys(["T-a", "T-b", "T-c", "T-d", "T-e", "T-f"], verdict)
@@ -81,14 +79,12 @@ def test_trends_hold_where_numbers_are_as_the_paper_says(
         ("T-f", lambda s, t, mu, n: 2.0 if n == "cement_bone.shear" else 1.0),
     ],
 )
-def test_a_trend_does_not_hold_where_numbers_say_otherwise(
-    maker: Maker, trend: str, factor: Law
-) -> None:
+def test_paper_trend_fails_for_other_numbers(maker: Maker, trend: str, factor: Law) -> None:
     found = sweep(maker, lambda *of: as_the_paper_says(*of) * factor(*of), 1e-3)
     assert verdicts(found)[trend] == DIFFERS
 
 
-def test_a_trend_that_differs_is_judged_again_where_a_cause_was_tried(maker: Maker) -> None:
+def test_paper_trend_is_judged_again_with_causes(maker: Maker) -> None:
     """Room in the canal makes thin mantles slip as the paper says; a smoother stem does not."""
 
     def shipped(stem: str, t: float, mu: float, name: str) -> float:
@@ -117,7 +113,7 @@ def heated(maker: Maker, thickness: float, held: bool, cement: float, bone: floa
     (run / "history.csv").write_text(text)
 
 
-def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> None:
+def test_paper_heat_is_judged_by_reading(maker: Maker) -> None:
     for t in (2.0, 5.0):
         heated(maker, t, False, 60 + 6 * t, 48 + t)
         heated(maker, t, True, 100.0, 84 - t)
@@ -132,7 +128,7 @@ def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> N
     assert rows[1].number == Number(100.0, 0.1)
 
 
-def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
+def test_paper_tension_of_bonded_cement(maker: Maker) -> None:
     data = femur()
     data["interfaces"]["cement_bone"] = {"kind": "bonded"}
     summary = {
@@ -150,7 +146,7 @@ def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
 # The comparison
 
 
-def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
+def test_paper_ratios_are_to_its_numbers(maker: Maker) -> None:
     found = sweep(maker, as_the_paper_says, 0.05)
     cases = paper.Cases(found)
     rows = compare.compare(cases)
@@ -170,7 +166,7 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
         assert not nothing.case and nothing.remark
 
 
-def test_peaks_are_of_the_whole_interface(maker: Maker) -> None:
+def test_paper_maxima_are_of_the_whole_interface(maker: Maker) -> None:
     """As the paper's are; where they are stands beside the places that it names."""
     numbers = contact(as_the_paper_says, "titanium", 4.0, 1.0, 0.05)
     numbers["cement_bone"]["rim"] = {"gap_max": 0.3}
@@ -184,7 +180,7 @@ def test_peaks_are_of_the_whole_interface(maker: Maker) -> None:
     assert "proximal medial" in gap.fact.remark
 
 
-def test_what_there_is_is_drawn_and_written(
+def test_paper_figures_and_tables_are_written(
     maker: Maker, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sweep(maker, as_the_paper_says, 1e-3)

@@ -28,14 +28,14 @@ from tests.report.sweeps import MODULI, Maker, as_the_paper_says, contact, femur
         (Number(0.01, 0.2), "0.01 ± 0.2"),
     ],
 )
-def test_a_number_is_as_long_as_its_error_allows(number: Number, text: str) -> None:
+def test_sweep_report_digits_follow_errors(number: Number, text: str) -> None:
     assert str(number) == text
 
 
 # Zones and mantles
 
 
-def test_stress_shielding_is_against_the_femur_without_a_stem(
+def test_gruen_stress_shielding_is_relative_to_the_intact_femur(
     maker: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     both = ("stem_cement", "cement_bone")
@@ -60,7 +60,7 @@ def test_stress_shielding_is_against_the_femur_without_a_stem(
     assert "Stress shielding" in page and "14 (lateral)" in page
 
 
-def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
+def test_gruen_mantles_are_listed_by_thickness(maker: Maker) -> None:
     for stem in MODULI:
         for t in (5.0, 3.0):
             thickness = {"nominal": t, "min": 0.5, "median": t, "clipped_fraction": 0.25}
@@ -75,7 +75,9 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
 # The page
 
 
-def test_the_page_needs_nothing_else(maker: Maker, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sweep_report_page_is_self_contained(
+    maker: Maker, capsys: pytest.CaptureFixture[str]
+) -> None:
     for k, c in enumerate(sweep(maker, as_the_paper_says, 1e-3).cases):
         maker.cases[k]["overrides"] = {
             "geometry.cement_thickness": c.data["geometry"]["cement_thickness"]
@@ -93,7 +95,7 @@ def test_the_page_needs_nothing_else(maker: Maker, capsys: pytest.CaptureFixture
     assert '<td class="n">60.000 ± 0.060</td>' in text
 
 
-def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
+def test_sweep_report_of_a_partial_sweep(maker: Maker) -> None:
     numbers = contact(as_the_paper_says, "titanium", 4, 1, 0.1)
     maker.stance("titanium", 4.0, 1.0, numbers)
     maker.stance("titanium", 3.0, 1.0, numbers)
@@ -111,7 +113,7 @@ def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
     assert "&lt;b&gt;no&lt;/b&gt;" in page and "<b>" not in page
 
 
-def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
+def test_sweep_report_curves_over_varying_keys(maker: Maker) -> None:
     data = femur()
     for taper in (1.0, 2.0, 3.0):
         numbers = contact(lambda *a, x=taper: x, "", 0, 0, 0.1)
@@ -136,7 +138,7 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     assert left == {"over_geometry_taper.png", "mine.png"}
 
 
-def test_mantles_are_compared_by_what_they_achieve_within_a_part(maker: Maker) -> None:
+def test_gruen_mantles_are_compared_by_achieved_thickness(maker: Maker) -> None:
     """Whatever keys of the geometry make them: here canals and stems."""
     for part, key, means in (
         ("clipped", "taper", (2.0, 2.6)),
@@ -180,7 +182,7 @@ def test_mantles_are_compared_by_what_they_achieve_within_a_part(maker: Maker) -
         ("a.b", [{"kind": "c", "m": m} for m in (1, 2)], "a b: 2 of c", [None, None]),
     ],
 )
-def test_levels_are_numbers_in_one_unit(
+def test_sweep_report_levels_have_one_unit(
     key: str, written: list[Any], words: str, numbers: list[float | None]
 ) -> None:
     """That of the schema where the sweep has several."""
@@ -190,7 +192,7 @@ def test_levels_are_numbers_in_one_unit(
     assert sweep_figures.levels(cases, key)[1] == pytest.approx(numbers)
 
 
-def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
+def test_sweep_report_rank_correlations(maker: Maker) -> None:
     """Slip that grows with the taper alone: +1 with it in any unit, nothing with the length."""
     data = femur()
     for taper, written in ((1.0, "1 deg"), (2.0, "2 deg"), (3.0, "0.05236 rad")):
@@ -229,7 +231,7 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
         ('{"cases": [{"name": "a", "status": "failed"}]}', "cannot be read: KeyError('folder')"),
     ],
 )
-def test_what_is_no_sweep_is_refused(
+def test_sweep_report_refuses_other_folders(
     tmp_path: Path, content: str | None, complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if content is not None:

@@ -55,7 +55,7 @@ def changed(done: Path, folder: Path, numbers: dict[str, Any]) -> str:
     return page(folder)
 
 
-def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
+def test_run_report_page_is_self_contained(done: Path) -> None:
     html = page(done)
     assert len(html) < 3e6
     own = re.sub(r"<script.*?</script>", "", html, flags=re.S)  # the view: `test_viewer.py`
@@ -71,7 +71,7 @@ def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
     assert html.count("Jasty") == 1  # why 30 um
 
 
-def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
+def test_run_report_numbers_equal_the_summary(done: Path) -> None:
     html, numbers = shown(page(done)), summary(done)
     slip = TABLE["interfaces"]["slip_p99"].text(numbers["interfaces"]["stem_cement"])
     assert f"99 % of the stem's surface slides less than {slip} µm in its cement, and" in (
@@ -88,7 +88,7 @@ def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
     assert all("xmlns" not in d and " id=" not in d for d in drawings)
 
 
-def test_the_command_draws_maps_and_files(
+def test_run_report_command_draws_maps_and_files(
     done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """On a copy: nothing but the folder is needed."""
@@ -103,7 +103,7 @@ def test_the_command_draws_maps_and_files(
     assert page(copy).count("data:image/png") == 4 and len(page(copy)) < 3e6
 
 
-def test_no_page_where_none_is_wanted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_run_report_can_be_switched_off(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """And one that fails is a warning."""
     case = mantle.load(CONFIGS / "blocks.yaml", **{**COARSE, "output.report": False})
     mantle.run(case, tmp_path / "out")
@@ -112,7 +112,7 @@ def test_no_page_where_none_is_wanted(tmp_path: Path, caplog: pytest.LogCaptureF
     assert "report.html was not written" in caplog.text
 
 
-def test_a_page_without_its_view_says_why(
+def test_run_report_without_3d_view_gives_the_reason(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And its units are printed as people write them."""
@@ -130,7 +130,7 @@ def test_a_page_without_its_view_says_why(
     assert "the bodies penetrate by 2 µm" in html and "a of 37 °C and 5 mm², um" in html
 
 
-def test_errors_are_told_in_the_verdicts(done: Path, tmp_path: Path) -> None:
+def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> None:
     numbers = summary(done)
     interfaces, regions = numbers["interfaces"], numbers["regions"]
     peaks = {"stem_cement.gap_max": [[4.0, 0.0123], [8.0, 0.009]]}
@@ -182,14 +182,14 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
     return folder
 
 
-def test_cycles_after_cooling_are_all_drawn() -> None:
+def test_run_report_draws_all_cycles_after_cooling() -> None:
     written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
     columns = {key: np.array(own) for key, own in written.items()}
     panel = history.over_time(columns)[0]
     assert panel.lines[0].x == [1, 1.5, 2] and "stage" in panel.x
 
 
-def test_dead_bone_has_a_spread(tmp_path: Path) -> None:
+def test_run_report_necrosis_has_a_spread(tmp_path: Path) -> None:
     """Of 0, 2 .. 18 mm3 5 and 95 % are 0.9 and 17.1; ranks leave 9 of 82.5 within the kinetics."""
     key, of = "necrosis_47C_1min_volume", {"regions.cement.kinetics": [*"aaabbbcccc"]}
     numbers = [{f"bone.{key}": 2.0 * k} for k in range(10)]
@@ -210,7 +210,9 @@ def test_dead_bone_has_a_spread(tmp_path: Path) -> None:
         (0.0, "No ± of main numbers was estimated, to set against the inputs; "),
     ],
 )  # fmt: skip
-def test_inputs_stand_beside_the_mesh(error: float, said: str, done: Path, tmp_path: Path) -> None:
+def test_run_report_inputs_next_to_mesh_errors(
+    error: float, said: str, done: Path, tmp_path: Path
+) -> None:
     """Percentiles of 2, 4 .. 40 by linear interpolation are 3.9 and 38.1; half of that is 17.1."""
     numbers = summary(done)
     own = {f"{key}_p99_error": 1e-3 * error for key in ("slip", "gap")}
@@ -232,7 +234,7 @@ def test_inputs_stand_beside_the_mesh(error: float, said: str, done: Path, tmp_p
         ((), "--spread: goes with one DIR, that of a run"),
     ],
 )
-def test_a_sweep_that_does_not_fit_is_refused(
+def test_run_report_refuses_a_sweep_of_another_case(
     more: tuple[Any, ...], message: str, done: Path, tmp_path: Path, capsys: Any
 ) -> None:
     sweep = samples(done, tmp_path / "sweep", *more)
@@ -240,7 +242,7 @@ def test_a_sweep_that_does_not_fit_is_refused(
     assert message.replace("RUN", str(done)) in capsys.readouterr().err
 
 
-def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
+def test_run_report_unusable_results_are_red(done: Path, tmp_path: Path) -> None:
     stopped = {"status": "stopped", "verdicts": [Verdict("stopped by SIGTERM").record()]}
     html = changed(done, tmp_path / "stop", summary(done) | stopped)
     assert '<span class="open">stopped</span>: the numbers are those of the last' in html
@@ -253,7 +255,7 @@ def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
     assert f'<span class="bad">do not use</span>: {text}' in html
 
 
-def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
+def test_run_report_loads_of_ended_runs(done: Path) -> None:
     case = run_report.opened(done)
     case.__dict__["data"] = {"loads": {"hip": {"force": ["0 N", "0 N", "-900 N"]}}}
     numbers = summary(done)
@@ -268,7 +270,7 @@ def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
     assert sentence.sentence(numbers, case).startswith("Under 900 N (hip), 99 % of")
 
 
-def test_heat_is_told(tmp_path: Path) -> None:
+def test_run_report_of_heat_and_mechanics(tmp_path: Path) -> None:
     numbers: dict[str, Any] = {"status": "converged", "interfaces": {}}
     numbers |= {"thermal": {"regions": {}}, "cure": {}}
     bone = {f"seconds_over_{t}": s for t, s in ((47, 174.0), (50, 116.0), (56, 0.0))}
@@ -284,7 +286,7 @@ def test_heat_is_told(tmp_path: Path) -> None:
     )
 
 
-def test_a_run_of_heat_has_a_page(tmp_path: Path) -> None:
+def test_run_report_of_heat_alone(tmp_path: Path) -> None:
     stages = [{"name": "hot", "duration": "20 s"}]
     rings = mantle.load(CONFIGS / "thermal_rings.yaml", **COARSE, stages=stages)
     mantle.run(rings, tmp_path / "out")
@@ -293,7 +295,7 @@ def test_a_run_of_heat_has_a_page(tmp_path: Path) -> None:
     assert "one gets as hot as" in html and "time (s)" in html
 
 
-def test_variations_have_a_page_over_all(
+def test_run_report_of_variations(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     varied = {
@@ -322,7 +324,7 @@ def test_variations_have_a_page_over_all(
         ((-3e-9, 4e-9), [-4e-9, -2e-9, 0.0, 2e-9, 4e-9]),
     ],
 )
-def test_ticks_are_round(ends: tuple[float, float], ticks: list[float]) -> None:
+def test_run_report_ticks_are_round(ends: tuple[float, float], ticks: list[float]) -> None:
     found = curves.ticks(*ends)
     assert found[: len(ticks)] == ticks and found[0] <= ends[0] and found[-1] >= ends[1]
     assert 2 <= len(found) <= 9

@@ -43,7 +43,7 @@ loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
     ("name", "bones"),
     [("stance", ["cortical_bone", "cancellous_bone"]), ("cylinders", ["bone"])],
 )
-def test_shipped_geometries_know_theirs(name: str, bones: list[str]) -> None:
+def test_tissues_of_shipped_geometries(name: str, bones: list[str]) -> None:
     """Unless a case says otherwise; blocks are neither bone nor implant unless they say so."""
     case = load(CONFIGS / f"{name}.yaml", [f"regions.{bones[0]}.tissue=other"]).config
     tissues = dict.fromkeys(bones, "bone") | {"stem": "implant", "cement": "cement"}
@@ -53,7 +53,7 @@ def test_shipped_geometries_know_theirs(name: str, bones: list[str]) -> None:
     assert stack.of_tissue("implant") == ("nail",) and stack.of_tissue("bone") == ()
 
 
-def test_a_file_has_to_say_it(tmp_path: Path) -> None:
+def test_tissues_of_a_mesh_file_are_required(tmp_path: Path) -> None:
     stack = support.case(STACK)
     meshes.write_msh(meshes.build(stack.geometry, stack.mesh), tmp_path / "a.msh")
     path = tmp_path / "case.yaml"
@@ -69,7 +69,7 @@ def test_a_file_has_to_say_it(tmp_path: Path) -> None:
     ]
 
 
-def test_a_file_needs_neither_size_nor_tissue_of_materials(tmp_path: Path) -> None:
+def test_tissues_come_from_library_materials(tmp_path: Path) -> None:
     """The library has the tissue of a material; the tissue of the region comes before it."""
     stack = support.case(STACK)
     meshes.write_msh(meshes.build(stack.geometry, stack.mesh), tmp_path / "a.msh")
@@ -100,7 +100,7 @@ def test_a_file_needs_neither_size_nor_tissue_of_materials(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("mesh", ["", "mesh: {}", "mesh: {order: 1}"])
 @pytest.mark.parametrize("name", ["blocks.yaml", "sliding_block.yaml"])
-def test_what_is_meshed_needs_a_size(name: str, mesh: str, tmp_path: Path) -> None:
+def test_tissues_mesh_size_is_required(name: str, mesh: str, tmp_path: Path) -> None:
     """Of a script of gmsh, too."""
     text = re.sub(r"^mesh:.*\n(  .*\n)*", f"{mesh}\n", (CONFIGS / name).read_text(), flags=re.M)
     path = tmp_path / "case.yaml"
@@ -111,7 +111,7 @@ def test_what_is_meshed_needs_a_size(name: str, mesh: str, tmp_path: Path) -> No
     assert message.endswith("mesh: 'size' is missing; expected: edge length at the interfaces")
 
 
-def test_the_implant_moves_against_the_bone() -> None:
+def test_tissues_implant_moves_relative_to_bone() -> None:
     """Under 1 MPa all strain by 1 %: what is between nail and cortex is 2 mm, less 0.02 mm."""
     solved = support.solve(STACK)
     motion = StemMotion(solved.problem, solved.case)(solved.case.side)
@@ -122,7 +122,7 @@ def test_the_implant_moves_against_the_bone() -> None:
     assert StemMotion(solved.problem, boneless)(boneless.side) == {}
 
 
-def test_heat_kills_bone_alone() -> None:
+def test_tissues_necrosis_counts_bone_alone() -> None:
     """Bone above at 80 degC for two minutes is dead; cement below it, called bone, cannot be."""
     tagged = two_blocks(MPI.COMM_SELF)
     forms = HeatForms(tagged, BODIES, Timing())
@@ -134,7 +134,7 @@ def test_heat_kills_bone_alone() -> None:
     assert not any(key.startswith("necrosis") for key in regions["bone"])
 
 
-def test_reports_look_for_bone_by_what_it_is(tmp_path: Path) -> None:
+def test_tissues_reports_find_bone_by_tissue(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(STACK)
     (tmp_path / "history.csv").write_text(
         "seconds [s],cortex temperature_max [degC],bone_cement temperature_max [degC]\n3,45,90\n"

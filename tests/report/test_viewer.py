@@ -48,7 +48,7 @@ def size(run: Run, name: str, stage: str) -> Floats:
     return factor * (np.linalg.norm(values, axis=1) if values.ndim == 2 else values)
 
 
-def test_values_are_those_of_the_files(run: Run) -> None:
+def test_viewer_values_equal_those_of_files(run: Run) -> None:
     """To a part in 65534 of their range, after every stage; nothing away from interfaces."""
     head, data = viewer.packed(run)
     assert head["stages"] == ["half", "whole"]
@@ -69,7 +69,7 @@ def test_values_are_those_of_the_files(run: Run) -> None:
         assert np.abs(u - run.displacement(stage)[nodes]).max() < move["most"] / 6e4
 
 
-def test_differences_are_those_of_the_files(stems: tuple[Run, Run]) -> None:
+def test_viewer_differences_equal_those_of_files(stems: tuple[Run, Run]) -> None:
     """Where meshes are the same; their values are the second's less the first's."""
     run, rough = stems
     assert viewer.same_mesh(run, rough)
@@ -85,7 +85,7 @@ def test_differences_are_those_of_the_files(stems: tuple[Run, Run]) -> None:
             assert np.abs(values - (b - a))[known].max() <= 0.51 * np.ptp(b - a) / 65534 + 1e-12
 
 
-def test_outsides_are_closed_and_turned_outwards(run: Run) -> None:
+def test_viewer_surfaces_are_closed_and_oriented(run: Run) -> None:
     """The volume inside each is that of its cells, which are curved: to the second order."""
     for name, triangles in viewer.outsides(run, False).items():
         x = run.points[triangles]
@@ -95,7 +95,7 @@ def test_outsides_are_closed_and_turned_outwards(run: Run) -> None:
     assert all(len(fine[name]) == 4 * len(coarse[name]) for name in coarse)
 
 
-def test_a_page_that_would_be_too_large_has_fewer_points(run: Run) -> None:
+def test_viewer_reduces_points_of_large_pages(run: Run) -> None:
     """Corners alone, then the last stages alone."""
     whole, data = viewer.packed(run)
     head, less = viewer.packed(run, most_bytes=len(data) // 2)
@@ -105,7 +105,7 @@ def test_a_page_that_would_be_too_large_has_fewer_points(run: Run) -> None:
 
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
-def test_nothing_in_it_points_elsewhere_or_ends_its_script(run: Run, tmp_path: Path) -> None:
+def test_viewer_has_no_external_references(run: Run, tmp_path: Path) -> None:
     """No reference to a file or a server that a browser would follow; few lines of our own."""
     text = viewer.viewer({"": run.folder})
     assert not re.search(
@@ -118,7 +118,7 @@ def test_nothing_in_it_points_elsewhere_or_ends_its_script(run: Run, tmp_path: P
     assert viewer.viewer({"": tmp_path}) == ""  # without fields
 
 
-def test_names_of_runs_differ() -> None:
+def test_viewer_names_of_runs_are_distinct() -> None:
     """By as much of their paths as it takes."""
     assert viewer.distinct([Path("/a/b"), Path("/a/c")]) == ["b", "c"]
     assert viewer.distinct([Path("/a/x/out"), Path("/a/y/out")]) == ["x/out", "y/out"]
@@ -189,7 +189,7 @@ def tried(page: Path, text: str) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
-def test_a_browser_draws_runs_and_their_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
+def test_viewer_browser_draws_runs_and_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """In headless Chromium without a network: no error, one camera, values linear on the facets."""
     folders = {run.folder.name: run.folder for run in stems}
     found = tried(tmp_path / "page.html", viewer.viewer(folders))
@@ -247,7 +247,7 @@ def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> f
     return float(bary[k] @ values[triangles[k]])
 
 
-def test_each_interface_is_drawn_on_its_inner_body(run: Run, tmp_path: Path) -> None:
+def test_viewer_interfaces_are_drawn_on_the_inner_body(run: Run, tmp_path: Path) -> None:
     """Its facets are those of the contact area, and the picture has colours."""
     figure = pictures.sides(run, tmp_path)[0]
     assert (tmp_path / "interfaces.pdf").stat().st_size > 10_000

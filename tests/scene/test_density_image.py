@@ -54,7 +54,7 @@ def even(tmp_path: Path) -> Path:
         ("carter_hayes", [78, 621, 2875]),
     ],
 )
-def test_published_laws(even: Path, law: str, expected: list[float]) -> None:
+def test_densities_published_laws(even: Path, law: str, expected: list[float]) -> None:
     """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the law's own density; pieces that meet.
 
     A CT number of 1400 is 1.124 g/cm3 by the phantom.
@@ -71,7 +71,7 @@ def test_published_laws(even: Path, law: str, expected: list[float]) -> None:
     assert E.densities(1400) == pytest.approx({"qct": 1.124, "ash": ash, "apparent": ash / 0.6})
 
 
-def test_values_between_voxels_are_linear() -> None:
+def test_densities_are_linear_between_voxels() -> None:
     """A linear field in an oblique image, to rounding."""
     rng = np.random.default_rng(0)
     affine = np.eye(4)
@@ -86,7 +86,7 @@ def test_values_between_voxels_are_linear() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_bar_of_an_image_is_that_of_a_table(tmp_path: Path, order: int) -> None:
+def test_densities_bar_of_an_image_equals_that_of_a_table(tmp_path: Path, order: int) -> None:
     """E is 100 MPa up to 2 mm and 1 GPa from 8 mm; all of it linear between voxels."""
     density = np.interp(np.arange(40) - 20.0, [2, 8], [0.1, 1.0])
     numbers = np.broadcast_to((density - 0.004) / 0.0008, (40, 40, 40))
@@ -101,7 +101,7 @@ def test_a_bar_of_an_image_is_that_of_a_table(tmp_path: Path, order: int) -> Non
     assert works[0] == pytest.approx(works[1], rel=1e-11)
 
 
-def test_cells_are_stable_in_an_image_of_large_contrast(tmp_path: Path) -> None:
+def test_densities_cells_are_stable_at_large_contrast(tmp_path: Path) -> None:
     """One voxel of ten is stiff, at the second order: weights of the quadrature are positive."""
     numbers = np.where(np.random.default_rng(0).uniform(size=(40, 40, 40)) < 0.1, 1400, -90)
     E = modulus(write(tmp_path / "rugged.npz", numbers), "carter_hayes")
@@ -111,7 +111,7 @@ def test_cells_are_stable_in_an_image_of_large_contrast(tmp_path: Path) -> None:
     assert np.linalg.eigvalsh(K).min() > 0.0
 
 
-def test_an_even_image_is_a_constant(even: Path) -> None:
+def test_densities_constant_image_is_a_constant(even: Path) -> None:
     """In contact, at the second order: the stiffness to rounding, and what that leaves of u."""
     given = modulus(even, "keyak")
     E = ImageModulus.model_validate(given).largest
@@ -148,13 +148,13 @@ def test_an_even_image_is_a_constant(even: Path) -> None:
         ({"density": "none.nii.gz"}, "no such file"),
     ],
 )
-def test_bad_input(even: Path, changes: dict[str, Any], message: str) -> None:
+def test_densities_refuse_bad_input(even: Path, changes: dict[str, Any], message: str) -> None:
     given = {k: v for k, v in (modulus(even, "keyak") | changes).items() if v is not None}
     with pytest.raises(ValidationError, match=message):
         ImageModulus.model_validate(given)
 
 
-def test_images_that_are_none(tmp_path: Path) -> None:
+def test_densities_refuse_other_files(tmp_path: Path) -> None:
     path, cube = tmp_path / "image.npz", np.zeros((4, 4, 4))
     for values, affine, message in (
         (cube[0], np.eye(4), "in 2 dimensions"),
@@ -170,7 +170,7 @@ def test_images_that_are_none(tmp_path: Path) -> None:
         images.read(path)
 
 
-def test_an_image_in_other_axes_is_refused_with_the_place(even: Path) -> None:
+def test_densities_refuse_an_image_in_other_axes(even: Path) -> None:
     """The stem's bone is around the axis, where the image begins."""
     write(even, np.full((60, 60, 60), 1400), start=0.0)
     text = f"regions.bone.youngs_modulus={json.dumps(modulus(even, 'morgan_neck'))}"
@@ -192,7 +192,7 @@ def test_an_image_in_other_axes_is_refused_with_the_place(even: Path) -> None:
         (-1000, 1840, 7, ["7 voxels are no numbers"]),
     ],
 )
-def test_doubtful_ct_numbers_have_notes(
+def test_densities_note_doubtful_ct_numbers(
     least: int, cortex: int, lost: int, notes: list[str], tmp_path: Path
 ) -> None:
     """Of a cortex whose modulus by the law is 23.5 GPa at 1840, and 26.9 at 2024."""

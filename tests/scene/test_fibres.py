@@ -40,7 +40,7 @@ def turned(tagged: TaggedMesh, shift: Floats) -> TaggedMesh:
 
 
 @LAYS
-def test_an_axis_anywhere_gives_the_same_ring(lay: str) -> None:
+def test_fibres_ring_is_independent_of_its_axis(lay: str) -> None:
     shift = np.array([3.0, -7.0, 11.0])
     here = support.solve(ring(lay, "mesh.size=1 mm"))
     case = ring(
@@ -60,14 +60,14 @@ def test_an_axis_anywhere_gives_the_same_ring(lay: str) -> None:
 
 
 @pytest.mark.parametrize(("lay", "order"), [("circumferential", 1), ("radial", 2)])
-def test_balances_close_with_a_free_strain(lay: str, order: int) -> None:
+def test_fibres_balances_close_with_free_strain(lay: str, order: int) -> None:
     """All forms of a region integrate in the same points."""
     case = ring(lay, "mesh.size=2 mm", f"mesh.order={order}", f"regions.ring.eigenstrains=[{FREE}]")
     assert support.solve(case, balances=True).balances.max() < 1e-9
 
 
 @LAYS
-def test_energy_of_the_strain_is_half_the_work_of_the_pressure(lay: str) -> None:
+def test_fibres_energy_is_half_the_work_of_pressure(lay: str) -> None:
     solved = support.solve(ring(lay, "mesh.size=1 mm"))
     stresses = Stresses(solved.problem)
     _, volumes = stresses.places("ring")
@@ -76,7 +76,7 @@ def test_energy_of_the_strain_is_half_the_work_of_the_pressure(lay: str) -> None
     assert energy == pytest.approx(0.5 * work, rel=1e-9)
 
 
-def test_a_ring_that_has_set_is_elastic() -> None:
+def test_fibres_cured_ring_is_elastic() -> None:
     """Fully cured from the start, in two steps, under pressure and an even free strain."""
     text = RING.read_text().replace("ring.geo", str(RING.with_name("ring.geo")))
     change = "mesh.size=2 mm"
@@ -94,7 +94,7 @@ def test_a_ring_that_has_set_is_elastic() -> None:
 
 
 @LAYS
-def test_frames_turn_with_the_fibre(lay: Literal["circumferential", "radial"]) -> None:
+def test_fibres_frames_rotate_with_the_fibre(lay: Literal["circumferential", "radial"]) -> None:
     kind = Radial if lay == "radial" else Circumferential
     fibre = kind.model_construct(axis=(0.0, 0.6, 0.8), through=(1.0, 2.0, 3.0))
     x = np.random.default_rng(1).normal(size=(5, 3))
@@ -131,7 +131,9 @@ stages: [{name: conduct, steady: true}]
 
 @pytest.mark.parametrize(("lay", "conductivity"), [("radial", 0.9), ("circumferential", 0.3)])
 @pytest.mark.parametrize("overrides", [(), ("mesh.order=2", "mesh.curved=true")])
-def test_heat_through_a_ring(lay: str, conductivity: float, overrides: tuple[str, ...]) -> None:
+def test_fibres_heat_through_a_ring(
+    lay: str, conductivity: float, overrides: tuple[str, ...]
+) -> None:
     """2 π k L ΔT / log(b / a), of which the quarter; k that of the fibre only if it is radial."""
     case = support.case(HOT, f"regions.ring.thermal.fibre.kind={lay}", *overrides)
     model = Model(case, MPI.COMM_WORLD, {}, Timing(), lambda: "")
@@ -157,7 +159,7 @@ def test_heat_through_a_ring(lay: str, conductivity: float, overrides: tuple[str
     ],
 )
 @pytest.mark.parametrize("of_heat", [False, True])
-def test_the_axis_runs_outside_the_region(
+def test_fibres_refuse_an_axis_inside_the_region(
     through: str, axis: str, refused: bool, of_heat: bool
 ) -> None:
     key = "regions.ring.thermal.fibre" if of_heat else "regions.ring.fibre"

@@ -11,7 +11,7 @@ from tests.cases.blocks import PULLED, bar
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_bar_under_tension_lengthens_by_the_logarithm(order: int) -> None:
+def test_graded_modulus_elongation_of_a_bar(order: int) -> None:
     """By the integral of s / E, s (z1 - z0) / (E1 - E0) ln(E1 / E0) where E is linear.
 
     The error of the work is of twice the order of the displacement.
@@ -31,7 +31,7 @@ def test_a_bar_under_tension_lengthens_by_the_logarithm(order: int) -> None:
     assert errors[0] / errors[1] == pytest.approx(4**order, rel=0.2)
 
 
-def test_equal_values_are_a_constant() -> None:
+def test_graded_modulus_equal_values_are_a_constant() -> None:
     """In contact, at the second order: to the rounding of the solutions."""
     even = "regions.bone.youngs_modulus=[[0 mm, 17 GPa], [10 mm, 17 GPa], [15 mm, 17 GPa]]"
     more = ("mesh.order=2", "mesh.curved=false", "solver.tolerance=1e-13")

@@ -48,7 +48,7 @@ supports:
 
 
 @pytest.mark.parametrize("path", EVERY, ids=lambda p: p.stem)
-def test_shipped_case_survives_dump_and_load(path: Path) -> None:
+def test_case_survives_dump_and_load(path: Path) -> None:
     case = load(path).config
     text = dump(case)
     again = support.case(text)
@@ -56,14 +56,14 @@ def test_shipped_case_survives_dump_and_load(path: Path) -> None:
     assert dump(again) == text
 
 
-def test_schema_for_editors_is_current() -> None:
+def test_case_schema_for_editors_is_current() -> None:
     """``mantle explain --schema > configs/schema.json`` renews it; shipped cases name it."""
     first = "# yaml-language-server: $schema=schema.json\n"
     assert all(path.read_text().startswith(first) for path in CONFIGS.glob("*.yaml"))
     assert json.loads((CONFIGS / "schema.json").read_text()) == keys.json_schema()
 
 
-def test_stance_is_the_case_of_the_paper() -> None:
+def test_case_stance_is_that_of_the_paper() -> None:
     case = load(CONFIGS / "stance.yaml").config
     assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
@@ -77,7 +77,7 @@ def test_stance_is_the_case_of_the_paper() -> None:
     assert forces[medius].sum(axis=0) == pytest.approx([320.6, 124.0, 989.1])
 
 
-def test_defaults_are_filled_in() -> None:
+def test_case_defaults_are_filled_in() -> None:
     case = support.case(MINIMAL)
     assert case.interfaces == {"lower_upper": Bonded()}
     assert [stage.name for stage in case.stages] == ["load"]
@@ -87,7 +87,7 @@ def test_defaults_are_filled_in() -> None:
 
 
 @pytest.mark.parametrize("change", ["={kind: rigid}", ".kind=rigid", ".rigid=true"])
-def test_a_region_is_rigid_by_its_kind_too(change: str) -> None:
+def test_case_region_is_rigid_by_its_kind(change: str) -> None:
     """Its moduli go with its old kind; what tissue it is stays."""
     text = MINIMAL.replace("{rigid: true}", "{material: PMMA, tissue: cement}")
     region = support.case(text, f"regions.upper{change}").regions["upper"]
@@ -95,7 +95,7 @@ def test_a_region_is_rigid_by_its_kind_too(change: str) -> None:
     assert region.tissue == ("other" if "{" in change else "cement")
 
 
-def test_overrides_reach_everything() -> None:
+def test_overlay_overrides_reach_every_key() -> None:
     case = support.case(
         MINIMAL,
         "mesh.size=0.1 cm",
@@ -123,7 +123,7 @@ def test_overrides_reach_everything() -> None:
     assert strains == [(-1e-3, -1e-3, -1e-3, 0, 0, 0), (0, 0, 1e-3, 0, 0, 0)]
 
 
-def test_yaml_is_of_version_1_2() -> None:
+def test_yaml_file_is_of_version_1_2() -> None:
     """``no`` is a word, ``1e-3`` a number, and a date text."""
     case = support.case(MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
     assert case.title == "no"
@@ -151,7 +151,7 @@ POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
          lambda x, y, z: np.abs(np.log(x)) * np.exp(-y) / np.sqrt(z) + np.sin(x) * np.tan(y / 9)),
     ],
 )  # fmt: skip
-def test_expression(expression: str, expected: object) -> None:
+def test_expressions_are_evaluated(expression: str, expected: object) -> None:
     values = evaluate(expression, POINTS)
     assert values.shape == (7,)
     np.testing.assert_allclose(values, expected(*POINTS.T), rtol=1e-14)  # type: ignore[operator]
@@ -179,7 +179,7 @@ def test_expression(expression: str, expected: object) -> None:
         ("", "is not an expression"),
     ],
 )
-def test_refused_expression(expression: str, reason: str) -> None:
+def test_expressions_are_refused(expression: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         evaluate(expression, POINTS)
 
@@ -187,12 +187,12 @@ def test_refused_expression(expression: str, reason: str) -> None:
 @pytest.mark.parametrize(
     "title", ["Lamé, 5 µm", "a\x85b", "a\u2028b", "\ttab", "two\nlines\n", "'", "~", "1e3"]
 )
-def test_any_title_survives(title: str) -> None:
+def test_case_title_survives(title: str) -> None:
     case = support.case(MINIMAL).model_copy(update={"title": title})
     assert support.case(dump(case)) == case
 
 
-def test_a_byte_order_mark_and_windows_lines_are_no_trouble(tmp_path: Path) -> None:
+def test_yaml_file_with_byte_order_mark_and_windows_lines(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
     assert load(path).config == support.case(MINIMAL)
@@ -218,13 +218,13 @@ FRICTION = "interfaces.stem_cement.friction_coefficient=0.1"
         (["output.every=2", "solver.tolerance=1e-9"], ""),
     ],
 )  # fmt: skip
-def test_a_title_names_what_is_changed(overrides: list[str], changed: str | None) -> None:
+def test_case_title_names_changes(overrides: list[str], changed: str | None) -> None:
     title = load(STANCE, overrides).config.title
     known = "Thin" if changed is None else TITLE
     assert title == (f"{known}; changed: {changed}" if changed else known)
 
 
-def test_titles_of_variations_and_sweeps_tell_them_apart(tmp_path: Path) -> None:
+def test_case_titles_of_variations_and_sweeps_differ(tmp_path: Path) -> None:
     text = STANCE.read_text() + "\nvariations: {rough: {interfaces.*.friction_coefficient: 1.5}}\n"
     (tmp_path / "stance.yaml").write_text(text)
     (rough,) = load(tmp_path / "stance.yaml").variations
@@ -240,7 +240,7 @@ def test_titles_of_variations_and_sweeps_tell_them_apart(tmp_path: Path) -> None
     ]
 
 
-def test_a_title_makes_no_other_run(tmp_path: Path) -> None:
+def test_case_title_does_not_change_its_identity(tmp_path: Path) -> None:
     """A value that is the file's own, given as an option, is the same case."""
     own = ("geometry.cement_thickness=4 mm",)
     jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, own)]
@@ -248,7 +248,7 @@ def test_a_title_makes_no_other_run(tmp_path: Path) -> None:
     assert one.id == two.id
 
 
-def test_sections_with_cached_arrays_compare_by_their_fields() -> None:
+def test_section_with_cached_arrays_compares_by_fields() -> None:
     """Caches by geometry meet a second one of the same case, which holds arrays already."""
 
     class Place(Section):
@@ -268,21 +268,19 @@ def test_sections_with_cached_arrays_compare_by_their_fields() -> None:
         ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the stem between z = 16 and 163 mm"),
     ],
 )
-def test_a_stem_without_its_section_names_the_key_that_was_set(
-    changes: dict[str, str], text: str
-) -> None:
+def test_case_stem_without_section_names_the_key(changes: dict[str, str], text: str) -> None:
     given = {f"geometry.{key}": value for key, value in changes.items()}
     with pytest.raises(InputError, match=f"geometry.{text}") as caught:
         mantle.load(CONFIGS / "stance.yaml", **given)
     assert len(caught.value.messages) == 1
 
 
-def test_a_shorter_stem_cut_at_its_tip_is_as_the_message_says() -> None:
+def test_case_shorter_stem_follows_the_message() -> None:
     given = {"geometry.stem_length": "120 mm", "geometry.stem_tip_z": "-91 mm"}
     assert mantle.load(CONFIGS / "stance.yaml", **given).config.geometry.kind == "femur"
 
 
-def test_creep_with_an_exponent_of_the_stress_requires_stresses() -> None:
+def test_case_creep_exponent_requires_stresses() -> None:
     with pytest.raises(ValueError, match="'stresses' is missing, required with m1"):
         Creep.model_validate({"A": 1e-7, "p": 1.8, "m0": 0.3, "m1": 0.02})
     explained = " ".join(keys.explained("regions.creep.stresses").split())

@@ -60,14 +60,14 @@ def read(kind: object, text: str) -> float:
         (units.PositiveTime, "10 min", 600.0),
     ],
 )
-def test_units(kind: object, text: str, value: float) -> None:
+def test_case_heat_units(kind: object, text: str, value: float) -> None:
     assert read(kind, text) == value
     adapter: TypeAdapter[float] = TypeAdapter(kind)
     assert adapter.validate_python(adapter.dump_python(value, mode="json")) == value
 
 
 @pytest.mark.parametrize("text", ["0 K", "-273.15 degC", "-1 K", "-500 degF", "5 delta_degC", "37"])
-def test_what_is_no_temperature(text: str) -> None:
+def test_case_heat_refuses_wrong_temperatures(text: str) -> None:
     with pytest.raises(ValidationError):
         read(units.Temperature, text)
 
@@ -75,7 +75,7 @@ def test_what_is_no_temperature(text: str) -> None:
 # ------------------------------------------------------------------------------------ terms
 
 
-def test_conductors() -> None:
+def test_case_heat_conductors() -> None:
     """rho c 1e6 J/(m^3 K) is 1 N/(mm^2 K); a bone of two conductivities has a fibre."""
     stem, cement, bone = build().conductors
     assert (stem.region, stem.conductivities, stem.fibre) == ("stem", (14.8,), None)
@@ -86,7 +86,7 @@ def test_conductors() -> None:
     assert bone.fibre is not None and bone.fibre.axis == pytest.approx((0, 0.6, 0.8))
 
 
-def test_a_region_conducts_along_its_own_fibre() -> None:
+def test_case_heat_conducts_along_the_fibre() -> None:
     bone = (
         "{kind: transversely_isotropic, axial_youngs_modulus: 17 GPa, transverse_youngs_modulus: "
         "11.5 GPa, axial_poisson_ratio: 0.31, transverse_poisson_ratio: 0.51, axial_shear_modulus: "
@@ -98,7 +98,7 @@ def test_a_region_conducts_along_its_own_fibre() -> None:
     assert found.conductors[2].fibre == found.elastic[1].fibre == Straight(axis=[1, 0, 0])
 
 
-def test_conditions() -> None:
+def test_case_heat_conditions() -> None:
     x = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     blood, outside, held, lamp, air, warm = build().heat
     assert blood.coefficient == pytest.approx(0.0119886)  # 0.003 * 1060 * 3770 W/(m^3 K)
@@ -116,7 +116,7 @@ def test_conditions() -> None:
         impossible.values(x)
 
 
-def test_interfaces() -> None:
+def test_case_heat_interfaces() -> None:
     found = build()
     (contact,) = found.contacts
     rubbing, glued = found.thermal_contacts
@@ -132,7 +132,7 @@ def test_interfaces() -> None:
         assert (capped.name, capped.law.conductances) == ("stem_cement", (0.1, 0.05, 10.0))
 
 
-def test_friction_heat_is_shared_by_effusivity() -> None:
+def test_case_heat_of_friction_is_shared_by_effusivity() -> None:
     """sqrt(k rho c) of cement is 590, of cobalt-chromium 7435 W s^1/2/(m^2 K): 7 %.
 
     A fibrous region has its mean conductivity.
@@ -149,7 +149,7 @@ def test_friction_heat_is_shared_by_effusivity() -> None:
     assert at_bone.slave_share == pytest.approx(e_cement / (e_cement + e_bone))
 
 
-def test_a_given_share_is_that_of_the_first_side() -> None:
+def test_case_heat_share_is_that_of_the_first_side() -> None:
     """The first side of stem_cement is the master, of cement_bone the slave."""
     sliding = "{kind: contact, friction_coefficient: 1, friction_heating: 0.3}"
     a, b = build(
@@ -158,7 +158,7 @@ def test_a_given_share_is_that_of_the_first_side() -> None:
     assert (a.slave_share, b.slave_share) == pytest.approx((0.7, 0.3))
 
 
-def test_strains_and_cure() -> None:
+def test_case_heat_strains_and_cure() -> None:
     found = build()
     assert [(e.region, e.expansion, e.reference) for e in found.expansions] == [
         ("cement", 80e-6, 295.15),
@@ -172,7 +172,7 @@ def test_strains_and_cure() -> None:
     )
 
 
-def test_stages_time_and_supports() -> None:
+def test_case_heat_stages_time_and_supports() -> None:
     found = build("time={method: backward_euler, first_step: 1 ms}")
     assert [(s.seconds, s.steady) for s in found.stages] == [(3600, False), (0, False)]
     assert found.time is not None and found.time.first_step == 1e-3
@@ -182,7 +182,7 @@ def test_stages_time_and_supports() -> None:
     ]
 
 
-def test_conductors_alone_have_no_mechanics() -> None:
+def test_case_heat_conductors_alone_have_no_mechanics() -> None:
     thermal = (
         "{conductivity: 1 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
         "initial_temperature: 300 K}"
@@ -207,7 +207,7 @@ def test_conductors_alone_have_no_mechanics() -> None:
 # ------------------------------------------------------------------------ shipped cases
 
 
-def test_the_hot_case_is_that_of_the_paper() -> None:
+def test_case_heat_hot_case_is_that_of_the_paper() -> None:
     case = load(support.CONFIGS / "thermal_100C.yaml").config
     assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
@@ -224,7 +224,7 @@ def test_the_hot_case_is_that_of_the_paper() -> None:
     assert case.regions["stem"].model_copy(update=cold) == modulus
 
 
-def test_cases_of_cure_agree_on_their_materials() -> None:
+def test_case_heat_cure_cases_have_equal_materials() -> None:
     """And with the reference values of verification: an adiabatic rise of 89.0805 K."""
     cure, residual, hot = (
         build_scene(load(support.CONFIGS / f"{n}.yaml").config)
@@ -241,7 +241,7 @@ def test_cases_of_cure_agree_on_their_materials() -> None:
     assert [residual.holds(residual.supports[1], k) for k in range(3)] == [True, True, False]
 
 
-def test_residual_ends_in_the_stance_of_the_paper() -> None:
+def test_case_heat_residual_ends_in_the_stance() -> None:
     residual, stance = (load(support.CONFIGS / f"{n}.yaml").config for n in ("residual", "stance"))
     assert residual.loads.keys() == stance.loads.keys()
     for name, acting in residual.loads.items():

@@ -27,7 +27,7 @@ FACTORS = {"mm": 1, "um": Fraction(1, 1000), "m": 1000, "inch": Fraction("25.4")
 
 
 @given(finite, st.sampled_from(sorted(FACTORS)), st.sampled_from(["", " ", "\t"]))
-def test_conversion_is_rounded_once(value: float, unit: str, space: str) -> None:
+def test_units_conversion_is_rounded_once(value: float, unit: str, space: str) -> None:
     """The result is the float nearest to the exact product of the number as written."""
     text = f"{value!r}{space}{unit}"
     exact = Fraction(repr(value)) * FACTORS[unit]
@@ -43,7 +43,7 @@ def test_conversion_is_rounded_once(value: float, unit: str, space: str) -> None
 
 
 @given(st.integers(1, 10**6), st.integers(-9, 9))
-def test_the_unit_it_is_written_in_does_not_matter(number: int, power: int) -> None:
+def test_units_do_not_change_the_value(number: int, power: int) -> None:
     read = TypeAdapter(Stiffness).validate_python
     results = {
         read(f"{number}e{power} MPa/mm"),
@@ -60,7 +60,7 @@ units_at_random = st.from_regex(r"-?[0-9]{1,3} [a-zµ°*/^() 0-9.-]{0,15}", full
 
 
 @given(st.text(max_size=30) | units_at_random)
-def test_any_text_is_a_length_or_a_told_error(text: str) -> None:
+def test_units_any_text_is_a_length_or_an_error(text: str) -> None:
     try:
         assert math.isfinite(TypeAdapter(Length).validate_python(text))
     except ValidationError as error:
@@ -75,7 +75,7 @@ moduli = st.floats(0.1, 10.0)
 
 
 @given(moduli, moduli, ratios, ratios, moduli)
-def test_transversely_isotropic_is_accepted_iff_positive_definite(
+def test_materials_accepted_iff_positive_definite(
     e_l: float, e_t: float, nu_l: float, nu_t: float, mu_l: float
 ) -> None:
     eigenvalues = np.linalg.eigvalsh(compliance(e_l, e_t, nu_l, nu_t, mu_l))
@@ -97,7 +97,7 @@ def test_transversely_isotropic_is_accepted_iff_positive_definite(
 
 
 @given(st.tuples(finite, finite, finite))
-def test_directions_are_of_unit_length(direction: tuple[float, float, float]) -> None:
+def test_case_directions_have_unit_length(direction: tuple[float, float, float]) -> None:
     read = TypeAdapter(Axis).validate_python
     if not any(direction):
         with pytest.raises(ValidationError, match="zero vector"):
@@ -119,7 +119,7 @@ angles = st.floats(-math.pi, math.pi).map(lambda v: f"{v!r} rad")
 
 
 @given(kelvin | celsius | angles)
-def test_temperatures_and_angles_survive_writing(text: str) -> None:
+def test_units_temperatures_and_angles_survive_writing(text: str) -> None:
     adapter: TypeAdapter[float] = TypeAdapter(Angle if text.endswith("rad") else Temperature)
     try:
         value = adapter.validate_python(text)
@@ -130,7 +130,7 @@ def test_temperatures_and_angles_survive_writing(text: str) -> None:
 
 
 @given(st.text(max_size=200) | st.binary(max_size=200))
-def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str | bytes) -> None:
+def test_case_any_file_is_read_or_refused(tmp_path_factory: Any, content: str | bytes) -> None:
     path = tmp_path_factory.mktemp("case") / "case.yaml"
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     path.write_bytes(raw)
@@ -140,7 +140,7 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
 
 
 @given(st.text(max_size=40))
-def test_any_override_is_applied_or_told(text: str) -> None:
+def test_overlay_any_override_is_applied_or_refused(text: str) -> None:
     try:
         load(CONFIGS / "blocks.yaml", [text])
     except InputError as error:

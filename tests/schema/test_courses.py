@@ -76,7 +76,7 @@ def about(axis: int, degrees: float) -> np.ndarray:
     return np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
 
 
-def test_a_course_serves_a_motion_and_a_load_and_is_written_with_the_case(tmp_path: Path) -> None:
+def test_time_courses_of_motion_and_load_are_written(tmp_path: Path) -> None:
     (tmp_path / "gait.csv").write_text(GAIT)
     (tmp_path / "case.yaml").write_text(CASE)
     case = load(tmp_path / "case.yaml").config
@@ -99,7 +99,7 @@ def test_a_course_serves_a_motion_and_a_load_and_is_written_with_the_case(tmp_pa
         ("600", "line 4: has 3 values; expected 4: time, force, rotation z, rotation x"),
     ],
 )
-def test_faults_of_a_file_tell_its_line(wrong: str, text: str, tmp_path: Path) -> None:
+def test_time_courses_faults_name_the_line(wrong: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "gait.csv").write_text(GAIT.replace("600, 3", wrong, 1))
     (tmp_path / "case.yaml").write_text(CASE.partition("loads:")[0])
     with pytest.raises(InputError, match=re.escape(f"gait.csv: {text}")) as caught:
@@ -107,7 +107,7 @@ def test_faults_of_a_file_tell_its_line(wrong: str, text: str, tmp_path: Path) -
     assert caught.value.messages[0].startswith(f"{tmp_path / 'case.yaml'}:23:27: motions.ball")
 
 
-def test_a_course_is_found_by_name_or_beside_the_case_that_names_it(tmp_path: Path) -> None:
+def test_time_courses_by_name_or_file(tmp_path: Path) -> None:
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / "gait.csv").write_text(GAIT)
     (tmp_path / "lib" / "below.yaml").write_text(CASE)
@@ -126,7 +126,7 @@ def test_a_course_is_found_by_name_or_beside_the_case_that_names_it(tmp_path: Pa
     )
 
 
-def test_the_first_letter_of_axes_is_the_outermost() -> None:
+def test_time_courses_first_axis_is_the_outermost() -> None:
     turn = motion("yxz", x=(0, 40), y=(0, -30), z=(0, 70))
     assert turn.rotation_at(0.0) == pytest.approx(np.eye(3))
     expected = about(1, -15) @ about(0, 20) @ about(2, 35)
@@ -135,6 +135,6 @@ def test_the_first_letter_of_axes_is_the_outermost() -> None:
     assert other == pytest.approx(about(2, 35) @ about(0, 20) @ about(1, -15), abs=1e-15)
 
 
-def test_columns_that_a_course_lacks_are_zero() -> None:
+def test_time_courses_missing_columns_are_zero() -> None:
     course = Course.model_validate(["time [s], rotation y [deg]", "0, 0", "1, 90"])
     assert course.at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])

@@ -54,7 +54,7 @@ def messages(path: Path, *overrides: str) -> tuple[str, ...]:
 # -------------------------------------------------------------------------------------- bases
 
 
-def test_a_case_over_a_base_changes_what_it_names(tmp_path: Path) -> None:
+def test_overlay_changes_named_keys_of_a_base(tmp_path: Path) -> None:
     text = """\
 base: blocks.yaml
 mesh: {size: 2 mm}
@@ -76,13 +76,13 @@ loads:
     )
 
 
-def test_shipped_cases_are_bases_by_their_names(tmp_path: Path) -> None:
+def test_overlay_shipped_cases_are_bases_by_name(tmp_path: Path) -> None:
     case = loaded(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
     other = load(CONFIGS / "stance_cocr.yaml").config
     assert case == other.model_copy(update={"title": "x"})
 
 
-def test_a_chain_of_bases_reads_paths_where_they_stand(
+def test_overlay_paths_are_relative_to_their_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     deep = tmp_path / "deep"
@@ -97,7 +97,7 @@ def test_a_chain_of_bases_reads_paths_where_they_stand(
     assert case.geometry.path == (deep / "patch.geo").resolve()
 
 
-def test_another_kind_replaces_the_whole(tmp_path: Path) -> None:
+def test_overlay_another_kind_replaces_the_mapping(tmp_path: Path) -> None:
     text = "base: blocks.yaml\nloads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     assert loaded(tmp_path, text).loads["push"].pressure == 1.0
     rigid = "base: blocks.yaml\nregions: {lower: {kind: conductor, thermal: {}}}\n"
@@ -105,14 +105,14 @@ def test_another_kind_replaces_the_whole(tmp_path: Path) -> None:
     assert found and not any("youngs_modulus" in m for m in found)
 
 
-def test_null_takes_away(tmp_path: Path) -> None:
+def test_overlay_null_removes(tmp_path: Path) -> None:
     case = loaded(tmp_path, "base: blocks.yaml\nloads: {push: null}\ninterfaces: null\n")
     assert list(case.loads) == ["press"]
     assert case.interfaces["lower_upper"].kind == "bonded"
     assert list(loaded(tmp_path, BLOCKS, "loads.push=null").loads) == ["press"]
 
 
-def test_errors_name_the_file_in_which_the_key_stands(tmp_path: Path) -> None:
+def test_overlay_errors_name_the_file_of_the_key(tmp_path: Path) -> None:
     below = BLOCKS.replace("press: {", "press: {wrong: 1, ")
     text = "base: blocks.yaml\nmesh:\n  size: 2\nregions: {other: {rigid: true}}\n"
     found = messages(write(tmp_path, blocks=below, case=text))
@@ -146,7 +146,7 @@ def test_errors_name_the_file_in_which_the_key_stands(tmp_path: Path) -> None:
         ("base: study.yaml", "study.yaml:2:1: set: unknown key"),
     ],
 )  # fmt: skip
-def test_bad_bases_are_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_overlay_refuses_bad_bases(text: str, message: str, tmp_path: Path) -> None:
     write(
         tmp_path,
         blocks=BLOCKS,
@@ -163,7 +163,7 @@ def test_bad_bases_are_refused(text: str, message: str, tmp_path: Path) -> None:
     assert time.process_time() - begin < 10.0
 
 
-def test_sweeps_and_variations_take_cases_with_a_base(tmp_path: Path) -> None:
+def test_overlay_base_in_sweeps_and_variations(tmp_path: Path) -> None:
     varied = "variations: {a: {loads.push.force: 5 N}, b: {loads.push.force: 10 N}}\n"
     write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nmesh: {size: 2 mm}\n" + varied)
     sweep = write(tmp_path, sweep="base: case.yaml\ngrid: {loads.push.force: [1 N, 10 N]}\n")
@@ -176,7 +176,7 @@ def test_sweeps_and_variations_take_cases_with_a_base(tmp_path: Path) -> None:
     assert [p.case.title[:14] for p in sweep_file.read(by_name)[1]] == ["Patch test of "] * 2
 
 
-def test_a_resolved_case_stands_alone(tmp_path: Path) -> None:
+def test_overlay_resolved_case_is_complete(tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nregions: {upper: "
                  "{material: 316L}}\nloads: {push: {force: 10 N}}\n")  # fmt: skip
     case = load(path)
@@ -199,7 +199,7 @@ def test_a_resolved_case_stands_alone(tmp_path: Path) -> None:
         ("[3 N, 0 N, -4 N]", "[1, 2, 3] N", (1.0, 2.0, 3.0)),
     ],
 )
-def test_a_magnitude_keeps_the_direction(
+def test_overlay_magnitude_keeps_the_direction(
     old: str, new: str, force: tuple[float, ...], tmp_path: Path
 ) -> None:
     below = BLOCKS.replace("[3 N, 0 N, -4 N]", old)
@@ -208,7 +208,7 @@ def test_a_magnitude_keeps_the_direction(
     assert loaded(tmp_path, text, below=below).loads["push"].force == force
 
 
-def test_a_title_tells_the_magnitude_as_it_was_given(tmp_path: Path) -> None:
+def test_overlay_title_has_the_given_magnitude(tmp_path: Path) -> None:
     case = loaded(tmp_path, "title: A\n" + BLOCKS, "loads.push.force=10 N", "loads.press=null")
     assert case.title == "A; changed: force 10 N, without press"
 
@@ -216,7 +216,7 @@ def test_a_title_tells_the_magnitude_as_it_was_given(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------------- names
 
 
-def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) -> None:
+def test_library_entries_have_sources_and_are_valid(tmp_path: Path) -> None:
     shipped = library.read().data
     assert {"Ti-6Al-4V", "CoCrMo", "316L", "PMMA", "cortical_bone", "cancellous_bone"} <= set(
         shipped["materials"]
@@ -240,7 +240,7 @@ def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) ->
             assert support.without_origin(case)["loads"] == support.without_origin(stance)["loads"]
 
 
-def test_an_origin_ends_where_its_values_change(tmp_path: Path) -> None:
+def test_library_source_is_removed_with_changed_values(tmp_path: Path) -> None:
     """By an override, a case above or a key beside the name; not by where or when a load acts."""
     text = """\
 base: blocks.yaml
@@ -263,7 +263,7 @@ loads: {push: {status: measured, source: a scale, history: [0.5]}}
     assert (found.poisson_ratio, found.status) == (0.4, None)
 
 
-def test_sizes_of_the_loads_are_those_of_their_sources(tmp_path: Path) -> None:
+def test_library_loads_have_the_size_of_their_sources(tmp_path: Path) -> None:
     percents = {"walking": 232.6, "walking_hip": 247, "standing_up_hip": 215, "stairs_up_hip": 251}
     percents |= {"one_leg_stance": 260, "standing_up": 215, "stairs_up": 251}
     for name, percent in percents.items():
@@ -271,7 +271,7 @@ def test_sizes_of_the_loads_are_those_of_their_sources(tmp_path: Path) -> None:
         assert math.hypot(*case.loads["hip"].force) / 6.0 == pytest.approx(percent, abs=1.5)
 
 
-def test_keys_beside_a_name_change_it(tmp_path: Path) -> None:
+def test_library_keys_next_to_a_name_change_it(tmp_path: Path) -> None:
     text = """\
 base: stance
 regions:
@@ -290,7 +290,7 @@ loads:
     assert "psoas" not in case.loads and case.loads["extra"].pressure == 1.0
 
 
-def test_a_material_replaces_the_constants_below_it_and_nothing_else(tmp_path: Path) -> None:
+def test_library_material_replaces_only_constants(tmp_path: Path) -> None:
     heated = loaded(
         tmp_path, "base: blocks.yaml\nregions: {body: {material: CoCrMo}}\n", below=HEATED
     )
@@ -334,13 +334,13 @@ def test_a_material_replaces_the_constants_below_it_and_nothing_else(tmp_path: P
          "case.yaml:2:35: regions.upper.yongs_modulus: unknown key"),
     ],
 )  # fmt: skip
-def test_what_no_base_takes_is_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_overlay_refuses_keys_that_a_base_lacks(text: str, message: str, tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\n{text}\n")
     found = messages(path)[0]
     assert re.sub(rf"{library.SHIPPED}:\d+", "LIBRARY", found).startswith(message)
 
 
-def test_names_of_a_library_of_ones_own(tmp_path: Path) -> None:
+def test_library_of_the_user(tmp_path: Path) -> None:
     own = """\
 materials:
   PMMA: {source: measured here, youngs_modulus: 2.5 GPa, poisson_ratio: 0.33}
@@ -370,7 +370,7 @@ loads:
         ("bad.yaml", "bad.yaml:2:3: materials.X: expected a mapping with 'source'"),
     ],
 )
-def test_bad_libraries_are_refused(name: str, message: str, tmp_path: Path) -> None:
+def test_library_refuses_bad_files(name: str, message: str, tmp_path: Path) -> None:
     write(tmp_path, bad="materials:\n  X: {youngs_modulus: 1 GPa}\nother: 1\n")
     many = "[" + "0, " * 3000 + "0]"
     write(tmp_path, loud=f"materials:\n  X: {{source: here, kind: {many}, tissue: bone}}\n")
@@ -380,7 +380,7 @@ def test_bad_libraries_are_refused(name: str, message: str, tmp_path: Path) -> N
     assert messages(path)[0].startswith(message)
 
 
-def test_reading_many_layers_of_many_values_takes_no_longer_than_reading(tmp_path: Path) -> None:
+def test_overlay_reading_time_is_linear(tmp_path: Path) -> None:
     """Each file is walked through once: nothing grows with the square of its size."""
     names = "".join(f"  n{i}: {{material: PMMA, tissue: bone}}\n" for i in range(1500))
     path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\nregions:\n{names}")
@@ -393,7 +393,7 @@ def test_reading_many_layers_of_many_values_takes_no_longer_than_reading(tmp_pat
     assert len(file.data["regions"]) == 1502
 
 
-def test_body_weight_and_tilt_change_the_forces_that_are_there(tmp_path: Path) -> None:
+def test_library_body_weight_and_tilt_change_forces(tmp_path: Path) -> None:
     """In the order given; turns about x add up, and a force beside them stays as it is."""
     hip = loaded(tmp_path, "base: stance\nloads: {library: walking_hip}\n").loads["hip"].force
     text = (
@@ -417,7 +417,7 @@ def test_body_weight_and_tilt_change_the_forces_that_are_there(tmp_path: Path) -
         assert words in messages(write(tmp_path, blocks=BLOCKS), change)[0]
 
 
-def test_the_history_of_all_loads_of_a_library_or_a_base(tmp_path: Path) -> None:
+def test_library_history_of_all_loads(tmp_path: Path) -> None:
     case = tmp_path / "two.yaml"
     stages = "stages: [{name: rest}, {name: stand}, {name: walk}]\n"
     load = "loads: {library: one_leg_stance, history: [0, 1, 0.5], hip: {history: [1, 1, 1]}}\n"
@@ -432,7 +432,7 @@ def test_the_history_of_all_loads_of_a_library_or_a_base(tmp_path: Path) -> None
         mantle.load(case)
 
 
-def test_a_base_with_a_material_is_overlaid_by_a_kind(tmp_path: Path) -> None:
+def test_overlay_kind_replaces_a_material(tmp_path: Path) -> None:
     below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
     below.write_text("base: stance\nregions: {cortical_bone: {material: cortical_bone}}\n")
     law = "{kind: isotropic, youngs_modulus: 16 GPa, poisson_ratio: 0.31}"

@@ -31,13 +31,13 @@ MEASURED = {
 
 
 @pytest.mark.parametrize("case", MEASURED, ids=" ".join)
-def test_times_are_estimated_within_a_factor_of_two(case: tuple[str, ...]) -> None:
+def test_cost_times_are_within_a_factor_of_two(case: tuple[str, ...]) -> None:
     name, *changes = case
     seconds = cost.seconds(load(CONFIGS / f"{name}.yaml", changes).config)
     assert 0.5 < seconds / MEASURED[case] < 2
 
 
-def test_check_tells_the_time() -> None:
+def test_cost_time_is_printed_by_check() -> None:
     told = cost.estimated_size(load(CONFIGS / "variations.yaml").config)
     assert " s on one core, " in told and "for all variations" in told
     assert "5 s more where forms are compiled first" in told
@@ -51,7 +51,7 @@ def told(name: str, *changes: str, available: float = 1e10) -> str:
     return "".join(line for line in text.splitlines() if line.startswith("  contact: "))
 
 
-def test_check_tells_how_contact_is_solved_and_why() -> None:
+def test_cost_check_names_the_solver_and_reason() -> None:
     """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
     small = told("stance", "mesh.size=10 mm")
     assert "1 solve, bodies condensed" in small and small.endswith(" GB")
@@ -62,7 +62,7 @@ def test_check_tells_how_contact_is_solved_and_why() -> None:
     assert not told("cure")
 
 
-def test_phases_add_up_to_less_than_the_run() -> None:
+def test_cost_phases_add_up() -> None:
     case = load(CONFIGS / "stance.yaml").config
     phases = cost.phases(case)
     assert all(seconds > 1.0 for seconds in phases.values())

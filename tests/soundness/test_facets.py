@@ -38,14 +38,14 @@ def moved(*overrides: str) -> float:
     ("overrides", "mode"),
     [((TWIST,), "turn about z"), (("geometry.taper=0 deg",), "move along z")],
 )
-def test_a_smooth_stem_is_free(overrides: tuple[str, ...], mode: str) -> None:
+def test_facets_frictionless_stem_is_free(overrides: tuple[str, ...], mode: str) -> None:
     """To turn in its taper, to fall out of a straight hole."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH, *overrides)
     assert re.search(rf"nothing holds body 'stem': .* free to {mode}", str(caught.value))
 
 
-def test_what_curved_facets_alone_hold_is_named() -> None:
+def test_facets_bodies_held_by_curved_facets_alone_are_named() -> None:
     """They resist the turn of a smooth stem, and say nothing."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH, TWIST, "mesh.order=2")
@@ -54,13 +54,13 @@ def test_what_curved_facets_alone_hold_is_named() -> None:
 
 
 @pytest.mark.parametrize("overrides", [SMOOTH, (TWIST,), (*SMOOTH, "mesh.size=5 mm")])
-def test_what_surfaces_hold_is_held(overrides: tuple[str, ...]) -> None:
+def test_facets_bodies_held_by_surfaces_are_held(overrides: tuple[str, ...]) -> None:
     """A smooth taper holds what pushes it in; friction holds the turn."""
     assert moved(*overrides) > 0
 
 
 @pytest.mark.parametrize("friction", [0, 0.3, 1])
-def test_a_smooth_taper_that_is_pushed_aside_comes_out(friction: float) -> None:
+def test_facets_frictionless_taper_pushed_aside_is_free(friction: float) -> None:
     """Friction of the cement in the bone does not hold the stem in the cement."""
     changes = (
         SMOOTH[0],

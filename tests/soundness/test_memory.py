@@ -18,7 +18,7 @@ BLOCKS = CONFIGS / "blocks.yaml"
 
 @pytest.mark.parametrize("name", ["blocks", "cylinders", "stance", "cure"])
 @pytest.mark.parametrize("command", ["run", "mesh", "check"])
-def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
+def test_memory_refuses_a_mesh_of_a_nanometre(
     name: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = CONFIGS / f"{name}.yaml"
@@ -32,7 +32,7 @@ def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_suggested_size_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available", lambda: 8e9)
     file = overlay.read(BLOCKS, ["mesh.size=1e-3 mm"])
     with pytest.raises(InputError) as caught:
@@ -44,7 +44,7 @@ def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("option", ["around=900", "around=0.06 mm", "along=0.01 mm"])
-def test_the_lines_and_steps_that_would_do_do(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The key that makes the mesh too large is refused, with its value that fits."""
     monkeypatch.setattr(memory, "available", lambda: 8e9)
     path, key = CONFIGS / "stance.yaml", option.split("=")[0]
@@ -66,12 +66,12 @@ def test_the_lines_and_steps_that_would_do_do(option: str, monkeypatch: pytest.M
         ("around=28 kg", "'28 kg' is not a number of lines or a length such as '1.4 mm'"),
     ],
 )
-def test_lines_that_the_stem_cannot_hold_are_refused(option: str, why: str) -> None:
+def test_memory_refuses_too_many_lines(option: str, why: str) -> None:
     with pytest.raises(InputError, match=rf"--set mesh\.{option.split('=')[0]}: {why}"):
         load(CONFIGS / "stance.yaml", [f"mesh.{option}"])
 
 
-def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
+def test_memory_without_a_size_that_fits() -> None:
     file = overlay.read(
         CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
     )
@@ -83,7 +83,7 @@ def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
     "environ",
     [{"SLURM_NNODES": "4"}, {"OMPI_COMM_WORLD_SIZE": "8", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}],
 )
-def test_several_machines_have_more_memory(environ: dict[str, str]) -> None:
+def test_memory_of_several_machines(environ: dict[str, str]) -> None:
     assert memory.available(environ) == 4 * memory.available({})
 
 
@@ -109,7 +109,7 @@ CGROUPS = {
 
 
 @pytest.mark.parametrize("name", CGROUPS)
-def test_memory_is_what_the_group_of_the_process_may_use(
+def test_memory_limit_of_the_process_group(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     groups, limits = CGROUPS[name]

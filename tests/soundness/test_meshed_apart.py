@@ -78,11 +78,11 @@ def judged(text: str, *overrides: str) -> list[str]:
     return [v.text for v in well_posedness.judge(case, found)]
 
 
-def test_sliding_contact_holds_a_body_and_coincident_nodes_are_no_crack() -> None:
+def test_finite_sliding_holds_a_body_with_coincident_nodes() -> None:
     assert judged(BALL) == judged(BLOCK) == []
 
 
-def test_somebody_says_how_a_rigid_body_turns_that_slides_far() -> None:
+def test_finite_sliding_rigid_body_needs_a_motion() -> None:
     with pytest.raises(InputError, match=r"^interfaces\.b: nothing says how the rigid plate turns"):
         judged(BLOCK, "motions={}")
     held = "supports.top={kind: fixed, boundary: plate_top}"
@@ -98,12 +98,14 @@ def test_somebody_says_how_a_rigid_body_turns_that_slides_far() -> None:
         (SHELL, FINITE, "liner_shell.sliding: liner and shell share [0-9]+ facets"),
     ],
 )
-def test_interfaces_that_do_not_fit_are_refused(text: str, change: str, error: str) -> None:
+def test_finite_sliding_refuses_interfaces_that_do_not_fit(
+    text: str, change: str, error: str
+) -> None:
     with pytest.raises(InputError, match=rf"^interfaces\.{error}"):
         judged(text, f"interfaces{change}")
 
 
-def test_nodes_that_slide_far_are_moved_by_nothing_else() -> None:
+def test_finite_sliding_refuses_supports_on_its_nodes() -> None:
     """A support at the rim of a liner; two boundaries with the same nodes."""
     rim = r"^supports.rim: moves 36 nodes of liner_inner, .* mm, which .* by interfaces.bearing;"
     with pytest.raises(InputError, match=rim):
@@ -130,7 +132,7 @@ def drawn(
 
 
 @pytest.mark.parametrize(("plate", "step"), [(0, 0), (-1, 0), (1, 0), (0, 5)])
-def test_a_block_is_drawn_far(plate: float, step: float) -> None:
+def test_finite_sliding_of_a_block(plate: float, step: float) -> None:
     """Friction is mu N all the way, from an overlap or a gap too, and at edges of the block."""
     solved = drawn(plate=plate, step=step)
     force = solved.last.weight @ solved.last.force
@@ -138,7 +140,7 @@ def test_a_block_is_drawn_far(plate: float, step: float) -> None:
     assert np.linalg.norm(force[:2]) == pytest.approx(150, rel=1e-7)
 
 
-def test_a_block_that_leaves_its_plate_or_is_in_it_or_has_none_is_refused() -> None:
+def test_finite_sliding_refuses_a_block_off_its_plate() -> None:
     left = r"at 100 %.* \(10, .* of 'block_top' has left 'plate_bottom' .* (6|5.99) mm beyond"
     with pytest.raises(ConvergenceError, match=left):
         drawn("supports.floor.x=40 mm")
@@ -148,7 +150,7 @@ def test_a_block_that_leaves_its_plate_or_is_in_it_or_has_none_is_refused() -> N
         drawn(bow=1e-3)
 
 
-def test_elastic_bodies_that_tip_are_told_where_forces_are_off_by_a_hundredth() -> None:
+def test_finite_sliding_notes_on_tipping_elastic_bodies() -> None:
     """Drawn up a slope θ the block takes F tan(θ + arctan μ), but surfaces do not turn."""
     stiff = "regions.plate={youngs_modulus: 210 GPa, poisson_ratio: 0.3, tissue: other}"
     table = "kind: displacement, boundary: plate_top, x: 0 mm, y: 0 mm, history: [1, 1]"
@@ -159,14 +161,14 @@ def test_elastic_bodies_that_tip_are_told_where_forces_are_off_by_a_hundredth() 
         drawn(stiff, f"supports.table={{{table}, z: 0.011 * x}}")
 
 
-def test_a_rigid_head_has_no_unknowns_in_the_estimate_either() -> None:
+def test_finite_sliding_rigid_head_has_no_unknowns() -> None:
     case = load(support.CONFIGS / "head_cup.yaml").config
     told = cost.exact_size(case, build(case.geometry, case.mesh))
     counted = re.search(r"([\d\s]+) unknowns", told)
     assert counted and 0.8 < cost.unknowns(case) / float("".join(counted[1].split())) < 1.25
 
 
-def test_the_nodes_of_the_second_side_count_as_those_of_the_interface() -> None:
+def test_finite_sliding_counts_nodes_of_the_second_side() -> None:
     case = support.case(BLOCK)
     said = cost.exact_size(case, build(case.geometry, case.mesh))
     assert " interface nodes with a jump" in said and " 0 interface nodes" not in said

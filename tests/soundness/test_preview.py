@@ -14,7 +14,7 @@ def texts(case: Case) -> list[str]:
     return [v.text for v in preview.warnings(case)]
 
 
-def test_notes_on_input_without_effect() -> None:
+def test_preview_notes_input_without_effect() -> None:
     notes = texts(mantle.load(CONFIGS / "stance.yaml").config)
     assert not any("friction_coefficient" in n or "fixes" in n for n in notes)
     changes = {
@@ -30,7 +30,9 @@ def test_notes_on_input_without_effect() -> None:
     ("up", "cut", "height"),
     [(0.0, 5.0, None), (10.0, 5.0, None), (25.0, 5.0, 29.7), (0.0, -7, 16.7)],
 )
-def test_a_stem_far_out_of_the_bone_is_noted(up: float, cut: float, height: float | None) -> None:
+def test_preview_notes_a_stem_far_out_of_the_bone(
+    up: float, cut: float, height: float | None
+) -> None:
     """The shipped shoulder is at 29 mm, the cut 24.747 tan 38 deg above its medial end."""
     case = mantle.load(
         CONFIGS / "stance.yaml",
@@ -41,7 +43,7 @@ def test_a_stem_far_out_of_the_bone_is_noted(up: float, cut: float, height: floa
     assert len(notes) == (height is not None) and all(n.startswith(text) for n in notes)
 
 
-def test_a_conductance_that_stays_when_contact_opens_is_noted() -> None:
+def test_preview_notes_conductance_across_open_contact() -> None:
     """One that falls is not, nor one of a bond, nor one where nothing moves."""
 
     def noted(name: str, **changes: object) -> list[str]:

@@ -124,7 +124,7 @@ SHIPPED = sorted(
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
+def test_well_posedness_shipped_cases_have_only_expected_notes(name: str) -> None:
     case = load(CONFIGS / f"{name}.yaml").config
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
@@ -137,7 +137,7 @@ def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
             assert any(words in note for note in notes)
 
 
-def test_a_sound_case_gives_no_note() -> None:
+def test_well_posedness_sound_case_has_no_note() -> None:
     assert judged(TWO) == []
 
 
@@ -148,7 +148,7 @@ def test_a_sound_case_gives_no_note() -> None:
         ("gap=0.01 mm", "x, y, z and to turn about x, y, z until 'bone_metal' closes"),
     ],
 )
-def test_what_only_contact_holds_is_told(change: str, free: str) -> None:
+def test_well_posedness_notes_bodies_held_by_contact_alone(change: str, free: str) -> None:
     change = f"interfaces.bone_metal.{change}"
     (note,) = judged(TWO, change)
     assert f"body 'metal': it is free to move along {free}" in note
@@ -157,7 +157,7 @@ def test_what_only_contact_holds_is_told(change: str, free: str) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
+def test_well_posedness_frictionless_pin_and_taper(order: int) -> None:
     chosen = f"mesh.order={order}"
     turning = [n for n in judged(PIN, chosen) if "holds body" in n]
     assert len(turning) == 1 and "body 'stem': it is free to turn about z:" in turning[0]
@@ -172,7 +172,7 @@ def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
     assert "'stem': it is free to turn about z:" in note  # the cone is steep enough
 
 
-def test_a_body_that_nothing_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block that a crack parts from the one below, though its interface is bonded.
 
     A run refuses it in the same words, before it factorizes a singular matrix.
@@ -199,7 +199,7 @@ def test_a_body_that_nothing_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -
     assert run.value.messages == caught.value.messages
 
 
-def test_a_turn_that_supports_leave_is_refused() -> None:
+def test_well_posedness_refuses_a_free_rotation() -> None:
     """Nodes on one edge hold all axes and leave a turn about the edge."""
     case = support.case(TWO, "interfaces={}")
     found = well_posedness.look(case, build(case))
@@ -210,7 +210,7 @@ def test_a_turn_that_supports_leave_is_refused() -> None:
         well_posedness.judge(case, held)
 
 
-def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
+def test_well_posedness_names_a_loose_piece() -> None:
     case = support.case(TWO)
     data = build(case)
     far = replace(
@@ -223,7 +223,7 @@ def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
         judge(case, far)
 
 
-def test_cracks_in_an_interface_are_told() -> None:
+def test_well_posedness_notes_cracks_in_an_interface() -> None:
     """In a part of it, as a note; along all of it there is no interface."""
     case = support.case(TWO)
     data = build(case)
@@ -233,7 +233,7 @@ def test_cracks_in_an_interface_are_told() -> None:
         meshes._check_parts(torn(data, case, "bone_metal"), ())
 
 
-def test_an_interface_that_others_imply_at_a_vertex_is_told(tmp_path: Path) -> None:
+def test_well_posedness_notes_a_dependent_interface(tmp_path: Path) -> None:
     """Three bodies around a line, each in contact with both others."""
     case = support.case(TWO)
     data = build(case)
@@ -261,7 +261,7 @@ def test_an_interface_that_others_imply_at_a_vertex_is_told(tmp_path: Path) -> N
     assert not [n for n in judged(TWO) if "meet at" in n]
 
 
-def test_coincident_nodes_are_found_whatever_their_order() -> None:
+def test_pieces_coincident_nodes_in_any_order() -> None:
     rng = np.random.default_rng(3)
     x = rng.random((500, 3))
     again = rng.choice(500, 40, replace=False)
@@ -290,11 +290,11 @@ BOTH_SIDES = [
         ("mesh.size=5 mm\ngeometry.blocks[1].size=[10 mm, 10 mm, 1 mm]", "'metal' is 1 mm"),
     ],
 )
-def test_what_is_out_of_proportion_is_told(change: str, words: str) -> None:
+def test_preview_notes_disproportionate_values(change: str, words: str) -> None:
     assert any(words in note for note in judged(TWO, *change.splitlines()))
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_well_posedness_refuses_impossible_cases() -> None:
     with pytest.raises(InputError, match=r"bone_metal\.gap: .* small strains; expected"):
         judged(TWO, "interfaces.bone_metal.gap=-4 mm")
     # A boundary that is the whole of another one, by another name.
@@ -315,7 +315,7 @@ def test_what_cannot_be_is_refused() -> None:
         ('bottom, z: "0.1 + 0.1 * x"', True),
     ],
 )
-def test_two_displacements_of_one_boundary_are_refused(more: str, wrong: bool) -> None:
+def test_well_posedness_refuses_contradictory_displacements(more: str, wrong: bool) -> None:
     """By what they are at its nodes, not by what they are written as."""
     more = f"supports.more={{kind: displacement, boundary: {more}}}"
     if not wrong:
@@ -325,7 +325,7 @@ def test_two_displacements_of_one_boundary_are_refused(more: str, wrong: bool) -
         judged(TWO, more)
 
 
-def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
+def test_well_posedness_errors_have_a_place_in_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "case.yaml"
@@ -345,13 +345,13 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
 
 
 @pytest.mark.parametrize("change", ["bone.youngs_modulus=17 MPa", "bone.youngs_modulus=17 TPa"])
-def test_moduli_a_thousand_times_off_are_asked_about(change: str) -> None:
+def test_preview_notes_moduli_wrong_by_a_thousand(change: str) -> None:
     note = preview.warnings(support.case(TWO, f"regions.{change}"))[0].text
     assert note.startswith("regions.bone.youngs_modulus is ") and note.endswith("a wrong unit?")
 
 
 @pytest.mark.parametrize("force", ["1.8 N", "1800 kN"])
-def test_hip_forces_a_thousand_times_off_are_asked_about(force: str) -> None:
+def test_preview_notes_forces_wrong_by_a_thousand(force: str) -> None:
     path = CONFIGS / "stance.yaml"
     changes = [f"loads.{n}.history=[0]" for n in load(path).config.loads if n != "hip"]
     change = f'loads.hip.force="[0, 0, -{force.replace(" ", "] ", 1)}"'
@@ -359,7 +359,7 @@ def test_hip_forces_a_thousand_times_off_are_asked_about(force: str) -> None:
     assert "on a hip: a wrong unit?" in note
 
 
-def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> None:
+def test_preview_notes_a_mesh_in_metres(tmp_path: Path) -> None:
     data = build(support.case(TWO))
     meshes.write_msh(replace(data, points=data.points * 1e-3), tmp_path / "a.msh")
     sides = "interfaces: {bone_metal: [bone, metal]}"
@@ -369,14 +369,14 @@ def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> 
     assert any("0.0173 mm from corner to corner: is its unit mm?" in n for n in notes)
 
 
-def test_strains_that_are_not_small_are_told() -> None:
+def test_doubts_on_large_strains() -> None:
     case = support.case(TWO)
     numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
     note = doubts.doubts(case, {"regions": numbers})[0].text
     assert note.startswith("region 'bone': is strained by 7.1 %")
 
 
-def test_free_motions_are_named() -> None:
+def test_rigid_motions_free_ones_are_named() -> None:
     """One body along an axis, two bodies together, and about an axis that has no name."""
     centres, names = np.array([[1.0, 2, 3], [4.0, 0, -1]]), ["'a'", "'b'"]
     origin, size = np.array([0.5, 0.5, 0.5]), 10.0
@@ -399,7 +399,7 @@ def test_free_motions_are_named() -> None:
     assert rigid_modes(np.zeros((1, 3)))[0, :, 3:].any() is np.False_
 
 
-def test_states_that_come_back_are_a_cycle() -> None:
+def test_failure_states_that_repeat_are_a_cycle() -> None:
     """Two points that change in turn, one that settled, and one that never moved."""
     active = ActiveSet(MPI.COMM_SELF)
     for k in range(7):
@@ -412,7 +412,7 @@ def test_states_that_come_back_are_a_cycle() -> None:
     assert active.changes() == active.period() == 0 and active.oscillating() == []
 
 
-def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCaptureFixture) -> None:
+def test_failure_message_names_places_states_and_remedies(caplog: pytest.LogCaptureFixture) -> None:
     """Two iterations at a time do not do: the message has places, states, remedies, residuals."""
     caplog.set_level(logging.INFO, "mantle")
     case = (CONFIGS / "stress" / "stem.yaml").read_text()
@@ -434,13 +434,13 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
     assert "what to change: " in text
 
 
-def test_a_lifted_body_is_named() -> None:
+def test_failure_names_a_lifted_body() -> None:
     pull = "loads={pull: {kind: force, boundary: top, force: [0 N, 0 N, 500 N]}}"
     with pytest.raises(ConvergenceError, match="nothing holds body 'metal'"):
         support.solve(TWO, pull)
 
 
-def test_a_stem_off_its_taper_is_named_without_cutting_the_step() -> None:
+def test_failure_names_a_stem_off_its_taper() -> None:
     """From rest and without gaps half the load fails alike."""
     finer = "mesh.size=4 mm", "mesh.order=2"
     named = "100 % of it: nothing holds body 'stem': it is free to move along z, and the loads pull"
@@ -450,7 +450,7 @@ def test_a_stem_off_its_taper_is_named_without_cutting_the_step() -> None:
 
 
 @pytest.mark.parametrize(("push", "held"), [(70, True), (90, False)])
-def test_what_friction_of_the_loads_holds_is_not_pulled_off(push: float, held: bool) -> None:
+def test_failure_body_held_by_friction_is_not_lifted(push: float, held: bool) -> None:
     """200 N press a block on another, with a friction of 0.4."""
     aside = f"loads.aside={{kind: force, boundary: top, force: [{push} N, 0 N, 0 N]}}"
     problem, _ = support.assemble(support.case(TWO, aside))
@@ -460,7 +460,7 @@ def test_what_friction_of_the_loads_holds_is_not_pulled_off(push: float, held: b
     assert held == (not found) and all("'metal': it is free to move along x," in f for f in found)
 
 
-def test_only_bonded_interfaces_join_bodies() -> None:
+def test_mesh_parts_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
     found = well_posedness.look(case, build(case))
@@ -472,7 +472,7 @@ def test_only_bonded_interfaces_join_bodies() -> None:
     assert len(groups_of(holds, found)) == 1
 
 
-def test_a_region_that_moves_has_no_supports_and_if_held_gives_way_to_no_load() -> None:
+def test_checks_supports_of_a_region_with_a_motion() -> None:
     notes = [v.text for v in preview.warnings(support.case(TWO + MOTION))]
     text = "motions.turn.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
     assert notes == [text]
@@ -502,7 +502,7 @@ stages: [{name: press}, {name: push, increments: 2}]
 """
 
 
-def test_bodies_that_can_part_have_their_own_prescriptions() -> None:
+def test_well_posedness_supports_of_separate_bodies() -> None:
     """Supports of two bodies at the nodes of their interface do not contradict each other."""
     assert not [n for n in judged(BESIDE) if "prescribes another" in n]
     bonded = judged(BESIDE, "interfaces.low_high={kind: bonded}")

@@ -37,7 +37,9 @@ def noted(text: str) -> list[str]:
     ("L", "b", "h", "size"),
     [(100, 10, 10, 10), (100, 10, 10, 5), (100, 10, 10, 2.5), (50, 10, 10, 5), (100, 40, 5, 5)],
 )
-def test_a_beam_is_as_stiff_as_it_is_noted_to_be(L: float, b: float, h: float, size: float) -> None:
+def test_bending_note_on_linear_cells_has_the_stiffness_of_a_beam(
+    L: float, b: float, h: float, size: float
+) -> None:
     """Timoshenko: L^3 / (3 E I) + L / (5/6 G b h) at the end; the same mesh of order 2 is exact."""
     text = BEAM.format(L=L, b=b, h=h, size=size, order=1)
     (note,) = noted(text)
@@ -54,7 +56,7 @@ def test_a_beam_is_as_stiff_as_it_is_noted_to_be(L: float, b: float, h: float, s
     assert noted(text.replace("order: 1", "order: 2")) == []
 
 
-def test_what_does_not_bend_is_not_noted() -> None:
+def test_bending_note_is_absent_without_bending() -> None:
     """A cube; a bar of many cells; a slice between rollers."""
     assert noted(BEAM.format(L=10, b=10, h=10, size=10, order=1)) == []
     assert noted(BEAM.format(L=50, b=10, h=10, size=1.3, order=1)) == []
@@ -67,7 +69,7 @@ def test_what_does_not_bend_is_not_noted() -> None:
     assert noted(held) == []
 
 
-def test_notes_of_runs_reach_summary_table_and_page(
+def test_bending_note_is_in_summary_table_and_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A sweep over the order: the linear case is noted, the other is not."""

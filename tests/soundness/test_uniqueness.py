@@ -39,7 +39,7 @@ def critical_in_the_plane(K: Floats) -> float:
     return float(critical_friction(whole[None], np.array([[0.0, 0.0, 1.0]]))[0])
 
 
-def test_klarbrings_particle() -> None:
+def test_critical_friction_of_klarbrings_particle() -> None:
     """k_T = 1, k_N = 2, w = 0.8: one solution for every load up to a coefficient of 1.25."""
     K = np.array([[1, 0.8], [0.8, 2]])
     assert critical_in_the_plane(K) == pytest.approx(1.25, rel=1e-14)
@@ -49,7 +49,7 @@ def test_klarbrings_particle() -> None:
         assert max(numbers_of_states(K, μ)) > 1, μ
 
 
-def test_random_particles_in_the_plane() -> None:
+def test_critical_friction_of_random_particles_in_the_plane() -> None:
     rng = np.random.default_rng(1)
     for _ in range(12):
         B = rng.normal(size=(2, 2))
@@ -85,7 +85,7 @@ def number_in_space(K: Floats, load: Floats, μ: float, φ: Floats) -> int:
     return int(opens) + int(sticks) + slips(K, load, μ, φ)
 
 
-def test_random_points_in_space() -> None:
+def test_critical_friction_of_random_points_in_space() -> None:
     """Below, one state for random loads and near the fold; beyond, stick and slip at the fold."""
     rng = np.random.default_rng(2)
     φ = np.linspace(0, 2 * np.pi, 4001)
@@ -114,7 +114,7 @@ def test_random_points_in_space() -> None:
                 assert set(numbers) == {1}
 
 
-def test_it_turns_with_the_point() -> None:
+def test_critical_friction_is_invariant_under_rotation() -> None:
     """The frame of the point does not matter, nor the scale of the stiffness."""
     rng = np.random.default_rng(3)
     B = rng.normal(size=(5, 3, 3))
@@ -126,7 +126,7 @@ def test_it_turns_with_the_point() -> None:
     np.testing.assert_allclose(turned, critical_friction(K, n), rtol=1e-10)
 
 
-def test_no_coupling_no_limit() -> None:
+def test_critical_friction_is_infinite_without_coupling() -> None:
     K = np.diag([1.0, 2.0, 3.0])[None]
     assert np.isinf(critical_friction(K, np.array([[0.0, 0.0, 1.0]]))).all()
 
@@ -145,7 +145,7 @@ def stack(friction: float) -> Case:
     return support.case(STACK, f"interfaces.lower_upper={law}")
 
 
-def test_it_is_told_beyond_it_and_only_there() -> None:
+def test_critical_friction_is_reported_only_beyond() -> None:
     def found(friction: float) -> tuple[dict[str, float], list[Verdict]]:
         return beyond_critical(support.assemble(stack(friction))[0])
 
@@ -158,7 +158,7 @@ def test_it_is_told_beyond_it_and_only_there() -> None:
     assert found(0) == ({}, [])
 
 
-def test_stiffness_of_points_is_that_of_the_jump_block() -> None:
+def test_critical_friction_uses_the_jump_block() -> None:
     """A unit jump of one component meets the forces of its column."""
     problem, solver = support.assemble(stack(0.5))
     j = problem.contact
