@@ -23,7 +23,7 @@ def main(folder: Path) -> None:
     subsidence: list[Line] = []
     pressure: list[Line] = []
     for k, run in enumerate(Results(folder).variations.values()):
-        h = run.history
+        h = run.step_record
         crept = h["creep cycles [-]"] > 0
         cycles = h["creep cycles [-]"][crept].tolist()
         sunk = h["stem subsidence [mm]"]

@@ -29,10 +29,10 @@ def main(folders: list[Path]) -> None:
     lines: list[Line] = []
     for k, folder in enumerate(folders):
         run = Run(folder)
-        area = run.history[f"{PLACE} area_damaged [mm^2]"]
+        area = run.step_record[f"{PLACE} area_damaged [mm^2]"]
         size = run.summary["interfaces"][PLACE]["facet_size"]
         label = f"facets of {size:.1f} mm"
-        load = [100 * t for t in run.history["time [-]"]]
+        load = [100 * t for t in run.step_record["time [-]"]]
         lines.append(Line(label, k, load, area.tolist()))
     x_of_load = "load (% of the stance)"
     draw_panel(left, Panel("damaged area of the bond", "area (mm²)", lines, x_of_load, log=""))

@@ -24,7 +24,7 @@ def main(folder: Path) -> None:
     """Friction torque beside that of a hand formula; worn depth and pressure on the liner."""
     run = Run(folder)
     figure, (left, middle, right) = figures.panels(3, 3, 4.2, 3.6)
-    h, radius = run.history, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
+    h, radius = run.step_record, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
     friction = run.case["interfaces"][PLACE]["friction_coefficient"]
     part = h["time [-]"] - (len(run.case["stages"]) - 1)
     on = part > 0

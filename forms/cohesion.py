@@ -105,7 +105,7 @@ class Bond:
 
 
 def bond(c: Cohesion, gap: Expr, normals: Faces, old: Mapping[str, Expr], live: Expr) -> Bond:
-    """Traction, energies and history of the bond of a contact point.
+    """Traction, energies and internal variables of the bond of a contact point.
 
     Args:
         c: The constants.

@@ -106,7 +106,7 @@ class Response:
             the trial force S, and this is r times the other.
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
-        history: History variables after a converged step, by name.
+        internal_variables: Internal variables after a converged step, by name.
         slip: Irreversible tangential motion, 0 where open (3,) [mm]. None: of contact, the
             tangential motion while it touches; of a law without multiplier, none.
         stored: Stored energy per area [N/mm]; None: none.
@@ -124,7 +124,7 @@ class Response:
     by_jump: Expr | None
     pressures: Expr
     status: Expr
-    history: Mapping[str, Expr] = field(default_factory=dict)
+    internal_variables: Mapping[str, Expr] = field(default_factory=dict)
     slip: Expr | None = None
     stored: Expr | None = None
     dissipated: Expr | None = None

@@ -1,4 +1,4 @@
-"""Checks of one part of a case against another: names, lengths of histories, supports.
+"""Checks of one part of a case against another: names, lengths of load histories, supports.
 
 They work on the valid parts, so that an error in one section does not hide errors in others.
 """
@@ -146,7 +146,7 @@ def _lines(case: Any) -> Iterable[Fault]:
 
 @check("stages")
 def _stages(case: Any) -> Iterable[Fault]:
-    """Missing or duplicate stages, histories of wrong length, unknown stages of supports."""
+    """Missing or duplicate stages, load histories of wrong length, unknown stages of supports."""
     names = [stage.name for stage in case.stages]
     if not names:
         yield Fault(("stages",), "is empty; expected at least one stage")
@@ -160,7 +160,7 @@ def _stages(case: Any) -> Iterable[Fault]:
             if stage.fracture_step:
                 text = "no interface can break; expected one of kind: cohesive"
                 yield Fault(("stages", i, "fracture_step"), text)
-    histories: list[tuple[Path, Any]] = [
+    load_histories: list[tuple[Path, Any]] = [
         ((section, name, key), getattr(entry, key))
         for section, name, entry in _entries(case, "interfaces", "supports", "loads")
         for key in ("history", "gap_history")
@@ -169,11 +169,11 @@ def _stages(case: Any) -> Iterable[Fault]:
     for _, name, region in _entries(case, "regions"):
         for i, strain in enumerate(getattr(region, "eigenstrains", ())):
             key = ("regions", name, "eigenstrains", i, "history")
-            histories.append((key, getattr(strain, "history", None)))
-    for path, history in histories:
-        if history is not None and len(history) != len(names):
+            load_histories.append((key, getattr(strain, "history", None)))
+    for path, load_history in load_histories:
+        if load_history is not None and len(load_history) != len(names):
             wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
-            yield Fault(path, f"has {len(history)} values; expected {wanted}")
+            yield Fault(path, f"has {len(load_history)} values; expected {wanted}")
     used: list[tuple[Path, str]] = []
     for _, name, support in _entries(case, "supports"):
         stages = enumerate(getattr(support, "stages", None) or ())

@@ -92,7 +92,7 @@ class Quantity:
         peak: Whether it is a maximum, which may diverge with refinement.
         exact: Whether it has no discretization error: counts, run times, penetrations.
         vector: Whether it has three components, ``.x`` .. in a study.
-        history: Whether history.csv has it; of interfaces and the stem.
+        step_record: True if history.csv has it; of interfaces and the stem.
         headline: Whether sweeps and variations compare runs by it.
         compute: Function of an added quantity, in `unit`. For an interface it takes the contact
             points (`ContactSamples`) and a mask of those of the interface (n,), and returns the
@@ -110,7 +110,7 @@ class Quantity:
     peak: bool = False
     exact: bool = False
     vector: bool = False
-    history: bool = False
+    step_record: bool = False
     headline: bool = False
     compute: Callable[[Any, Any], float] | None = None
 
@@ -228,54 +228,78 @@ _timing = partial(Quantity, "timing")
 
 add_quantity(
     # Tractions at edges grow with refinement: their 95th percentile is the headline.
-    _interface("gap_max", "mm", "um", 1, label="debonding, max", peak=True, history=True),
+    _interface("gap_max", "mm", "um", 1, label="debonding, max", peak=True, step_record=True),
     _interface("gap_p95", "mm", "um", 1, label="debonding, p95", order=MOTION),
     _interface(
-        "gap_p99", "mm", "um", 1, label="debonding, p99", order=MOTION, history=True, headline=True
+        "gap_p99",
+        "mm",
+        "um",
+        1,
+        label="debonding, p99",
+        order=MOTION,
+        step_record=True,
+        headline=True,
     ),
     _interface("gap_mean", "mm", "um", 1, label="debonding, mean", order=MOTION),
-    _interface("slip_max", "mm", "um", 1, label="slip, max", peak=True, history=True),
+    _interface("slip_max", "mm", "um", 1, label="slip, max", peak=True, step_record=True),
     _interface("slip_p95", "mm", "um", 1, label="slip, p95", order=SLIP),
     _interface(
-        "slip_p99", "mm", "um", 1, label="slip, p99", order=SLIP, history=True, headline=True
+        "slip_p99", "mm", "um", 1, label="slip, p99", order=SLIP, step_record=True, headline=True
     ),
     _interface("slip_mean", "mm", "um", 1, label="slip, mean", order=SLIP),
     _interface("slip_path_max", "mm", "um", 1, label="path of slip, max", peak=True),
     _interface("slip_path_p95", "mm", "um", 1, label="path of slip, p95", order=SLIP),
     _interface("slip_path_p99", "mm", "um", 1, label="path of slip, p99", order=SLIP),
     _interface("slip_path_mean", "mm", "um", 1, label="path of slip, mean", order=SLIP),
-    _interface("motion_max", "mm", "um", 1, label="motion, max", peak=True, history=True),
+    _interface("motion_max", "mm", "um", 1, label="motion, max", peak=True, step_record=True),
     _interface("motion_p95", "mm", "um", 1, label="motion, p95", order=MOTION),
     _interface(
-        "motion_p99", "mm", "um", 1, label="motion, p99", order=MOTION, history=True, headline=True
+        "motion_p99",
+        "mm",
+        "um",
+        1,
+        label="motion, p99",
+        order=MOTION,
+        step_record=True,
+        headline=True,
     ),
     _interface("motion_mean", "mm", "um", 1, label="motion, mean", order=MOTION),
-    _interface("pressure_max", "MPa", label="pressure, max", peak=True, history=True),
+    _interface("pressure_max", "MPa", label="pressure, max", peak=True, step_record=True),
     _interface(
-        "pressure_p95", "MPa", label="pressure, p95", order=TRACTION, history=True, headline=True
+        "pressure_p95",
+        "MPa",
+        label="pressure, p95",
+        order=TRACTION,
+        step_record=True,
+        headline=True,
     ),
     _interface("pressure_p99", "MPa", label="pressure, p99", order=TRACTION),
     _interface("pressure_mean", "MPa", label="pressure, mean", order=MOTION),
-    _interface("shear_max", "MPa", label="shear stress, max", peak=True, history=True),
+    _interface("shear_max", "MPa", label="shear stress, max", peak=True, step_record=True),
     _interface(
-        "shear_p95", "MPa", label="shear stress, p95", order=TRACTION, history=True, headline=True
+        "shear_p95",
+        "MPa",
+        label="shear stress, p95",
+        order=TRACTION,
+        step_record=True,
+        headline=True,
     ),
     _interface("shear_p99", "MPa", label="shear stress, p99", order=TRACTION),
     _interface("shear_mean", "MPa", label="shear stress, mean", order=MOTION),
     # Contact: overlap of the sides, state of the points, forces and energies.
-    _interface("penetration_max", "mm", "um", exact=True, history=True, headline=True),
+    _interface("penetration_max", "mm", "um", exact=True, step_record=True, headline=True),
     _interface("penetration_sampled", "mm", "um", exact=True),
     _interface("penetration_mean", "mm", "um", exact=True),
-    _interface("open_fraction", "-", "%", 0, history=True, headline=True),
-    _interface("stick_fraction", "-", "%", 0, history=True),
-    _interface("slip_fraction", "-", "%", 0, history=True, headline=True),
+    _interface("open_fraction", "-", "%", 0, step_record=True, headline=True),
+    _interface("stick_fraction", "-", "%", 0, step_record=True),
+    _interface("slip_fraction", "-", "%", 0, step_record=True, headline=True),
     _interface("area_gap_over_30um", "mm^2", label="area of debonding over 30 µm"),
     _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm"),
     _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm"),
     _interface("force", "N", order=MOTION, vector=True),
-    _interface("dissipation", "N mm", order=SLIP, history=True),
-    _interface("dissipation_min", "N mm", history=True),
-    _interface("contact_work", "N mm", history=True),
+    _interface("dissipation", "N mm", order=SLIP, step_record=True),
+    _interface("dissipation_min", "N mm", step_record=True),
+    _interface("contact_work", "N mm", step_record=True),
     # Finite sliding, at the end and over a cycle.
     _interface("torque", "N mm", order=MOTION, vector=True),
     _interface("torque_size", "N mm", digits=1, label="torque", order=MOTION),
@@ -356,20 +380,25 @@ add_quantity(
     _interface("temperature_swing", "K", label="swing of the temperature", order=TRACTION),
     # Layers and cohesive interfaces.
     # Layers, and cohesive interfaces that break.
-    _interface("stored_energy", "N mm", history=True),
+    _interface("stored_energy", "N mm", step_record=True),
     _interface("unbonded_fraction", "-", "%", 1, exact=True),
-    _interface("area_damaged", "mm^2", digits=1, history=True),
-    _interface("area_broken", "mm^2", digits=1, history=True),
-    _interface("damage_mean", "-", digits=4, order=MOTION, history=True),
+    _interface("area_damaged", "mm^2", digits=1, step_record=True),
+    _interface("area_broken", "mm^2", digits=1, step_record=True),
+    _interface("damage_mean", "-", digits=4, order=MOTION, step_record=True),
     _interface("pressure_by_facets", "MPa", exact=True),
     _interface("pressure_mean_max", "MPa", label="pressure, largest mean at a point"),
-    _interface("zone_length", "mm", digits=1, history=True),
+    _interface("zone_length", "mm", digits=1, step_record=True),
     _interface("zone_elements", "-", digits=1),
     # Against the strength of the interface.
-    _interface("strength_fraction", "-", "%", 0, history=True),
+    _interface("strength_fraction", "-", "%", 0, step_record=True),
     _interface("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
     _interface(
-        "failure_index_p99", "-", digits=3, label="failure index, p99", order=TRACTION, history=True
+        "failure_index_p99",
+        "-",
+        digits=3,
+        label="failure index, p99",
+        order=TRACTION,
+        step_record=True,
     ),
     _interface(
         "failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION
@@ -394,9 +423,9 @@ add_quantity(
     _region("volume_over_11_MPa", "mm^3", digits=1, order=RISK),
 )
 add_quantity(
-    _stem("subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),
-    _stem("retroversion", "deg", digits=3, order=MOTION, history=True, headline=True),
-    _stem("varus", "deg", digits=3, order=MOTION, history=True, headline=True),
+    _stem("subsidence", "mm", "um", 1, order=MOTION, step_record=True, headline=True),
+    _stem("retroversion", "deg", digits=3, order=MOTION, step_record=True, headline=True),
+    _stem("varus", "deg", digits=3, order=MOTION, step_record=True, headline=True),
     _stem("tip_displacement", "mm", "um", 1, order=MOTION, vector=True),
     _stem("top_displacement", "mm", "um", 1, order=MOTION, vector=True),
 )
@@ -413,14 +442,19 @@ add_quantity(
     _femur("strain_medial_113", "-", "um/m", 0, order=STRESS),
 )
 add_quantity(
-    _bond("strength_fraction", "-", "%", 0, history=True),
+    _bond("strength_fraction", "-", "%", 0, step_record=True),
     _bond("normal_mean", "MPa"),
     _bond("normal_max", "MPa"),
     _bond("shear_mean", "MPa"),
     _bond("shear_max", "MPa"),
     _bond("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
     _bond(
-        "failure_index_p99", "-", digits=3, label="failure index, p99", order=TRACTION, history=True
+        "failure_index_p99",
+        "-",
+        digits=3,
+        label="failure index, p99",
+        order=TRACTION,
+        step_record=True,
     ),
     _bond("failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION),
 )

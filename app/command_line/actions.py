@@ -166,8 +166,8 @@ def read(folder: str | os.PathLike[str]) -> Results:
     """Read the results of a run from its folder.
 
     Returns:
-        Its numbers (``summary``), its histories as arrays by column (``history``), its ``fields``
-        on points and cells, and the results of its ``variations`` by name.
+        Its numbers (``summary``), its columns of history.csv as arrays (``step_record``), its
+        ``fields`` on points and cells, and the results of its ``variations`` by name.
 
     Raises:
         InputError: No run has written into the folder.

@@ -17,8 +17,8 @@ from pydantic import model_validator
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
 from app.laws.values import (
     FractureEnergyField,
-    History,
     LengthField,
+    LoadHistory,
     Patches,
     ShareField,
     Source,
@@ -77,9 +77,9 @@ class AtPoint:
         normals: Unit normals of one to three faces, from master to slave, each (3,), with duals.
         r: Stiffness of the trial force [MPa/mm].
         values: Constants of the law, by name.
-        history: History variables of the last converged state, by name.
-        live: 1, or 0 where the history is frozen: in the first solve of a step, so that no cold
-            iterate damages a point.
+        internal_variables: Internal variables of the last converged state, by name.
+        live: 1, or 0 where the internal variables are frozen. They are in the first solve of a
+            step, so that no cold iterate damages a point.
     """
 
     F: Expr
@@ -90,11 +90,11 @@ class AtPoint:
     normals: Faces
     r: Expr
     values: Mapping[str, Expr]
-    history: Mapping[str, Expr]
+    internal_variables: Mapping[str, Expr]
     live: Expr
 
-    def updated(self, history: Mapping[str, Expr]) -> dict[str, Expr]:
-        """History variables after the step, or the old ones where they are frozen."""
+    def updated(self, internal_variables: Mapping[str, Expr]) -> dict[str, Expr]:
+        """Internal variables after the step, or the old ones where they are frozen."""
         from ufl import as_vector, conditional, gt
 
         def one(new: Expr, old: Expr) -> Expr:
@@ -102,15 +102,18 @@ class AtPoint:
                 return conditional(gt(self.live, 0.5), new, old)
             return as_vector([one(new[i], old[i]) for i in range(len(old))])
 
-        return {name: one(history[name], old) for name, old in self.history.items()}
+        return {
+            name: one(internal_variables[name], old)
+            for name, old in self.internal_variables.items()
+        }
 
 
-class Memory(dict[str, "Expr"]):
-    """History variables of a point at a gap, by name.
+class InternalVariables(dict[str, "Expr"]):
+    """Internal variables of a point at a gap, by name.
 
     Attributes:
         old: Those of the last converged state, by name.
-        live: 1, or 0 where the history is frozen.
+        live: 1, or 0 where the internal variables are frozen.
     """
 
     def __init__(self, new: Mapping[str, Expr], old: Mapping[str, Expr], live: Expr) -> None:
@@ -127,9 +130,9 @@ class InterfaceLaw(Extensible):
         can_open: Whether they can part without resistance.
         augmented: Whether its multiplier is found exactly, whatever the augmentation.
         is_contact: Whether it is contact alone: its slip follows from its state.
-        history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector. A law
-            with `damage` and `spent`, the used part of its fracture energy, has the numbers of
-            damaged interfaces in the summary.
+        internal_variables: Shapes of the internal variables at a point, by name: () a scalar, (3,)
+            a vector. A law with `damage` and `spent`, the used part of its fracture energy, has the
+            numbers of damaged interfaces in the summary.
     """
 
     # A `Literal` in each subclass.
@@ -138,7 +141,7 @@ class InterfaceLaw(Extensible):
     can_open: ClassVar[bool] = False
     augmented: ClassVar[bool] = False
     is_contact: ClassVar[bool] = False
-    history: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
     conductance: Conductance | None = None
     """Power per area and temperature jump; perfect (no jump) by default."""
@@ -292,7 +295,7 @@ class Unilateral(Frictional):
 
     gap: LengthField = 0.0
     """Initial gap: positive open, negative an interference (press fit)."""
-    gap_history: History = None
+    gap_history: LoadHistory = None
     """Multiplier of the gap at the end of each stage, from 0. By default a clearance is there from
     the start, and an interference grows through the first stage."""
     friction_heating: FrictionHeating | None = None
@@ -416,41 +419,43 @@ class Traction(InterfaceLaw):
 
         gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
         normals: Unit normals of the point's faces, from master to slave, each (3,).
-        history: History variables at the gap, as `remembered` returns them, by name; `history.old`
-            has those of the last converged state.
+        internal_variables: Internal variables at the gap by name, as `remembered` returns them.
+            Its attribute `old` has the values of the last converged state.
     """
 
-    def traction(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def traction(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Force per area that resists a gap (3,) [MPa]."""
         raise NotImplementedError
 
-    def remembered(self, gap: Expr, normals: Faces, history: Memory) -> Mapping[str, Expr]:
-        """History variables at a gap, by name, from those of the last converged state."""
+    def remembered(
+        self, gap: Expr, normals: Faces, internal_variables: InternalVariables
+    ) -> Mapping[str, Expr]:
+        """Internal variables at a gap, by name, from those of the last converged state."""
         return {}
 
-    def broken(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Share of the area on which contact acts beside the traction [-]; none by default.
 
         Its friction coefficient is this share of the law's, which derives from `Frictional` too.
         """
         return None
 
-    def stored(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def stored(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Stored energy per area [N/mm]; none by default."""
         return None
 
-    def dissipated(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Energy per area that a step dissipates, without friction [N/mm]; none by default.
 
         Steps of a given `fracture_step` control it.
         """
         return None
 
-    def slip(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def slip(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Irreversible tangential motion (3,) [mm]; none by default."""
         return None
 
-    def status(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def status(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers from 3 of its own.
 
         STICK by default.
@@ -482,9 +487,13 @@ class Traction(InterfaceLaw):
         law = self.model_copy(update=dict(at.values))
         jump = variable(at.jump)
         gap = jump + at.gap
-        before = Memory(at.history, at.history, at.live)
-        history = at.updated(law.remembered(gap, at.normals, before))
-        here = gap, at.normals, Memory(history, at.history, at.live)
+        before = InternalVariables(at.internal_variables, at.internal_variables, at.live)
+        internal_variables = at.updated(law.remembered(gap, at.normals, before))
+        here = (
+            gap,
+            at.normals,
+            InternalVariables(internal_variables, at.internal_variables, at.live),
+        )
         force = law.traction(*here)
         dissipated, broken = law.dissipated(*here), law.broken(*here)
         return Response(
@@ -493,7 +502,7 @@ class Traction(InterfaceLaw):
             by_jump=derivative(force, jump),
             pressures=as_vector([-p for p in at.normals.components(force)]),
             status=as_ufl(law.status(*here)),
-            history=history,
+            internal_variables=internal_variables,
             slip=law.slip(*here),
             stored=law.stored(*here),
             dissipated=dissipated,
@@ -508,7 +517,7 @@ class Cohesive(Frictional, Traction):
 
     can_open: ClassVar[bool] = True
     augmented: ClassVar[bool] = True
-    history: ClassVar[Mapping[str, tuple[int, ...]]] = {"damage": (), "spent": ()}
+    internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {"damage": (), "spent": ()}
 
     kind: Literal["cohesive"] = "cohesive"
     friction_coefficient: NonNegativeNumber
@@ -539,7 +548,7 @@ class Cohesive(Frictional, Traction):
         """Softening, with friction or without."""
         return "cohesive", self.softening, self.friction > 0
 
-    def bond(self, gap: Expr, normals: Faces, history: Memory) -> Bond:
+    def bond(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Bond:
         """Bond of a point at a gap; arguments as of `Traction`."""
         from forms.cohesion import Cohesion, bond
 
@@ -553,28 +562,30 @@ class Cohesive(Frictional, Traction):
             unbonded=self.unbonded,
             exponential=self.softening == "exponential",
         )
-        return bond(constants, gap, normals, history.old, history.live)
+        return bond(constants, gap, normals, internal_variables.old, internal_variables.live)
 
-    def traction(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def traction(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Traction of the bond."""
-        return self.bond(gap, normals, history).traction
+        return self.bond(gap, normals, internal_variables).traction
 
-    def remembered(self, gap: Expr, normals: Faces, history: Memory) -> Mapping[str, Expr]:
+    def remembered(
+        self, gap: Expr, normals: Faces, internal_variables: InternalVariables
+    ) -> Mapping[str, Expr]:
         """Damage, and the part of the fracture energy that is used up."""
-        bond = self.bond(gap, normals, history)
+        bond = self.bond(gap, normals, internal_variables)
         return {"damage": bond.damage, "spent": bond.spent}
 
-    def broken(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Broken share, once the point is damaged."""
-        return self.bond(gap, normals, history).broken
+        return self.bond(gap, normals, internal_variables).broken
 
-    def stored(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def stored(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Elastic energy of the bond."""
-        return self.bond(gap, normals, history).stored
+        return self.bond(gap, normals, internal_variables).stored
 
-    def dissipated(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+    def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Fracture energy that the step uses up."""
-        return self.bond(gap, normals, history).used
+        return self.bond(gap, normals, internal_variables).used
 
     @model_validator(mode="after")
     def _softens(self) -> Cohesive:

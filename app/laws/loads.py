@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
 from app.laws.courses import FORCES, Course
-from app.laws.values import History, Named, Source, Status, amplitude, field
+from app.laws.values import LoadHistory, Named, Source, Status, amplitude, field
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
 from app.schema.units import Dimension, ForceVector, Length, Stress
@@ -63,7 +63,7 @@ class Load(Extensible, Named):
 
     # A `Literal` in each subclass.
     kind: Any
-    history: History = None
+    history: LoadHistory = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
     status: Status = None
     """How sure its values are; unverified are those of a source that was not read."""

@@ -16,7 +16,7 @@ from app.laws.creep import Creep
 from app.laws.densities import ChangingDensity, ImageModulus
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
-from app.laws.values import History, OfRegion, Source, Status, Table, rising
+from app.laws.values import LoadHistory, OfRegion, Source, Status, Table, rising
 from app.schema.section import ITEMS, TAG, Kinds, Pair, Section, Text, fail, show
 from app.schema.units import Length, Modulus, Number, Plain
 
@@ -71,7 +71,7 @@ class Eigenstrain(Section):
 
     strain: Annotated[Strain6, BeforeValidator(_six)]
     """Tensor components [xx, yy, zz, yz, xz, xy]; a single number is the same in all directions."""
-    history: History = None
+    history: LoadHistory = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 

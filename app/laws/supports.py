@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from app.laws.values import History, LengthField, Named, field
+from app.laws.values import LengthField, LoadHistory, Named, field
 from app.schema.section import ITEMS, TAG, Kinds, Name, Triple, fail
 from app.schema.units import Axis, Stiffness
 
@@ -31,7 +31,7 @@ class Support(Named):
     """Base of the supports that hold displacements."""
 
     if TYPE_CHECKING:
-        history: History
+        history: LoadHistory
         # The only constrained direction, if any: a unit vector, or `face`.
         normal: tuple[float, float, float] | Literal["face"] | None
 
@@ -116,7 +116,7 @@ class Displacement(Support):
     """Displacement along y; free if absent."""
     z: LengthField | None = None
     """Displacement along z; free if absent."""
-    history: History = None
+    history: LoadHistory = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
     @model_validator(mode="after")

@@ -31,7 +31,7 @@ Source = Text | None
 # What a source says of itself if it was not looked up.
 MEMORY = "from memory: check"
 # Multipliers at the ends of the stages.
-History = Annotated[tuple[Number, ...], ITEMS] | None
+LoadHistory = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.
 Course = Sequence[tuple[float, float]]
 Table = tuple[tuple[float, float], ...]
@@ -143,27 +143,27 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
     return at
 
 
-def amplitude(history: Sequence[float] | None, time: float) -> float:
-    """Multiplier at a time: stage k runs from k to k + 1, its end value is ``history[k]``, or 1."""
+def amplitude(load_history: Sequence[float] | None, time: float) -> float:
+    """Multiplier at a time. Stage k runs from k to k + 1 and ends with ``load_history[k]`` or 1."""
     import numpy as np
 
-    values = [0.0, *((1.0,) if history is None else history)]
+    values = [0.0, *((1.0,) if load_history is None else load_history)]
     return float(np.interp(time, np.arange(len(values)), values))
 
 
-def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
+def gap_at(gap: Floats, gap_history: Sequence[float], time: float) -> Floats:
     """Gap of points at a time (n,) [mm].
 
     Args:
         gap: Gap at full amplitude (n,) [mm].
-        history: Amplitudes at the ends of the stages. Empty: a clearance is constant, an
+        gap_history: Amplitudes at the ends of the stages. Empty: a clearance is constant, an
             interference grows through the first stage.
         time: Stage k runs from k to k + 1.
     """
     import numpy as np
 
-    if history:
-        return amplitude(history, time) * gap
+    if gap_history:
+        return amplitude(gap_history, time) * gap
     return np.maximum(gap, 0.0) + amplitude((1.0,), time) * np.minimum(gap, 0.0)
 
 

@@ -126,8 +126,8 @@ class BodyForms:
     Attributes:
         bodies: Regions by body.
         timing: Where the time that compiling takes is noted.
-        varying_degree: Degree of quadrature where stress is history, fibres turn or the modulus
-            varies: a constant stiffness needs one less.
+        varying_degree: Degree of quadrature where stress is path-dependent, fibres turn or the
+            modulus varies: a constant stiffness needs one less.
         space: Displacement space.
         u: The continuous displacement.
         springs: Stiffness of each elastic foundation.
@@ -136,9 +136,11 @@ class BodyForms:
         by_density: Regions whose stiffness follows a density that changes.
         density, density_at_start: That density at all vertices of this rank, ghosts too
             (n, r) [g/cm3].
-        history: Regions whose stress is history.
-        history_degree: Degree of its quadrature. Creep needs positive weights and no more points
-            than stresses that a cell can have: more would lock, as its volume stays the same.
+        path_dependent_regions: Regions that cure or creep: their stress depends on the path of
+            strain.
+        path_dependent_degree: Degree of their quadrature. Creep needs positive weights and no more
+            points than stresses that a cell can have: more would lock, as its volume stays the
+            same.
 
     Raises:
         InputError: A load acts on nothing, or nothing can carry its moment.
@@ -150,7 +152,9 @@ class BodyForms:
         self.scene, self.tagged, self.bodies = scene, tagged, bodies
         self.timing = timing
         self.varying_degree = 2 * scene.order - 1
-        self.history_degree = max(1, 2 * scene.order - 2) if scene.creeps else self.varying_degree
+        self.path_dependent_degree = (
+            max(1, 2 * scene.order - 2) if scene.creeps else self.varying_degree
+        )
         self.mesh = tagged.mesh
         self.space = function_space(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
@@ -172,7 +176,7 @@ class BodyForms:
             for k in range(len(e.eigenstrains))
         }
         self.growth = {c.region: fem.Function(self.scalars) for c in scene.cures}
-        self.history = {c.region for c in (*scene.cures, *scene.creeps)}
+        self.path_dependent_regions = {c.region for c in (*scene.cures, *scene.creeps)}
         self.swelling = {
             x.region: fem.Function(self.scalars)
             for x in scene.expansions
@@ -315,10 +319,16 @@ class BodyForms:
         return ε
 
     def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
-        """Energy of a body (strain, foundations) in its displacement v [N mm], without history."""
+        """Energy of a body (strain, foundations) in its displacement v [N mm].
+
+        Path-dependent regions are left out.
+        """
         total = 0
         for e in self.scene.elastic:
-            if self.bodies.of_region[e.region] == body and e.region not in self.history:
+            if (
+                self.bodies.of_region[e.region] == body
+                and e.region not in self.path_dependent_regions
+            ):
                 total += self.energy_density(e, self.elastic_strain(e, v)) * self.over(e, dx)
         for f, k in zip(self.scene.foundations, self.springs, strict=True):
             ds = self.ds(f.boundary, body)
@@ -330,9 +340,9 @@ class BodyForms:
         """Energy of a body whose second derivative is its stiffness at the current cure."""
         total = self.body_energy(body, v, dx)
         for e in self.scene.elastic:
-            if self.bodies.of_region[e.region] == body and e.region in self.history:
+            if self.bodies.of_region[e.region] == body and e.region in self.path_dependent_regions:
                 ψ = self.energy_density(e, elasticity.strain(v))
-                dx_e = dx(self.tagged.regions[e.region], degree=self.history_degree)
+                dx_e = dx(self.tagged.regions[e.region], degree=self.path_dependent_degree)
                 total += self.growth.get(e.region, 1) * ψ * dx_e
         return total
 

@@ -349,9 +349,9 @@ def _held_motions(
     rank = int((singular > _HELD * singular[0]).sum())
     basis = vt.T
     inverse = np.linalg.pinv(rows, rcond=_HELD)
-    # Supports with the same history count as one: only their sum has to be a rigid motion.
-    for history in dict.fromkeys(s.history for s in scene.supports):
-        alike = [s for s, term in enumerate(scene.supports) if term.history == history]
+    # Supports with the same load history count as one: only their sum has to be a rigid motion.
+    for load_history in dict.fromkeys(s.history for s in scene.supports):
+        alike = [s for s, term in enumerate(scene.supports) if term.history == load_history]
         whole = np.sum([wanted[s] for s in alike], axis=0)
         motion = inverse @ whole
         if np.abs(rows @ motion - whole).max() > 1e-9 * max(np.abs(whole).max(), 1.0):

@@ -167,7 +167,7 @@ class TrialState:
             contact_work=old.contact_work + weight * pushed,
             work=old.work
             + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - c.carried),
-            own=law.history,
+            internal_variables=law.internal_variables,
         )
 
 
@@ -264,7 +264,9 @@ class ContactInterfaces:
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
         self._committed = 0.0
-        self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
+        self.state: ContactState = ContactState.at_rest(
+            self.own.x * 0.0, self.law.internal_variables
+        )
         self.carried = self.state.jump
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
@@ -293,7 +295,7 @@ class ContactInterfaces:
         gap = self._clearance = np.zeros(len(self.own))
         for i, c in enumerate(self._contacts):
             here = self.own.interface == i
-            gap[here] = gap_at(self._full_gap[here], c.history, time)
+            gap[here] = gap_at(self._full_gap[here], c.gap_history, time)
         if self.finite_sliding is None:
             self.gap = gap_vectors(self.own.normals, gap)
         else:
@@ -518,9 +520,12 @@ class ContactInterfaces:
         return {self._contacts[i].name: value for i, value in values.items()}
 
     def freeze(self, on: bool) -> bool:
-        """Hold the history of the laws at its last state, or let it go on; whether there is any."""
-        self.law.frozen = on and bool(self.law.history)
-        return bool(self.law.history)
+        """Hold the internal variables of the laws at the last state, or release them.
+
+        Return True if a law has any.
+        """
+        self.law.frozen = on and bool(self.law.internal_variables)
+        return bool(self.law.internal_variables)
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case, in the mean; collective."""

@@ -58,7 +58,7 @@ class PointForces:
         stiffness: That of the trial force (n,) [MPa/mm].
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
-        history: New values of the history variables of the laws, by name: (n, ...).
+        internal_variables: New values of the internal variables of the laws, by name: (n, ...).
         rubbed: Energy per area that friction of contact beside a law dissipates in the step
             (n,) [N/mm].
         outputs: Values of `OUTPUTS`, by name: (n, ...); 0 for laws without them.
@@ -70,7 +70,7 @@ class PointForces:
     stiffness: Floats
     pressures: Floats
     status: Ints
-    history: Mapping[str, Floats]
+    internal_variables: Mapping[str, Floats]
     rubbed: Floats
     outputs: Mapping[str, Floats]
 
@@ -103,7 +103,7 @@ class PointLaw:
     Attributes:
         can_open, frictional, has_contact, dissipates: Whether the law of each point can open, has
             friction, is contact or has contact beside it, declares what it dissipates (n,).
-        history: Shapes of the history variables of the laws, by name.
+        internal_variables: Shapes of the internal variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
         released: Points that are open whatever their law, but for the force of a bond (n,).
         met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
@@ -113,7 +113,7 @@ class PointLaw:
         multiplier_share: Factor of the equilibrium force in the trial force (n, 3, 3): 1 without
             a layer.
         slides: Whether contact tells the slip, or the law does (n,).
-        frozen: Whether the history of the laws is held at its last state.
+        frozen: True while the internal variables of the laws stay at the last state.
     """
 
     frozen = False
@@ -143,7 +143,9 @@ class PointLaw:
         for rows, law, compiled, _ in self._groups:
             constants: dict[str, Any] = {name: values[name][rows] for name in law.values}
             compiled.set(**constants)
-        self.history = {k: shape for law in laws for k, shape in law.history.items()}
+        self.internal_variables = {
+            k: shape for law in laws for k, shape in law.internal_variables.items()
+        }
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
         self.slides = np.array([law.is_contact for law in laws])[own.interface]
@@ -251,12 +253,16 @@ class PointLaw:
             stiffness=r,
             pressures=np.zeros((n, 3)),
             status=np.zeros(n, dtype=np.int64),
-            history={name: values.copy() for name, values in state.own.items()},
+            internal_variables={
+                name: values.copy() for name, values in state.internal_variables.items()
+            },
             rubbed=np.zeros(n),
             outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
         )
         for rows, law, compiled, beside in self._groups:
-            known = inputs | {name: state.own[name] for name in law.history}
+            known = inputs | {
+                name: state.internal_variables[name] for name in law.internal_variables
+            }
             known = {k: v[rows] for k, v in known.items()}
             response = self._respond(rows, compiled, known, state.friction[rows])
             out.force[rows] = response["force"]
@@ -266,8 +272,8 @@ class PointLaw:
             p = response["pressures"]
             out.pressures[rows, : p.shape[1]] = p
             out.status[rows] = np.rint(response["status"]).astype(np.int64)
-            for name in law.history:
-                out.history[name][rows] = response[f"new {name}"]
+            for name in law.internal_variables:
+                out.internal_variables[name][rows] = response[f"new {name}"]
             for name in OUTPUTS.keys() & response.keys():
                 out.outputs[name][rows] = response[name]
             if beside is not None:
@@ -395,18 +401,18 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
         values = {name: x[name] for name in law.values}
-        history = {name: x[name] for name in law.history}
+        internal_variables = {name: x[name] for name in law.internal_variables}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
         normals_of_point = contact.Faces.of([x[f] for f in faces], [x[d] for d in duals])
-        at = AtPoint(*state, normals_of_point, x["r"], values, history, x["live"])
+        at = AtPoint(*state, normals_of_point, x["r"], values, internal_variables, x["live"])
         response = law.response(at)
         names = ("force", "by_multiplier", "by_jump", "pressures", "status", *OUTPUTS)
         outputs = {name: getattr(response, name) for name in names}
-        outputs |= {f"new {name}": as_ufl(e) for name, e in response.history.items()}
+        outputs |= {f"new {name}": as_ufl(e) for name, e in response.internal_variables.items()}
         return {name: e for name, e in outputs.items() if e is not None}
 
     sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r", "live"), 1)
-    sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
+    sizes |= {name: int(np.prod(shape)) for name, shape in law.internal_variables.items()}
     note = _note(law, f"{law.form} {len(faces)}")
     compiled = Pointwise(comm, len(normals), sizes, build, note)
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}

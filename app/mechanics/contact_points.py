@@ -89,7 +89,7 @@ class ContactState:
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].
-        own: History of the laws of the interfaces, by name: (n, ...).
+        internal_variables: Internal variables of the laws, by name: (n, ...).
     """
 
     jump: Floats
@@ -103,14 +103,14 @@ class ContactState:
     least: Floats
     contact_work: Floats
     work: Floats
-    own: Mapping[str, Floats]
+    internal_variables: Mapping[str, Floats]
 
     @classmethod
-    def at_rest(cls, gap: Floats, history: Mapping[str, tuple[int, ...]]) -> ContactState:
-        """Unloaded state, for a gap (n, 3) and the shapes of the laws' history."""
+    def at_rest(cls, gap: Floats, shapes: Mapping[str, tuple[int, ...]]) -> ContactState:
+        """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
-        own = {name: np.zeros((len(gap), *shape)) for name, shape in history.items()}
-        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, none, own)
+        values = {name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()}
+        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, none, values)
 
 
 def prescribed_jump(

@@ -58,7 +58,7 @@ class Problem:
         stiffness: Stiffness of the bodies, with its constraints.
         forces: Loads, eigenstrains and free strains.
         contact: Contact of the interfaces, if there are any.
-        history: Stress history of regions that set or creep, if any.
+        stress_history: Stress history of regions that set or creep, if any.
         thermal_strain: Thermal expansion of regions with constant moduli, if any.
         u: Displacement, the continuous field.
         moved: Displacement of each body that jumps move.
@@ -79,7 +79,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "mechanics", "contact", "history", "sliding")
+    saved = ("time", "stiffness", "u", "mechanics", "contact", "stress_history", "sliding")
 
     def __init__(
         self,
@@ -100,7 +100,9 @@ class Problem:
         self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
-        self.history = StressHistory(self.mechanics) if self.mechanics.history else None
+        self.stress_history = (
+            StressHistory(self.mechanics) if self.mechanics.path_dependent_regions else None
+        )
         refuse_motions(self.mechanics)
         self.followers = Followers(self.mechanics) if soft(scene) else None
         shared = like.stiffness if like else None
@@ -131,8 +133,8 @@ class Problem:
         self.set_stage(0, self.stiffness.K.createVecRight())
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
-        if self.history:
-            self.history.begin()
+        if self.stress_history:
+            self.stress_history.begin()
         if self.sliding:
             self.sliding.begin(scene)
         if self.contact:
@@ -177,13 +179,13 @@ class Problem:
         self.update_displacements(u, q)
         if self.sliding and q is not None:
             self.sliding.begin_at(self.trial(u, q))
-        if self.history:
-            self.history.begin_at(self.displacements())
+        if self.stress_history:
+            self.stress_history.begin_at(self.displacements())
 
     @property
     def creep(self) -> CreepState | None:
         """State of the regions that creep, if any."""
-        return self.history.creep if self.history else None
+        return self.stress_history.creep if self.stress_history else None
 
     # State in time
 
@@ -230,8 +232,8 @@ class Problem:
         """
         if self.thermal_strain:
             self.forces.set_eigenforces("heat", self.thermal_strain.set(temperatures))
-            if self.history:
-                self.history.swell(self.mechanics.swelling)
+            if self.stress_history:
+                self.stress_history.swell(self.mechanics.swelling)
         self.set_time(self.time)
 
     def update_stiffness(self) -> None:
@@ -239,11 +241,11 @@ class Problem:
 
         Matrices are assembled again, in place, only if a modulus has changed.
         """
-        if self.history is None:
+        if self.stress_history is None:
             return
-        if self.history.stiffen():
+        if self.stress_history.stiffen():
             self._renew()
-        self.forces.set_eigenforces("history", self.history.forces())
+        self.forces.set_eigenforces("stress history", self.stress_history.forces())
         self.set_time(self.time)
 
     def follow_density(self) -> None:
@@ -357,5 +359,5 @@ class Problem:
             trial.contact.commit(trial.committed(), self.time)
             if self.sliding:
                 self.sliding.commit(trial)
-        if self.history:
-            self.history.commit(self.displacements())
+        if self.stress_history:
+            self.stress_history.commit(self.displacements())

@@ -1,4 +1,4 @@
-r"""Regions whose stress is history, not a function of strain: they set, creep, or both.
+r"""Stress history of path-dependent regions: those that cure, creep, or both.
 
 While cement cures its stiffness grows from nearly nothing, so that strains of the liquid leave no
 stress; once set it creeps. The law is a rate,
@@ -65,7 +65,7 @@ class StressHistory:
 
     def __init__(self, mechanics: BodyForms) -> None:
         self._mechanics, scene = mechanics, mechanics.scene
-        regions = sorted(mechanics.history)
+        regions = sorted(mechanics.path_dependent_regions)
         self._body = {r: mechanics.bodies.of_region[r] for r in regions}
         self.bodies = sorted(set(self._body.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
@@ -75,7 +75,7 @@ class StressHistory:
                     f"regions.{e.region}.eigenstrains: none in a region that sets or creeps; "
                     "allowed: shrinkage and thermal expansion"
                 )
-        degree = mechanics.history_degree
+        degree = mechanics.path_dependent_degree
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a, dtype=np.float64) for a in quadrature)
         self.points, self.weights = points, weights
@@ -126,7 +126,7 @@ class StressHistory:
         )
 
     def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
-        degree = self._mechanics.history_degree
+        degree = self._mechanics.path_dependent_degree
         return [
             (e, self._measure(self._mechanics.tagged.regions[r], degree=degree))
             for r, e in self._elastic.items()

@@ -34,11 +34,11 @@ class ThermalStrain:
 
     def assemble(self) -> None:
         """Assemble the forces of unit strain at the present moduli; collective."""
-        # Where stress is history free strain is a part of it.
+        # In path-dependent regions free strain is a part of the stress history.
         self._forces = {
             x.region: _forces(self._mechanics, self._elastic[x.region])
             for x in self._terms
-            if x.region not in self._mechanics.history
+            if x.region not in self._mechanics.path_dependent_regions
         }
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:

@@ -54,7 +54,7 @@ class Contact(Protocol):
         """Augmentation in force on each interface [MPa/mm]; collective."""
 
     def freeze(self, on: bool) -> bool:
-        """Freeze the history of laws, or let it go on; whether there is any."""
+        """Freeze the internal variables of laws, or release them. Return True if there are any."""
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case; collective."""

@@ -96,7 +96,7 @@ class BoneMass(Record):
         }
         return {"remodelling": own} | ({"gruen": zones} if zones else {})
 
-    def history(self) -> dict[str, float]:
+    def step_record(self) -> dict[str, float]:
         """Columns of ``history.csv`` after a step; collective."""
         columns = {"remodelled [s]": self.seconds, "bone mass [g]": self.present}
         for zone, change in self.changes().items():

@@ -25,7 +25,16 @@ from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.foundation.errors import InputError, StoppedError, dealt, on_root
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
-from app.report import case_picture, gruen, history, page, pictures, sentence, sweep_figures, viewer
+from app.report import (
+    case_picture,
+    gruen,
+    page,
+    pictures,
+    sentence,
+    step_curves,
+    sweep_figures,
+    viewer,
+)
 from app.report.input_spread import HEAD, InputSpread, of_run
 from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
@@ -172,9 +181,9 @@ def _run(
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     over = of_run(spread, case) if spread else None
-    panels = history.over_time(case.history)
+    panels = step_curves.over_time(case.step_record)
     drawn = [curves.drawing(panel) for panel in panels]
-    stressed = [curves.drawing(panel) for panel in history.tension(summary)]
+    stressed = [curves.drawing(panel) for panel in step_curves.tension(summary)]
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
@@ -341,7 +350,7 @@ def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
 
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
     """Iterations and balances of each step, and seconds by phase."""
-    parts = history.steps(case.history)
+    parts = step_curves.steps(case.step_record)
     parts += page.titled("Sizes", _pairs(summary.get("solver", {})))
     parts += page.titled("Seconds", _pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)

@@ -108,10 +108,10 @@ class SweptCase:
         return {}
 
     @cached_property
-    def history(self) -> dict[str, Floats]:
+    def step_record(self) -> dict[str, Floats]:
         """Columns of history.csv by their titles; nan where there is no value; may be empty."""
         with suppress(OSError, IndexError):
-            return Results(self.folder).history
+            return Results(self.folder).step_record
         return {}
 
     def number(self, name: str) -> Number | None:

@@ -96,13 +96,13 @@ class Balance:
         self._swelling = [
             (free, mechanics.form(self._work_of(elastic[region], swelling)))
             for region, free in mechanics.swelling.items()
-            if region not in mechanics.history
+            if region not in mechanics.path_dependent_regions
         ]
         if mechanics.by_density:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
-        s = problem.history
+        s = problem.stress_history
         if s:
             self._set = mechanics.form(s.complementary_energy())
             self._setting = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
@@ -175,8 +175,8 @@ class Balance:
         for free, form in self._swelling:
             work = assembled_vector(form).array.copy()
             external.append((work, free.x.array[: len(work)].copy()))
-        for history, form in self._strain_work:
-            strain = np.array([amplitude(history, problem.load_time)])
+        for load_history, form in self._strain_work:
+            strain = np.array([amplitude(load_history, problem.load_time)])
             external.append((np.array([fem.assemble_scalar(form)]), strain))
         springs = assembled_vector(self._springs).array if self._springs else 0.0
         set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]

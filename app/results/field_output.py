@@ -363,7 +363,7 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     ends = s.status[rows[on]]
     status[on] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
     fields = {
-        **{variable: s.own[variable] for variable in contact.law.history},
+        **{variable: s.internal_variables[variable] for variable in contact.law.internal_variables},
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }

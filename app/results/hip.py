@@ -213,8 +213,8 @@ def by_zone(
         bone that the operation leaves, and ``interfaces``: numbers of the interfaces within it.
         Parts that a zone lacks have no entry.
     """
-    # A rigid region has no strain energy; that of one with stress history is not known.
-    elastic = {e.region for e in problem.scene.elastic} - problem.mechanics.history
+    # A rigid region has no strain energy; that of a path-dependent region is not known.
+    elastic = {e.region for e in problem.scene.elastic} - problem.mechanics.path_dependent_regions
     regions = [r for r in zones.regions if r in elastic]
     sums = {
         r: zone_integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0)

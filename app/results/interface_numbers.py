@@ -85,7 +85,7 @@ class ContactSamples:
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
         stored: Energy stored by layers and cohesion (n,) [N mm].
-        own: History variables of the laws, by name: (n, ...).
+        internal_variables: Internal variables of the laws, by name: (n, ...).
         contacts: The interfaces.
         facet_sizes: Mean length of the edges of their facets [mm].
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
@@ -101,7 +101,7 @@ class ContactSamples:
     def __init__(
         self, problem: Problem, trial: TrialState, since: Floats | None = None, parts: Parts = ()
     ) -> None:
-        contact, history = trial.contact, trial.contact.state
+        contact, state = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
         surface = points.surface
 
@@ -127,16 +127,18 @@ class ContactSamples:
         contacts = problem.scene.contacts
         signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
         sign = signs[own.interface][:, None]
-        self.slip, self.path = whole(sign * history.slip), whole(history.path)
+        self.slip, self.path = whole(sign * state.slip), whole(state.path)
         self.motion = signs[surface.interface][:, None] * motion
         self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
-        self.shear = whole(np.linalg.norm(history.friction, axis=1))
-        self.force = whole(-sign * history.force)
+        self.shear = whole(np.linalg.norm(state.friction, axis=1))
+        self.force = whole(-sign * state.force)
         status = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
         self.status = surface.spread_status(status.astype(np.int64))
-        self.dissipation, self.least = total(history.dissipation), total(history.least)
-        self.contact_work, self.stored = total(history.contact_work), total(history.stored)
-        self.own = {name: whole(values) for name, values in history.own.items()}
+        self.dissipation, self.least = total(state.dissipation), total(state.least)
+        self.contact_work, self.stored = total(state.contact_work), total(state.stored)
+        self.internal_variables = {
+            name: whole(values) for name, values in state.internal_variables.items()
+        }
         self.sizes = {
             "gap": np.maximum(self.gap, 0.0),
             "slip": np.linalg.norm(self.slip, axis=1),
@@ -152,10 +154,10 @@ class ContactSamples:
         if sliding is not None:
             arm = np.zeros((len(own), 3))
             arm[sliding.rows] = sliding.paired.arm
-            self.arm, self.friction = whole(arm), whole(history.friction)
+            self.arm, self.friction = whole(arm), whole(state.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # With a normal that is off by an angle, slip times this angle presses on the surface.
-        pressed = np.linalg.norm(history.slip, axis=1) * points.doubt[own.rows]
+        pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[own.rows]
         self.by_facets = contact.whole(contact.law.met * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
@@ -191,9 +193,9 @@ class ContactSamples:
         }
 
     @cached_property
-    def history(self) -> dict[str, dict[str, Any]]:
-        """The numbers of every step, those of history.csv among them."""
-        wanted = {key for key, q in TABLE["interfaces"].items() if q.history} | OF_CYCLES
+    def step_numbers(self) -> dict[str, dict[str, Any]]:
+        """Numbers computed at every step, the columns of history.csv among them."""
+        wanted = {key for key, q in TABLE["interfaces"].items() if q.step_record} | OF_CYCLES
         return {c.name: _numbers(self, i, wanted) for i, c in enumerate(self.contacts)}
 
 
@@ -222,18 +224,18 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
 def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     """Areas [mm2], mean damage and process zone of a damaged interface; of others none."""
     contact = s.contacts[i]
-    if not {"damage", "spent"} <= contact.law.history.keys():
+    if not {"damage", "spent"} <= contact.law.internal_variables.keys():
         return {}
     at, surface, weight = s.interface == i, s.surfaces[i], s.weight
     never = np.ones(len(at))
     never[at] = contact.values["unbonded"](s.x[at]) if "unbonded" in contact.values else 0.0
-    bonded, spent = weight * (1 - never), np.where(never < 1, s.own["spent"], 0.0)
+    bonded, spent = weight * (1 - never), np.where(never < 1, s.internal_variables["spent"], 0.0)
     length = zone(surface.corners, spent[surface.triangles], surface.area)
     return {
         "unbonded_fraction": float((weight * never)[at].sum() / weight[at].sum()),
         "area_damaged": float(bonded[spent > 0].sum()),
         "area_broken": float(bonded[spent >= BROKEN].sum()),
-        "damage_mean": float(bonded @ s.own["damage"] / max(bonded.sum(), 1e-300)),
+        "damage_mean": float(bonded @ s.internal_variables["damage"] / max(bonded.sum(), 1e-300)),
         "zone_length": length,
         "zone_elements": length / s.facet_sizes[i],
     }

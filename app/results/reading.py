@@ -1,4 +1,4 @@
-"""A run directory read back: summary, history, fields at every written step.
+"""A run directory read back: summary, step record, fields at every written step.
 
 Needs neither MPI nor dolfinx's meshes, so that tools over many runs load no solver.
 """
@@ -48,7 +48,9 @@ class Results:
             if "slip_p99" in q
         ]
         head = f"results in {self.folder}: {self.case.get('title') or 'without title'}"
-        return "\n".join([head, *lines[:3], "  .summary, .history, .fields, .case, .variations"])
+        return "\n".join(
+            [head, *lines[:3], "  .summary, .step_record, .fields, .case, .variations"]
+        )
 
     @cached_property
     def case(self) -> dict[str, Any]:
@@ -61,7 +63,7 @@ class Results:
         return dict(json.loads((self.folder / "summary.json").read_text(encoding="utf-8")))
 
     @cached_property
-    def history(self) -> dict[str, Floats]:
+    def step_record(self) -> dict[str, Floats]:
         """Columns of history.csv, by their titles with units; nan where there is no value."""
         with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))

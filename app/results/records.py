@@ -52,7 +52,7 @@ class Record:
         """Published numbers, merged into those of ``summary.json``; collective."""
         return {}
 
-    def history(self) -> dict[str, float]:
+    def step_record(self) -> dict[str, float]:
         """Columns of ``history.csv`` after a step; collective."""
         return {}
 

@@ -145,7 +145,7 @@ class Writer:
         if self.fields:
             _write(self._comm, self.fields.close, "final.vtkhdf")
 
-    def history(self, row: dict[str, Any]) -> None:
+    def add_row(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv, which is written now and then; collective."""
         new = [name for name in row if name not in self._columns]
         if new:

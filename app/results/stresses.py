@@ -58,11 +58,15 @@ class Stresses:
         self.cells = {e.region: mechanics.region_cells(e.region) for e in elastic}
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
-        # Stress that is history is known at the points where it was summed.
-        self._history = {r: problem.history for r in mechanics.history if problem.history}
-        for region, history in self._history.items() if not fine else ():
-            self.points[region] = history.points
-            self.shares[region] = history.weights / history.weights.sum()
+        # Stress of path-dependent regions is known at the points of its history.
+        self._stress_histories = {
+            r: problem.stress_history
+            for r in mechanics.path_dependent_regions
+            if problem.stress_history
+        }
+        for region, stress_history in self._stress_histories.items() if not fine else ():
+            self.points[region] = stress_history.points
+            self.shares[region] = stress_history.weights / stress_history.weights.sum()
         # Stiffness over its largest at the points, where it varies.
         self._relative: dict[str, Floats] = {}
         self.follow_density(every=True)
@@ -72,7 +76,7 @@ class Stresses:
         self._moved = fem.Function(problem.space)
         self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
-            if e.region not in mechanics.history and (
+            if e.region not in mechanics.path_dependent_regions and (
                 e.eigenstrains or e.region in mechanics.swelling
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
@@ -102,13 +106,13 @@ class Stresses:
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
-        history = self._history.get(region)
-        if history:
-            σ, at = history.stress(region), self.points[region]
-            if at is history.points:
+        stress_history = self._stress_histories.get(region)
+        if stress_history:
+            σ, at = stress_history.stress(region), self.points[region]
+            if at is stress_history.points:
                 return σ
             rows = σ.reshape(*σ.shape[:2], 9)
-            return extrapolated(rows, history.points, at).reshape(len(σ), -1, 3, 3)
+            return extrapolated(rows, stress_history.points, at).reshape(len(σ), -1, 3, 3)
         return self._stress(region, self._elastic_strain(region))
 
     def _stress(self, region: str, ε: Floats) -> Floats:
@@ -167,7 +171,7 @@ class Stresses:
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
-        s = self._history.get(region)
+        s = self._stress_histories.get(region)
         if s and s.creep:
             found |= s.creep.numbers(region)
         if cement:

@@ -249,8 +249,8 @@ def _refuse_unlike(
     given = {s: supports[s].values(x) for group in groups for s in group}
     size = max(float(np.abs(values).max()) for values in given.values())
     for group in groups if size else ():
-        for history in {supports[s].history for s in group}:
-            wanted = {s: given[s] * (supports[s].history == history) for s in group}
+        for load_history in {supports[s].history for s in group}:
+            wanted = {s: given[s] * (supports[s].history == load_history) for s in group}
             # The last to hold an axis gives its displacement.
             motion: Floats = np.zeros((len(x), 3))
             for s in group:

@@ -45,7 +45,8 @@ class Interface:
         slave: Regions on the softer side, which carries the jumps.
         modulus: Modulus of the softer side, infinite if it is rigid [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
-        history: Amplitudes of the gap at the ends of the stages, or empty (`laws.values.gap_at`).
+        gap_history: Amplitudes of the gap at the ends of the stages, or empty
+            (`laws.values.gap_at`).
         swapped: True if the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
         values: Constants of the law (n,) at points, by name.
@@ -58,7 +59,7 @@ class Interface:
     law: InterfaceLaw
     modulus: float
     gap: Field
-    history: tuple[float, ...] = ()
+    gap_history: tuple[float, ...] = ()
     swapped: bool = False
     slave_share: float = 0.0
     values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
@@ -131,7 +132,7 @@ class Scene:
         return of_loads | {f.boundary for f in self.foundations}
 
     def load_time(self, time: float) -> float:
-        """Time without cycles, at which the histories of loads have their value of a time.
+        """Time without cycles, at which the load histories have their value of a time.
 
         Loads of a stage that another package steps through stay as they were (`loads_of`).
         """
@@ -322,7 +323,7 @@ def _interface(
     first, second = (tuple(side) for side in case.geometry.interface_sides[name])
     swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if swapped else (first, second)
-    gap, history = law.initial_gap
+    gap, gap_history = law.initial_gap
     faces = case.faces.get(name)
     share = law.heated_by_friction
     if isinstance(share, str):
@@ -337,7 +338,7 @@ def _interface(
         law,
         modulus=_stiffness(slave, moduli),
         gap=field(f"interfaces.{name}.gap", gap),
-        history=tuple(history or ()),
+        gap_history=tuple(gap_history or ()),
         swapped=swapped,
         slave_share=slave_share,
         values=law.fields(name),

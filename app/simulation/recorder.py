@@ -160,11 +160,11 @@ class Recorder:
                 m.slide(self.samples, self._stage, step)
             self._total.count(step.outcome)
             moved = m.stem(self._case.side)
-            columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
+            columns = [q for key, q in TABLE["stem"].items() if q.step_record and key in moved]
             self._mechanical = self._row_of(step, balance)
             self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
             for record in self._model.records.values():
-                self._mechanical |= record.history()
+                self._mechanical |= record.step_record()
             self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:
@@ -176,7 +176,7 @@ class Recorder:
         turn = self._stage.turn(step.time)
         if self._stage.ways == self._stage.cycles or not step.whole or not turn:
             return  # courses have no valleys
-        self._cycles.add(step.stage, stem, self.samples.history if self.samples else {})
+        self._cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
         if trial is not None and turn % 2 == 0:
             self._valley = {"jump": trial.jump.copy()}
 
@@ -191,7 +191,7 @@ class Recorder:
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
-        interfaces = self.samples.history if self.samples else {}
+        interfaces = self.samples.step_numbers if self.samples else {}
         fractions = self._fraction(OPEN), self._fraction(SLIP)
         deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
         wall = clock.perf_counter() - self._begin
@@ -217,8 +217,8 @@ class Recorder:
             row["creep dissipation [N mm]"] = creep.dissipated
         for name, u in self._displacements().items():
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
-        columns = [c for c in TABLE["interfaces"].values() if c.history]
-        for name, q in (self.samples.history if self.samples else {}).items():
+        columns = [c for c in TABLE["interfaces"].values() if c.step_record]
+        for name, q in (self.samples.step_numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
         for name, bearing in m.bearings.items() if m else ():
             for key, value in bearing.numbers.items():
@@ -226,7 +226,7 @@ class Recorder:
                 cells = zip(c.names, values, strict=True)
                 row |= {f"{name} {title} [{c.unit}]": v for title, v in cells}
         for name, q in m.bonds.numbers(strong=True).items() if m else ():
-            own = [c for c in TABLE["bonds"].values() if c.history]
+            own = [c for c in TABLE["bonds"].values() if c.step_record]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
         return row
 
@@ -239,7 +239,7 @@ class Recorder:
             row |= t.row()
         wall = clock.perf_counter() - self._begin
         row["wall [s]"] = round(wall, 3)
-        self._writer.history(row)
+        self._writer.add_row(row)
         if step.whole:
             self._frames += 1
             if self._frames % self._case.output.every == 0:

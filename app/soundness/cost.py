@@ -237,9 +237,9 @@ def contact_solves(case: Case) -> int:
 
 def _proportional(case: Case) -> bool:
     """Whether the solution of the first stage is proportional to the loads, as without gaps."""
-    histories = [load.history for load in case.loads.values()]
+    load_histories = [load.history for load in case.loads.values()]
     gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
-    changes = any(histories) or any(gaps) or case.motions
+    changes = any(load_histories) or any(gaps) or case.motions
     return not case.stages[0].duration and not changes
 
 

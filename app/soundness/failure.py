@@ -208,7 +208,7 @@ def explain(
     contact = trial.contact
     controlled = contact.law.dissipates
     damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first))
-    breaks = bool(contact.law.history and problem.comm.allreduce(damage, MPI.SUM) > 0)
+    breaks = bool(contact.law.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
     free: list[str] = []
     # A body whose bond breaks in this step is not free.
     if not breaks:

@@ -41,8 +41,8 @@ def _groups(found: Parts, joined: list[tuple[int, int]]) -> list[list[int]]:
     return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
 
 
-def history_of(case: Case, values: Sequence[float] | None) -> tuple[float, ...]:
-    """A history, all ones by default."""
+def load_history_of(case: Case, values: Sequence[float] | None) -> tuple[float, ...]:
+    """Load history of each stage, all ones by default."""
     return tuple(values) if values is not None else (1.0,) * len(case.stages)
 
 

@@ -24,9 +24,9 @@ from app.soundness.mesh_parts import (
     bodies_of,
     directions,
     gaps_of,
-    history_of,
     holds,
     law_between,
+    load_history_of,
 )
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets, shares
@@ -99,7 +99,7 @@ def judge(case: Case, found: Parts) -> list[Verdict]:
 def _given(case: Case, name: str, x: Floats) -> Floats:
     """Displacement prescribed by a support at points, at the ends of stages (stages, n, 3) [mm]."""
     support: Any = case.supports[name]
-    return np.multiply.outer(history_of(case, support.history), support.named(name).values(x))
+    return np.multiply.outer(load_history_of(case, support.history), support.named(name).values(x))
 
 
 def _contradictions(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
@@ -349,7 +349,7 @@ def _gaps(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     errors: list[Verdict] = []
     notes: list[Verdict] = []
     for name, gap in gaps_of(case, found).items():
-        factors = (0.0, *history_of(case, case.interfaces[name].initial_gap[1]))
+        factors = (0.0, *load_history_of(case, case.interfaces[name].initial_gap[1]))
         interference = -float(np.multiply.outer(factors, gap).min())
         apart = float(gap.min()) * factors[-1]
         thickness, size = _sides(case, found, name)
@@ -402,7 +402,7 @@ def _strained(case: Case, found: Parts) -> list[Verdict]:
         if not area or not softest:
             continue
         stress = math.hypot(*(load.resultant or ())) / area + abs(getattr(load, "pressure", 0.0))
-        stress *= max(map(abs, history_of(case, load.history)), default=1.0)
+        stress *= max(map(abs, load_history_of(case, load.history)), default=1.0)
         if stress > STRAIN * softest:
             text = (
                 f"{stress:.3g} MPa on boundary '{boundary}', beside a modulus of "

@@ -44,7 +44,8 @@ class ContactHeat:
         heats: Nodal heat by friction power per area of each thermal body (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
         friction_work: Friction work per area since the time step began, in the heat [N/mm].
-        expands: Regions whose expansion follows temperature; in curing regions it is history.
+        expands: Regions whose expansion follows temperature. In curing regions it is a part of the
+            stress history.
     """
 
     def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:

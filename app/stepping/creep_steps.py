@@ -57,9 +57,9 @@ class CreepStepper:
         """Begin before the first stage."""
         self.done = self.length = 0.0
         self._problem, self._solver = self.load_stepper.problem, self.load_stepper.solver
-        history, creep = self._problem.history, self._problem.creep
-        assert history is not None and creep is not None
-        self._history, self._creep = history, creep
+        stress_history, creep = self._problem.stress_history, self._problem.creep
+        assert stress_history is not None and creep is not None
+        self._stress_history, self._creep = stress_history, creep
         self._spent: list[NewtonResult] = []
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
@@ -90,7 +90,7 @@ class CreepStepper:
 
     def _stress(self) -> Floats:
         """Stress of the current displacements, as if nothing crept in the step (n, 6) [MPa]."""
-        return self._history.trial(self._problem.displacements())
+        return self._stress_history.trial(self._problem.displacements())
 
     def _size(self, taken: Floats) -> float:
         """Largest creep strain that takes a stress (n, 6) [MPa]; collective."""
@@ -104,11 +104,11 @@ class CreepStepper:
             _FailedError: The state is then that before the step, as it is where the error is large.
         """
         x, contact, self._spent = self._solver.x.copy(), self._problem.contact, []
-        state, points = self._history.state(), contact.state if contact else None
+        state, points = self._stress_history.state(), contact.state if contact else None
         scale = stage.creep_tolerance * self._creep.elastic_strain(self._stress())
 
         def back() -> None:
-            self._history.go_back(state)
+            self._stress_history.go_back(state)
             if contact and points:
                 contact.state, contact.carried = points, points.jump
 
@@ -154,7 +154,7 @@ class CreepStepper:
         Raises:
             _FailedError: Newton's method has not converged.
         """
-        self._history.relax(taken, h)
+        self._stress_history.relax(taken, h)
         self._problem.update_stiffness()
         self._spent.append(solve(self._solver))
         self.load_stepper.total.count(self._spent[-1])

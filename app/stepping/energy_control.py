@@ -52,7 +52,7 @@ def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, F
     And its derivative by own jumps (3 n,) [N].
     """
     contact = problem.contact
-    if contact is None or q is None or not contact.law.history:
+    if contact is None or q is None or not contact.law.internal_variables:
         return 0.0, np.zeros(0)
     outputs = problem.trial(u, q).law.outputs
     weight = np.where(contact.law.dissipates, contact.own.weight, 0.0)

@@ -82,8 +82,8 @@ class HeatedMechanics:
         self._now()
         self._load(self._before, self._before, 1.0)
         problem = self._load_stepper.problem
-        if problem.history:
-            problem.history.begin_at(problem.displacements())
+        if problem.stress_history:
+            problem.stress_history.begin_at(problem.displacements())
 
     def _now(self) -> ThermalState:
         """State of the heat, with the free strain of the step that led to it; collective."""
@@ -155,10 +155,10 @@ class HeatedMechanics:
         problem.set_temperature(
             {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
         )
-        if problem.history:
+        if problem.stress_history:
             regions = [c.region for c in self._curing]
             degrees = dict(zip(regions, self._degrees, strict=True))
-            problem.history.set(degrees, dict(zip(regions, self._seen, strict=True)))
+            problem.stress_history.set(degrees, dict(zip(regions, self._seen, strict=True)))
 
 
 class SolvedAfterHeat(HeatedMechanics):
@@ -213,7 +213,7 @@ class SolvedWithHeat(HeatedMechanics):
         self._system.commit(heating.solver.blocks())
         self._system.exchange.report((heating.seconds - self._committed) or np.inf)
         self._committed = heating.seconds
-        if self._load_stepper.problem.history:
+        if self._load_stepper.problem.stress_history:
             # Within the step stiffness and free strain were those before it: an error of order 1.
             self._advance(now, time, time)
         else:

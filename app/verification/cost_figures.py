@@ -150,7 +150,7 @@ def variations(runs: Sequence[Run]) -> Comparison:
 
 def later_steps(run: Run, *, setup: bool = False) -> Comparison:
     """The longest later load step of a run over its first, or all before the later ones."""
-    first, *later = run.history["step [s]"]
+    first, *later = run.step_record["step [s]"]
     if setup:
         first = wall(run) - sum(later)
     return Comparison(float(max(later) / first))

@@ -66,8 +66,8 @@ def step_at(run: Run, time: float) -> int:
 
 def work_lost(run: Run, interface: str, times: ArrayLike) -> Floats:
     """Work that an interface loses from each of n times to the next (n - 1,) [N mm]."""
-    work = run.history[f"{interface} dissipation [N mm]"]
-    return np.diff(np.interp(np.asarray(times, dtype=float), run.history["time [-]"], work))
+    work = run.step_record[f"{interface} dissipation [N mm]"]
+    return np.diff(np.interp(np.asarray(times, dtype=float), run.step_record["time [-]"], work))
 
 
 # Fields

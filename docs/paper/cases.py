@@ -183,8 +183,8 @@ def _temperature(case: SweptCase, region: str) -> Floats:
 
 def _column(case: SweptCase, title: str) -> Floats:
     """A column of history.csv; nan where there is none."""
-    rows = len(next(iter(case.history.values()), ()))
-    return case.history.get(title, np.full(rows, np.nan))
+    rows = len(next(iter(case.step_record.values()), ()))
+    return case.step_record.get(title, np.full(rows, np.nan))
 
 
 def bone_p99(case: SweptCase) -> Number | None:

@@ -102,7 +102,7 @@ class Heated:
     def set(self, degree: float | Field, strain: float | Field, *regions: str) -> None:
         """Say how far regions have set, and what free strain they have."""
         scalars = (self.scalar(degree), self.scalar(strain))
-        self.problem.history.set(*({r: f for r in regions} for f in scalars))
+        self.problem.stress_history.set(*({r: f for r in regions} for f in scalars))
 
     def step(self) -> ContactSamples | None:
         """Solve, commit, balance."""

@@ -14,7 +14,7 @@ from app.fatigue.laws import Fatigue, Murphy, Power, Verdonschot, Weibull
 from app.fatigue.risk import NEAR, distance, tensions, turning_in
 from app.foundation.arrays import Floats
 from app.foundation.verdict import recorded
-from app.report import history
+from app.report import step_curves
 from app.results.verdicts import notes_of
 from app.soundness import doubts, preview
 from tests import support
@@ -127,7 +127,7 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     # Over 5 MPa nothing is left at 6.6 MPa but the whole; the curve falls to zero behind it.
     volumes = [s["regions"]["bar"][f"volume_over_{p}_MPa"] for p in (3, 5, 7, 9, 11)]
     assert volumes == pytest.approx([16, 16, 0, 0, 0])
-    (panel,) = history.tension(s)
+    (panel,) = step_curves.tension(s)
     assert panel.lines[0].y == pytest.approx(volumes)
 
 

@@ -21,7 +21,7 @@ S = 4.0  # shear strength [MPa]
 G_I = 0.1  # energy in tension [N/mm]
 G_II = 0.5  # energy in shear [N/mm]
 ETA = 2.0  # exponent of the mixture
-HISTORY: dict[str, tuple[int, ...]] = {"damage": (), "spent": ()}
+INTERNAL_VARIABLES: dict[str, tuple[int, ...]] = {"damage": (), "spent": ()}
 
 
 class Points:
@@ -61,7 +61,7 @@ class Points:
         every = [{k: float(v) for k, v in law.values.items()} for law in laws]
         values = {k: np.array([own[k] for own in every])[interface] for k in every[0]}
         self.law.begin(laws, values, 1.0, tensors + 1e3 * np.eye(3))
-        self.state = ContactState.at_rest(np.zeros((n, 3)), HISTORY)
+        self.state = ContactState.at_rest(np.zeros((n, 3)), INTERNAL_VARIABLES)
         self.force, self.work, self.spent = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
         self.least = 0.0
 
@@ -78,7 +78,9 @@ class Points:
         self.work = self.work + np.einsum("pi,pi->p", (force + self.force) / 2, step)
         used = found.outputs["dissipated"]
         self.least, self.spent = min(self.least, used.min()), self.spent + used
-        self.force, self.state.jump, self.state.own = force, jump, dict(found.history)
+        self.force = force
+        self.state.jump = jump
+        self.state.internal_variables = dict(found.internal_variables)
         return found
 
 
@@ -102,15 +104,15 @@ def test_cohesion_energy_of_five_mixed_modes(softening: str) -> None:
 def test_cohesion_unloads_to_the_origin_without_damage_by_pressure() -> None:
     points, along = Points(1), np.array([[0.0, 0.0, 1.0]])
     points.lead(0.04 * along)
-    kept, d = points.force.copy(), points.state.own["damage"].copy()
+    kept, d = points.force.copy(), points.state.internal_variables["damage"].copy()
     assert 0 < d[0] < 1
     half = points.lead(0.02 * along)
     np.testing.assert_allclose(half.force, kept / 2, rtol=1e-9)
-    assert half.outputs["dissipated"] == 0 and half.history["damage"] == d
+    assert half.outputs["dissipated"] == 0 and half.internal_variables["damage"] == d
     new = Points(1)
     pressed = new.lead(-0.01 * along)
     np.testing.assert_allclose(pressed.force, -0.01 * K * along)
-    assert pressed.history["damage"] == 0
+    assert pressed.internal_variables["damage"] == 0
 
 
 def test_cohesion_dissipates_on_nonproportional_paths() -> None:
@@ -125,7 +127,7 @@ def test_cohesion_dissipates_on_nonproportional_paths() -> None:
             points.lead(last + part * (corner - last))
         last = corner
     assert points.least >= -1e-12 * G_II
-    assert (points.state.own["damage"] == 1).all()
+    assert (points.state.internal_variables["damage"] == 1).all()
     assert (points.spent > G_I * (1 - 1e-9)).all() and (points.spent < G_II * (1 + 1e-9)).all()
 
 
@@ -155,7 +157,7 @@ def test_cohesion_slopes_are_derivatives(faces: int, softening: str) -> None:
     n, rng = 300, np.random.default_rng(faces)
     points = Points(n, softening, faces, μ=(0.4,))
     damage = np.where(np.arange(n) < 80, 0.0, rng.uniform(0, 1, n))
-    points.state.own = {"damage": damage, "spent": 0.3 * damage}
+    points.state.internal_variables = {"damage": damage, "spent": 0.3 * damage}
     points.state.jump = 1e-3 * rng.normal(size=(n, 3))
     jump, force = 3e-3 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
     base = points.at(force, jump)

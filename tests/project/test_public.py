@@ -158,7 +158,7 @@ def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
         last.time = 0.0  # type: ignore[misc]
     # Numbers, histories and fields are those of the files, and of each other.
     contact = results.summary["interfaces"]["stem_cement"]
-    slips = results.history["stem_cement slip_max [mm]"]
+    slips = results.step_record["stem_cement slip_max [mm]"]
     assert list(slips) == [s.row["stem_cement slip_max [mm]"] for s in steps]
     assert slips[-1] == contact["slip_max"]
     f = results.fields
@@ -224,7 +224,7 @@ def test_an_error_in_progress_ends_a_run_and_signals_stay_as_they_are(tmp_path: 
     case = mantle.load(CONFIGS / "blocks.yaml", **COARSE)
     with pytest.raises(KeyError, match="load"):
         mantle.run(case, tmp_path, progress=fail)
-    assert len(mantle.read(tmp_path).history["step"]) == 1
+    assert len(mantle.read(tmp_path).step_record["step"]) == 1
     assert mantle.run(case, tmp_path, force=True).summary["status"] == "converged"
     assert signal.getsignal(signal.SIGINT) is before
     with pytest.raises(InputError, match="holds no results of a run"):

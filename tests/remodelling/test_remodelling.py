@@ -42,8 +42,8 @@ def test_remodelling_density_is_limited_to_the_largest(tmp_path: Path) -> None:
     assert np.all(found.on_cells("density") == 1.74)
     mass = found.summary["remodelling"]["mass"]
     assert mass["cut"] < 0 < mass["added"] and abs(mass["audit"]) < 1e-10
-    assert mass["end"] == pytest.approx(1.74e-3) == found.history["bone mass [g]"][-1]
-    assert found.history["remodelled [s]"][-1] == pytest.approx(30.0)
+    assert mass["end"] == pytest.approx(1.74e-3) == found.step_record["bone mass [g]"][-1]
+    assert found.step_record["remodelled [s]"][-1] == pytest.approx(30.0)
 
 
 def test_remodelling_stimulus_is_the_mean_of_energies(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from app.case.quantities import TABLE
 from app.cli import main
 from app.foundation.verdict import Verdict, note
 from app.plots import curves
-from app.report import history, pictures, run_report, sentence, viewer
+from app.report import pictures, run_report, sentence, step_curves, viewer
 from app.report.input_spread import InputSpread
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import verdicts
@@ -185,7 +185,7 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
 def test_run_report_draws_all_cycles_after_cooling() -> None:
     written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
     columns = {key: np.array(own) for key, own in written.items()}
-    panel = history.over_time(columns)[0]
+    panel = step_curves.over_time(columns)[0]
     assert panel.lines[0].x == [1, 1.5, 2] and "stage" in panel.x
 
 

@@ -42,10 +42,10 @@ def test_bearing_torque_is_the_sum_of_friction_moments(ball: Results) -> None:
 
 def test_bearing_torque_work_equals_dissipation(ball: Results) -> None:
     """Where the ball turns on, dissipated energy is M dθ."""
-    history = ball.history
-    θ = np.interp(history["time [-]"] * 2 % 1, [0, 0.3, 0.7, 1], np.radians([0, 20, -10, 0]))
-    spent = np.diff(history["bearing dissipation [N mm]"])
-    M = history["bearing torque_along [N mm]"]
+    record = ball.step_record
+    θ = np.interp(record["time [-]"] * 2 % 1, [0, 0.3, 0.7, 1], np.radians([0, 20, -10, 0]))
+    spent = np.diff(record["bearing dissipation [N mm]"])
+    M = record["bearing torque_along [N mm]"]
     steady = slice(-4, None)
     assert spent[steady] == pytest.approx(-(M[1:] * np.abs(np.diff(θ)))[steady], rel=1e-4)
 
@@ -90,7 +90,7 @@ def test_bearing_reports_the_share_facing_a_bore(tmp_path: Path) -> None:
 def test_bearing_difference_of_the_last_two_cycles(ball: Results) -> None:
     """The first cycle begins where the load was pressed on, the second where that one ended."""
     change = ball.summary["cycles"]["turn"]["change"]["bearing"]
-    spent = ball.history["bearing dissipation [N mm]"]
+    spent = ball.step_record["bearing dissipation [N mm]"]
     ends = spent[[0, (len(spent) - 1) // 2, -1]]
     first, last = np.diff(ends)
     assert ball.summary["interfaces"]["bearing"]["dissipation_cycle"] == pytest.approx(last)
@@ -104,8 +104,8 @@ def test_bearing_fields_follow_the_rotated_ball(ball: Results) -> None:
     k = int(np.argmin(np.abs(run.times - 1.2)))
     θ = math.radians(np.interp(2 * run.times[k] % 1, [0, 0.3, 0.7, 1], [0, 20, -10, 0]))
     R = np.array([[math.cos(θ), 0, math.sin(θ)], [0, 1, 0], [-math.sin(θ), 0, math.cos(θ)]])
-    row = int(np.argmin(np.abs(ball.history["time [-]"] - run.times[k])))
-    centre = [ball.history[f"bearing centre.{axis} [mm]"][row] for axis in "xyz"]
+    row = int(np.argmin(np.abs(ball.step_record["time [-]"] - run.times[k])))
+    centre = [ball.step_record[f"bearing centre.{axis} [mm]"][row] for axis in "xyz"]
     head = run.nodes_of(run.regions["head"])
     x = run.points[head]
     np.testing.assert_allclose(x + run.displacement(k)[head], x @ R.T + centre, atol=1e-9)

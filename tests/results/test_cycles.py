@@ -54,7 +54,7 @@ def test_cycles_of_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) ->
         peak, rel=1e-4
     )
     # Five ways of two increments, and the stage before.
-    assert len(results.history["step"]) == 1 + 2 * 5
+    assert len(results.step_record["step"]) == 1 + 2 * 5
     (line,) = sentences(results.summary["cycles"])
     assert line.startswith("pull: permanent / inducible: motion p99 of lower_upper") and way in line
 

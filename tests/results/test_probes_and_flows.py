@@ -26,7 +26,7 @@ def test_probes_record_displacements(order: int, tmp_path: Path) -> None:
     for name, z in (("tip", 4.7), ("low", 1.1)):
         end = found.summary["probes"][name]["displacement"]
         assert end == pytest.approx([0, 0, -0.01 * z], abs=1e-12)
-        course = found.history[f"{name} displacement.z [mm]"]
+        course = found.step_record[f"{name} displacement.z [mm]"]
         assert course == pytest.approx([-0.005 * z, -0.01 * z], abs=1e-12)
 
 

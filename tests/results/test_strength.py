@@ -64,7 +64,7 @@ def test_bond_forces_equal_those_of_sticking_contact(tmp_path: Path, order: int)
     assert numbers[0]["normal_mean"] == pytest.approx(-numbers[1]["pressure_mean"], rel=1e-9)
     assert numbers[0]["normal_max"] > numbers[0]["normal_mean"]
     assert numbers[0]["shear_mean"] == pytest.approx(numbers[1]["shear_mean"], rel=1e-9)
-    last = bonded.history["one_two failure_index_p99 [-]"][-1]
+    last = bonded.step_record["one_two failure_index_p99 [-]"][-1]
     assert last == numbers[0]["failure_index_p99"] == pytest.approx(1 / numbers[0][key], rel=1e-12)
 
 
@@ -103,6 +103,6 @@ def test_bond_forces_need_a_strength(tmp_path: Path) -> None:
         results = support.run(BARS, tmp_path / law[7:10], load, base, f"interfaces.one_two={law}")
         told = {key for q in results.summary.get("bonds", {}).values() for key in q}
         told |= {key for q in results.summary["interfaces"].values() for key in q}
-        told |= {*results.history, *results.fields.point_fields}
+        told |= {*results.step_record, *results.fields.point_fields}
         assert "strength_fraction" not in results.summary["interfaces"].get("one_two", {})
         assert not [name for name in told if "failure" in name]

@@ -22,7 +22,7 @@ PHASES: dict[str, tuple[Any, str, int]] = {
     "distribution": (distribute, "_cell_tags", 1),
     "assembly": (problem.Problem, "__init__", 1),
     "solve": (systems.ContactSystem, "residual", 2),
-    "output": (Writer, "history", 1),
+    "output": (Writer, "add_row", 1),
     "checkpoint": (checkpoint, "write", 1),
 }
 ERRORS: dict[str, BaseException] = {

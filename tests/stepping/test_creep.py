@@ -76,7 +76,7 @@ def test_creep_equation_at_a_point(strain: float, cycles: float) -> None:
 def test_creep_of_cement_only_in_its_stages(tmp_path: Path) -> None:
     """Stem in creeping cement: balances close, work is lost, and the stem subsides."""
     run = support.run(CREEPING, tmp_path)
-    s, named = run.summary, run.history
+    s, named = run.summary, run.step_record
     assert max(s["balance"].values()) < 1e-9 and s["solver"]["rejected_steps"] is not None
     lost = np.diff(named["creep dissipation [N mm]"])
     assert lost.min() >= -1e-10 * lost.max() and s["creep"]["dissipation"] > 0
@@ -138,7 +138,11 @@ def test_creep_time_in_any_unit(tmp_path: Path) -> None:
 def test_creep_law_alone_costs_nothing() -> None:
     """A law alone costs nothing: neither points nor forms; the stages decide."""
     problem, _ = support.assemble(support.case(BAR, "stages=[{name: hold}]"))
-    assert problem.scene.creeps == () and problem.history is None and not problem.mechanics.history
+    assert (
+        problem.scene.creeps == ()
+        and problem.stress_history is None
+        and not problem.mechanics.path_dependent_regions
+    )
 
 
 def test_creep_near_zero_equals_elasticity(

@@ -27,12 +27,12 @@ def test_energy_control_follows_the_snap_back_of_a_bar(tmp_path: Path) -> None:
     # With condensed bodies a step takes one iteration at least.
     support.run(BAR, tmp_path, "solver.linear=direct")
     run = Run(tmp_path / "out")
-    used = np.asarray(run.history["lower_upper dissipation [N mm]"])
-    softens, newton = (used > 0) & (used < 1.599), np.asarray(run.history["newton [-]"])
+    used = np.asarray(run.step_record["lower_upper dissipation [N mm]"])
+    softens, newton = (used > 0) & (used < 1.599), np.asarray(run.step_record["newton [-]"])
     assert softens.sum() == 15 and newton[softens].max() <= 2
     # The rest is the load step that failed before, and the jump when all is broken.
     assert run.summary["solver"]["newton_iterations"] < 120
-    end = 0.4 * np.asarray(run.history["time [-]"])[softens]
+    end = 0.4 * np.asarray(run.step_record["time [-]"])[softens]
     part = used[softens] / 1.6
     jump = 1e-3 + part * (0.02 - 1e-3)
     np.testing.assert_allclose(end, (1 - part) * 10 * 40 / 2000 + jump, rtol=1e-6)
@@ -42,7 +42,7 @@ def test_energy_control_with_exponential_softening_and_unbonded_share(tmp_path: 
     """The load step before needs little augmentation, which would close what opens."""
     law = ("softening=exponential", "unbonded=30 %")
     support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
-    used = np.asarray(Run(tmp_path / "out").history["lower_upper dissipation [N mm]"])
+    used = np.asarray(Run(tmp_path / "out").step_record["lower_upper dissipation [N mm]"])
     assert used[-1] == pytest.approx(0.7 * 1.6, rel=1e-6)
 
 
@@ -57,7 +57,7 @@ from app.laws.values import FractureEnergyField, StiffnessField, StrengthField
 class OwnCohesion(Traction):
     """A bond that softens, without friction."""
 
-    history = {"damage": (), "spent": (), "used": ()}
+    internal_variables = {"damage": (), "spent": (), "used": ()}
 
     kind: Literal["own_cohesion"] = "own_cohesion"
     stiffness: StiffnessField
@@ -71,10 +71,10 @@ class OwnCohesion(Traction):
     shear_energy: FractureEnergyField
     """Energy in shear."""
 
-    def traction(self, gap, normals, history):
-        return (1 - history["damage"]) * self.stiffness * gap
+    def traction(self, gap, normals, internal_variables):
+        return (1 - internal_variables["damage"]) * self.stiffness * gap
 
-    def remembered(self, gap, normals, history):
+    def remembered(self, gap, normals, internal_variables):
         size = dot(gap, gap)
         some = conditional(gt(size, 1e-30), size, 1e-30)
         slid = conditional(gt(size, 1e-30), 1 - dot(gap, normals[0]) ** 2 / some, 0)
@@ -84,17 +84,19 @@ class OwnCohesion(Traction):
         m = sqrt(conditional(gt(size, onset**2), size, onset**2))
         m = conditional(gt(m, end), end, m)
         damage = end * (m - onset) / (m * (end - onset))
-        more = ge(damage, history["damage"])
+        more = ge(damage, internal_variables["damage"])
         spent = (m - onset) / (end - onset)
         now = {"damage": damage, "spent": spent}
-        now["used"] = history["used"] + energy * (spent - history["spent"])
-        return {name: conditional(more, now[name], history[name]) for name in history}
+        now["used"] = internal_variables["used"] + energy * (spent - internal_variables["spent"])
+        return {
+            name: conditional(more, now[name], old) for name, old in internal_variables.items()
+        }
 
-    def stored(self, gap, normals, history):
-        return (1 - history["damage"]) * self.stiffness * dot(gap, gap) / 2
+    def stored(self, gap, normals, internal_variables):
+        return (1 - internal_variables["damage"]) * self.stiffness * dot(gap, gap) / 2
 
-    def dissipated(self, gap, normals, history):
-        return history["used"] - history.old["used"]
+    def dissipated(self, gap, normals, internal_variables):
+        return internal_variables["used"] - internal_variables.old["used"]
 '''
 
 
@@ -112,9 +114,9 @@ def test_energy_control_of_a_law_from_outside(tmp_path: Path, pull: str) -> None
     assert done.returncode == 0, done.stdout + done.stderr
     runs = [Run(tmp_path / name) for name in ("out", "own")]
     for name in ("gap_max [mm]", "pressure_p95 [MPa]", "shear_p95 [MPa]", "dissipation [N mm]"):
-        a, b = (np.asarray(run.history[f"lower_upper {name}"]) for run in runs)
+        a, b = (np.asarray(run.step_record[f"lower_upper {name}"]) for run in runs)
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-8)
-    used = np.asarray(runs[0].history["lower_upper dissipation [N mm]"])
+    used = np.asarray(runs[0].step_record["lower_upper dissipation [N mm]"])
     assert used[-1] > 1.5 and all(run.summary["balance"]["energy"] < 1e-8 for run in runs)
 
 

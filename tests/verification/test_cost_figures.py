@@ -35,10 +35,10 @@ def made(
             for name, s in zip(INTERFACES, slip, strict=True)
         },
     }
-    return SimpleNamespace(**{"summary": summary, "history": {}} | more)
+    return SimpleNamespace(**{"summary": summary, "step_record": {}} | more)
 
 
-STEPPED = made(history={"step [s]": [8.0, 2.0, 3.0, 1.0]})
+STEPPED = made(step_record={"step [s]": [8.0, 2.0, 3.0, 1.0]})
 # Times t ~ n^1.1 of n unknowns, of which one in three is disturbed.
 LADDER = [
     made(t, n) for n in (50_000, 100_000, 200_000, 1_000_000) for t in [3e-6 * n**1.1] * 2 + [1e3]

@@ -27,7 +27,7 @@ class ElasticLayer(Traction):
     stiffness: StiffnessField
     """Traction per displacement."""
 
-    def traction(self, gap, normals, history):
+    def traction(self, gap, normals, internal_variables):
         return self.stiffness * gap
 '''
 
@@ -118,7 +118,7 @@ def test_an_extension_that_cannot_be_imported_is_named(
     assert f"own_package.py{place}: MANTLE_EXTENSIONS: 'own_package'" in done.stderr
 
 
-# A layer that the largest opening so far softens: history at each point.
+# A layer that the largest opening so far softens: an internal variable.
 WORN = '''
 from typing import Literal
 from ufl import conditional, dot, gt, max_value
@@ -129,7 +129,7 @@ from app.schema.units import Length, PositiveStiffness
 class WornLayer(Traction):
     """A layer whose stiffness falls with the largest opening so far."""
 
-    history = {"most": ()}
+    internal_variables = {"most": ()}
 
     kind: Literal["worn_layer"] = "worn_layer"
     stiffness: PositiveStiffness
@@ -137,14 +137,14 @@ class WornLayer(Traction):
     length: Length
     """Opening at which half of it is left."""
 
-    def traction(self, gap, normals, history):
-        return self.stiffness / (1 + history["most"] / self.length) * gap
+    def traction(self, gap, normals, internal_variables):
+        return self.stiffness / (1 + internal_variables["most"] / self.length) * gap
 
-    def remembered(self, gap, normals, history):
-        return {"most": max_value(history["most"], dot(gap, normals[0]))}
+    def remembered(self, gap, normals, internal_variables):
+        return {"most": max_value(internal_variables["most"], dot(gap, normals[0]))}
 
-    def status(self, gap, normals, history):
-        return conditional(gt(history["most"], self.length / 4), 3, 1)
+    def status(self, gap, normals, internal_variables):
+        return conditional(gt(internal_variables["most"], self.length / 4), 3, 1)
 '''
 
 
@@ -175,7 +175,7 @@ class Glue(Frictional, Traction):
     """Glue that softens linearly with the opening."""
 
     can_open = True
-    history = {"damage": (), "spent": ()}
+    internal_variables = {"damage": (), "spent": ()}
 
     kind: Literal["glue"] = "glue"
     stiffness: StiffnessField
@@ -185,26 +185,27 @@ class Glue(Frictional, Traction):
     energy: FractureEnergyField
     """Fracture energy."""
 
-    def remembered(self, gap, normals, history):
+    def remembered(self, gap, normals, internal_variables):
         onset = self.tensile_strength / self.stiffness
         end = 2 * self.energy / self.tensile_strength
         opening = min_value(max_value(dot(gap, normals[0]), onset), end)
         spent = (opening - onset) / (end - onset)
-        spent = conditional(ge(spent, history["spent"] - 1e-12), spent, history["spent"])
+        before = internal_variables["spent"]
+        spent = conditional(ge(spent, before - 1e-12), spent, before)
         opening = onset + spent * (end - onset)
         return {"damage": 1 - onset * (1 - spent) / opening, "spent": spent}
 
-    def traction(self, gap, normals, history):
-        return (1 - history["damage"]) * self.stiffness * gap
+    def traction(self, gap, normals, internal_variables):
+        return (1 - internal_variables["damage"]) * self.stiffness * gap
 
-    def broken(self, gap, normals, history):
-        return conditional(gt(history.old["damage"], 0), history["damage"], 0)
+    def broken(self, gap, normals, internal_variables):
+        return conditional(gt(internal_variables.old["damage"], 0), internal_variables["damage"], 0)
 
-    def stored(self, gap, normals, history):
-        return (1 - history["damage"]) * self.stiffness * dot(gap, gap) / 2
+    def stored(self, gap, normals, internal_variables):
+        return (1 - internal_variables["damage"]) * self.stiffness * dot(gap, gap) / 2
 
-    def dissipated(self, gap, normals, history):
-        return self.energy * (history["spent"] - history.old["spent"])
+    def dissipated(self, gap, normals, internal_variables):
+        return self.energy * (internal_variables["spent"] - internal_variables.old["spent"])
 '''
 # A soft bar whose end has to go back while the glue breaks (snap-back), then pressed and slid.
 TORN = """\
@@ -229,17 +230,17 @@ solver: {tolerance: 1.0e-12}
 def test_a_law_from_outside_breaks_by_given_energy_and_then_rubs(tmp_path: Path) -> None:
     """Traction falls linearly with the energy used, G A in all; then friction μ p."""
     summary, _ = run(tmp_path, GLUE, TORN)
-    history = mantle.read(tmp_path / "out").history
-    used = np.asarray(history["lower_upper dissipation [N mm]"])
-    stage = np.ceil(np.asarray(history["time [-]"]))
+    record = mantle.read(tmp_path / "out").step_record
+    used = np.asarray(record["lower_upper dissipation [N mm]"])
+    stage = np.ceil(np.asarray(record["time [-]"]))
     breaking = (used > 0) & (used < 0.999 * 1.6) & (stage == 1)
     assert breaking.sum() >= 15
     np.testing.assert_allclose(np.diff(used[breaking]), 0.1, rtol=1e-5)
-    tension = -np.asarray(history["lower_upper pressure_p95 [MPa]"])[breaking]
+    tension = -np.asarray(record["lower_upper pressure_p95 [MPa]"])[breaking]
     np.testing.assert_allclose(tension, 10 * (1 - used[breaking] / 1.6), rtol=1e-6)
     # The end goes back: stretch of the bars, 8 mm long, and opening of the glue.
     opening = 1e-3 + used[breaking] / 1.6 * (0.02 - 1e-3)
-    end = 0.4 * np.asarray(history["time [-]"])[breaking]
+    end = 0.4 * np.asarray(record["time [-]"])[breaking]
     np.testing.assert_allclose(end, tension * 8 / 400 + opening, rtol=1e-6)
     found = summary["interfaces"]["lower_upper"]
     assert found["area_broken"] == pytest.approx(16, rel=1e-9)
@@ -264,7 +265,7 @@ class ContactLayer(InterfaceLaw):
     """Contact and friction on an elastic layer."""
 
     can_open = True
-    history = {"slid": (3,)}
+    internal_variables = {"slid": (3,)}
 
     kind: Literal["contact_layer"] = "contact_layer"
     coefficient: NonNegativeNumber
@@ -275,13 +276,14 @@ class ContactLayer(InterfaceLaw):
     """Shear per elastic shift."""
 
     def response(self, at):
-        v, gap, old = at.values, variable(at.jump + at.gap), at.history["slid"]
+        v, gap, old = at.values, variable(at.jump + at.gap), at.internal_variables["slid"]
         across = sum(outer(n, n) for n in at.normals) / len(at.normals)
         K = v["tangential"] * Identity(3) + (v["normal"] - v["tangential"]) * across
         law = projected(K * gap, K * (gap - old), at.normals, v["coefficient"])
         elastic = inv(K) * law.force
-        history = at.updated({"slid": gap - elastic})
-        slid, since = (v - dot(v, at.normals[0]) * at.normals[0] for v in (history["slid"], old))
+        internal_variables = at.updated({"slid": gap - elastic})
+        both = internal_variables["slid"], old
+        slid, since = (v - dot(v, at.normals[0]) * at.normals[0] for v in both)
         told = {
             "force": law.force,
             "by_jump": expand_derivatives(diff(law.force, gap)),
@@ -292,8 +294,8 @@ class ContactLayer(InterfaceLaw):
             "dissipated": inner(law.force, slid - since),
         }
         plain = {name: strip_variables(e) for name, e in told.items()}
-        history = {name: strip_variables(e) for name, e in history.items()}
-        return Response(by_multiplier=None, history=history, **plain)
+        internal_variables = {name: strip_variables(e) for name, e in internal_variables.items()}
+        return Response(by_multiplier=None, internal_variables=internal_variables, **plain)
 '''
 
 
@@ -379,7 +381,7 @@ def strain_energy(stresses, region):
 add_quantity(
     Quantity(
         "interfaces", "area_over_1MPa", "mm^2", digits=1, label="over 1 MPa",
-        order=STRESS, history=True, compute=area_over(1.0),
+        order=STRESS, step_record=True, compute=area_over(1.0),
     ),
     Quantity("interfaces", "area_over_5MPa", "mm^2", compute=area_over(5.0)),
     Quantity("regions", "strain_energy", "N mm", digits=4, compute=strain_energy),
@@ -410,9 +412,9 @@ def test_a_quantity_from_outside_is_published(tmp_path: Path) -> None:
     energies = [summary["regions"][name]["strain_energy"] for name in ("lower", "upper")]
     assert energies == pytest.approx([0.072, 0.144], rel=1e-9)
     assert "area_over_5MPa_error" not in found
-    history = mantle.read(tmp_path / "out").history
-    assert history["lower_upper area_over_1MPa [mm^2]"][-1] == pytest.approx(16, rel=1e-9)
-    assert not any("5MPa" in name for name in history)
+    record = mantle.read(tmp_path / "out").step_record
+    assert record["lower_upper area_over_1MPa [mm^2]"][-1] == pytest.approx(16, rel=1e-9)
+    assert not any("5MPa" in name for name in record)
     lines = told.splitlines()
     title = next(k for k, line in enumerate(lines) if line.startswith("interface"))
     assert lines[title].endswith(" over 1 MPa  area over 5MPa")

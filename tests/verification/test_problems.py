@@ -116,7 +116,7 @@ def test_validation_says_where_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_pa
 
     def note(*peaks: tuple[float, float]) -> str:
         runs: list[Any] = [
-            SimpleNamespace(history={"centre [degC]": np.array([23.0, peak])})
+            SimpleNamespace(step_record={"centre [degC]": np.array([23.0, peak])})
             for pair in (*peaks, *others)
             for peak in pair
         ]

@@ -431,7 +431,7 @@ def _outcome(case: Path, changes: Sequence[str], folder: Path) -> Outcome:
     except mantle.MantleError as error:
         return Outcome(error.exit_code)
     largest: dict[str, float] = {}
-    for name, column in results.history.items():
+    for name, column in results.step_record.items():
         unit = name.rpartition("[")[2].removesuffix("]")
         values = np.abs(np.asarray(column, dtype=float))
         largest[unit] = max(largest.get(unit, 0.0), float(np.nanmax(values, initial=0.0)))

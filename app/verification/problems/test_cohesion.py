@@ -44,7 +44,7 @@ def energy(mixture: float) -> float:
 
 def column(run: Run, name: str) -> Floats:
     """A column of the history of the interface."""
-    return np.asarray(run.history[f"lower_upper {name}"])
+    return np.asarray(run.step_record[f"lower_upper {name}"])
 
 
 def breaks(
@@ -122,7 +122,7 @@ def test_cohesive_unloading(problem: KnownProblem) -> None:
     )
     back = "stages=[{name: pull}, {name: back, increments: 2}]"
     solved = problem.solve(BAR, *STIFF, *SHORT, pull(0, 0.005, "[1, 0]"), back)
-    times = solved.history["time [-]"]
+    times = solved.step_record["time [-]"]
     traction = -column(solved, "pressure_p95 [MPa]")
     loaded, half, none = (float(traction[np.argmin(np.abs(times - t))]) for t in (1, 1.5, 2))
     end = 2 * G_I / TENSILE
@@ -178,13 +178,13 @@ def test_cohesive_beams(problem: KnownProblem) -> None:
         source="J = 12 M^2 / (E b^2 h^3), M = E I dtheta/da",
     )
     solved = problem.solve(BEAMS)
-    time = np.asarray(solved.history["time [-]"])
+    time = np.asarray(solved.step_record["time [-]"])
     crack = column(solved, "dissipation [N mm]") / (G_ARM * ARM_WIDTH)
     steady = (crack > ZONE) & (time < 1)
     slope = np.polyfit(crack[steady], 0.06 * time[steady], 1)[0]
     moment = ARM_E * ARM_WIDTH * ARM_HEIGHT**3 / 12 * slope
     J = relative(12 * moment**2 / (ARM_E * ARM_WIDTH**2 * ARM_HEIGHT**3), G_ARM)
-    newton = np.asarray(solved.history["newton [-]"])[steady]
+    newton = np.asarray(solved.step_record["newton [-]"])[steady]
     failed = solved.summary["solver"]["rejected_steps"] / len(newton)
     note = f"{newton.mean():.1f} Newton iterations a step, {100 * failed:.0f} % of steps failed"
     easy = newton.mean() <= 5 and failed <= 0.05
@@ -217,7 +217,7 @@ def test_cohesive_balance(problem: KnownProblem) -> None:
     solved = problem.solve(BEAMS)
     used = column(solved, "dissipation [N mm]")
     least = max(0.0, -column(solved, "dissipation_min [N mm]").min() / used[-1])
-    balance = float(np.max(solved.history["energy balance [-]"]))
+    balance = float(np.max(solved.step_record["energy balance [-]"]))
     problem.compare(Comparison(max(least, balance)))
 
 

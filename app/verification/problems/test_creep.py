@@ -135,7 +135,7 @@ def test_creep_taper(problem: KnownProblem) -> None:
         source="integration of rates (tests/verification/test_creep_forms.py)",
     )
     solved = problem.solve("verification/creep_taper.yaml")
-    sunk = solved.history["stem subsidence [mm]"]
+    sunk = solved.step_record["stem subsidence [mm]"]
     problem.compare(relative(float(sunk[-1] - sunk[0]), SUBSIDENCE))
 
 

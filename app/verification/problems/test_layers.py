@@ -180,8 +180,8 @@ def test_layer(
     """A number of history.csv at the end of a stage."""
     problem.expects(f"{what}, relative", tolerance=2e-6, source=SERIES)
     solved = problem.solve(CASE, *changes)
-    at = np.argmin(np.abs(solved.history["time [-]"] - time))
-    problem.compare(relative(float(solved.history[f"wall_bar {key}"][at]), reference))
+    at = np.argmin(np.abs(solved.step_record["time [-]"] - time))
+    problem.compare(relative(float(solved.step_record[f"wall_bar {key}"][at]), reference))
 
 
 def moved(x: float, z: float) -> tuple[str, ...]:

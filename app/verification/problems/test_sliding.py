@@ -76,7 +76,7 @@ def test_slip_cup(problem: KnownProblem) -> None:
         """Way of the ball after first touch; mean pressure within 20 degrees of the pole."""
         area, p, r = pressures(run)
         near = area * (r < np.tan(np.radians(20)) * run.points[:, 2])
-        way = run.history["bearing centre.z [mm]"][-1] - clearance
+        way = run.step_record["bearing centre.z [mm]"][-1] - clearance
         sink, mean = exact.CUP[clearance]
         pressure = float(near @ p / near.sum())
         return worst([relative(1e3 * float(way), sink), relative(pressure, mean)])
@@ -108,7 +108,7 @@ def test_slip_steady(problem: KnownProblem) -> None:
     )
     solved = problem.solve(CUP)
     energy, torque = (
-        solved.history[f"bearing {of} [N mm]"] for of in ("dissipation", "torque_along")
+        solved.step_record[f"bearing {of} [N mm]"] for of in ("dissipation", "torque_along")
     )
     work = float(-torque[-1] * np.radians(5))
     problem.compare(relative(float(energy[-1] - energy[-2]), work))
@@ -246,7 +246,7 @@ def test_slip_drawn(problem: KnownProblem) -> None:
     )
     solved = problem.solve("verification/drawn_block.yaml")
     names = ("force.x [N]", "force.z [N]", "dissipation [N mm]", "centre.z [mm]")
-    x, z, energy, height = (solved.history[f"contact {name}"] for name in names)
+    x, z, energy, height = (solved.step_record[f"contact {name}"] for name in names)
     work = np.diff(energy).reshape(4, 3)[:, 1:] / 3000
     way = np.repeat([-1, 1, -1, 1], 3)
     first, last = (solved.at_interface("contact", "pressure", k) for k in (6, 12))

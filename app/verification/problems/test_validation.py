@@ -175,15 +175,15 @@ def disc(mould: str, height: int, cure: Sequence[str]) -> list[str]:
 
 def peak(run: Run) -> float:
     """Highest temperature in the centre [degC]."""
-    return float(run.history["centre [degC]"].max())
+    return float(run.step_record["centre [degC]"].max())
 
 
 def setting(run: Run) -> float:
     """When the centre is halfway from the room to its peak, as in ISO 5833 [s]."""
-    centre = run.history["centre [degC]"]
+    centre = run.step_record["centre [degC]"]
     rise = slice(int(np.argmax(centre)) + 1)
     half = (23 + centre.max()) / 2
-    return float(np.interp(half, centre[rise], run.history["seconds [s]"][rise]))
+    return float(np.interp(half, centre[rise], run.step_record["seconds [s]"][rise]))
 
 
 def disc_values(

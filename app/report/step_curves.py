@@ -18,7 +18,7 @@ from app.system.layout import plain
 _INTERFACE = {
     key: (q.label, q.shown)
     for key, q in TABLE["interfaces"].items()
-    if q.history and ((q.headline and not q.exact) or key == "dissipation")
+    if q.step_record and ((q.headline and not q.exact) or key == "dissipation")
 }
 SHOWN = {
     "temperature_max": ("highest temperature", "degC"),
@@ -40,21 +40,21 @@ TIME = "time [-]"
 SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
 # Values below which a quantity is zero, in its unit for people.
 ROUNDING = 1e-9
-History = Mapping[str, Floats]
+StepRecord = Mapping[str, Floats]
 
 
-def over_time(history: History) -> list[Panel]:
+def over_time(step_record: StepRecord) -> list[Panel]:
     """Return panels of the quantities that change.
 
-    Loads come at no time of a history of heat: then all is drawn over stages.
+    In stages of heat loads have no time of their own: then the axis is the number of the stage.
     """
-    seconds = history.get(SECONDS, np.empty(0))
+    seconds = step_record.get(SECONDS, np.empty(0))
     timed = 0 < len(seconds) == len(np.unique(seconds))
-    times = history.get(SECONDS if timed else TIME, np.empty(0))
+    times = step_record.get(SECONDS if timed else TIME, np.empty(0))
     if len(times) < 2:
         return []
     lines: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
-    for column, values in history.items():
+    for column, values in step_record.items():
         place, key, unit = _parts(column)
         if key not in SHOWN or not place or (not key and unit != "degC"):
             continue
@@ -100,9 +100,9 @@ def _parts(column: str) -> tuple[str, str, str]:
     return ("" if whole else place), key, unit
 
 
-def steps(history: History) -> Blocks:
+def steps(step_record: StepRecord) -> Blocks:
     """Return a table of the solver's columns, by step."""
-    columns = {c: v for c, v in history.items() if not _parts(c)[0] and np.isfinite(v).any()}
+    columns = {c: v for c, v in step_record.items() if not _parts(c)[0] and np.isfinite(v).any()}
     rows = sparse([*zip(*columns.values(), strict=True)])
     texts = [[plain(float(f"{value:.3g}")) for value in row] for row in rows]
     return page.table([*columns], texts)
