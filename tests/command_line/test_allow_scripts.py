@@ -25,7 +25,7 @@ COMMANDS = (
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_scripts_are_run_only_where_that_is_allowed(
+def test_allow_scripts_runs_scripts_only_if_allowed(
     command: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -45,7 +45,7 @@ def test_scripts_are_run_only_where_that_is_allowed(
     assert not Path("PWNED").exists()
 
 
-def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
+def test_allow_scripts_runs_a_trusted_script(tmp_path: Path) -> None:
     """By a case of a sweep: what is allowed on the command line holds for all that it starts."""
     script(tmp_path, LAYERS)
     (tmp_path / "sweep.yaml").write_text(
@@ -56,7 +56,7 @@ def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
     assert list(tmp_path.glob("out/runs/*/DONE"))
 
 
-def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
+def test_allow_scripts_always_runs_shipped_scripts(tmp_path: Path) -> None:
     """By their place: a link to another is none of them."""
     case = CONFIGS / "verification" / "cook.yaml"
     assert load(case).config.geometry.region_names
@@ -69,7 +69,9 @@ def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
         load(copy / "cook.yaml")
 
 
-def test_options_beside_a_mesh_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_allow_scripts_ignores_options_next_to_a_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """gmsh would run them: it never sees them."""
     monkeypatch.setenv(ALLOWED, "1")
     script(tmp_path, LAYERS)
@@ -78,7 +80,7 @@ def test_options_beside_a_mesh_are_not_run(tmp_path: Path, monkeypatch: pytest.M
     assert len(meshes.build(case.geometry, case.mesh).cells)
 
 
-def test_a_script_is_not_meshed_by_the_nanometre(
+def test_allow_scripts_refuses_too_fine_a_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(ALLOWED, "1")

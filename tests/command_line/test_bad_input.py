@@ -46,7 +46,7 @@ def check(said: list[str], expected: list[str]) -> None:
 
 
 @pytest.mark.parametrize(("case", "name"), EDITS)
-def test_complaint(case: str, name: str, path: Path) -> None:
+def test_bad_input_complaint(case: str, name: str, path: Path) -> None:
     text = TABLE[case]["case"]
     rows = TABLE[case]["edits"][name]
     for old, new in (row for row in rows if isinstance(row, list)):
@@ -57,18 +57,18 @@ def test_complaint(case: str, name: str, path: Path) -> None:
 
 
 @pytest.mark.parametrize(("case", "sets"), SETS)
-def test_override(case: str, sets: str, path: Path) -> None:
+def test_bad_input_override(case: str, sets: str, path: Path) -> None:
     path.write_text(TABLE[case]["case"])
     check(complaints(path, *sets.split(" --set ")), TABLE[case]["sets"][sets])
 
 
-def test_errors_of_file_and_overrides_come_together(path: Path) -> None:
+def test_bad_input_of_file_and_overrides_is_reported_together(path: Path) -> None:
     path.write_text(GOOD.replace("length: 20 mm", "length: 20"))
     said = complaints(path, "mesh.size=3", "nonsense")
     assert [m.split(": ")[0] for m in said] == ["7:3", "--set mesh.size", "--set nonsense"]
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_bad_input_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert complaints(tmp_path / "none.yaml") == [" no such file"]
     assert complaints(tmp_path) == [" is a folder; expected a YAML file"]
     latin = tmp_path / "latin.yaml"
@@ -77,7 +77,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert complaints(latin / "below")[0].startswith(" cannot be read: Not a dir")
 
 
-def test_aliases_cannot_blow_up(path: Path) -> None:
+def test_bad_input_aliases_cannot_blow_up(path: Path) -> None:
     rows = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
     path.write_text("\n".join(rows))
@@ -86,14 +86,14 @@ def test_aliases_cannot_blow_up(path: Path) -> None:
     assert "not valid YAML" in complaints(path)[0]
 
 
-def test_a_thin_block_is_named() -> None:
+def test_bad_input_thin_block_is_named() -> None:
     thin = "geometry.blocks.1.size=[10 mm, 10 mm, 0.01 mm]"
     said = complaints(CONFIGS / "blocks.yaml", thin, "mesh.size=3 mm")
     assert said[0].startswith("--set geometry.blocks.1.size: ") or "blocks[1].size" in said[0]
     assert "expected at least 0.12 mm" in said[0]
 
 
-def test_what_only_the_mesher_sees_has_its_place_too(
+def test_bad_input_found_by_the_mesher_has_its_place(
     path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A stem that is too wide: where bone is, is known to the mesher."""
@@ -104,7 +104,7 @@ def test_what_only_the_mesher_sees_has_its_place_too(
 
 
 @pytest.mark.parametrize("wrong", ["stem_length: 250 mm", "stem_legth: 147 mm", "neck_angle: 2"])
-def test_a_wrong_geometry_is_the_only_error(wrong: str, path: Path) -> None:
+def test_bad_input_wrong_geometry_is_the_only_error(wrong: str, path: Path) -> None:
     """Which points it would name is not known: that loads act there is no error."""
     text = (CONFIGS / "stance.yaml").read_text()
     path.write_text(text.replace("  kind: femur\n", f"  kind: femur\n  {wrong}\n"))
@@ -132,7 +132,7 @@ FILE = "geometry:\n  kind: file\n  path: {}\nmesh: {{size: 1 mm}}\nregions: {{}}
         ('"a\\0.msh"', None, "no such file"),
     ],
 )
-def test_mesh_file(name: str, content: str | None, words: str, path: Path) -> None:
+def test_bad_input_mesh_file(name: str, content: str | None, words: str, path: Path) -> None:
     path.write_text(FILE.format(name))
     if content is not None:
         path.with_name(name).write_text(content)
@@ -140,7 +140,7 @@ def test_mesh_file(name: str, content: str | None, words: str, path: Path) -> No
     assert message.startswith("3:3: geometry.path: ") and words in message
 
 
-def test_names_of_a_mesh_file(path: Path) -> None:
+def test_bad_input_names_of_a_mesh_file(path: Path) -> None:
     path.with_name("a.msh").write_text(
         '$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PhysicalNames\n3\n2 7 "bottom"\n3 1 "rock"\n'
         '3 2 "soil"\n$EndPhysicalNames\n'
@@ -163,7 +163,7 @@ def test_names_of_a_mesh_file(path: Path) -> None:
 # --------------------------------------------------------------------------------- command line
 
 
-def test_command_says_it_once_and_exits_with_2(
+def test_bad_input_is_printed_once_with_exit_code_2(
     path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path.write_text(GOOD.replace("110 GPa", "110 mm"))
@@ -190,13 +190,15 @@ def test_command_says_it_once_and_exits_with_2(
         ("run none.yaml -o out.html", "-o out.html: expected a folder, whose name"),
     ],
 )
-def test_command_line(arguments: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_on_the_command_line(
+    arguments: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(arguments.split()) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1) and expected in err
 
 
-def test_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     full = path.parent / "full"
     full.mkdir()
     (full / "fields.vtkhdf").touch()
@@ -214,7 +216,7 @@ def test_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parallel
-def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(path: Path) -> None:
+def test_bad_input_under_mpirun_is_printed_by_one_rank(path: Path) -> None:
     path.write_text(GOOD.replace("110 GPa", "110 mm"))
     result = support.on_ranks(3, "-m", "mantle", "run", path, code=2)
     assert result.stdout == ""
@@ -222,7 +224,7 @@ def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["case.yaml", "fields.vtkhdf", "history.csv", "summary.json"])
-def test_a_folder_in_the_way_of_a_result_is_named(
+def test_bad_input_folder_in_place_of_a_result_is_named(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Before anything is solved, also for variations."""
@@ -238,7 +240,7 @@ def test_a_folder_in_the_way_of_a_result_is_named(
     assert f"{tmp_path / 'a' / name}: is a folder" in capsys.readouterr().err
 
 
-def test_a_read_only_folder_is_named(
+def test_bad_input_read_only_folder_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path)
@@ -247,7 +249,7 @@ def test_a_read_only_folder_is_named(
 
 
 @pytest.mark.parametrize("left", ["checkpoint-3.state", "a/checkpoint-3.state", "a/DONE"])
-def test_a_killed_run_names_how_to_go_on(
+def test_bad_input_killed_run_names_the_restart_option(
     left: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also where it was one of variations; each minute a checkpoint is written by default."""
@@ -262,7 +264,7 @@ def test_a_killed_run_names_how_to_go_on(
 BLOCKS = CONFIGS / "blocks.yaml"
 
 
-def test_texts_without_end(tmp_path: Path) -> None:
+def test_bad_input_endless_texts(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(f"title: {'x' * 10_001}\n")
     assert complaints(path) == ["1:8: a text of 10001 characters; at most 10000"]
@@ -270,7 +272,7 @@ def test_texts_without_end(tmp_path: Path) -> None:
     assert long.startswith("--set mesh.size: '1   ") and len(long) < 200
 
 
-def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(
+def test_bad_input_too_long_file_is_not_read_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "case.yaml"
@@ -282,7 +284,7 @@ def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(
     assert complaints(Path("/dev/zero")) == [" is larger than 4 MB; no case is"]
 
 
-def test_combinations_beyond_number(tmp_path: Path) -> None:
+def test_bad_input_too_many_combinations(tmp_path: Path) -> None:
     path = tmp_path / "sweep.yaml"
     values = f"[{', '.join(map(str, range(40)))}]"
     axes = "".join(f"  a.b{i}: {values}\n" for i in range(6))
@@ -292,7 +294,7 @@ def test_combinations_beyond_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../up", "..", ".", "a/b", "/tmp/x", "a b", "$(touch PWNED)", ""])
-def test_names_that_become_folders_or_columns_lead_nowhere_else(name: str, tmp_path: Path) -> None:
+def test_bad_input_names_cannot_leave_their_folder(name: str, tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     quoted = name.replace("'", "''")
     path.write_text(f"{BLOCKS.read_text()}\nvariations: {{'{quoted}': {{}}, other: {{}}}}\n")

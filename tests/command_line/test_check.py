@@ -30,7 +30,7 @@ print("loaded:", heavy & sys.modules.keys())
 """
 
 
-def test_check_imports_neither_solver_nor_mesher_and_takes_less_than_two_seconds() -> None:
+def test_check_imports_neither_solver_nor_mesher() -> None:
     """Processor time, which on an idle machine is the wall time: others may be busy here."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert support.python("-c", CHECK).stdout.splitlines()[-1] == "loaded: set()"
@@ -104,7 +104,7 @@ HEAT = """
     ],
     ids=["stance", "residual", "cure"],
 )
-def test_check_tells_what_it_understood(
+def test_check_prints_the_case_as_read(
     name: str,
     changes: list[str],
     lines: str,
@@ -121,7 +121,7 @@ def test_check_tells_what_it_understood(
     assert name != "stance" or all(len(line) <= 120 for line in out.splitlines())
 
 
-def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_estimates_temperature_unknowns(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("gmsh")
     conductor = (
         "{kind: conductor, thermal: {conductivity: 1 W/(m K), density: 1000 kg/m^3, "
@@ -154,7 +154,7 @@ def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixt
         "heat.blood_cortical.temperature=37 K",
     ],
 )
-def test_data_that_no_material_has_are_asked_about(change: str) -> None:
+def test_check_notes_implausible_materials(change: str) -> None:
     cure = CONFIGS / "cure.yaml"
     assert preview.warnings(load(cure).config) == []
     (note,) = preview.warnings(load(cure, [change]).config)
@@ -177,7 +177,7 @@ def test_check_accepts_every_shipped_case(path: Path, capsys: pytest.CaptureFixt
     assert notes == [*memory, *open_, *stiff]
 
 
-def test_check_notes_that_nothing_acts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_notes_missing_loads(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(CONFIGS / "blocks.yaml")
     assert main(["check", path, "--set", "loads="]) == 2
     assert main(["check", path, "--set", "loads={}"]) == 0
@@ -203,7 +203,7 @@ BONE = (
         ("{rigid: true}", False),
     ],
 )
-def test_locking_is_told(region: str, locks: bool) -> None:
+def test_check_notes_locking(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
     told = [v.text for v in preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)]
     assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
@@ -212,7 +212,9 @@ def test_locking_is_told(region: str, locks: bool) -> None:
     assert preview.warnings(second) == []
 
 
-def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mesh_command_writes_mesh_and_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("gmsh")
     case = str(CONFIGS / "blocks.yaml")
     coarse = ["--set", "mesh.size=5 mm"]
@@ -239,7 +241,9 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "a folder above it is a file" in capsys.readouterr().err
 
 
-def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mesh_command_draws_the_cement_mantle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("gmsh")
     sizes = ["--set", "mesh.size=10 mm", "--set", "mesh.around=8"]
     assert main(["mesh", str(CONFIGS / "stance.yaml"), "-o", str(tmp_path), *sizes]) == 0
@@ -254,7 +258,7 @@ def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().out.splitlines()[-1] == str(drawn) and drawn.exists()
 
 
-def test_a_press_fit_acts_by_penalty_too() -> None:
+def test_check_accepts_a_press_fit_by_penalty() -> None:
     gap = "interfaces.stem_cement={kind: penalty, friction_coefficient: 0, penalty: 1 GPa/mm, gap: "
     still = [
         "interfaces.cement_bone={kind: bonded}",
@@ -272,7 +276,7 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
         ("run configs/blocks.yaml -o {} 2>&1", "head -n 0", ""),
     ],
 )
-def test_a_reader_that_leaves_is_no_error(
+def test_streams_closed_output_is_no_error(
     command: str, reader: str, read: str, tmp_path: Path
 ) -> None:
     """A run goes on without it."""
@@ -285,7 +289,7 @@ def test_a_reader_that_leaves_is_no_error(
 
 
 @pytest.mark.parametrize("command", ["study", "sweep", "verify", "stress"])
-def test_cores_are_those_that_this_process_may_use(
+def test_commands_cores_are_those_of_the_process(
     command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5, 6})
@@ -302,7 +306,7 @@ def test_cores_are_those_that_this_process_may_use(
         (ZeroDivisionError("a bug"), 70, "ZeroDivisionError: a bug"),
     ],
 )
-def test_exit_codes(
+def test_commands_exit_codes(
     error: BaseException,
     code: int,
     said: str,
@@ -322,7 +326,7 @@ def test_exit_codes(
 
 
 @pytest.mark.parametrize("variable", ranks.RANK_VARIABLES)
-def test_one_rank_speaks(
+def test_commands_one_rank_prints(
     variable: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for other in ranks.RANK_VARIABLES:

@@ -93,13 +93,13 @@ def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
         ("setup --upgrade", 2, "--update"),
     ],
 )
-def test_what_needs_no_solver_stack(words: str, code: int, said: str) -> None:
+def test_launcher_commands_without_solver_stack(words: str, code: int, said: str) -> None:
     path = "/bin:/usr/bin"
     result = run(*words.split(), MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH=path)
     assert result.returncode == code and said in result.stdout + result.stderr
 
 
-def test_help_lists_every_command_with_a_line() -> None:
+def test_launcher_help_lists_every_command() -> None:
     result = run("--help")
     assert result.returncode == 0
     for word in ("test [--all]", "shell", "setup", "-n RANKS", "MANTLE_BACKEND"):
@@ -109,7 +109,7 @@ def test_help_lists_every_command_with_a_line() -> None:
     assert len(lines) == 12 and set(lines) <= set(result.stdout.splitlines())
 
 
-def test_a_shell_has_dolfinx_and_one_thread_where_it_is_started(tmp_path: Path) -> None:
+def test_launcher_shell_has_dolfinx_and_one_thread(tmp_path: Path) -> None:
     python = 'python3 -c "import dolfinx, mantle; print(dolfinx.__version__)"'
     command = f"{python}; echo $OMP_NUM_THREADS; pwd; exit 4"
     native = {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "OMP_NUM_THREADS": ""}
@@ -126,7 +126,7 @@ echo "${OPENBLAS_CORETYPE:-}|${GLIBC_TUNABLES:-}|$*" >>"$CALLS"
 
 
 @pytest.mark.skipif("avx2" not in Path("/proc/cpuinfo").read_text(), reason="no processor for it")
-def test_all_tests_come_as_on_other_processors_and_in_another_order(tmp_path: Path) -> None:
+def test_launcher_test_all_repeats_on_other_kernels_and_orders(tmp_path: Path) -> None:
     """With the same arguments; one that fails fails the whole. The order is told by a seed."""
     calls = tmp_path / "calls"
     program(tmp_path / "python3", PYTHON)
@@ -151,7 +151,7 @@ def test_all_tests_come_as_on_other_processors_and_in_another_order(tmp_path: Pa
 
 
 @pytest.mark.parametrize("home", ["/proc", "/dev/null/home", ""])
-def test_a_home_that_cannot_be_written_does_no_harm(home: str) -> None:
+def test_launcher_with_a_read_only_home(home: str) -> None:
     result = run("shell", "-c", 'test -w "$XDG_CACHE_HOME"', HOME=home, XDG_CACHE_HOME="")
     assert result.returncode == 0, result.stderr
 
@@ -221,7 +221,7 @@ APT = """[ "$1" = dump ] && echo 'Acquire::http::Proxy "http://me:secret@proxy:3
 
 
 @as_root
-def test_a_failed_set_up_is_never_used_and_is_cleared_by_the_next(tmp_path: Path) -> None:
+def test_launcher_failed_set_up_is_removed_by_the_next(tmp_path: Path) -> None:
     failed = set_up(tmp_path, EMPTY_TREE + 'touch "$TARGET/half"; exit 1\n')
     _, told = failed.communicate(timeout=60)
     assert failed.returncode == 69
@@ -232,7 +232,7 @@ def test_a_failed_set_up_is_never_used_and_is_cleared_by_the_next(tmp_path: Path
 
 
 @as_root
-def test_what_a_killed_set_up_left_mounted_is_not_removed(tmp_path: Path) -> None:
+def test_launcher_killed_set_up_mounts_are_not_removed(tmp_path: Path) -> None:
     """The host's folders, such as /dev, were mounted below the half tree."""
     failed = set_up(tmp_path, EMPTY_TREE + 'mkdir "$TARGET/dev"; exit 1\n')
     failed.communicate(timeout=60)
@@ -251,13 +251,13 @@ def test_what_a_killed_set_up_left_mounted_is_not_removed(tmp_path: Path) -> Non
 
 
 @as_root
-def test_a_set_up_has_its_mounts_to_itself(tmp_path: Path) -> None:
+def test_launcher_set_up_has_private_mounts(tmp_path: Path) -> None:
     made(tmp_path, EMPTY_TREE + 'readlink /proc/self/ns/mnt >>"$LOG"\n')
     assert os.readlink("/proc/self/ns/mnt") not in (tmp_path / "log").read_text()
 
 
 @as_root
-def test_a_killed_set_up_is_done_again(tmp_path: Path) -> None:
+def test_launcher_killed_set_up_is_repeated(tmp_path: Path) -> None:
     first = set_up(tmp_path, EMPTY_TREE + "exec sleep 1\n")
     while not (tmp_path / "log").exists():
         time.sleep(0.05)
@@ -268,7 +268,7 @@ def test_a_killed_set_up_is_done_again(tmp_path: Path) -> None:
 
 
 @as_root
-def test_two_set_ups_at_once_make_one_tree(tmp_path: Path) -> None:
+def test_launcher_two_set_ups_make_one_tree(tmp_path: Path) -> None:
     both = [set_up(tmp_path, EMPTY_TREE + "sleep 1\n") for _ in range(2)]
     told = "".join(process.communicate(timeout=60)[1] for process in both)
     assert "another set-up is running; waiting for it" in told
@@ -276,7 +276,7 @@ def test_two_set_ups_at_once_make_one_tree(tmp_path: Path) -> None:
 
 
 @as_root
-def test_a_umask_that_lets_a_group_write_makes_a_tree_that_is_used(tmp_path: Path) -> None:
+def test_launcher_set_up_with_a_group_umask(tmp_path: Path) -> None:
     before = os.umask(0o002)
     try:
         for _ in range(2):
@@ -287,7 +287,7 @@ def test_a_umask_that_lets_a_group_write_makes_a_tree_that_is_used(tmp_path: Pat
 
 
 @as_root
-def test_no_password_stays_in_a_tree(tmp_path: Path) -> None:
+def test_launcher_tree_contains_no_password(tmp_path: Path) -> None:
     tree, _ = made(tmp_path, EMPTY_TREE + KEEPING)
     options = (tree / "etc/apt/apt.conf.d/99mmdebstrap").read_text()
     assert "Install-Recommends" in options and "Proxy" not in options
@@ -298,7 +298,7 @@ def test_no_password_stays_in_a_tree(tmp_path: Path) -> None:
 
 
 @as_root
-def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
+def test_launcher_tree_is_renewed_if_older_than_given(tmp_path: Path) -> None:
     made(tmp_path, EMPTY_TREE + 'touch "$TARGET/first"\n')
     tree, _ = made(tmp_path, EMPTY_TREE, "--update", "2001-01-01")
     assert set_ups(tmp_path) == 1 and (tree / "first").exists()
@@ -310,14 +310,14 @@ def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
     assert "slurm-wlm" in (tree / "etc/mantle-tree").read_text().split()
 
 
-def test_a_tree_is_set_up_by_root_alone(tmp_path: Path) -> None:
+def test_launcher_tree_is_set_up_only_by_root(tmp_path: Path) -> None:
     program(tmp_path / "bin" / "id", "echo 1000")
     _, said = set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
     assert "only root can set up a tree" in said and "--wheels" in said
     assert trees(tmp_path) == []
 
 
-def test_a_tree_that_is_named_is_never_set_up(tmp_path: Path) -> None:
+def test_launcher_named_tree_is_never_set_up(tmp_path: Path) -> None:
     more = {"MANTLE_BACKEND": "tree", "MANTLE_TREE": "/no/tree", "XDG_CACHE_HOME": str(tmp_path)}
     result = run("doctor", MANTLE_INSIDE="", **more)
     assert result.returncode == 69 and "no solver stack in MANTLE_TREE=/no/tree" in result.stderr
@@ -343,7 +343,7 @@ def wheels(tmp_path: Path, **more: str) -> subprocess.CompletedProcess[str]:
     return run("setup", "--wheels", MANTLE_INSIDE="", **environ | more)
 
 
-def test_wheels_are_set_up_once_with_all_packages(tmp_path: Path) -> None:
+def test_launcher_wheels_are_set_up_once(tmp_path: Path) -> None:
     assert wheels(tmp_path).returncode == wheels(tmp_path).returncode == 0
     asked = (tmp_path / "log").read_text()
     (installed,) = re.findall("^-m pip install.*", asked, re.MULTILINE)
@@ -359,13 +359,15 @@ def test_wheels_are_set_up_once_with_all_packages(tmp_path: Path) -> None:
         ({"HEADERS": "/nowhere"}, "python3-dev"),
     ],
 )
-def test_wheels_that_fail_leave_nothing(more: dict[str, str], said: str, tmp_path: Path) -> None:
+def test_launcher_failed_wheels_leave_nothing(
+    more: dict[str, str], said: str, tmp_path: Path
+) -> None:
     result = wheels(tmp_path, **more)
     assert result.returncode == 69 and said in result.stderr
     assert not [*(tmp_path / "cache" / "mantle").glob("wheels-*")]
 
 
-def test_wheels_need_a_python_that_is_new_enough(tmp_path: Path) -> None:
+def test_launcher_wheels_need_a_new_python(tmp_path: Path) -> None:
     for name in ("python3.12", "python3.13", "python3.14", "python3"):
         program(tmp_path / "bin" / name, "exit 1")
     path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
@@ -374,7 +376,7 @@ def test_wheels_need_a_python_that_is_new_enough(tmp_path: Path) -> None:
     assert result.returncode == 69 and "Python 3.12 or newer" in result.stderr
 
 
-def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:
+def test_launcher_container_client_needs_an_engine(tmp_path: Path) -> None:
     for name in ("docker", "podman"):
         program(tmp_path / name, "echo 'cannot connect' >&2; exit 1")
     path = f"{tmp_path}:{os.environ['PATH']}"
@@ -388,13 +390,13 @@ def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> N
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_the_exit_code_of_the_ranks_arrives_without_noise(number: int, tmp_path: Path) -> None:
+def test_launcher_returns_the_exit_code_of_ranks(number: int, tmp_path: Path) -> None:
     result = python(*on_ranks(number, tmp_path, "leave", "4"), code=4)
     assert (result.stdout, result.stderr) == ("", "")
 
 
 @pytest.mark.parallel
-def test_a_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
+def test_launcher_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
     assert "signal 11" in python(*on_ranks(2, tmp_path, "crash", "0"), code=70).stderr
 
 
@@ -407,7 +409,9 @@ def ready(command: list[str]) -> subprocess.Popen[str]:
 
 @pytest.mark.parallel
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ranks_have_time_to_save_their_state(number: signal.Signals, tmp_path: Path) -> None:
+def test_launcher_signal_lets_ranks_save_their_state(
+    number: signal.Signals, tmp_path: Path
+) -> None:
     process = ready(on_ranks(2, tmp_path, "wait", "2"))
     os.killpg(process.pid, number)  # as the terminal does it
     told, message = process.communicate(timeout=60)
@@ -417,7 +421,7 @@ def test_ranks_have_time_to_save_their_state(number: signal.Signals, tmp_path: P
 
 
 @pytest.mark.parallel
-def test_a_signal_before_the_ranks_listen_is_a_stop_too() -> None:
+def test_launcher_early_signal_stops_the_run() -> None:
     process = ready(["-c", LAUNCH, "2", "sh", "-c", "echo ready; exec sleep 30"])
     os.killpg(process.pid, signal.SIGINT)
     _, message = process.communicate(timeout=30)
@@ -426,7 +430,7 @@ def test_a_signal_before_the_ranks_listen_is_a_stop_too() -> None:
 
 
 @pytest.mark.parallel
-def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
+def test_launcher_second_signal_stops_at_once(tmp_path: Path) -> None:
     process = ready(on_ranks(2, tmp_path, "wait", "60"))
     for _ in range(2):
         os.killpg(process.pid, signal.SIGINT)
@@ -460,7 +464,7 @@ CHECKED = "import mantle; mantle.check(mantle.load('blocks.yaml'), meshed=True)"
     ],
     ids=["sweep", "installed", "script", "API", "module"],
 )
-def test_modules_and_options_in_the_current_folder_have_no_say(
+def test_launcher_ignores_modules_of_the_current_folder(
     command: list[str | Path], tmp_path: Path
 ) -> None:
     mislead(tmp_path)
@@ -482,7 +486,7 @@ def test_modules_and_options_in_the_current_folder_have_no_say(
         assert json.loads((done[0].parent / "provenance.json").read_text())["ranks"] == 2
 
 
-def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -> None:
+def test_launcher_other_users_write_only_cache_and_output(tmp_path: Path) -> None:
     # Not below tmp_path, whose parents are closed to others.
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         folder = Path(name)

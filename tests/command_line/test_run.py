@@ -110,7 +110,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
     return case, output, result.stdout
 
 
-def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
+def test_run_summary_is_consistent(done: tuple[Path, Path, str]) -> None:
     """Interfaces carry the load to the table, and the stem goes down."""
     summary = support.summary(done[1])
     assert (summary["status"], summary["solver"]["steps"]) == ("converged", 3)
@@ -135,7 +135,7 @@ def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
     assert summary["regions"]["stem"]["hoop_p99"] < 0 < summary["regions"]["bone"]["hoop_p99"]
 
 
-def test_a_row_per_step_is_in_the_history_and_on_the_terminal(
+def test_run_has_a_row_per_step(
     done: tuple[Path, Path, str],
 ) -> None:
     """And a verdict; beside it who ran what, and the case resolved."""
@@ -159,7 +159,7 @@ def test_a_row_per_step_is_in_the_history_and_on_the_terminal(
     assert load(output / "case.yaml").config == load(case, record["overrides"]).config
 
 
-def test_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
+def test_run_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
     """Every field, with a node per body at the interfaces, against the summary."""
     found = mantle.read(done[1])
     summary, f = found.summary, found.fields
@@ -220,7 +220,9 @@ def assert_stress(σ: np.ndarray, x: np.ndarray, u: np.ndarray, E: float, ν: fl
     assert np.abs(σ - exact).max() < 1e-9 * np.abs(exact).max()
 
 
-def test_what_is_finished_is_left_or_replaced(done: tuple[Path, Path, str], tmp_path: Path) -> None:
+def test_run_keeps_or_replaces_finished_results(
+    done: tuple[Path, Path, str], tmp_path: Path
+) -> None:
     """What is of another configuration, or not complete, is run again where that is asked for."""
     case, output = done[0], tmp_path / "out"
     shutil.copytree(done[1], output)
@@ -251,7 +253,7 @@ def test_what_is_finished_is_left_or_replaced(done: tuple[Path, Path, str], tmp_
     assert stamps().keys() == kept and (output / "DONE").read_text() == ""
 
 
-def test_results_of_an_older_mesh_or_another_stack_are_not_finished(tmp_path: Path) -> None:
+def test_run_repeats_results_of_another_mesh_or_stack(tmp_path: Path) -> None:
     mesh = tmp_path / "box.msh"
     blocks = support.case(SLIDING)
     meshes.write_msh(meshes.build(blocks.geometry, blocks.mesh), mesh)
@@ -274,7 +276,7 @@ def test_results_of_an_older_mesh_or_another_stack_are_not_finished(tmp_path: Pa
     assert not finished()
 
 
-def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
+def test_run_that_diverges_leaves_its_last_state(tmp_path: Path) -> None:
     """Exit code 4, one message that names the free body, the last converged state on disk."""
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING)
@@ -302,7 +304,7 @@ def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
     assert [float(r["time [-]"]) for r in rows(output / "history.csv")] == [1.0, 1.5]
 
 
-def test_nothing_converged_leaves_its_diagnosis(tmp_path: Path) -> None:
+def test_run_without_converged_step_leaves_a_diagnosis(tmp_path: Path) -> None:
     """The first step fails: no numbers, no fields, and a page that says why."""
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING.replace("history: [0, 1]", "history: [1, 1]"))
@@ -336,7 +338,7 @@ variations:
 )
 
 
-def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
+def test_run_failed_variation_does_not_stop_others(tmp_path: Path) -> None:
     """Exit code 4, which one and why; what is finished is not done again."""
     case, output = tmp_path / "varied.yaml", tmp_path / "out"
     case.write_text(VARIED)
@@ -378,7 +380,7 @@ def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None
     assert (output / "DONE").exists() and (output / "variations.csv").exists()
 
 
-def test_an_interrupt_leaves_finished_variations(tmp_path: Path) -> None:
+def test_run_interrupted_keeps_finished_variations(tmp_path: Path) -> None:
     case, output = tmp_path / "varied.yaml", tmp_path / "out"
     loads = [f"  v{i}: {{loads.push.force: '[{8 + 0.001 * i}, 0, 0] N'}}\n" for i in range(200)]
     case.write_text(SLIDING + "variations:\n" + "".join(loads))
@@ -635,7 +637,7 @@ CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
 }
 
 
-def test_every_shipped_configuration_is_run() -> None:
+def test_run_covers_every_shipped_case() -> None:
     assert {p.name for p in support.CONFIGS.glob("*.yaml")} == COARSE.keys()
 
 
@@ -645,7 +647,7 @@ QUICK = ("blocks.yaml", "cylinders.yaml", "stance.yaml")
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in COARSE]
 )
-def test_shipped_configuration(name: str, tmp_path: Path) -> None:
+def test_run_of_a_shipped_case(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = run(support.CONFIGS / name, "-o", out, *support.sets(*COARSE[name]))
     assert result.returncode == 0, result.stderr

@@ -37,7 +37,7 @@ $EndPhysicalNames
 
 
 @pytest.mark.parametrize("kind", ["femur", "cylinders", "blocks", "head_cup"])
-def test_what_init_writes_is_short_and_right(
+def test_init_writes_a_short_valid_case(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -61,14 +61,14 @@ def test_what_init_writes_is_short_and_right(
     assert (tmp_path / "first.yaml").read_text(encoding="utf-8").splitlines() == lines
 
 
-def test_the_femur_of_init_stands_on_one_leg(tmp_path: Path) -> None:
+def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
     case = load(new_case.write(tmp_path / "femur", "femur", "cocr")).config
     stance = load(CONFIGS / "stance_cocr.yaml").config
     for part in ("loads", "regions", "interfaces", "supports", "stages"):
         assert support.without_origin(case)[part] == support.without_origin(stance)[part]
 
 
-def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
+def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
     moduli = []
     for stem in new_case.STEMS:
         case = load(new_case.write(tmp_path / stem, "cylinders", stem)).config
@@ -102,7 +102,7 @@ def test_init_refuses(
     )
 
 
-def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
+def test_init_lists_names_of_a_mesh(tmp_path: Path) -> None:
     (tmp_path / "bone.msh").write_text(MSH, encoding="utf-8")
     path = new_case.write(tmp_path / "bone", "file")
     text = path.read_text(encoding="utf-8")
@@ -117,7 +117,7 @@ def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
     assert list(load(path).config.regions) == ["shaft", "marrow"]
 
 
-def test_init_of_blocks_that_touch_runs_as_it_is(
+def test_init_of_touching_blocks_runs_unchanged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Interior surfaces are no boundaries; the launcher has the name by which it was called."""
@@ -139,7 +139,7 @@ def test_init_of_blocks_that_touch_runs_as_it_is(
     assert mantle.load("again.yaml").config == mantle.load("own.yaml").config
 
 
-def test_a_folder_that_is_read_only_is_told(
+def test_init_reports_a_read_only_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened = Path.open
@@ -154,7 +154,7 @@ def test_a_folder_that_is_read_only_is_told(
     assert capsys.readouterr().err.endswith("x.yaml: cannot be written: the folder is read-only\n")
 
 
-def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
+def test_init_without_the_mesh_names_missing_entries(tmp_path: Path) -> None:
     path = new_case.write(tmp_path / "own", "file")
     text = path.read_text(encoding="utf-8")
     assert "NAME_OF_A_REGION" in text and "It is not there yet" in text
@@ -164,7 +164,7 @@ def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
     assert message == f"{path}:9:3: geometry.path: no such file: {path.parent}/own.msh"
 
 
-def test_a_case_with_a_base_is_run_and_run_again_from_what_it_leaves(tmp_path: Path) -> None:
+def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:
     new_case.write(tmp_path / "blocks", "blocks")
     new_case.write(tmp_path / "cylinders", "cylinders")
     over = tmp_path / "over.yaml"
@@ -243,7 +243,7 @@ geometry.cement_thickness  (kind patient)
         ),
     ],
 )
-def test_names_and_keys_are_explained(
+def test_explain_names_and_keys(
     word: str, code: int, parts: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["explain", *word.split()]) == code
@@ -251,7 +251,7 @@ def test_names_and_keys_are_explained(
     assert all(part in said for part in parts), said
 
 
-def test_every_key_is_explained_by_its_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_explain_every_key(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(library, "read", cache(library.read))  # once for 459 keys
     for section in keys.table():
         for key in section.keys:
@@ -261,7 +261,7 @@ def test_every_key_is_explained_by_its_own_words(monkeypatch: pytest.MonkeyPatch
             assert max(map(len, text.splitlines())) <= 100
 
 
-def test_commands_take_a_shipped_case_by_its_name(
+def test_commands_take_a_shipped_case_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -272,7 +272,7 @@ def test_commands_take_a_shipped_case_by_its_name(
     assert ROOT != tmp_path
 
 
-def test_explain_knows_units_and_the_keys_among_loads() -> None:
+def test_explain_units_and_keys_of_loads() -> None:
     assert "body_weight: 750 N scales" in " ".join(keys.explained("loads.body_weight").split())
     assert "sagittal_tilt: 8.4 deg" in " ".join(keys.explained("sagittal_tilt").split())
     table = keys.explained("units").splitlines()
@@ -280,7 +280,7 @@ def test_explain_knows_units_and_the_keys_among_loads() -> None:
     assert keys.explained("unit") == keys.explained("units")
 
 
-def test_options_of_a_command_do_not_reach_the_next(tmp_path: Path) -> None:
+def test_commands_options_do_not_reach_the_next(tmp_path: Path) -> None:
     case = tmp_path / "missing.yaml"
     assert main(["run", str(case), "--error", "--accuracy", "0.05"]) == 2
     assert parser().parse_args(["run", str(case)]).overrides == []

@@ -47,7 +47,7 @@ def shown(stream: io.TextIOWrapper) -> str:
         ("TERM", "dumb", "look exact"),
     ],
 )
-def test_a_terminal_has_colours_that_are_not_forced(
+def test_streams_have_colours_only_on_a_terminal(
     name: str, value: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with terminal(monkeypatch) as stream:
@@ -55,7 +55,7 @@ def test_a_terminal_has_colours_that_are_not_forced(
         assert shown(stream) == said
 
 
-def test_ranks_have_those_of_who_started_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streams_of_ranks_follow_the_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under mpirun a rank sees a terminal also where all goes into a file."""
     with terminal(monkeypatch) as stream:
         monkeypatch.setattr(streams, "world_size", lambda: 2)
@@ -65,7 +65,7 @@ def test_ranks_have_those_of_who_started_them(monkeypatch: pytest.MonkeyPatch) -
         assert coloured(stream)
 
 
-def test_an_error_is_plain_in_a_file_and_red_on_a_terminal() -> None:
+def test_streams_error_is_plain_in_a_file_and_red_on_a_terminal() -> None:
     alone = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMI", "SLURM"))}
     environ = {**alone, "TERM": "xterm", "NO_COLOR": ""}
     plain = subprocess.run(WRONG, cwd=support.ROOT, env=environ, capture_output=True, check=False)

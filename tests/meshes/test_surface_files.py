@@ -459,7 +459,7 @@ def odd(corners: Any, seed: int) -> Any:
 
 
 @pytest.mark.slow
-def test_patient_with_damaged_bone_is_placed_or_refused(tmp_path: Path) -> None:
+def test_placement_of_damaged_bones_or_refusal(tmp_path: Path) -> None:
     """Bytes of files, or shapes, are damaged; no warning of numpy either."""
     surface = own()
     whole = {

@@ -201,7 +201,7 @@ def compare(one: Summaries, other: Summaries, ranks: int, states: bool = True) -
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_numbers_do_not_depend_on_ranks(name: str, tmp_path: Path) -> None:
+def test_ranks_numbers_are_equal(name: str, tmp_path: Path) -> None:
     text, overrides, on = CASES[name]
     case = support.CONFIGS / text if text.endswith(".yaml") else tmp_path / "case.yaml"
     if not case.exists():
@@ -222,7 +222,7 @@ def test_numbers_do_not_depend_on_ranks(name: str, tmp_path: Path) -> None:
         compare(one, other, ranks)
 
 
-def test_variations_do_not_depend_on_ranks(tmp_path: Path) -> None:
+def test_ranks_variations_are_equal(tmp_path: Path) -> None:
     """Failed variations are tried again, finished ones stay; twice the load starts converged."""
     case, output = tmp_path / "case.yaml", tmp_path / "2"
     case.write_text(VARIATIONS)
@@ -245,7 +245,7 @@ def test_variations_do_not_depend_on_ranks(tmp_path: Path) -> None:
     assert [(r["name"], r["numbers"]) for r in table] == [(r["name"], r["numbers"]) for r in rows]
 
 
-def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
+def test_ranks_error_on_one_is_printed_once_and_ends_all(tmp_path: Path) -> None:
     """An expression that is not finite at a few nodes, which one of the ranks has."""
     case = tmp_path / "case.yaml"
     case.write_text(STEM)
@@ -289,7 +289,7 @@ assert bool(written) == (MPI.COMM_WORLD.rank == 0)
 """
 
 
-def test_tasks_are_dealt_out_and_errors_raised_on_all_ranks(tmp_path: Path) -> None:
+def test_ranks_share_tasks_and_errors(tmp_path: Path) -> None:
     program = tmp_path / "tasks.py"
     program.write_text(DEALT)
     support.on_ranks(3, program)
@@ -312,7 +312,7 @@ def test_ranks_share_the_pictures_of_a_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_multigrid_is_as_good_on_ranks(order: int, tmp_path: Path) -> None:
+def test_ranks_multigrid_iterations_are_equal(order: int, tmp_path: Path) -> None:
     """Each rank smooths its own part; with longer steps than on one rank that would diverge."""
     case, counts = tmp_path / "case.yaml", {}
     case.write_text(STEM)
@@ -325,7 +325,7 @@ def test_multigrid_is_as_good_on_ranks(order: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_start_from_a_cheaper_model(ranks: int, tmp_path: Path) -> None:
+def test_ranks_nested_start(ranks: int, tmp_path: Path) -> None:
     """The same jumps as without, from a start that is closer to equilibrium."""
     output = tmp_path / "numbers.json"
     support.on_ranks(ranks, "-m", "tests.parallel.nested_case", output)
@@ -339,7 +339,7 @@ RESTARTS = [(1, 2), (2, 2), pytest.param(2, 1, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(("first", "then"), RESTARTS)
-def test_a_restart_on_any_number_of_ranks(tmp_path: Path, first: int, then: int) -> None:
+def test_ranks_restart_on_any_number(tmp_path: Path, first: int, then: int) -> None:
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
     command = ("-m", "mantle", "run", case)
@@ -361,7 +361,7 @@ def test_a_restart_on_any_number_of_ranks(tmp_path: Path, first: int, then: int)
         assert mean[0] == pytest.approx(mean[1], rel=1e-6)
 
 
-def test_a_turned_quarter_from_a_file_on_two_ranks(tmp_path: Path) -> None:
+def test_ranks_rotated_quarter_from_a_file(tmp_path: Path) -> None:
     """One side by its normal, one by that of its face, in one stage more than in the other."""
     text = QUARTER.replace("solver: ", "output: {fields: false}\nsolver: ")
     normals = [vector(np.pi * ROTATION[:, k]) for k in range(3)]
@@ -410,12 +410,12 @@ def shipped(name: str, ranks: int, way: str = "") -> Summaries:
     return run_divided(support.CONFIGS / name, ranks, way, *COARSE[name], *more)
 
 
-def test_a_rank_without_cells() -> None:
+def test_ranks_without_cells() -> None:
     """Two regions, by region to three ranks: the last has neither cells nor points."""
     compare(shipped("intact.yaml", 1), shipped("intact.yaml", 3, "bodies"), 3)
 
 
-def test_a_rank_without_temperatures(tmp_path: Path) -> None:
+def test_ranks_without_temperatures(tmp_path: Path) -> None:
     """The same with heat, cure and contact: how far they have changed is asked of each rank."""
     case = tmp_path / "case.yaml"
     case.write_text(restarted.SETTING)
@@ -429,6 +429,6 @@ SHARES = [(2, ""), (3, ""), (4, ""), (2, "board"), (3, "bodies"), (3, "far")]
 @pytest.mark.slow
 @pytest.mark.parametrize(("ranks", "way"), SHARES)
 @pytest.mark.parametrize("name", COARSE)
-def test_shipped_cases(name: str, ranks: int, way: str) -> None:
+def test_ranks_shipped_cases(name: str, ranks: int, way: str) -> None:
     """On 2 to 4 ranks, and on ranks that share the mesh in the worst ways."""
     compare(shipped(name, 1), shipped(name, ranks, way), ranks)

@@ -82,7 +82,7 @@ def script(name: str) -> ModuleType:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_relative_links_resolve(page: Path) -> None:
+def test_docs_relative_links_resolve(page: Path) -> None:
     broken = []
     for link in re.findall(r"\]\(([^)\s]+)\)", parts(page)[0]):
         if re.match("[a-z]+:", link):
@@ -94,7 +94,7 @@ def test_relative_links_resolve(page: Path) -> None:
     assert not broken
 
 
-def test_every_page_is_reached_from_the_readme() -> None:
+def test_docs_pages_are_reached_from_the_readme() -> None:
     seen: set[Path] = set()
     waiting = [ROOT / "README.md"]
     while waiting:
@@ -110,7 +110,7 @@ def test_every_page_is_reached_from_the_readme() -> None:
     assert {named(p) for p in PAGES} - {named(p) for p in seen} <= {"docs/index.md"}
 
 
-def test_every_page_stands_in_the_contents_of_the_site() -> None:
+def test_docs_pages_are_in_the_contents_of_the_site() -> None:
     listed = {DOCS / "index.md"}
     for page, contents in script("conf").CONTENTS.items():
         listed |= {(DOCS / page).parent / f"{name}.md" for name in contents.split()}
@@ -122,7 +122,7 @@ def test_every_page_stands_in_the_contents_of_the_site() -> None:
     [(page, command) for page, text in blocks("sh") for command in commands(text)],
     ids=lambda value: named(value) if isinstance(value, Path) else " ".join(value),
 )
-def test_commands_parse(page: Path, command: list[str]) -> None:
+def test_docs_commands_parse(page: Path, command: list[str]) -> None:
     if command[0] in LAUNCHER:
         return
     options = parser().parse_args(list(takewhile(lambda word: word not in (">", "--"), command)))
@@ -133,7 +133,7 @@ def test_commands_parse(page: Path, command: list[str]) -> None:
 @pytest.mark.parametrize(
     ("page", "text"), list(blocks("yaml")), ids=lambda v: named(v) if isinstance(v, Path) else ""
 )
-def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path: Path) -> None:
+def test_docs_yaml_blocks_are_cases_or_parts(page: Path, text: str, tmp_path: Path) -> None:
     data = YAML(typ="safe", pure=True).load(text)
     if CASE_KEYS <= data.keys():
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
@@ -156,30 +156,30 @@ GLOSSARY = (DOCS / "glossary.md").read_text(encoding="utf-8")
 @pytest.mark.parametrize(
     "name", sorted(set(re.findall(r"`((?:app|forms|meshes)\.[\w.]+)`", GLOSSARY)))
 )
-def test_glossary_names_code_that_exists(name: str) -> None:
+def test_docs_glossary_names_existing_code(name: str) -> None:
     assert pkgutil.resolve_name(name)
 
 
-def test_glossary_has_each_term_once() -> None:
+def test_docs_glossary_has_each_term_once() -> None:
     terms = re.findall(r"^\| ([^|]+?) \| [^|]*\| [^|]+\| [^|]*\| [^|]*\|$", GLOSSARY, re.MULTILINE)
     terms = [term for term in terms if term != "term"]
     assert len(terms) > 100
     assert sorted(terms) == sorted(set(terms))
 
 
-def test_the_case_of_the_tutorial_is_what_init_writes() -> None:
+def test_docs_tutorial_case_is_that_of_init() -> None:
     shown = next(text for page, text in blocks("yaml") if page == DOCS / "tutorial.md")
     assert shown == (ROOT / "configs" / "start" / "femur.yaml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["case.md", "campaigns.md", "commands.md", "python.md"])
-def test_generated_pages_are_up_to_date(name: str) -> None:
+def test_docs_generated_pages_are_up_to_date(name: str) -> None:
     module = script("reference")
     committed = (DOCS / "reference" / name).read_text(encoding="utf-8")
     assert committed == module.pages()[name], f"run: {module.COMMAND}"
 
 
-def test_the_readme_shows_what_a_run_prints() -> None:
+def test_docs_readme_shows_the_output_of_a_run() -> None:
     outputs, page = script("outputs"), ROOT / "README.md"
     text = page.read_text(encoding="utf-8")
     assert outputs.tabled(text) == text, "run docs/outputs.py"
@@ -188,19 +188,19 @@ def test_the_readme_shows_what_a_run_prints() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
-def test_numbers_of_the_manual_are_those_of_runs(name: str) -> None:
+def test_docs_numbers_are_those_of_runs(name: str) -> None:
     outputs, page = script("outputs"), ROOT / name
     shown = page.read_text(encoding="utf-8")
     assert list(outputs.differences(shown, outputs.written(page))) == []
 
 
-def test_results_page_names_every_number_of_a_study() -> None:
+def test_docs_results_page_names_every_quantity() -> None:
     page = (DOCS / "reference" / "results.md").read_text(encoding="utf-8")
     keys = {name for own in TABLE.values() for q in own.values() for name in q.names}
     assert [key for key in sorted(keys) if not re.search(rf"[`.]{re.escape(key)}`", page)] == []
 
 
-def test_proofs_of_the_verification_page_exist() -> None:
+def test_docs_verification_page_names_existing_tests() -> None:
     """The last column names problems of verify, rows of stress and files of tests."""
     table = parts(DOCS / "verification.md")[0].partition("| quantity or property |")[2]
     rows = re.findall(r"^\|[^|]*\|[^|]*\|([^|]*)\|$", table.partition("\n\n")[0], re.MULTILINE)
@@ -215,14 +215,14 @@ def test_proofs_of_the_verification_page_exist() -> None:
             assert fnmatch.filter(known, name), name
 
 
-def test_the_citation_is_of_this_version() -> None:
+def test_docs_citation_has_this_version() -> None:
     citation = YAML(typ="safe", pure=True).load(ROOT / "CITATION.cff")
     assert citation["version"] == mantle.__version__
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert citation["license"] == project["license"]
 
 
-def test_the_readme_tells_the_measured_errors_by_mesh_size() -> None:
+def test_docs_readme_has_measured_errors_by_mesh_size() -> None:
     """Worst error, size, unknowns and CPU seconds are those of the table of the manual, rounded."""
     line = r"^\| ([\d.]+) % \| (\d+) mm[^|]*\| ([\d,]+) \| (\d+) \|$"
     told = re.findall(line, (ROOT / "README.md").read_text(encoding="utf-8"), re.M)
@@ -237,7 +237,7 @@ def test_the_readme_tells_the_measured_errors_by_mesh_size() -> None:
         assert float(worst) == pytest.approx(exact[2], abs=0.5 if exact[2] >= 2 else 0.05)
 
 
-def test_the_readme_compares_programs_by_measured_rows() -> None:
+def test_docs_readme_compares_programs_by_measured_rows() -> None:
     rows = re.findall(
         r"^\| (?:program|mantle|GetFEM|CalculiX)\b.*$", parts(ROOT / "README.md")[0], re.M
     )
@@ -245,12 +245,12 @@ def test_the_readme_compares_programs_by_measured_rows() -> None:
     assert len(rows) == 4 and set(rows) <= set(measured)
 
 
-def test_the_readme_is_short() -> None:
+def test_docs_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 156
 
 
 @pytest.mark.slow
-def test_the_site_is_built(tmp_path: Path) -> None:
+def test_docs_site_is_built(tmp_path: Path) -> None:
     pytest.importorskip("myst_parser")
     support.python("-m", "sphinx", "-q", "-W", "--keep-going", DOCS, tmp_path)
     assert (tmp_path / "searchindex.js").is_file()

@@ -71,7 +71,7 @@ def all_of(*folders: str) -> object:
 
 
 @all_of(*LAYERS)
-def test_imports_point_down(path: Path) -> None:
+def test_layering_imports_point_down(path: Path) -> None:
     own = package_of(module(path))
     seen = {package_of(name) for name in imported(path)} - {"", own}
     if not own:
@@ -84,7 +84,7 @@ def test_imports_point_down(path: Path) -> None:
     assert not seen & ROOMS
 
 
-def test_there_is_no_circle() -> None:
+def test_layering_has_no_circular_imports() -> None:
     graph = {name: imported(path) & MODULES.keys() for name, path in MODULES.items()}
     try:
         TopologicalSorter(graph).prepare()
@@ -93,13 +93,27 @@ def test_there_is_no_circle() -> None:
 
 
 @all_of("tests", "docs")
-def test_modules_do_not_import_test_modules(path: Path) -> None:
+def test_layering_modules_do_not_import_test_modules(path: Path) -> None:
     """Tests share plain modules and fixtures: see `tests/README.md`."""
     names = {part for name in imported(path) for part in name.split(".")}
     assert not {name for name in names if name == "conftest" or name.startswith("test_")}
 
 
-def test_files_of_the_map_exist() -> None:
+@all_of("tests")
+def test_layering_tests_are_named_after_modules(path: Path) -> None:
+    """`pytest -k krylov` finds the tests of `krylov.py`."""
+    modules = {file.stem for file in MODULES.values()}
+    subject = path.stem.removeprefix("test_")
+    if subject not in modules:
+        return
+    for node in tree(path).body:
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+            name = node.name.removeprefix("test_")
+            named_after = any(name.startswith(f"{stem}_") for stem in modules)
+            assert subject in name or named_after, node.name
+
+
+def test_layering_files_of_the_map_exist() -> None:
     """`app/README.md` names files from `app` or from the top."""
     text = (ROOT / "app" / "README.md").read_text(encoding="utf-8")
     names = set(re.findall(r"[\w*]+(?:/[\w*]+)+\.(?:py|md|csv)", text))
@@ -108,7 +122,7 @@ def test_files_of_the_map_exist() -> None:
         assert any(any(folder.glob(name)) for folder in (ROOT, ROOT / "app")), name
 
 
-def test_no_class_name_stands_for_two_things() -> None:
+def test_layering_class_names_are_unique() -> None:
     places = defaultdict(list)
     for name, path in MODULES.items():
         for node in tree(path).body:
@@ -117,7 +131,7 @@ def test_no_class_name_stands_for_two_things() -> None:
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
-def test_every_package_is_installed_and_says_what_it_is() -> None:
+def test_layering_packages_are_installed_with_a_docstring() -> None:
     """Its docstring is short; pyproject.toml lists it."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     packages = {name for name, path in MODULES.items() if path.name == "__init__.py"}
@@ -128,13 +142,13 @@ def test_every_package_is_installed_and_says_what_it_is() -> None:
 
 
 @all_of("app/schema", "meshes")
-def test_cases_are_read_and_meshed_without_the_solver(path: Path) -> None:
+def test_layering_cases_are_read_and_meshed_without_the_solver(path: Path) -> None:
     unseen = {"dolfinx", "petsc4py", "ufl"} if package_of(module(path)) == "meshes" else STACK
     assert path.name == "distribute.py" or not unseen & set(map(top, imported(path)))
 
 
 @all_of("forms")
-def test_forms_import_only_ufl(path: Path) -> None:
+def test_layering_forms_import_only_ufl(path: Path) -> None:
     allowed = sys.stdlib_module_names | {"ufl"}
     assert {m for m in imported(path) if not m.startswith("forms")} <= {
         m for m in imported(path) if top(m) in allowed
@@ -142,13 +156,13 @@ def test_forms_import_only_ufl(path: Path) -> None:
 
 
 @all_of("meshes")
-def test_meshes_know_nothing_of_the_application(path: Path) -> None:
+def test_layering_meshes_do_not_import_the_application(path: Path) -> None:
     own = {m for m in imported(path) if top(m) == "app"}
     assert {package_of(m) for m in own} <= {"foundation", "mesh_files"}
 
 
 @all_of("app")
-def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -> None:
+def test_layering_no_branches_by_kind_of_law(path: Path) -> None:
     """They answer for themselves; what a law needs of the solver stack it imports when asked."""
     laws = {
         alias.asname or alias.name
@@ -183,20 +197,20 @@ DIFFERENT = (
 
 
 @all_of("app", "forms", "meshes", "tests")
-def test_one_module_asks_dolfinx_what_it_can(path: Path) -> None:
+def test_layering_one_module_checks_features_of_dolfinx(path: Path) -> None:
     if named(path) not in ("app/foundation/dolfinx_features.py", "tests/project/test_layering.py"):
         text = path.read_text(encoding="utf-8")
         assert [name for name in DIFFERENT if name in text] == []
 
 
 @all_of("app")
-def test_only_the_configuration_knows_yaml(path: Path) -> None:
+def test_layering_one_module_imports_yaml(path: Path) -> None:
     if any(top(m) == "ruamel" for m in imported(path)):
         assert named(path) == "app/schema/yaml_file.py"
 
 
 @all_of("app", "forms")
-def test_no_communicator_of_the_whole_world_but_at_the_top(path: Path) -> None:
+def test_layering_comm_world_only_at_the_top(path: Path) -> None:
     """Everything below takes the communicator it is given."""
     world = [
         node.lineno
@@ -241,14 +255,14 @@ def classes_asked_for(path: Path) -> set[str]:
 
 
 @all_of("app", "forms", "meshes")
-def test_laws_are_asked_not_told_apart_by_class(path: Path) -> None:
+def test_layering_no_branches_by_class_of_law(path: Path) -> None:
     """Laws, loads, supports, materials and heat conditions answer by methods and attributes."""
     if path.is_relative_to(ROOT / "app" / "laws"):
         return
     assert not classes_asked_for(path)
 
 
-def test_a_branch_by_class_is_seen(tmp_path: Path) -> None:
+def test_layering_branch_by_class_is_detected(tmp_path: Path) -> None:
     file = tmp_path / "branch.py"
     file.write_text(
         "a = isinstance(load, Force)\nb = type(law) in (Bonded,)\n"
@@ -258,7 +272,7 @@ def test_a_branch_by_class_is_seen(tmp_path: Path) -> None:
 
 
 @all_of("app/laws")
-def test_laws_declare_their_fields(path: Path) -> None:
+def test_layering_laws_declare_their_fields(path: Path) -> None:
     """`getattr` with a default hides a field that no class declares."""
     calls = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Call))
     assert not [n.lineno for n in calls if names_in(n.func) == {"getattr"} and len(n.args) > 2]

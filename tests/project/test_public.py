@@ -29,14 +29,14 @@ def python(*arguments: str, **more: str) -> str:
     return support.python(*arguments, **more).stdout
 
 
-def test_importing_mantle_starts_neither_mpi_nor_petsc() -> None:
+def test_public_import_starts_neither_mpi_nor_petsc() -> None:
     """A process that starts ranks does without, and pictures and units wait for their use."""
     loaded = python("-c", "import sys, mantle; print(*sys.modules)").split()
     stack = {"dolfinx", "petsc4py", "mpi4py", "gmsh", "h5py", "matplotlib", "pint"}
     assert "mantle" in loaded and not stack & {name.partition(".")[0] for name in loaded}
 
 
-def test_the_package_is_the_command() -> None:
+def test_public_package_is_the_command() -> None:
     assert python("-m", "mantle", "--help").startswith("usage: mantle ")
     assert python("-m", "mantle", "--version") == f"mantle {mantle.__version__}\n"
 
@@ -82,14 +82,14 @@ except mantle.InputError as error:
 """
 
 
-def test_a_host_keeps_its_settings_and_gets_what_it_can_use(tmp_path: Path) -> None:
+def test_public_host_keeps_its_settings(tmp_path: Path) -> None:
     said = python("-c", GUEST, str(CONFIGS / "cylinders.yaml"), str(tmp_path / "out")).splitlines()
     said = said[next(k for k, line in enumerate(said) if line.startswith("changed:")) :]
     assert said[:2] == ["changed:", "5 4"] and float(said[2]) == pytest.approx(1, rel=1e-10)
     assert "no field 'stres' on points; fields: " in said[3] and "stress" in said[3]
 
 
-def test_a_host_without_mpi_gets_its_environment_back(tmp_path: Path) -> None:
+def test_public_host_without_mpi_keeps_its_environment(tmp_path: Path) -> None:
     """MPI starts within the run: the folder that it gets is for the run alone."""
     host = """
 import os, sys
@@ -119,7 +119,7 @@ except mantle.InputError:
 # ---------------------------------------------------------------------------------- one case
 
 
-def test_a_case_is_loaded_with_overrides() -> None:
+def test_public_load_with_overrides() -> None:
     dots = mantle.load(CONFIGS / "blocks.yaml", **COARSE, title="Coarse")
     words = mantle.load(str(CONFIGS / "blocks.yaml"), mesh__size="4 mm", mesh__order=1)
     assert dots.config.mesh == words.config.mesh
@@ -129,7 +129,7 @@ def test_a_case_is_loaded_with_overrides() -> None:
     assert len(caught.value.messages) == 2
 
 
-def test_a_check_tells_what_a_case_is_and_how_large() -> None:
+def test_public_check_returns_case_and_size() -> None:
     case = mantle.load(CONFIGS / "blocks.yaml", **COARSE, loads={})
     estimated, counted = mantle.check(case), mantle.check(case, meshed=True)
     assert estimated.description == counted.description
@@ -138,13 +138,13 @@ def test_a_check_tells_what_a_case_is_and_how_large() -> None:
     assert str(estimated).count("\nnote: ") == len(estimated.notes) == len(counted.notes)
 
 
-def test_a_mesh_is_plain_arrays() -> None:
+def test_public_mesh_returns_plain_arrays() -> None:
     data = mantle.mesh(mantle.load(CONFIGS / "blocks.yaml", **COARSE))
     assert data.points.shape[1:] == (3,) and data.cells.shape == (len(data.cell_tags), 4)
     assert list(data.regions) == ["bone", "cement", "metal"]
 
 
-def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
+def test_public_run_reports_steps_and_returns_results(tmp_path: Path) -> None:
     case = mantle.load(CONFIGS / "cylinders.yaml", **COARSE)
     steps: list[AcceptedStep] = []
     results = mantle.run(case, tmp_path / "out", progress=steps.append)
@@ -197,7 +197,7 @@ def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "DONE").stat().st_mtime_ns == written
 
 
-def test_fields_are_read_while_a_viewer_locks_them_and_damage_names_the_file(
+def test_public_fields_are_read_while_locked(
     tmp_path: Path,
 ) -> None:
     case = mantle.load(CONFIGS / "blocks.yaml", **COARSE)
@@ -215,7 +215,7 @@ def test_fields_are_read_while_a_viewer_locks_them_and_damage_names_the_file(
         _ = mantle.read(tmp_path / "out").fields
 
 
-def test_an_error_in_progress_ends_a_run_and_signals_stay_as_they_are(tmp_path: Path) -> None:
+def test_public_error_in_progress_ends_a_run(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
 
     def fail(step: AcceptedStep) -> None:
@@ -231,7 +231,7 @@ def test_an_error_in_progress_ends_a_run_and_signals_stay_as_they_are(tmp_path: 
         mantle.read(tmp_path / "none")
 
 
-def test_variations_have_results_each(tmp_path: Path) -> None:
+def test_public_variations_have_separate_results(tmp_path: Path) -> None:
     some = {"bonded": {"interfaces.stem_cement": {"kind": "bonded"}}, "as_is": {}}
     case = mantle.load(
         CONFIGS / "variations.yaml", variations=some, **{**COARSE, "output.fields": False}
@@ -261,9 +261,7 @@ PAGES = [*sorted(CONFIGS.glob("notebooks/*.ipynb")), ROOT / "docs" / "howto" / "
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda p: p.name)
-def test_code_for_people_runs_from_top_to_bottom(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_public_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
     names: dict[str, object] = {}
@@ -273,7 +271,7 @@ def test_code_for_people_runs_from_top_to_bottom(
 
 
 @pytest.mark.slow
-def test_a_wheel_brings_five_names(tmp_path: Path) -> None:
+def test_public_wheel_installs_five_names(tmp_path: Path) -> None:
     """With the shipped cases, and without the other folders of a checkout."""
     pytest.importorskip("setuptools")
     checkout = tmp_path / "checkout"
@@ -301,7 +299,7 @@ def test_a_wheel_brings_five_names(tmp_path: Path) -> None:
     assert said[-1] == str(tmp_path / "site" / "configs" / "notebooks/first_run.ipynb")
 
 
-def test_words_are_completed_in_a_shell() -> None:
+def test_public_shell_completion() -> None:
     pytest.importorskip("argcomplete")
     line = "mantle swe"
     asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))}

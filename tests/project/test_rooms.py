@@ -34,7 +34,7 @@ def without(room: str, copy: Path) -> Path:
 
 
 @pytest.mark.parametrize("room", KEYS)
-def test_the_core_runs_without_a_room(room: str, tmp_path: Path) -> None:
+def test_rooms_core_runs_without_a_room(room: str, tmp_path: Path) -> None:
     program = without(room, tmp_path / "program")
 
     def run(*overrides: str) -> subprocess.CompletedProcess[str]:

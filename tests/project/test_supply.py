@@ -31,7 +31,7 @@ CALLED = {
 OWN = {"app", "configs", "forms", "mantle", "meshes"}
 
 
-def test_all_that_is_imported_is_a_dependency_and_nothing_else() -> None:
+def test_supply_imports_are_dependencies() -> None:
     named = {Requirement(text).name for text in PROJECT["dependencies"]}
     optional = {Requirement(text).name for text in (*EXTRA["many"], *EXTRA["completion"])}
     found = {top(name) for path in MODULES.values() for name in imported(path)}
@@ -42,7 +42,7 @@ def test_all_that_is_imported_is_a_dependency_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     "text", [*PROJECT["dependencies"], *(t for e in EXTRA.values() for t in e)]
 )
-def test_dependencies_have_bounds_that_hold_here(text: str) -> None:
+def test_supply_dependencies_have_bounds(text: str) -> None:
     wanted = Requirement(text)
     assert {s.operator for s in wanted.specifier} & {"~=", "==", "<"}, text
     try:
@@ -54,7 +54,7 @@ def test_dependencies_have_bounds_that_hold_here(text: str) -> None:
         assert wanted.name in absent
 
 
-def test_dolfinx_is_of_series_that_are_known() -> None:
+def test_supply_dolfinx_is_of_a_known_series() -> None:
     """Its interface changes with every one: `app.foundation.dolfinx_features` knows these."""
     (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
     known = [v for v in ("0.8.0", "0.9.5", "0.10.0", "0.11.0", "0.12.0") if v in dolfinx.specifier]
@@ -65,7 +65,7 @@ def named(requirements: list[str]) -> dict[str, Requirement]:
     return {r.name.lower(): r for r in map(Requirement, requirements)}
 
 
-def test_wheels_are_the_dependencies_in_versions_that_they_allow() -> None:
+def test_supply_wheels_have_allowed_versions() -> None:
     """The wheel of DOLFINx brings its parts, PETSc and MPI along; the linter comes by itself."""
     brought = {"fenics-dolfinx", "fenics-ufl", "fenics-basix", "fenics-ffcx", "petsc4py", "mpi4py"}
     wheels = named(packages.requirements("wheel"))
@@ -79,7 +79,7 @@ def test_wheels_are_the_dependencies_in_versions_that_they_allow() -> None:
     assert dolfinx.version in wanted["fenics-dolfinx"].specifier
 
 
-def test_conda_has_the_same_packages_as_the_list() -> None:
+def test_supply_conda_has_the_same_packages() -> None:
     assert (ROOT / "environment.yml").read_text() == packages.environment()
     conda = {re.split("[<>=~]", name)[0] for name in packages.requirements("conda")}
     other = {"snakemake-minimal": "snakemake", "matplotlib-base": "matplotlib"}
@@ -90,12 +90,12 @@ def test_conda_has_the_same_packages_as_the_list() -> None:
 
 
 @pytest.mark.parametrize("recipe", ["Dockerfile", "mantle.def"])
-def test_recipes_of_images_read_the_list(recipe: str) -> None:
+def test_supply_image_recipes_read_the_list(recipe: str) -> None:
     text = (ROOT / recipe).read_text()
     assert "packages.txt" in text and "python3-" not in text
 
 
-def test_the_linter_is_the_one_with_these_digests() -> None:
+def test_supply_linter_has_known_digests() -> None:
     """In a form that pip believes nothing else of."""
     text = (ROOT / "tests" / "ruff.txt").read_text()
     assert re.findall(r"^ruff\S*", text, re.MULTILINE) == EXTRA["lint"]
@@ -103,6 +103,6 @@ def test_the_linter_is_the_one_with_these_digests() -> None:
     assert "--require-hashes" in (ROOT / "mantle").read_text()
 
 
-def test_the_base_of_the_image_is_named_by_its_digest() -> None:
+def test_supply_image_base_is_named_by_digest() -> None:
     (base,) = re.findall(r"^ARG BASE=(.*)$", (ROOT / "Dockerfile").read_text(), re.M)
     assert re.fullmatch(r"debian:trixie-slim@sha256:[0-9a-f]{64}", base)

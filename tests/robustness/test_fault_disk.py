@@ -45,7 +45,7 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
 @mounts
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [4, 12, 32, 64, 96, 160])
-def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Path) -> None:
+def test_fault_disk_full_output_folder(size: int, warmed: Path, tmp_path: Path) -> None:
     """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
     (tmp_path / "out").mkdir()
     codes, said = twice(command(tmp_path / "out"), size, tmp_path / "out", warmed)
@@ -60,7 +60,7 @@ def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Pa
 @mounts
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [16, 128, 512, 1024, 2048])
-def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
+def test_fault_disk_full_cache(size: int, tmp_path: Path) -> None:
     """Forms have to be kept, meshes need not."""
     (tmp_path / "cache").mkdir()
     codes, said = twice(command(tmp_path / "out"), size, tmp_path / "cache", tmp_path / "cache")
@@ -73,7 +73,7 @@ def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
 @mounts
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(4))
-def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
+def test_fault_disk_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
     """At a random moment, as disks with errors do."""
     out = tmp_path / "out"
     out.mkdir()
@@ -94,7 +94,7 @@ def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path
         assert "Read-only file system" in said or "is not writable" in said
 
 
-def test_a_folder_belongs_to_one_run(tmp_path: Path) -> None:
+def test_fault_disk_folder_belongs_to_one_run(tmp_path: Path) -> None:
     with folders.claim(tmp_path):
         child = start(tmp_path)
         said = child.communicate(timeout=60)[1]

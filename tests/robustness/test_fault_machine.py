@@ -22,7 +22,7 @@ from tests.robustness.faulty import DAMAGES, arguments, command, damage, start
 # ------------------------------------------------------------------------------------ clocks
 
 
-def test_only_records_are_by_the_clock_of_the_wall() -> None:
+def test_fault_machine_limits_do_not_use_the_wall_clock() -> None:
     """Limits and durations are by clocks that are never set."""
     clock = re.compile(r"\btime\.time\(|datetime\.now|clock\.time\(")
     files = [p for part in ("app", "meshes", "forms") for p in (support.ROOT / part).rglob("*.py")]
@@ -35,7 +35,7 @@ def test_only_records_are_by_the_clock_of_the_wall() -> None:
 # ------------------------------------------------------------------------------------- memory
 
 
-def test_errors_for_want_of_memory_are_told_as_such() -> None:
+def test_fault_machine_memory_errors_are_named() -> None:
     full = OSError(12, "Cannot allocate memory")
     for error in (MemoryError(), full, Exception("std::bad_alloc")):
         found = memory.explain(error)
@@ -52,7 +52,7 @@ def test_errors_for_want_of_memory_are_told_as_such() -> None:
     assert memory.explain(own) is None
 
 
-def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
+def test_fault_machine_too_little_memory_for_any_case(tmp_path: Path) -> None:
     limited = ["sh", "-c", 'ulimit -v 500000; exec "$@"', "sh", *command(tmp_path / "out")]
     env = support.environment()
     done = subprocess.run(limited, env=env, capture_output=True, text=True, timeout=60)
@@ -64,12 +64,12 @@ def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------------- BLAS
 
 
-def test_the_blas_here_is_right() -> None:
+def test_fault_machine_blas_here_is_right() -> None:
     assert blas_check.wrong_results() == [] and doctor.wrong_blas() == ""
 
 
 @pytest.mark.parametrize("error", [1e-3, np.nan, np.inf])
-def test_doctor_and_verify_tell_of_a_wrong_number(
+def test_fault_machine_doctor_and_verify_report_a_wrong_blas(
     error: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(blas_check, "_errors", lambda: iter([("dxyz", error)]))
@@ -96,7 +96,7 @@ COMPILERS: dict[str, str | None] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "ranks"), [*((how, 1) for how in COMPILERS), ("is not there", 2)])
-def test_a_compiler_that(how: str, ranks: int, tmp_path: Path) -> None:
+def test_fault_machine_compiler_that(how: str, ranks: int, tmp_path: Path) -> None:
     compiler, text, cache = tmp_path / "cc", COMPILERS[how], str(tmp_path / "cache")
     if text is not None:
         compiler.write_text(f"#!/bin/sh\n{text}\n")
@@ -113,7 +113,9 @@ def test_a_compiler_that(how: str, ranks: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", DAMAGES)
-def test_damaged_forms_are_compiled_again(how: str, warmed: Path, tmp_path: Path) -> None:
+def test_fault_machine_damaged_forms_are_compiled_again(
+    how: str, warmed: Path, tmp_path: Path
+) -> None:
     shutil.copytree(warmed, tmp_path / "cache")
     modules = list((tmp_path / "cache" / "fenics").glob("*.so"))
     assert modules
@@ -133,7 +135,7 @@ time.sleep(60)
 """
 
 
-def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> None:
+def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
     """What it had begun is removed once it is dead, and not before; other forms are free."""
     form, other = "libffcx_forms_" + "0" * 40, "libffcx_forms_" + "1" * 40
     found: dict[str, bool] = {}
@@ -159,7 +161,7 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
-def test_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
+def test_fault_machine_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
     """A compiler that takes longer than anybody would wait without asking."""
     compiler = tmp_path / "cc"
     compiler.write_text(f'#!/bin/sh\nsleep {12 if number == 0 else 1}\nexec cc "$@"\n')

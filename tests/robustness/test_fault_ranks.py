@@ -48,7 +48,9 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, object]:
 
 
 @pytest.mark.parametrize("number", range(11))
-def test_a_killed_rank_ends_all(number: int, usual: tuple[float, object], tmp_path: Path) -> None:
+def test_fault_ranks_killed_rank_ends_all(
+    number: int, usual: tuple[float, object], tmp_path: Path
+) -> None:
     chance = random.Random(number)
     output, temporary = tmp_path / "out", tmp_path / "tmp"
     temporary.mkdir()
@@ -85,7 +87,9 @@ def test_a_killed_rank_ends_all(number: int, usual: tuple[float, object], tmp_pa
         if (phase, rank) != ("mesh", 1)
     ],
 )
-def test_an_error_on_one_rank_ends_all(phase: str, error: str, rank: int, tmp_path: Path) -> None:
+def test_fault_ranks_error_on_one_ends_all(
+    phase: str, error: str, rank: int, tmp_path: Path
+) -> None:
     output = tmp_path / "out"
     done = subprocess.run(
         support.mpirun(2, "-m", "tests.robustness.faulty_rank", *arguments(output)[2:]),
@@ -101,7 +105,7 @@ def test_an_error_on_one_rank_ends_all(phase: str, error: str, rank: int, tmp_pa
 
 
 @pytest.mark.parametrize("number", range(10))
-def test_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
+def test_fault_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
     """They would wait for each other for ever, at full speed."""
     output = tmp_path / "out"
     child = subprocess.Popen(

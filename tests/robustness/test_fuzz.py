@@ -25,10 +25,10 @@ def fuzz(module: str, seed: str, first: int, last: int, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("part", range(6))
-def test_many_files(part: int, tmp_path: Path) -> None:
+def test_fuzz_many_case_files(part: int, tmp_path: Path) -> None:
     fuzz("fuzz", "all", 1000 * part, 1000 * (part + 1), tmp_path)
 
 
-def test_many_mesh_files(tmp_path: Path) -> None:
+def test_fuzz_many_mesh_files(tmp_path: Path) -> None:
     """5 and 626 crash gmsh 4.13."""
     fuzz("fuzz_meshes", "all", 0, 2000, tmp_path)

@@ -112,7 +112,7 @@ def image() -> Iterator[Image]:
         shutil.rmtree(made.folder)
 
 
-def test_cases_and_sweeps_run_in_the_image_without_a_compiler(image: Image) -> None:
+def test_image_runs_cases_and_sweeps_without_a_compiler(image: Image) -> None:
     """As its user, in a folder of the caller's."""
     (image.work / "sweeps").mkdir()
     for name in ("stance.yaml", "cylinders.yaml", "sweeps/friction_cylinders.yaml"):
@@ -137,7 +137,7 @@ def test_cases_and_sweeps_run_in_the_image_without_a_compiler(image: Image) -> N
         assert record["ranks"] == 2
 
 
-def test_a_hostile_folder_has_no_say_in_the_image(image: Image) -> None:
+def test_image_ignores_a_hostile_folder(image: Image) -> None:
     """On one rank and in a sweep on two."""
     folder = image.work / "hostile"
     folder.mkdir()

@@ -49,7 +49,7 @@ def usual(
 
 
 @pytest.mark.parametrize("number", range(20))
-def test_killed_at_any_moment(
+def test_kills_at_any_moment(
     number: int, usual: tuple[dict[bool, float], object], warmed: Path, tmp_path: Path
 ) -> None:
     chance, cold = random.Random(number), number % COLD == 0

@@ -192,7 +192,7 @@ def calls(folder: Path) -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
-def test_a_killed_batch_is_resumed_and_runs_nothing_twice(tmp_path: Path) -> None:
+def test_slurm_killed_batch_is_resumed(tmp_path: Path) -> None:
     first = start(tmp_path)
     wait(lambda: len(calls(tmp_path)) > 0)
     first.kill()
@@ -217,7 +217,7 @@ def test_a_killed_batch_is_resumed_and_runs_nothing_twice(tmp_path: Path) -> Non
         assert "converged: " in folder.with_name(f"{run}.log").read_text()
 
 
-def test_a_case_that_still_runs_is_waited_for(tmp_path: Path) -> None:
+def test_slurm_running_case_is_waited_for(tmp_path: Path) -> None:
     """Though there is room for another job beside it."""
     (tmp_path / "hold").write_text("")
     first = start(tmp_path, 1)
@@ -234,7 +234,7 @@ def test_a_case_that_still_runs_is_waited_for(tmp_path: Path) -> None:
     assert [line.partition(" ")[2] for line in calls(tmp_path)] == ["0 solved", "0 finished"]
 
 
-def test_an_interrupted_batch_leaves_no_job_behind(tmp_path: Path) -> None:
+def test_slurm_interrupted_batch_leaves_no_job(tmp_path: Path) -> None:
     process = start(tmp_path)
     wait(lambda: set(queue().values()) >= {"RUNNING", "PENDING"})
     process.send_signal(signal.SIGINT)
@@ -247,7 +247,7 @@ def test_an_interrupted_batch_leaves_no_job_behind(tmp_path: Path) -> None:
     assert queue() == {} and len(calls(tmp_path)) == done
 
 
-def test_a_job_that_slurm_ends_is_a_failed_run(tmp_path: Path) -> None:
+def test_slurm_job_ended_by_slurm_is_a_failed_run(tmp_path: Path) -> None:
     """With options for sbatch that are not easily quoted."""
     process = start(tmp_path, 1)
     wait(lambda: "RUNNING" in queue().values())
@@ -274,7 +274,7 @@ grid:
 
 
 @pytest.mark.skipif("MANTLE_TREE" not in os.environ, reason="not in a tree of the launcher")
-def test_the_launcher_submits_from_its_tree_and_jobs_enter_it(tmp_path: Path) -> None:
+def test_slurm_jobs_use_the_tree_of_the_launcher(tmp_path: Path) -> None:
     """Interrupted and called again. This tree is the host there; jobs leave no cache at home."""
     folder = tmp_path / "it's {mine}"
     folder.mkdir()
@@ -311,11 +311,11 @@ def test_the_launcher_submits_from_its_tree_and_jobs_enter_it(tmp_path: Path) ->
     assert not list((folder / "cache" / "fenics").iterdir())
 
 
-def test_what_slurm_refuses_is_told(tmp_path: Path) -> None:
+def test_slurm_refusals_are_reported(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentProblem, match="invalid partition specified: nowhere"):
         batch_of(tmp_path, 1, "--partition", "nowhere")
 
 
-def test_what_ends_a_job_before_its_run_is_told(tmp_path: Path) -> None:
+def test_slurm_early_end_of_a_job_is_reported(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentProblem, match=r"\.slurm:\n."):
         batch_of(tmp_path, 1, "--export=PATH=/nowhere")

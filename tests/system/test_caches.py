@@ -35,7 +35,7 @@ def write_form(folder: Path, mark: str = "") -> Path:
     return module
 
 
-def test_caches_are_of_their_user_alone(home: Path) -> None:
+def test_caches_are_private_to_their_user(home: Path) -> None:
     """Whatever the umask, and also where they were there before."""
     (home / "mantle" / "meshes").mkdir(parents=True, mode=0o777)
     before = os.umask(0)
@@ -49,7 +49,7 @@ def test_caches_are_of_their_user_alone(home: Path) -> None:
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
-def test_another_cache_is_taken_and_that_is_told(
+def test_caches_fallback_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
@@ -60,12 +60,12 @@ def test_another_cache_is_taken_and_that_is_told(
     assert stat.S_IMODE(Path(own).stat().st_mode) == 0o700
 
 
-def test_there_is_no_cache_where_none_can_be_made(home: Path) -> None:
+def test_caches_may_be_missing(home: Path) -> None:
     home.touch()
     assert folders.cache("meshes") is None
 
 
-def test_an_image_brings_forms_along(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_caches_copy_forms_of_an_image(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a cache that is new, and for no other."""
     monkeypatch.setattr(folders, "SEED", home.parent / "seed")
     write_form(folders.SEED / "fenics")
@@ -75,7 +75,7 @@ def test_an_image_brings_forms_along(home: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("damage", ["none", "cut", "no mark", "no source", "no module"])
-def test_what_is_not_whole_is_compiled_again(damage: str, tmp_path: Path) -> None:
+def test_form_cache_incomplete_modules_are_compiled_again(damage: str, tmp_path: Path) -> None:
     module = write_form(tmp_path, "4")
     source, mark = tmp_path / f"{FORM}.c", tmp_path / f"{FORM}.c.cached"
     match damage:
@@ -99,7 +99,7 @@ def test_what_is_not_whole_is_compiled_again(damage: str, tmp_path: Path) -> Non
         {"shapes": 3},
     ],
 )
-def test_a_note_names_a_module_of_the_cache(home: Path, change: dict[str, object]) -> None:
+def test_form_cache_note_names_a_module(home: Path, change: dict[str, object]) -> None:
     folder = folders.cache("laws")
     assert folder is not None
     note = folder / "law-0.json"
@@ -108,7 +108,7 @@ def test_a_note_names_a_module_of_the_cache(home: Path, change: dict[str, object
     assert pointwise.find(support.MPI.COMM_SELF, note) is None
 
 
-def test_unfinished_files_have_no_name_that_can_be_guessed(
+def test_files_unfinished_have_random_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     victim, path = tmp_path / "victim", tmp_path / "summary.json"

@@ -13,7 +13,7 @@ from app.foundation.errors import GeometryError
 from meshes.gmsh_child import CROSS, session
 
 
-def test_output_of_a_library_is_caught_and_logged(
+def test_captured_output_of_a_library_is_logged(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG, "mantle")
@@ -27,7 +27,7 @@ def test_output_of_a_library_is_caught_and_logged(
     assert debug == ["noisy: from C", "noisy: from below"]
 
 
-def test_an_error_leaves_the_streams_as_they_were(capfd: pytest.CaptureFixture[str]) -> None:
+def test_captured_streams_are_restored_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ValueError, match="wrong"), captured("noisy"):
         os.write(1, b"lost\n")
         raise ValueError("wrong")
@@ -35,7 +35,9 @@ def test_an_error_leaves_the_streams_as_they_were(capfd: pytest.CaptureFixture[s
     assert capfd.readouterr().out == "kept\n"
 
 
-def test_surfaces_that_cross_are_told_in_words(capfd: pytest.CaptureFixture[str]) -> None:
+def test_captured_error_on_crossing_surfaces_is_explained(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     """gmsh prints a "PLC Error" of its own, past its log."""
     with pytest.raises(GeometryError, match=CROSS), session("crossing") as gmsh:
         loops = []

@@ -20,7 +20,7 @@ MAPS = """\
 """.splitlines()
 
 
-def test_blas_libraries_are_found_in_the_memory_map() -> None:
+def test_doctor_finds_blas_in_the_memory_map() -> None:
     names = [Path(path).name for path in doctor.blas_libraries(MAPS)]
     assert names == ["libmkl_rt.so.2", "libblas.so.3", "libopenblasp-r0.3.29.so"]
 
@@ -34,11 +34,11 @@ def test_blas_libraries_are_found_in_the_memory_map() -> None:
         ("/usr/lib/x86_64-linux-gnu/openblas-pthread/libopenblasp-r0.3.29.so", False),
     ],
 )
-def test_reference_blas_is_told_from_the_others(path: str, expected: bool) -> None:
+def test_doctor_recognizes_reference_blas(path: str, expected: bool) -> None:
     assert doctor.is_reference_blas(path) is expected
 
 
-def test_report_names_what_a_run_depends_on() -> None:
+def test_doctor_report_names_dependencies() -> None:
     text = doctor.report()
     rows = dict(line.split(maxsplit=1) for line in text.split("\n\n")[0].splitlines())
     assert rows["mantle"] == __version__
@@ -53,7 +53,7 @@ def test_report_names_what_a_run_depends_on() -> None:
         (OSError("libfoo.so: undefined symbol"), "unusable (OSError: libfoo.so: undefined symbol)"),
     ],
 )
-def test_report_survives_missing_and_broken_packages_and_missing_programs(
+def test_doctor_report_with_missing_packages(
     error: Exception, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(name: str) -> None:
@@ -76,7 +76,7 @@ def test_report_survives_missing_and_broken_packages_and_missing_programs(
         ("0.12.1", "DOLFINx 0.12.1 is newer"),
     ],
 )
-def test_dolfinx_of_another_series_is_a_problem(
+def test_doctor_reports_an_unknown_dolfinx(
     version: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(doctor, "_version", lambda module: version)
@@ -84,7 +84,7 @@ def test_dolfinx_of_another_series_is_a_problem(
     assert len(found) == bool(said) and all(problem.startswith(said) for problem in found)
 
 
-def test_factors_that_petsc_lacks_are_named_with_what_they_cost(
+def test_doctor_reports_missing_factors_with_their_cost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     text = "3.25.5, float64, with MUMPS, without CHOLMOD"
@@ -93,7 +93,7 @@ def test_factors_that_petsc_lacks_are_named_with_what_they_cost(
     assert "no CHOLMOD" in found and "times the CPU time" in found
 
 
-def test_slow_settings_are_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_reports_slow_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     for threads, blas, slow in (("1", "openblas-pthread", False), ("4", "blas", True)):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         path = f"/usr/lib/x86_64-linux-gnu/{blas}/libblas.so.3"

@@ -16,7 +16,7 @@ from app.system import identity
 from tests import support
 
 
-def test_versions_are_those_of_the_libraries() -> None:
+def test_identity_versions_are_those_of_libraries() -> None:
     found = identity.parts()
     assert list(found) == ["mantle", "dolfinx", "petsc", "gmsh", "blas"]
     assert found["mantle"].startswith(f"{__version__} ")
@@ -35,7 +35,7 @@ def told(**environ: str) -> dict[str, str]:
     return dict(json.loads(support.python("-c", code, **environ).stdout))
 
 
-def test_the_kernel_of_the_blas_belongs_to_it() -> None:
+def test_identity_includes_the_kernel_of_the_blas() -> None:
     """Every processor of this kind has that of Nehalem; nothing else changes by it."""
     usual = told()
     if "OpenBLAS" not in usual["blas"] or sys.platform != "linux":
@@ -45,7 +45,7 @@ def test_the_kernel_of_the_blas_belongs_to_it() -> None:
     assert old | {"blas": ""} == usual | {"blas": ""}
 
 
-def test_the_sources_that_numbers_depend_on_belong_to_it() -> None:
+def test_identity_includes_sources_that_change_numbers() -> None:
     """What only asks for runs, or tells of them, does not."""
     assert not identity.OUTSIDE.fullmatch("app/numerics/newton.py")
     assert not identity.OUTSIDE.fullmatch("app/system/identity.py")

@@ -26,7 +26,7 @@ CRASH = (
 )
 
 
-def test_ranks_are_told_before_and_behind_the_case() -> None:
+def test_ranks_option_before_and_after_the_case() -> None:
     for words, n in {"": 1, "-n 2": 2, "-n16": 16, "-n=16": 16, "-n 2 -n3": 3}.items():
         for line in (f"run a-n4 {words}", f"run {words} a-n4"):
             options = parser().parse_args(line.split())
@@ -34,14 +34,14 @@ def test_ranks_are_told_before_and_behind_the_case() -> None:
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "two", "1.5", "²", ""])
-def test_a_wrong_number_of_ranks_is_an_input_error(value: str) -> None:
+def test_ranks_wrong_number_is_an_input_error(value: str) -> None:
     for words in (["-n", value], [f"-n={value}"]):
         with pytest.raises(InputError, match=r"not a number of ranks|expected one"):
             parser().parse_args(["run", "case.yaml", *words])
 
 
 @pytest.mark.parametrize("command", ["check a.yaml", "sweep a.yaml", "report a", "verify"])
-def test_only_a_run_takes_ranks(command: str) -> None:
+def test_ranks_are_an_option_of_run_alone(command: str) -> None:
     for words in ("-n 2", "-n2", "-n=2"):
         with pytest.raises(InputError, match="only mantle run starts ranks, --cores N"):
             parser().parse_args(f"{command} {words}".split())
@@ -58,18 +58,20 @@ def test_only_a_run_takes_ranks(command: str) -> None:
         ({"PMIX_RANK": "1"}, 0),
     ],
 )
-def test_an_existing_job_is_recognised(environ: dict[str, str], expected: int | None) -> None:
+def test_ranks_of_an_existing_job_are_recognised(
+    environ: dict[str, str], expected: int | None
+) -> None:
     assert ranks.world_size(environ) == expected
 
 
-def test_the_environment_of_the_user_and_of_a_scheduler_stays() -> None:
+def test_ranks_keep_the_environment_of_user_and_scheduler() -> None:
     environ = {"OMP_NUM_THREADS": "2", "OMPI_MCA_btl": "tcp,self"}
     assert environ.items() <= ranks.environment(environ).items()
     assert ranks.environment({})["OMP_NUM_THREADS"] == "1"
     assert not ranks.ONE_NODE.keys() & ranks.environment({"SLURM_JOB_ID": "1"}).keys()
 
 
-def test_only_ranks_of_one_node_do_without_a_network() -> None:
+def test_ranks_of_one_node_need_no_network() -> None:
     for size, expected in (("2", "self,sm"), ("4", None)):
         environ = {"OMPI_COMM_WORLD_SIZE": size, "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}
         ranks.use_one_node(environ)
@@ -101,9 +103,7 @@ ABORT = (
     ],
     ids=["exit code", "crash", "crash after a signal", "table", "rule", "abort", "closed pipe"],
 )
-def test_banners_that_are_no_news_are_left_out(
-    said: str, received: tuple[int, ...], left: str
-) -> None:
+def test_ranks_hide_banners_of_mpirun(said: str, received: tuple[int, ...], left: str) -> None:
     target = io.BytesIO()
     ranks.filter_messages(io.BytesIO(said.encode()), target, received)
     assert target.getvalue().decode() == left

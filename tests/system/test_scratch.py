@@ -11,7 +11,7 @@ from app.system import scratch
 from tests.support import started
 
 
-def test_folders_of_runs_that_live_stay_and_those_of_killed_ones_go(
+def test_scratch_folders_of_killed_runs_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scratch, "SHARED", tmp_path)

@@ -26,7 +26,7 @@ from meshes.data import connected
 from tests import support
 
 
-def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_path: Path) -> None:
+def test_start_of_a_run_imports_no_mesher_pictures_or_scipy(tmp_path: Path) -> None:
     """Each costs a tenth of a second and more, in a run that could take two without its page."""
     path = support.CONFIGS / "blocks.yaml"
     case = load(path).config
@@ -42,7 +42,7 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
     assert not loaded & {"gmsh", "matplotlib", "pandas", "pint", "scipy.sparse", "scipy.spatial"}
 
 
-def test_placing_a_stem_in_the_parametric_femur_imports_nothing_for_patients() -> None:
+def test_start_of_a_parametric_femur_imports_nothing_for_patients() -> None:
     """Imports of the search for landmarks on a patient's bone take 0.15 s."""
     path = str(support.CONFIGS / "stance.yaml")
     script = (
@@ -57,13 +57,11 @@ def test_placing_a_stem_in_the_parametric_femur_imports_nothing_for_patients() -
     assert not loaded & (for_patients | {"meshes.patient_bone"})
 
 
-def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
+def test_start_mesh_key_has_the_version_of_gmsh() -> None:
     assert cache._gmsh_version() == gmsh.__version__
 
 
-def test_a_conversion_is_asked_of_pint_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_start_unit_conversion_is_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def forget() -> None:
         units.conversion.cache_clear()
         units._kept.cache_clear()
@@ -85,7 +83,7 @@ def test_a_conversion_is_asked_of_pint_once(
     forget()
 
 
-def test_labels_are_those_of_a_graph() -> None:
+def test_start_connected_components_equal_those_of_scipy() -> None:
     rng = np.random.default_rng(3)
     for n, pairs in ((1, 0), (40, 25), (200, 190), (300, 900)):
         a, b = rng.integers(0, n, (2, pairs))
@@ -94,7 +92,7 @@ def test_labels_are_those_of_a_graph() -> None:
         np.testing.assert_array_equal(connected(n, a, b), expected)
 
 
-def test_triplets_at_one_place_are_summed() -> None:
+def test_start_sparse_triplets_are_summed() -> None:
     rng = np.random.default_rng(4)
     i, j, v = rng.integers(0, 5, 60), rng.integers(0, 7, 60), rng.random(60)
     expected = np.zeros((5, 7))
@@ -105,7 +103,7 @@ def test_triplets_at_one_place_are_summed() -> None:
     assert from_triplets(MPI.COMM_SELF, 2, 3, none, none, np.zeros(0)).norm() == 0.0
 
 
-def test_a_law_is_found_again_without_being_built(tmp_path: Path) -> None:
+def test_start_compiled_law_is_found_without_building(tmp_path: Path) -> None:
     """And is built where its note tells of code that is not there, or of nothing."""
     built: list[int] = []
 
@@ -134,7 +132,7 @@ def test_a_law_is_found_again_without_being_built(tmp_path: Path) -> None:
         assert len(built) == 1 and note.read_text() == told
 
 
-def test_a_law_has_another_note_when_its_text_changes(tmp_path: Path) -> None:
+def test_start_compiled_law_has_a_new_note_if_changed(tmp_path: Path) -> None:
     source = ModuleType("source")
     source.__file__ = str(tmp_path / "source.py")
     notes = set()

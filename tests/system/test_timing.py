@@ -20,7 +20,7 @@ class Clock:
         return self.now
 
 
-def test_a_phase_is_told_with_what_is_expected_of_it_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_timing_phase_is_printed_once_with_its_estimate(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG", "mantle")
     t = timing.Timing(about={"factorize": 6.3, "mesh": 0.4, "stiffness": 7.0})
     for phase in (("factorize",), ("mesh",), ("compile", "stiffness"), ("factorize",)):
@@ -38,7 +38,7 @@ def test_a_phase_is_told_with_what_is_expected_of_it_once(caplog: pytest.LogCapt
     ]
 
 
-def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_timing_nested_phases_are_separate(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     monkeypatch.setattr(timing, "time", clock)
     t = timing.Timing()
@@ -58,7 +58,7 @@ def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) ->
     assert t.cpu == t.seconds == {}
 
 
-def test_peak_memory_is_that_of_the_arrays_there_were() -> None:
+def test_timing_peak_memory_is_that_of_arrays() -> None:
     """In a process of its own: it begins with little."""
     code = (
         "import numpy as np; from app.system import timing; before = timing.peak_memory();"

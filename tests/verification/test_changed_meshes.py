@@ -20,7 +20,7 @@ def blocks(*overrides: str) -> Any:
     return build(case.geometry, case.mesh, None)
 
 
-def test_rotated_and_scaled_meshes_keep_their_volume() -> None:
+def test_changed_meshes_rotated_and_scaled_keep_their_volume() -> None:
     data = blocks()
     R = changed_meshes.ROTATION
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
@@ -33,7 +33,7 @@ def test_rotated_and_scaled_meshes_keep_their_volume() -> None:
     assert cell_volumes(small.points, small.cells).sum() == pytest.approx(1e-9 * whole)
 
 
-def test_flattened_cells_are_bad_and_fill_the_blocks() -> None:
+def test_changed_meshes_flattened_cells_fill_the_blocks() -> None:
     data = blocks()
     bad = changed_meshes.flattened(data, 0.012)
     quality = sicn(bad.points, bad.cells)
@@ -44,7 +44,7 @@ def test_flattened_cells_are_bad_and_fill_the_blocks() -> None:
         assert volume == pytest.approx(cell_volumes(data.points, data.cells[on]).sum())
 
 
-def test_a_mirrored_quarter_is_the_whole() -> None:
+def test_changed_meshes_mirrored_quarter_is_the_whole() -> None:
     sizes = ["mesh.size=6 mm", "mesh.far_size=8 mm", "mesh.order=1"]
     case = load(CONFIGS / "cylinders.yaml", sizes).config
     quarter = build(case.geometry, case.mesh, None)

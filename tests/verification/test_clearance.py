@@ -23,7 +23,7 @@ def case(name: str, *overrides: str) -> Case:
     return load(CASES / f"{name}.yaml", ("mesh.order=1", *overrides)).config
 
 
-def test_gap_over_the_stages() -> None:
+def test_clearance_gap_over_the_stages() -> None:
     gap = np.array([0.1, -0.1, 0.0])
     times = (0.0, 0.25, 1.0, 1.5)
     grown = np.array([gap_at(gap, (), t) for t in times])
@@ -34,7 +34,7 @@ def test_gap_over_the_stages() -> None:
     assert told == pytest.approx(np.outer([0.0, 0.25, 1.0, 2.0], gap))
 
 
-def test_a_hertz_contact_grows_with_its_load() -> None:
+def test_clearance_hertz_contact_grows_with_its_load() -> None:
     """Half-width a = sqrt(4 P R / (π E*)) at every increment (Johnson, section 4.2)."""
     size, increments = 0.1, 4
     this = case("hertz_line", f"mesh.size={size} mm", "stages=[{name: press, increments: 4}]")
@@ -56,7 +56,7 @@ def pressed_aside(tagged: TaggedMesh, *overrides: str) -> support.Solved:
     return support.solve(case("cattaneo", "mesh.size=0.2 mm", *overrides), tagged=tagged)
 
 
-def test_one_stage_is_the_same_as_the_clearance_first(half_planes: TaggedMesh) -> None:
+def test_clearance_in_one_stage_equals_clearance_first(half_planes: TaggedMesh) -> None:
     """Loads in one stage, or after a stage that brings nothing but the clearance."""
     one = pressed_aside(
         half_planes,
@@ -78,7 +78,7 @@ def test_one_stage_is_the_same_as_the_clearance_first(half_planes: TaggedMesh) -
     assert one.last.contact_work == pytest.approx(two.last.contact_work, abs=1e-9)
 
 
-def test_a_constant_oblique_force_does_not_slip(half_planes: TaggedMesh) -> None:
+def test_clearance_constant_oblique_force_does_not_slip(half_planes: TaggedMesh) -> None:
     """Q/P = const < μ: points that come into touch stick from then on, though the same Q after P
     lets a rim slip (Mindlin and Deresiewicz 1953; Johnson, section 7.3)."""
     oblique = pressed_aside(
@@ -113,7 +113,7 @@ stages: [{name: push, increments: 2}]
 
 
 @pytest.mark.parametrize("kind", ["contact", "penalty"])
-def test_a_block_that_is_pushed_shut(kind: str) -> None:
+def test_clearance_of_a_block_is_closed(kind: str) -> None:
     """It closes the gap g at the first load, then both blocks shorten by p h/E."""
     law = "{kind: penalty, penalty: 1.0e4 MPa/mm, friction_coefficient: 0.3, gap: 0.1 mm}"
     change = (f"interfaces.base_lid={law}",) if kind == "penalty" else ()
@@ -127,7 +127,7 @@ def test_a_block_that_is_pushed_shut(kind: str) -> None:
     assert u[top] == pytest.approx(np.tile([0.0, 0.0, -down], (top.sum(), 1)), abs=1e-9)
 
 
-def test_contact_on_a_bed_of_springs() -> None:
+def test_clearance_contact_on_a_foundation() -> None:
     """The bed gives way by p/k, the blocks shorten by p h/E each, and p is what they bear."""
     bed = "{kind: foundation, boundary: bottom, stiffness: [10 MPa/mm, 10 MPa/mm, 20 MPa/mm]}"
     solved = support.solve(APART, "interfaces.base_lid.gap=0 mm", f"supports={{bed: {bed}}}")

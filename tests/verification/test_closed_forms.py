@@ -91,7 +91,7 @@ def points(n: int, low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarra
     return np.random.default_rng(1).uniform(low, high, (n, 3))
 
 
-def test_compliance_of_a_fibrous_material() -> None:
+def test_closed_forms_compliance_of_a_fibrous_material() -> None:
     bone = exact.Fibrous(17000, 11500, 0.31, 0.51, 3280)
     σ = np.diag([0, 0, 10.0])
     ε = np.diag([-0.31, -0.31, 1]) * 10 / 17000
@@ -112,7 +112,7 @@ def test_compliance_of_a_fibrous_material() -> None:
 @pytest.mark.parametrize(
     ("u", "case"), [(flamant, "hertz_line.yaml"), (boussinesq, "hertz_ball.yaml")]
 )
-def test_far_fields_are_those_of_a_loaded_half_space(u: Callable, case: str) -> None:
+def test_closed_forms_far_fields_of_a_half_space(u: Callable, case: str) -> None:
     """Equilibrium, no traction on z = 0, the load below; the case prescribes the same field."""
 
     def field(x: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ def test_far_fields_are_those_of_a_loaded_half_space(u: Callable, case: str) -> 
     np.testing.assert_allclose(support(case, "far")(x), field(x), atol=1e-7 * 0.05)
 
 
-def test_foundation_bar_reference_values() -> None:
+def test_closed_forms_foundation_bar() -> None:
     """Physics reference 5.5, and the work that the end does in a cycle."""
     bar = exact.FoundationBar(500, 6, 1.1e6)
     assert (bar.end, bar.residual, bar.cycle) == pytest.approx(
@@ -188,5 +188,7 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
     ],
     ids="Lamé,free ends,line,ball,Cattaneo,incline,Klarbring,penalty".split(","),
 )
-def test_reference_values(found: list[float], reference: list[float], rel: float) -> None:
+def test_closed_forms_reference_values(
+    found: list[float], reference: list[float], rel: float
+) -> None:
     assert found == pytest.approx(reference, rel=rel)

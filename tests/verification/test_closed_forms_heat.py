@@ -21,7 +21,7 @@ PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)
 RISE = 89.0805
 
 
-def test_bars_and_rings_with_a_resistance() -> None:
+def test_closed_forms_heat_bars_and_rings_with_a_resistance() -> None:
     """Physics reference 5.8 and 5.9; 1 W/m2 is 1e-3 N/(mm s)."""
     q, hot, cold = exact.two_bars(100, 37, (5 / 0.2, 5 / 0.58), 0.3)
     assert (q, hot, cold) == pytest.approx((1.704821, 57.3795, 51.6967), rel=1e-6)
@@ -29,7 +29,7 @@ def test_bars_and_rings_with_a_resistance() -> None:
     assert (Q, hot, cold) == pytest.approx((175.2656, 53.07157, 49.08666), rel=1e-7)
 
 
-def test_perfused_slab_obeys_its_equation() -> None:
+def test_closed_forms_heat_perfused_slab() -> None:
     slab = exact.Slab(10.0, 0.5, 0.02, 37.0, 0.1, 0.6, 0.05, 20.0)
 
     def T(x: float) -> float:
@@ -42,7 +42,7 @@ def test_perfused_slab_obeys_its_equation() -> None:
     assert -0.5 * slope(T, 10.0) == pytest.approx(0.05 * (T(10.0) - 20), rel=1e-8)
 
 
-def test_cooling_cylinder() -> None:
+def test_closed_forms_heat_cooling_cylinder() -> None:
     """Physics reference 5.10; the heat equation; the wall."""
     centre = [
         exact.cooling_cylinder(np.zeros(1), t, 10, CEMENT, 100, 37)[0] for t in (60, 100, 300)
@@ -61,7 +61,9 @@ def test_cooling_cylinder() -> None:
     ("other", "temperature"),
     [((0.58, 2.331), 58.2), ((6.7, 2.331), 45.2), ((14.8, 3.735), 41.6), ((0.29, 2.503), 62.8)],
 )
-def test_contact_temperature(other: tuple[float, float], temperature: float) -> None:
+def test_closed_forms_heat_contact_temperature(
+    other: tuple[float, float], temperature: float
+) -> None:
     """Physics reference E13: cement at 100 degC on cortical bone, Ti, CoCr, cancellous bone."""
     spaces = exact.HalfSpaces(CEMENT, other, (100, 37))
     assert spaces.contact == pytest.approx(temperature, abs=0.05)
@@ -76,7 +78,7 @@ def half_spaces(h: float) -> Callable[[float, float, bool], float]:
 
 @pytest.mark.parametrize("h", [math.inf, 0.3])
 @pytest.mark.parametrize("first", [True, False])
-def test_half_spaces_obey_the_heat_equation(h: float, first: bool) -> None:
+def test_closed_forms_heat_half_spaces(h: float, first: bool) -> None:
     T = half_spaces(h)
     x, (k, c) = (-1.0, CEMENT) if first else (1.0, CORTICAL)
     bend = slope(lambda s: slope(lambda y: T(y, 5.0, first), s), x)
@@ -84,7 +86,7 @@ def test_half_spaces_obey_the_heat_equation(h: float, first: bool) -> None:
 
 
 @pytest.mark.parametrize("h", [math.inf, 0.3])
-def test_half_spaces_obey_their_interface(h: float) -> None:
+def test_closed_forms_heat_interface_of_half_spaces(h: float) -> None:
     T = half_spaces(h)
     # One-sided slopes at the interface, by extrapolation from inside.
     near = -np.array([1e-3, 2e-3])
@@ -95,7 +97,7 @@ def test_half_spaces_obey_their_interface(h: float) -> None:
     assert jump == pytest.approx(0 if math.isinf(h) else into / h, rel=3e-3, abs=1e-9)
 
 
-def test_frictional_heating() -> None:
+def test_closed_forms_heat_frictional_heating() -> None:
     """Physics reference 5.12: 75 kW/m2 for 10 s between cement and cortical bone.
 
     Shared by effusivity e, both half-spaces are as hot at their surface; what has entered is there.
@@ -111,7 +113,7 @@ def test_frictional_heating() -> None:
         assert -material[0] * (rise[1] - rise[0]) / 1e-3 == pytest.approx(flux, rel=1e-3)
 
 
-def test_adiabatic_cure() -> None:
+def test_closed_forms_heat_adiabatic_cure() -> None:
     """Physics reference 3.1 (its gas constant has fewer digits)."""
     degrees = {
         100: 0.00217920,
@@ -132,7 +134,7 @@ def test_adiabatic_cure() -> None:
     assert seeds == pytest.approx([905, 622, 347], abs=1)
 
 
-def test_cure_in_closed_form() -> None:
+def test_closed_forms_heat_isothermal_cure() -> None:
     """Logistic at a held temperature (physics reference 3.1)."""
     law = exact.ExactKinetics(2.6397e8, 62866.0, 1, 1)
     k = 4 * law.rate(0.5, 310.15)
@@ -150,7 +152,7 @@ def cooled(joined: tuple[bool, bool]) -> Layers:
     return Layers((6, 10, 15), (STEM, MANTLE, BONE), (0, -80e-6 * 40, 0), joined)
 
 
-def test_bonded_cylinders_cooled() -> None:
+def test_closed_forms_heat_bonded_cylinders_cooled() -> None:
     layers = cooled((True, True))
     inner, outer = layers.at(1, 6), layers.at(1, 10)
     assert (inner[1], outer[1], inner[2]) == pytest.approx((5.696, 7.884, 12.534), abs=6e-4)
@@ -159,21 +161,21 @@ def test_bonded_cylinders_cooled() -> None:
     assert (layers.gap(0), layers.gap(1)) == pytest.approx((0, 0), abs=1e-15)
 
 
-def test_unilateral_cylinders_cooled() -> None:
+def test_closed_forms_heat_unilateral_cylinders_cooled() -> None:
     layers = cooled((True, False))
     _, radial, hoop = layers.at(1, 6)
     assert (radial, layers.gap(1), hoop) == pytest.approx((-3.929, 0.02332, 8.349), rel=2e-4)
     assert layers.at(1, 10)[1] == pytest.approx(0, abs=1e-10)
 
 
-def test_a_core_that_swells_is_a_press_fit() -> None:
+def test_closed_forms_heat_swelling_core_is_a_press_fit() -> None:
     """Lamé's interference δ is a free strain of the core of δ / (1 + ν) b."""
     layers = Layers((7, 10), (STEM, MANTLE), (0.01 / 1.3 / 7, 0), (True,))
     pressure = lame_pressure(0.01, 7, 10, STEM, MANTLE)
     assert -layers.at(0, 7)[1] == pytest.approx(pressure, rel=1e-12)
 
 
-def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
+def test_closed_forms_heat_hot_fit_uses_mean_temperature() -> None:
     """By quadrature of the logarithmic profile."""
     b, c, k, h = 7.0, 10.0, 0.4, 0.3
     core, ring = (STEM, 14e-6), (MANTLE, 27.5e-6)
@@ -190,7 +192,7 @@ def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
     assert value == pytest.approx(-even.at(0, b)[1], rel=1e-9)
 
 
-def test_heated_walls_have_one_or_three_states() -> None:
+def test_closed_forms_heat_heated_walls_have_one_or_three_states() -> None:
     """Every state balances heat and length; the cold bar that expands more makes several."""
     unique = exact.HeatedWalls(
         (5, 5), (2200, 17000), (80e-6, 27.5e-6), (0.2, 0.58), 0.1, 0.1, 0.0, (60, 37, 37)

@@ -73,7 +73,7 @@ ONES = [
         ("order_2_over_1", [made(2.0, slip=(0.5, 1.0)), made(), *ONES], 2 / 1),
     ],
 )
-def test_figures(
+def test_cost_figures_of_made_runs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, runs: list[Any], expected: float
 ) -> None:
     row = judged(monkeypatch, "bench", name, runs, tmp_path)
@@ -87,12 +87,12 @@ def goals() -> dict[str, PlannedProblem]:
     return {planned.row.name: planned for planned in suite.planned("bench", "long")}
 
 
-def test_cheap_runs_are_repeated(goals: dict[str, PlannedProblem]) -> None:
+def test_cost_figures_repeat_cheap_runs(goals: dict[str, PlannedProblem]) -> None:
     assert [run.times for run in goals["contact_over_bonded_20k"].runs] == [3, 3]
     assert [run.times for run in goals["contact_over_bonded_170k"].runs] == [1, 1]
 
 
-def test_every_goal_runs_cases_that_are_right(goals: dict[str, PlannedProblem]) -> None:
+def test_cost_figures_goals_run_valid_cases(goals: dict[str, PlannedProblem]) -> None:
     """Each can be read, and is of the kind that its goal says."""
     for name, planned in goals.items():
         assert planned.runs
@@ -116,7 +116,7 @@ def test_every_goal_runs_cases_that_are_right(goals: dict[str, PlannedProblem]) 
     assert [stage.increments for stage in stages] == [1, 3]
 
 
-def test_the_million_is_of_the_long_tier() -> None:
+def test_cost_figures_million_unknowns_in_the_long_tier() -> None:
     default = {planned.row.name: planned for planned in suite.planned("bench")}
     assert len(default) == 25
     assert not [name for name in default if "1m" in name or "million" in name]

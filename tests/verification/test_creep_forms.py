@@ -14,7 +14,7 @@ from app.verification import closed_forms_long_term as creep
 A, P, M0, M1 = creep.CEMENT
 
 
-def test_laws_at_constant_stress_have_the_published_values() -> None:
+def test_closed_forms_creep_laws_have_published_values() -> None:
     """Computed by hand in the notes on clinical data, 1e4, 2.5e5 and 1e6 cycles."""
     for s, values in ((3, (1.7, 5.4, 8.9)), (5, (3.6, 10.4, 16.5)), (7, (5.8, 16.0, 24.7))):
         found = [1e4 * creep.strain(creep.CEMENT, s, N) for N in (1e4, 2.5e5, 1e6)]
@@ -22,7 +22,7 @@ def test_laws_at_constant_stress_have_the_published_values() -> None:
 
 
 @pytest.mark.parametrize("law", [creep.CEMENT, creep.NORTON])
-def test_a_held_bar_relaxes_by_its_rate(law: creep.Law) -> None:
+def test_closed_forms_creep_relaxation_of_a_held_bar(law: creep.Law) -> None:
     """By ds/dN = -E de/dN; Norton's in closed form too."""
     a, p, m0, m1 = law
     s0, end = 10.0, 1e6 if law is creep.CEMENT else 100.0
@@ -41,7 +41,7 @@ def test_a_held_bar_relaxes_by_its_rate(law: creep.Law) -> None:
         assert creep.relaxed(law, s0, end) == pytest.approx(closed, rel=1e-5)
 
 
-def test_the_shrink_fit_begins_elastic_and_ends_without_pressure() -> None:
+def test_closed_forms_creep_shrink_fit_limits() -> None:
     rigid = (1e12, 0.3)
     at_once = exact.lame_pressure(0.01, 6, 10, rigid, (creep.E, 0.3))
     assert creep.shrink_fit(6, 10, 0.01, 0.3, 0.0) == pytest.approx(at_once, rel=1e-6)
@@ -49,7 +49,7 @@ def test_the_shrink_fit_begins_elastic_and_ends_without_pressure() -> None:
     assert creep.shrink_fit(6, 10, 0.01, 0.3, 2.0) == pytest.approx(0.27350, abs=1e-5)
 
 
-def test_the_taper_sinks_as_rings_widen() -> None:
+def test_closed_forms_creep_taper_subsides_as_rings_widen() -> None:
     """Rings of quadratic elements in plane strain under 3 MPa, their rates integrated."""
     nodes = np.concatenate([np.linspace(6, 10, 41), np.linspace(10, 15, 21)[1:]])
     dofs = np.array([[k, k + 1, k + 2] for k in range(0, len(nodes) - 1, 2)]).repeat(2, axis=0)

@@ -35,7 +35,7 @@ supports:
 
 
 @pytest.mark.parametrize(("size", "off", "scatter"), [(2.0, 1e-3, 0.03), (1.0, 1e-3, 0.005)])
-def test_a_shrink_fit_is_even_on_a_coarse_mesh(size: float, off: float, scatter: float) -> None:
+def test_curved_interfaces_shrink_fit_is_uniform(size: float, off: float, scatter: float) -> None:
     exact = closed_forms.lame_pressure(0.01, 7, 12, (110e3, 0.3), (2200, 0.3))
     result = support.solve(SHRINK_FIT.format(size=size, length=1, taper=0), balances=True)
     s = result.last
@@ -48,7 +48,7 @@ def test_a_shrink_fit_is_even_on_a_coarse_mesh(size: float, off: float, scatter:
     assert result.balances.max() < 1e-8
 
 
-def test_a_corner_of_a_fine_surface_is_no_corner() -> None:
+def test_curved_interfaces_circle_of_three_facets_is_one_face() -> None:
     """A circle of three facets is one face, where flat facets would meet at 30 degrees."""
     result = support.solve(SHRINK_FIT.format(size=6.0, length=4, taper=1), balances=True)
     j = result.problem.contact
@@ -60,7 +60,7 @@ def test_a_corner_of_a_fine_surface_is_no_corner() -> None:
 COARSE = ("mesh.order=2", "mesh.size=7 mm")
 
 
-def test_the_force_of_an_interface_is_the_load_that_it_hands_on() -> None:
+def test_curved_interfaces_force_equals_the_load() -> None:
     """Virtual translations of one side are among the jumps."""
     result = support.solve(support.STEM, *COARSE, balances=True)
     for q in result.interfaces.values():
@@ -68,7 +68,7 @@ def test_the_force_of_an_interface_is_the_load_that_it_hands_on() -> None:
     assert result.balances.max() < 1e-8
 
 
-def test_rigid_motions_and_widening_are_exact_between_nodes() -> None:
+def test_curved_interfaces_rigid_motions_and_widening_are_exact() -> None:
     """Jumps of a linear field, on edges in the plane of motion and widening: round the stem."""
     alone = ("geometry.taper=0 deg", "interfaces.cement_bone={kind: bonded}")
     problem, _ = support.assemble(support.case(support.STEM, *COARSE, *alone))

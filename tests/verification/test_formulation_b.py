@@ -213,7 +213,7 @@ def shares(state: State, friction: dict[str, float]) -> Floats:
         pytest.param(CLAMPED_STEM, 2, id="clamped_stem", marks=pytest.mark.slow),
     ],
 )
-def test_a_and_b_agree(text: str, steps: int) -> None:
+def test_formulation_b_agrees_with_a(text: str, steps: int) -> None:
     case = support.case(text, SOLVER)
     tagged = support.mesh(case)
     friction = {name: i.friction for name, i in case.interfaces.items()}

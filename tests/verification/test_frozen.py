@@ -15,12 +15,12 @@ CASES = [
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_no_number_moved(name: str) -> None:
+def test_frozen_numbers_are_unchanged(name: str) -> None:
     moved = frozen.moved(frozen.frozen()[name], frozen.solve(name), TOLERANCE)
     assert not moved, "\n".join(moved)
 
 
-def test_what_moves_is_named() -> None:
+def test_frozen_numbers_that_change_are_named() -> None:
     old = {"a": 1.0, "b": 2.0, "gone": 0.0}
     new = {"a": 1.0 + 1e-9, "b": 2.1, "new": 0.0}
     names = [line.split(":")[0] for line in frozen.moved(old, new, TOLERANCE)]

@@ -46,7 +46,7 @@ THICKNESSES = [
 
 
 @pytest.mark.parametrize("thickness", THICKNESSES)
-def test_regions_are_whole_and_touch_where_they_should(thickness: float) -> None:
+def test_geometry_regions_are_connected_and_touch(thickness: float) -> None:
     data = femur(thickness)
     regions = data.regions
     assert quality.stubby(data.points, data.cells).min() > 0.08
@@ -58,7 +58,7 @@ def test_regions_are_whole_and_touch_where_they_should(thickness: float) -> None
     assert len(np.intersect1d(stem, data.cells[np.isin(data.cell_tags, bone)])) == 0
 
 
-def test_thickness_is_reported() -> None:
+def test_geometry_thickness_is_reported() -> None:
     """As thick as asked for where there is room, and no room in more than half of the canal."""
     notes = femur(4.0).notes
     thickness = notes["mantle"]["thickness"]
@@ -74,7 +74,7 @@ def test_thickness_is_reported() -> None:
 
 
 @pytest.mark.parametrize("widening", [0.0, 5.0])
-def test_the_least_cortex_is_that_between_the_surfaces(widening: float) -> None:
+def test_geometry_thinnest_cortex_is_that_between_surfaces(widening: float) -> None:
     """Of points on them, half a millimetre apart: reaming leaves 2.5 mm, but radially."""
     geometry = Femur(canal_widening=f"{widening} mm")
     data = meshes.build(geometry, MeshOptions(size="6 mm"))
@@ -89,7 +89,9 @@ def test_the_least_cortex_is_that_between_the_surfaces(widening: float) -> None:
 
 @pytest.mark.parametrize("kind", [Femur, IntactFemur])
 @pytest.mark.parametrize("cortex", [1.5, 2.0, 4.0])
-def test_the_metaphyseal_cortex_is_as_thick_as_asked(kind: type[Any], cortex: float) -> None:
+def test_geometry_metaphyseal_cortex_has_the_given_thickness(
+    kind: type[Any], cortex: float
+) -> None:
     """Of the vertices of the endosteum, radially; in the shaft they are on the table's."""
     data = meshes.build(kind(metaphyseal_cortex=f"{cortex} mm"), MeshOptions(size="8 mm"))
     assert quality.stubby(data.points, data.cells).min() > 0.08
@@ -103,7 +105,7 @@ def test_the_metaphyseal_cortex_is_as_thick_as_asked(kind: type[Any], cortex: fl
     assert np.abs(canal)[z < -50].max() < 2e-5
 
 
-def test_the_stems_of_the_thickness_sweep_share_a_cavity() -> None:
+def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
     """To the difference of 1 / cos of the taper: 2 mm times 0.0009."""
     _, planned = sweep.read(Path(__file__).parents[2] / "configs/sweeps/thickness.yaml")
     shared = [c.case.geometry for c in planned if c.point.part == "cavity"]
@@ -113,7 +115,7 @@ def test_the_stems_of_the_thickness_sweep_share_a_cavity() -> None:
         assert np.ptp(found, axis=0) == pytest.approx(0.0, abs=0.003)
 
 
-def test_the_plug_fills_the_canal_below_the_tip() -> None:
+def test_geometry_plug_fills_the_canal_below_the_tip() -> None:
     """Its volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
     geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
     tip, height = geometry.stem_tip_z, geometry.tip_rounding
@@ -130,7 +132,7 @@ def intact(curved: bool = True) -> MeshData:
     return meshes.build(IntactFemur(), MeshOptions(size="6 mm", curved=curved))
 
 
-def test_the_head_is_a_sphere_on_a_neck() -> None:
+def test_geometry_head_is_a_sphere_on_a_neck() -> None:
     geometry = IntactFemur()
     centre = np.array(geometry.head_centre)
     assert set(intact().boundaries) == set(geometry.boundary_names)
@@ -153,7 +155,7 @@ def test_the_head_is_a_sphere_on_a_neck() -> None:
     assert set(data.cell_tags[shell]) == {data.regions["cortical_bone"]}
 
 
-def test_patches_are_on_the_bone_where_muscles_are_and_the_trunnion_is_at_the_head() -> None:
+def test_geometry_patches_are_at_muscles_and_head() -> None:
     data = femur(4.0)
     for name, place in MUSCLES.items():
         own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
@@ -168,7 +170,7 @@ def test_patches_are_on_the_bone_where_muscles_are_and_the_trunnion_is_at_the_he
 
 @pytest.mark.slow
 @pytest.mark.parametrize("thickness", [2.0, 7.0])
-def test_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> None:
+def test_geometry_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> None:
     """Cells follow the size in every direction, a cube each, but where layers have one at least."""
     data, coarse = femur(thickness, 1.5), femur(thickness, 6.0)
     assert 0.5 * 64 < len(data.cells) / len(coarse.cells) < 64

@@ -59,7 +59,7 @@ def assert_same(one: Solved, other: Solved, factor: float = 1.0) -> None:
 
 
 @pytest.mark.parametrize("factor", [1e-2, 100.0])
-def test_augmentation_changes_no_answer(reference: Solved, factor: float) -> None:
+def test_invariances_augmentation_changes_no_result(reference: Solved, factor: float) -> None:
     """r from 1e-2 to 100 times its default; where it is too large it is lowered by itself."""
     r = reference.case.solver.augmentation_factor * factor
     other = support.solve(
@@ -74,13 +74,13 @@ def test_augmentation_changes_no_answer(reference: Solved, factor: float) -> Non
         assert value == pytest.approx(before[name] * factor * level)
 
 
-def test_given_augmentation_is_used() -> None:
+def test_invariances_given_augmentation_is_used() -> None:
     case = support.case(STEM, "interfaces.stem_cement.augmentation=37 MPa/mm")
     problem, _ = support.assemble(case)
     assert problem.contact.augmentation()["stem_cement"] == pytest.approx(37)
 
 
-def test_balances_close(reference: Solved) -> None:
+def test_invariances_balances_close(reference: Solved) -> None:
     """Force, moment and energy after every step, the energy with friction there and back."""
     assert reference.balances.shape == (4, 3)
     assert reference.balances.max() < 1e-8
@@ -96,7 +96,7 @@ def test_balances_close(reference: Solved) -> None:
 
 
 @pytest.mark.parametrize("factor", [1e-3, 50.0])
-def test_results_scale_with_the_load(reference: Solved, factor: float) -> None:
+def test_invariances_results_scale_with_the_load(reference: Solved, factor: float) -> None:
     """Linear bodies, no initial gap, Coulomb: everything is proportional to the load."""
     overrides = [
         f"loads.push.force=[0 N, 0 N, {-900 * factor!r} N]",
@@ -141,7 +141,7 @@ solver: {tolerance: 1.0e-12}
     [("contact", 1), ("contact", 2), ("penalty, penalty: 3000 MPa/mm", 1)],
     ids=["contact P1", "contact P2", "penalty P1"],
 )
-def test_balances_with_every_kind_of_load(kind: str, order: int) -> None:
+def test_invariances_balances_with_every_kind_of_load(kind: str, order: int) -> None:
     text = WORK.replace("kind: KIND", f"kind: {kind}").replace("ORDER", str(order))
     result = support.solve(text, balances=True)
     assert result.balances.max() < 1e-8, result.balances
@@ -165,7 +165,7 @@ def changed(data: MeshData, R: Floats) -> MeshData:
         pytest.param(ROTATION @ np.diag([-1.0, 1.0, 1.0]), id="both", marks=pytest.mark.slow),
     ],
 )
-def test_numbers_do_not_depend_on_the_axes(
+def test_invariances_numbers_are_independent_of_axes(
     R: Floats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A peg in a socket, with edges and corners, under loads: every number of its interface."""
@@ -250,7 +250,7 @@ def moved(scene: Scene, Q: Floats) -> Scene:
         for name in SHIPPED
     ],
 )
-def test_numbers_of_shipped_cases_do_not_depend_on_the_axes(
+def test_invariances_shipped_cases_are_independent_of_axes(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Turned by an odd angle and mirrored, a hip has every number of its interfaces."""

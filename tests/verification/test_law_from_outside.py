@@ -53,7 +53,7 @@ def run(folder: Path, program: str, text: str, *more: str) -> tuple[dict[str, An
     return support.summary(folder / "out"), done.stdout
 
 
-def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
+def test_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     """A layer in tension: the gap is σ/k, whatever the blocks do; from YAML to the fields."""
     summary, _ = run(tmp_path, LAYER, CASE)
     found = summary["interfaces"]["lower_upper"]
@@ -68,7 +68,7 @@ def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     assert fields.at_interface("lower_upper", "gap").max() == pytest.approx(3 / 50, rel=1e-6)
 
 
-def test_constants_of_a_law_vary_in_space(tmp_path: Path) -> None:
+def test_law_from_outside_constants_vary_in_space(tmp_path: Path) -> None:
     """A rigid block on a bed of springs k = 50 (1 + x/8): its tilt by hand; refused where k < 0."""
     rigid = "upper: {rigid: true, tissue: other}"
     case = CASE.replace("50 MPa/mm", "50 * (1 + x / 8)").replace("size: 2 mm", "size: 1 mm")
@@ -98,7 +98,7 @@ def test_constants_of_a_law_vary_in_space(tmp_path: Path) -> None:
         (("", ""), 0, "elastic_layer"),
     ],
 )
-def test_a_law_from_outside_is_checked_as_the_others(
+def test_law_from_outside_is_checked(
     tmp_path: Path, change: tuple[str, str], code: int, words: str
 ) -> None:
     done = support.extended(tmp_path, LAYER, CASE.replace(*change), "check", "case.yaml")
@@ -110,9 +110,7 @@ def test_a_law_from_outside_is_checked_as_the_others(
     ("program", "place"),
     [("import numpy\nimport nothing_of_this_name\n", ":2"), ("x = (\n", ":1:5")],
 )
-def test_an_extension_that_cannot_be_imported_is_named(
-    tmp_path: Path, program: str, place: str
-) -> None:
+def test_law_from_outside_import_error_is_named(tmp_path: Path, program: str, place: str) -> None:
     done = support.extended(tmp_path, program, CASE, "check", "case.yaml")
     assert done.returncode == 2
     assert f"own_package.py{place}: MANTLE_EXTENSIONS: 'own_package'" in done.stderr
@@ -148,7 +146,7 @@ class WornLayer(Traction):
 '''
 
 
-def test_a_law_remembers(tmp_path: Path) -> None:
+def test_law_from_outside_keeps_internal_variables(tmp_path: Path) -> None:
     """Loading gives d1 = σ1/(k - σ1/l), unloading to σ2 on the worn line d2 = σ2 (1 + d1/l)/k."""
     k, length, high, low = 50.0, 0.2, 3.0, 1.0
     case = CASE.replace("elastic_layer, stiffness", "worn_layer, length: 0.2 mm, stiffness")
@@ -227,7 +225,7 @@ solver: {tolerance: 1.0e-12}
 """
 
 
-def test_a_law_from_outside_breaks_by_given_energy_and_then_rubs(tmp_path: Path) -> None:
+def test_law_from_outside_breaks_by_given_energy_then_has_friction(tmp_path: Path) -> None:
     """Traction falls linearly with the energy used, G A in all; then friction μ p."""
     summary, _ = run(tmp_path, GLUE, TORN)
     record = mantle.read(tmp_path / "out").step_record
@@ -299,7 +297,7 @@ class ContactLayer(InterfaceLaw):
 '''
 
 
-def test_the_layer_of_contact_from_outside_is_the_layer(tmp_path: Path) -> None:
+def test_law_from_outside_layer_equals_compliance(tmp_path: Path) -> None:
     """Pressed, pushed until parts slip and open, and pushed back: the same numbers."""
     assert CONTACT_LAYER.count("\n") <= 60
     push = "{kind: displacement, boundary: top, x: 0.04 mm, y: 0 mm, history: [0, 1, -0.2]}"
@@ -350,7 +348,7 @@ class Wind(Load):
 '''
 
 
-def test_a_load_from_outside_does_work(tmp_path: Path) -> None:
+def test_load_from_outside_does_work(tmp_path: Path) -> None:
     """The shear of the layer is that of the load, and the balances have its work."""
     case = CASE.replace("kind: pressure", "kind: wind").replace("pressure: -3", "shear: 3")
     summary, _ = run(tmp_path, LAYER + WIND, case)
@@ -402,7 +400,7 @@ study:
 """
 
 
-def test_a_quantity_from_outside_is_published(tmp_path: Path) -> None:
+def test_quantity_from_outside_is_published(tmp_path: Path) -> None:
     """3 MPa over 16 mm²; the energy is σ²/(2E) times 32 mm³."""
     summary, told = run(tmp_path, OWN, PRESSED, "--error")
     found = summary["interfaces"]["lower_upper"]
@@ -424,7 +422,7 @@ def test_a_quantity_from_outside_is_published(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_study_measures_a_quantity_from_outside(tmp_path: Path) -> None:
+def test_quantity_from_outside_is_measured_by_a_study(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text(STUDY)
     done = support.extended(
         tmp_path, OWN, PRESSED, "study", "study.yaml", "-o", "out", "--cores", "1"
@@ -436,7 +434,7 @@ def test_a_study_measures_a_quantity_from_outside(tmp_path: Path) -> None:
         assert [p["error"] < 1e-9 for p in record[name]["points"]] == [True, True]
 
 
-def test_a_quantity_is_added_once_and_has_a_unit() -> None:
+def test_quantity_from_outside_is_added_once_with_a_unit() -> None:
     with pytest.raises(ValueError, match="already"):
         quantities.add_quantity(quantities.TABLE["interfaces"]["gap_max"])
     with pytest.raises(ValueError, match="unit"):

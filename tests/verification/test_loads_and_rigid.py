@@ -34,7 +34,7 @@ def assembled(text: str, *overrides: str) -> Problem:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_force_at_a_point_has_its_resultant_and_moment(order: int) -> None:
+def test_loads_force_at_a_point_has_resultant_and_moment(order: int) -> None:
     """A linear traction over the patch: resultant F, no moment about the point it acts through."""
     at = (40.0, 5.0, 60.0)
     where = f"loads.hip.at=[{at[0]} mm, {at[1]} mm, {at[2]} mm]"
@@ -45,7 +45,7 @@ def test_force_at_a_point_has_its_resultant_and_moment(order: int) -> None:
     assert np.abs(nodal_moment(problem, at)).max() < 1e-12 * scale
 
 
-def test_even_force_acts_through_the_centroid() -> None:
+def test_loads_even_force_acts_at_the_centroid() -> None:
     """Without a point the traction is uniform: no moment about the centroid of the patch."""
     problem = assembled(CYLINDERS, "interfaces={}")
     moment = nodal_moment(problem, tuple(problem.mechanics.patch("stem_top").centroid))
@@ -53,7 +53,7 @@ def test_even_force_acts_through_the_centroid() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_varying_body_force_has_its_resultant_and_moment(order: int) -> None:
+def test_loads_varying_body_force_has_resultant_and_moment(order: int) -> None:
     """Polynomials of second degree on a box: integrals by hand."""
     text = """
 geometry: {kind: blocks, blocks: [{name: low, size: [4 mm, 3 mm, 2 mm]},
@@ -80,7 +80,7 @@ loads:
     assert solved.balances.max() < 1e-9
 
 
-def test_varying_load_is_not_evaluated_outside_its_regions() -> None:
+def test_loads_varying_load_is_evaluated_only_in_its_regions() -> None:
     """Finite in the bone alone, that is enough; in the stem it is told, with the key."""
     density = "density: ['log(hypot(x, y) - 10)', 0 N/mm^3, 0 N/mm^3]"
     bone = f"loads.hip={{kind: body_force, regions: [bone], {density}}}"
@@ -120,7 +120,7 @@ TURNED = "x: 0 mm, y: '-1e-3 * z', z: '0.02 + 1e-3 * y'"
     [(["top"], PUSHED, 0.0, -0.05), (["top", "bottom"], TURNED, 1e-3, 0.02)],
     ids=["pushed by its top", "turned about x and lifted by both ends"],
 )
-def test_rigid_region_takes_given_motion(
+def test_rigid_region_has_the_prescribed_motion(
     ends: list[str], given: str, turn: float, shift: float
 ) -> None:
     """It moves by just that, and pushes with what holds it."""
@@ -135,7 +135,7 @@ def test_rigid_region_takes_given_motion(
     assert solved.balances.max() < 1e-8
 
 
-def test_impossible_motion_of_a_rigid_region_is_refused() -> None:
+def test_rigid_region_impossible_motion_is_refused() -> None:
     """Its two ends cannot be pulled apart, and one end cannot bend."""
     stem = (CYLINDERS, "regions.stem={rigid: true}", "loads={}")
     up = "supports.up={kind: displacement, boundary: stem_top, z: 0.05 mm}"
@@ -168,7 +168,7 @@ loads:
 """
 
 
-def test_supports_may_hold_both_sides_of_a_rigid_region_s_interface() -> None:
+def test_rigid_region_supports_may_hold_both_sides() -> None:
     """The order of the regions does not matter: here the rigid one comes last."""
     solved = support.solve(PUNCH, balances=True)
     np.testing.assert_allclose(solved.last.pressure, 2.0, rtol=1e-9)
@@ -179,7 +179,7 @@ def test_supports_may_hold_both_sides_of_a_rigid_region_s_interface() -> None:
     assert solved.balances.max() < 1e-8
 
 
-def test_support_of_the_elastic_side_alone_at_a_rigid_region_is_refused() -> None:
+def test_rigid_region_refuses_support_of_the_elastic_side_alone() -> None:
     words = (
         r"^supports\.x0: holds along x what touches the rigid region 'punch' .* at \(0, .* 3\) mm"
     )
@@ -216,7 +216,7 @@ loads:
 """
 
 
-def test_a_block_with_planes_of_symmetry_on_a_rigid_floor() -> None:
+def test_rigid_region_floor_below_a_symmetric_block() -> None:
     """Uniaxial stress, whether the floor is at rest or moves."""
     moves = "supports.floor={kind: displacement, boundary: bottom, x: 0 mm, y: 0 mm, z: 0.02 mm}"
     for lift, change in ((0.0, "mesh.order=1"), (0.02, moves), (0.02, "mesh.order=2")):
@@ -229,7 +229,7 @@ def test_a_block_with_planes_of_symmetry_on_a_rigid_floor() -> None:
         np.testing.assert_allclose(u, exact, atol=1e-11)
 
 
-def test_a_rigid_floor_rubs_like_a_stiff_one() -> None:
+def test_rigid_region_friction_equals_that_of_a_stiff_one() -> None:
     """Friction against the widening of the block, which is pushed over the floor then."""
     push = (
         "interfaces.floor_block.friction_coefficient=0.3",
@@ -243,7 +243,7 @@ def test_a_rigid_floor_rubs_like_a_stiff_one() -> None:
         np.testing.assert_allclose(a.slip, b.slip, rtol=1e-4, atol=1e-6)
 
 
-def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
+def test_rigid_region_many_held_nodes_take_little_memory() -> None:
     """The six motions that 3 000 held components leave, without a matrix of 3 000 by 3 000."""
     random = np.random.default_rng(2)
     nodes = random.normal(size=(1000, 3))
@@ -263,7 +263,7 @@ def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
 
 
 @pytest.mark.parametrize("size", [8, 6])
-def test_loads_of_the_stance_do_not_depend_on_the_facets_of_the_mesh(size: int) -> None:
+def test_loads_of_the_stance_are_independent_of_facets(size: int) -> None:
     """Hip and muscles act through points of the femur, whatever facets the mesh has there."""
     case = load(
         support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]

@@ -12,7 +12,7 @@ from tests import support
 from tests.support import CONFIGS
 
 
-def test_measures_see_what_is_off(tmp_path: Path) -> None:
+def test_measures_detect_wrong_results(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     twice = "loads.press.pressure: 4 MPa"
     slack = "interfaces.cement_metal.gap: 0.001 mm"

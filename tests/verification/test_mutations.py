@@ -134,14 +134,14 @@ def program(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pattern", sorted({pattern for *_, pattern in MUTATIONS.values()}))
-def test_a_copy_without_mistakes_passes(pattern: str, program: Path) -> None:
+def test_mutations_unchanged_copy_passes(pattern: str, program: Path) -> None:
     end = verify(program, pattern)
     assert end.returncode == 0, (end.stdout, end.stderr)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MUTATIONS)
-def test_a_planted_mistake_makes_a_problem_fail(name: str, program: Path) -> None:
+def test_mutations_make_a_problem_fail(name: str, program: Path) -> None:
     file, right, wrong, pattern = MUTATIONS[name]
     text = (program / file).read_text(encoding="utf-8")
     assert text.count(right) == 1

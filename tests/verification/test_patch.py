@@ -52,7 +52,7 @@ def confined(E: float) -> float:
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("ratio", STIFFNESS_RATIOS)
-def test_blocks_in_a_smooth_box(ratio: float, order: int) -> None:
+def test_patch_blocks_in_a_frictionless_box(ratio: float, order: int) -> None:
     result = support.solve(BOX.format(order=order, stiff=100 * ratio, friction=0))
     moduli = {"lower": 100 * ratio, "middle": 100.0, "upper": 100 * ratio}
     floors = {"lower": 0.0, "middle": 4.0, "upper": 7.0}
@@ -115,7 +115,7 @@ def tilted(order: int, ratio: float, friction: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("ratio", STIFFNESS_RATIOS)
-def test_tilted_interface_within_the_friction_cone(ratio: float, order: int) -> None:
+def test_patch_tilted_interface_within_the_friction_cone(ratio: float, order: int) -> None:
     θ = np.deg2rad(TILT)
     result = support.solve(TILTED.format(**tilted(order, ratio, 1.2 * np.tan(θ))))
     ν = np.sin(θ) ** 2
@@ -152,7 +152,7 @@ SHIFT = np.array([0.01, -0.02, 0.005])
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("interfaces", ["{}", "bonded and contact", "contact"])
-def test_whole_boundary_held_by_an_affine_displacement(interfaces: str, order: int) -> None:
+def test_patch_affine_displacement_on_the_boundary(interfaces: str, order: int) -> None:
     """Given on all sides by expressions, it is found inside, whether or not interfaces may open."""
     rows = [
         f"{axis}: '{' + '.join(f'{g} * {c}' for g, c in zip(row, 'xyz', strict=True))} + {shift}'"
@@ -183,7 +183,7 @@ def test_whole_boundary_held_by_an_affine_displacement(interfaces: str, order: i
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_two_sides_of_an_interface_held_by_different_expressions(order: int) -> None:
+def test_patch_prescribed_jump_by_two_expressions(order: int) -> None:
     """Where both blocks are held the jump is what their supports give, growing with the load."""
     lower, upper = "1e-3 * (y - z)", "2e-3 * y + 1e-3 * z"
     result = support.solve(

@@ -92,7 +92,7 @@ def test_problems_of_stress_are_well_posed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_validation_misses_what_is_published(
+def test_problems_of_validation_miss_published_values(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """From end to end; nothing is run twice."""
@@ -109,7 +109,9 @@ def test_validation_misses_what_is_published(
     assert re.search(r"(\d+) runs: \1 done already", caplog.text)
 
 
-def test_validation_says_where_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_problems_of_validation_name_sources_and_ranges(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Published means lie within their ranges; notes name the source, the mesh and the range."""
     name = "validation_disc_foam_peak"
     others = 4 * [(0.0, 0.0)]

@@ -103,7 +103,7 @@ def assert_never_negative(solved: Solved) -> None:
         pytest.param(DRAGGED, "supports", ["lower_upper"], id="blocks"),
     ],
 )
-def test_friction_dissipates_at_every_point_in_every_step(
+def test_second_law_friction_dissipates_in_every_step(
     text: str, moved: str, interfaces: list[str], law: str, seed: int
 ) -> None:
     """Random loads that turn round, with gaps that change on the way."""
@@ -130,7 +130,7 @@ def test_friction_dissipates_at_every_point_in_every_step(
 
 
 @LAWS
-def test_edges_and_corners_dissipate_too(
+def test_second_law_edges_and_corners_dissipate(
     law: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(ALLOWED, "1")
@@ -167,7 +167,7 @@ def slid(law: str, way: list[float], increments: list[int], *overrides: str) -> 
 
 
 @LAWS
-def test_full_slip_dissipates_friction_times_way(law: str) -> None:
+def test_second_law_full_slip_dissipates_friction_times_slip(law: str) -> None:
     """Steady sliding over a way s, there and back: each time μ p A s with p A the press.
 
     Friction turns along the way, exponentially, only once the block slides.
@@ -192,7 +192,7 @@ loads:
 """
 
 
-def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> None:
+def test_second_law_contact_work_vanishes_with_small_steps() -> None:
     r"""First order is what has to be; the second is what is found.
 
     Where a point closes or opens within a step the trapezoidal rule pairs a pressure with a gap,
@@ -214,7 +214,7 @@ def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> N
     assert max(a / b for a, b in zip(sums[1:], sums, strict=False)) < 0.5
 
 
-def test_work_of_a_growing_interference_is_not_contact_work() -> None:
+def test_second_law_interference_work_is_not_contact_work() -> None:
     """A press fit stores energy through the jump: all of it work against the changing gap."""
     solved = support.solve(
         STEM,
@@ -247,7 +247,7 @@ solver: {tolerance: 1.0e-13}
 """
 
 
-def test_contact_work_of_a_penalty_is_the_energy_of_its_springs() -> None:
+def test_second_law_contact_work_of_a_penalty_is_its_energy() -> None:
     """Bar against a wall by a penalty: r/2 g^2 A with g = K u / (K + r), and nothing once back."""
     K, u, r, A = 220.0, 0.01, 1e3, 4.0
     energies = [

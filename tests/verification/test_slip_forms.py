@@ -18,7 +18,7 @@ KNOWN = {
 
 
 @pytest.mark.parametrize("clearance", KNOWN)
-def test_a_ball_sinks_into_its_cup(clearance: float) -> None:
+def test_closed_forms_ball_in_cup(clearance: float) -> None:
     sink, pressure, edge = axisymmetric.pressed(14, 14 + clearance, 22, 54)
     assert (1e3 * sink, pressure) == pytest.approx(KNOWN[clearance][:2], rel=5e-3)
     assert edge == pytest.approx(KNOWN[clearance][2], abs=0.5)

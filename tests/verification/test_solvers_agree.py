@@ -122,7 +122,7 @@ def linear(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.mark.parametrize(("degrees", "friction"), [(9, 0.46), (6, 0.3), (12, 0.6)])
-def test_solvers_push_a_block_up_a_slope(linear: str, degrees: float, friction: float) -> None:
+def test_solvers_agree_on_a_block_on_a_slope(linear: str, degrees: float, friction: float) -> None:
     """push = weight (tan a + mu) / (1 - mu tan a), and the residual is that of the forces.
 
     A block that has left the slope and is far away is in balance but for rounding of K u.
@@ -143,7 +143,7 @@ def test_solvers_push_a_block_up_a_slope(linear: str, degrees: float, friction: 
     assert solved.interfaces["slope_block"]["slip_max"] < 0.35
 
 
-def test_solvers_open_two_arms(linear: str) -> None:
+def test_solvers_agree_on_two_arms(linear: str) -> None:
     """Each is a cantilever: together they open by 8 F L^3 / (E b h^3)."""
     solved = support.solve(ARMS, linear)
     opening = 8 * 0.1 * 50**3 / (20e3 * 1 * 2**3)
@@ -159,7 +159,7 @@ interfaces.lower_upper={kind: cohesive, friction_coefficient: 0.3, stiffness: 1.
 """
 
 
-def test_solvers_open_two_arms_glued_at_their_ends(linear: str) -> None:
+def test_solvers_agree_on_two_bonded_arms(linear: str) -> None:
     """Open over a length a: beams clamped by a bond that yields, 8 F (a + c h)^3 / (E b h^3).
 
     c is 0.64 for an isotropic beam on its other half.
@@ -173,7 +173,7 @@ def test_solvers_open_two_arms_glued_at_their_ends(linear: str) -> None:
 
 
 @pytest.mark.slow
-def test_solvers_break_two_glued_arms() -> None:
+def test_solvers_agree_on_two_breaking_arms() -> None:
     """The load that breaks the bond, step by step, and Krylov methods that do not slow down."""
     law = GLUE.replace("1.0e+5", "1.0e+4").replace(": 50 MPa", ": 20 MPa")
     law = law.replace("energy: 1 N/mm", "energy: 0.25 N/mm").replace("25 - x", "15 - x")
@@ -203,7 +203,7 @@ def test_solvers_break_two_glued_arms() -> None:
 
 
 @pytest.mark.parametrize("friction", [0, 0.001, 0.25])
-def test_solvers_hold_a_belt(
+def test_solvers_agree_on_a_belt(
     linear: str, friction: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """hold = pull exp(-mu pi / 2), where contact alone holds the belt across its length."""
@@ -249,7 +249,7 @@ Physical Surface("bottom") = Surface In BoundingBox {-0.1, -0.1, -0.1, 9, 2.1, 0
 """
 
 
-def test_solvers_press_columns_that_share_no_node(
+def test_solvers_agree_on_separate_columns(
     linear: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each column bears E A d / L of what its gap leaves of its displacement d.
@@ -297,7 +297,7 @@ loads:
 
 
 @pytest.mark.parametrize("gap", ["0.0004 * x", "0.0003 * (6 - x)", "0.0003 * (x + 1)"])
-def test_solvers_close_a_wedge(linear: str, gap: str) -> None:
+def test_solvers_agree_on_a_wedge(linear: str, gap: str) -> None:
     """All of the interface bears the force, about its axis."""
     solved = support.solve(WEDGE, f'interfaces.low_high.gap="{gap}"', linear)
     numbers, contact = solved.interfaces["low_high"], solved.problem.contact
@@ -354,7 +354,9 @@ def clearance(degrees: float, gap: float, share: float, linear: str) -> support.
 @pytest.mark.parametrize(
     ("degrees", "gap", "share"), [(0, 0.4, 0.9), (20, 0.4, 0.0), (20, 0.2, 0.9), (20, 0.4, -0.9)]
 )
-def test_solvers_close_a_clearance(linear: str, degrees: float, gap: float, share: float) -> None:
+def test_solvers_agree_on_a_clearance(
+    linear: str, degrees: float, gap: float, share: float
+) -> None:
     """The block goes along the normal of the slope until it touches, and friction holds it."""
     solved = clearance(degrees, gap, share, linear)
     a = math.radians(degrees)
@@ -366,7 +368,7 @@ def test_solvers_close_a_clearance(linear: str, degrees: float, gap: float, shar
     assert borne == pytest.approx((1000, abs(share) * 300), rel=1e-2, abs=0.2)
 
 
-def test_solvers_refuse_what_slides_away_on_springs(linear: str) -> None:
+def test_solvers_agree_to_refuse_a_block_on_weak_springs(linear: str) -> None:
     """Pushed beyond friction, springs hold the block 19 mm away: displacements are not small."""
     with pytest.raises(MantleError) as error:
         clearance(20, 0.4, 1.01, linear)
@@ -451,7 +453,7 @@ def _outcome_on_ranks(case: Path, changes: Sequence[str], folder: Path) -> Outco
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "changes"), _shipped())
-def test_solvers_agree_on_all_that_is_shipped(
+def test_solvers_agree_on_shipped_cases(
     case: str, changes: tuple[str, ...], tmp_path: Path
 ) -> None:
     """The same exit, and numbers that differ by `SAME` of the largest of their unit."""

@@ -41,7 +41,7 @@ THICKNESSES = ("stem_radius", "cement_thickness", "bone_thickness")
     ("width", "length", "size", "overlap", "modulus"),
     [(8.0, 12.0, 4.0, 0.004, 100e3), (10.0, 20.0, 3.0, 0.0025, 200e3)],
 )
-def test_pressure_of_a_press_fit_does_not_grow_as_it_slides(
+def test_straight_facets_press_fit_pressure_stays_constant(
     width: float, length: float, size: float, overlap: float, modulus: float, order: int
 ) -> None:
     """Lame: p = δE / (b ((b² + a²)/(b² - a²) + (c² + b²)/(c² - b²))), a, b, c = 1, 2, 3 widths.
@@ -114,7 +114,7 @@ stages: [{{name: fit}}, {{name: push, increments: 2}}]
 """
 
 
-def test_an_elliptic_stem_does_not_climb_its_facets(
+def test_straight_facets_elliptic_stem_does_not_climb(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(ALLOWED, "1")
@@ -149,7 +149,7 @@ stages: [{name: fit}, {name: turn, increments: 2}]
 """
 
 
-def test_a_cone_that_is_turned_does_not_climb_its_facets() -> None:
+def test_straight_facets_rotated_cone_does_not_climb() -> None:
     """It slides by 0.07 and 0.14 mm; the torque is that of friction on all of its pressure."""
     solved = support.solve(TURNED, balances=True)
     one, two = solved.samples[1:]
@@ -183,7 +183,7 @@ def rounded(case: Case, digits: int) -> support.TaggedMesh:
 
 @pytest.mark.parametrize("digits", [12, 6, 4, 3])
 @pytest.mark.parametrize("taper", [1.5, 0])
-def test_a_frictionless_stem_does_not_turn(taper: float, digits: int) -> None:
+def test_straight_facets_frictionless_stem_does_not_rotate(taper: float, digits: int) -> None:
     """Whatever the solver, on exact and on rounded coordinates; facets turned it by 1.6e-3."""
     load = "[300 N, 0 N, -900 N]" if taper else "[300 N, 0 N, 0 N]"
     changes = (SMOOTH, f"geometry.taper={taper} deg", f"loads.hip.force={load}")
@@ -204,7 +204,7 @@ def test_a_frictionless_stem_does_not_turn(taper: float, digits: int) -> None:
 
 
 @pytest.mark.parametrize("friction", [0, 0.2, 0.4])
-def test_a_stem_closes_a_gap_on_straight_facets(friction: float) -> None:
+def test_straight_facets_stem_closes_a_gap(friction: float) -> None:
     """A taper sinks by gap / sin(taper), so that pressures are those without a gap."""
     changes = (f"interfaces.stem_cement.friction_coefficient={friction}",)
     axial = "loads.hip.force=[0 N, 0 N, -900 N]"
@@ -250,9 +250,7 @@ time: {method: backward_euler, tolerance: 1 K}
 
 
 @pytest.mark.parametrize("linear", ["auto", "direct", "multigrid"])
-def test_a_frictionless_stem_that_conducts_by_pressure_does_not_turn(
-    linear: str, tmp_path: Path
-) -> None:
+def test_straight_facets_conducting_stem_does_not_rotate(linear: str, tmp_path: Path) -> None:
     """Heat and contact are one system, of which the mechanics are those without heat."""
     found = support.run(WARM, tmp_path, f"solver.linear={linear}").summary
     text = re.sub(r",\s+(thermal|conductance): \{[^}]*\}", "", WARM.partition("time:")[0])

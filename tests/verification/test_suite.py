@@ -84,7 +84,7 @@ OK = (0, "")
         ("compare(Comparison(run.nonsense))", [OK], "failed", "nonsense"),
     ],
 )
-def test_outcomes(
+def test_suite_outcomes(
     problems: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -138,7 +138,7 @@ def test_row(problem):
         ((0.1, 0.1, float("nan")), "missed"),
     ],
 )
-def test_a_wrong_order_misses(
+def test_suite_wrong_order_misses(
     problems: Path, tmp_path: Path, errors: tuple[float, ...], outcome: str
 ) -> None:
     """However small the error; the finest run counts."""
@@ -156,7 +156,7 @@ def test_row(problem):
     assert rows(tmp_path)["row"]["outcome"] == outcome
 
 
-def test_the_worst_comparison_counts(problems: Path, tmp_path: Path) -> None:
+def test_suite_worst_comparison_counts(problems: Path, tmp_path: Path) -> None:
     write(
         problems,
         """
@@ -172,7 +172,7 @@ def test_row(problem, errors):
     assert outcomes == {"row_a": "passed", "row_b": "missed", "row_c": "missed"}
 
 
-def test_table_verdict_picture_and_json(tmp_path: Path) -> None:
+def test_suite_table_verdict_picture_and_json(tmp_path: Path) -> None:
     errors = (9e-7, 0.0, 1e-12, 2e-6, float("inf"), float("nan"))
     compared = [
         Row(
@@ -216,7 +216,7 @@ def test_table_verdict_picture_and_json(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
 
-def test_a_selection_leaves_the_results_of_the_whole_suite(
+def test_suite_selection_keeps_results_of_the_whole_suite(
     problems: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And where no picture can be drawn, that of other numbers does not stay."""
@@ -243,26 +243,26 @@ def test_a_selection_leaves_the_results_of_the_whole_suite(
     assert not (out / "verify.png").exists()
 
 
-def test_a_missed_goal_is_a_result(problems: Path, tmp_path: Path) -> None:
+def test_suite_missed_goal_is_a_result(problems: Path, tmp_path: Path) -> None:
     write(problems, COMPARED.format(name="slow", error=1.0).replace("@verify", "@bench"))
     assert suite.run("bench", Options(tmp_path, 1))
     assert rows(tmp_path, "bench")["slow"]["outcome"] == "missed"
 
 
-def test_an_error_in_a_module_of_problems_is_raised(problems: Path, tmp_path: Path) -> None:
+def test_suite_raises_errors_of_problem_modules(problems: Path, tmp_path: Path) -> None:
     write(problems, "import no_such_module\n")
     with pytest.raises(RuntimeError, match="no_such_module"):
         suite.run("verify", Options(tmp_path, 1))
 
 
 @pytest.mark.parametrize("name", ["verify", "stress", "bench"])
-def test_a_pattern_without_match_is_an_input_error(name: str, tmp_path: Path) -> None:
+def test_suite_pattern_without_match_is_an_input_error(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no problem of this tier has this in its name; allowed"):
         suite.run(name, Options(tmp_path, 1, "agumentation"))
     assert not list(tmp_path.iterdir())
 
 
-def test_options_reach_the_suite(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_suite_options(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[tuple[object, ...]] = []
 
     def run(*arguments: object) -> bool:
@@ -298,7 +298,7 @@ def test_other(problem):
 """
 
 
-def test_timed_problems_run_in_turn(
+def test_suite_timed_problems_run_in_turn(
     problems: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One after the other, each of their runs as often as it says; a judge sees them by run."""
@@ -321,7 +321,7 @@ def test_timed_problems_run_in_turn(
     assert table[0]["unknowns"] == "7"
 
 
-def test_a_run_that_cannot_begin_is_judged_too(problems: Path, tmp_path: Path) -> None:
+def test_suite_judges_a_run_that_cannot_start(problems: Path, tmp_path: Path) -> None:
     """As one that ended with that error."""
     write(
         problems,
@@ -339,7 +339,7 @@ def test_row(problem):
 
 
 @pytest.mark.slow
-def test_stress_from_end_to_end(tmp_path: Path) -> None:
+def test_suite_stress_from_end_to_end(tmp_path: Path) -> None:
     """An exact answer whatever the friction, and a body that nothing holds."""
     for pattern, outcome, count in (
         ("friction_incline", "passed", 3),
