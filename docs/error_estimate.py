@@ -26,11 +26,11 @@ import mantle
 from app import rooms  # noqa: F401  (registers keys that cases have)
 from app.case.case import Case, load
 from app.case.quantities import MOTION, SLIP, STRESS, TABLE, TRACTION, numbers_of
+from app.patient import bone_surface
 from app.results import error_estimate
 from app.results.error_estimate import is_zero, largest_of_units
-from meshes import bone_surface
 from tests.meshes import cad_stems
-from tests.meshes.bones import moved, own, own_canal, write
+from tests.patient.bones import moved, own, own_canal, write
 
 SIZES = (8.0, 6.0, 4.0)
 # Mesh of the reference. Its number of lines around, no multiple of 4, does not put them on the ends

@@ -10,7 +10,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.meshes import bones, cad_stems
+from tests.meshes import cad_stems
+from tests.patient import bones
 
 
 def write(folder: Path) -> None:

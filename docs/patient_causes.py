@@ -17,7 +17,7 @@ import mantle
 from app import rooms  # noqa: F401  (registers keys that cases have)
 from app.case.case import load
 from meshes import femur_stem
-from tests.meshes.bones import own, write
+from tests.patient.bones import own, write
 
 # Length of the stem [mm].
 LENGTH = 130.0

@@ -13,7 +13,7 @@ import nibabel
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from tests.meshes.bones import inside, own, own_canal
+from tests.patient.bones import inside, own, own_canal
 
 # Size of a voxel, and the lowest one [mm].
 VOXEL = 0.7

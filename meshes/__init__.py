@@ -45,14 +45,12 @@ DIVISIBLE = frozenset({"cancellous_bone"})
 # Factors on the size, and on the thickness of cement, that are tried where cells are poor.
 OTHERS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
 MANTLE = (1.0, 8.0)  # mm of cement that a femur may have
-# The others are named as their geometry.
-MESHERS = {"intact_femur": "femur_intact", "patient": "femur", "file": "imported"}
 
 
 def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
     """Mesh a geometry, or take the mesh from the cache; the same input gives the same mesh.
 
-    ``geometry`` is one of the case's geometries, told apart by ``kind``; ``mesh`` has ``size``,
+    ``geometry`` is one of the case's geometries, which names its ``mesher``; ``mesh`` has ``size``,
     ``far`` [mm] and ``curved``. Without a ``cache`` folder nothing is read or written.
 
     Raises:
@@ -73,7 +71,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 
 def _make(geometry: Any, mesh: Any) -> MeshData:
     # Imported here: a block needs no femur, and no scipy.
-    mesher = import_module(f"meshes.{MESHERS.get(geometry.kind, geometry.kind)}")
+    mesher = import_module(geometry.mesher)
     try:
         data, quality = _checked(mesher, geometry, mesh)
     except _quality.PoorCellsError as error:
@@ -130,8 +128,8 @@ def _remedy(mesher: Any, geometry: Any, mesh: Any) -> str:
             return f"Set {key}: {length:g} mm; all elements are good then."
     tried = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
     words = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
-    keys = "geometry.insertion or geometry.resection" if geometry.kind == "patient" else "geometry"
-    return f"Change {keys}: with {' and '.join(words)} elements are inverted or nearly flat, too."
+    tried_text = f"with {' and '.join(words)} elements are inverted or nearly flat, too"
+    return f"Change {geometry.shape_keys}: {tried_text}."
 
 
 def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] = ()) -> None:

@@ -25,22 +25,30 @@ MESHER_VERSION = 32  # raise it whenever the same input gives another mesh or ot
 
 
 def key(geometry: Any, mesh: Any) -> str:
-    """Hash of everything the mesh depends on, the content of a mesh file included."""
-    content: dict[str, Any] = {"geometry": geometry.model_dump(), "mesh": mesh.model_dump()}
+    """Hash of everything the mesh depends on; of files their content, not their names."""
+    content: dict[str, Any] = {
+        "geometry": _without_paths(geometry.model_dump()),
+        "mesh": mesh.model_dump(),
+    }
     # The order of the displacement does not change the mesh.
     content["mesh"].pop("order", None)
     content["version"] = MESHER_VERSION
+    content["files"] = geometry.content
     if geometry.kind == "file":
-        content["geometry"].pop("path", None)
         content["apart"] = geometry.apart
-    if of_files := getattr(geometry, "content", None):
-        content["file"] = of_files
-    if of_stem := getattr(getattr(geometry, "stem", None), "content", None):
-        content["geometry"]["stem"] = of_stem
     if geometry.kind != "file" or geometry.is_script:
         content["gmsh"] = _gmsh_version()
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _without_paths(keys: dict[str, Any]) -> dict[str, Any]:
+    """Keys of a geometry but those of its files."""
+    return {
+        key: _without_paths(value) if isinstance(value, dict) else value
+        for key, value in keys.items()
+        if not isinstance(value, Path)
+    }
 
 
 def _gmsh_version() -> str:

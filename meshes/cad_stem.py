@@ -17,10 +17,10 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
-from meshes.bone_surface import met, section
 from meshes.femur_stem import ARC, LEAST_WHOLE, allotted, limited, unit
 from meshes.mantle import distance
 from meshes.placement import Placement
+from meshes.plane_sections import met, section
 
 WINDOW = 1 / 60  # of the length around: bend is averaged over it; shorter corners are points
 CLOSED = 1.5 / 60  # of the length around: flats between corners are longer

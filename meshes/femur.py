@@ -46,7 +46,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     }
     x = geometry.placement.to_model(made.nodes.x)
     data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
-    told = [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.bone.notes]
+    told = [*(f"{k}: {v}" for k, v in geometry.details.items()), *surfaces.bone.notes]
     return replace(data, notes={**data.notes, "told": told}) if told else data
 
 

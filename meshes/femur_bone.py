@@ -16,11 +16,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from app.foundation.arrays import Floats
+
+if TYPE_CHECKING:
+    from meshes.bone_layers import BoneLayers
+    from meshes.layers import Sections
 
 # z, lateral, medial, antero-posterior half-width [mm], superellipse exponent
 OUTER = np.array(
@@ -156,6 +160,7 @@ class FemurBone:
     cortex: float | None = None
     has_condyles: ClassVar[bool] = True  # they are along x
     mirrored: ClassVar[bool] = False
+    is_radial: ClassVar[bool] = True
 
     @cached_property
     def _canal(self) -> Tube:
@@ -165,6 +170,12 @@ class FemurBone:
     def reach(self, azimuth: float, height: float) -> float:
         """Distance of the periosteum from the shaft's axis [mm]."""
         return float(self.periosteum(np.array(azimuth), np.array(height)))
+
+    def layers(self, geometry: object, sections: Sections, stem: object) -> BoneLayers:
+        """Periosteum and endosteum in the sections of a mesh."""
+        from meshes.bone_layers import TableLayers  # scipy, which a check of a case does without
+
+        return TableLayers(self, sections)
 
     def periosteum(self, theta: Floats, z: Floats) -> Floats:
         """Distance of the periosteum from the z axis [mm]."""

@@ -21,7 +21,6 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from meshes import femur_stem
-from meshes.femur_bone import FemurBone
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
 RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
@@ -80,7 +79,7 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
-        if g.implant.stem or not isinstance(g.femur, FemurBone):
+        if g.implant.stem or not g.femur.is_radial:
             # The bone around such a stem is what the operation leaves.
             return np.ones(len(x), dtype=bool)
         canal = g.femur.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])

@@ -5,8 +5,8 @@ a point of the stem's outline to the periosteum; along it lie the outer side of 
 endosteum. Cement is what is inside the lesser of the two. Above the cut the stem goes on alone: its
 body where it stands out, then a blend to the round neck and a cone to the trunnion.
 
-Three parts answer: the stem in its mantle (`CementedStem`), the bone, by a table or by triangles
-(`bone_layers`), and the sections in which both are.
+Three parts answer: the stem in its mantle (`CementedStem`), the bone (`bone_layers`), and the
+sections in which both are.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from meshes import femur_stem
-from meshes.bone_layers import BoneLayers, MeasuredLayers, TableLayers
+from meshes.bone_layers import BoneLayers
 from meshes.cad_stem import CadStem
-from meshes.femur_bone import FemurBone
 from meshes.femur_stem import Upper
 from meshes.layers import DIGITS, Lines, Nodes, Sections, root
 from meshes.reference_body import COARSER, ReferenceBody, Segment
@@ -159,11 +158,7 @@ class LayeredSurfaces:
         self.cement = mesh.along_cement(geometry.cement_thickness)
         zeta = self._divided(geometry.implant, self._placed.along(geometry.distal_cut_z))
         self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
-        self.bone: BoneLayers
-        if isinstance(geometry.femur, FemurBone):
-            self.bone = TableLayers(geometry.femur, self.sections)
-        else:
-            self.bone = MeasuredLayers(geometry.femur, geometry, self.sections, self.stem)
+        self.bone: BoneLayers = geometry.femur.layers(geometry, self.sections, self.stem)
         self._refuse()
         self._continue(geometry.implant)
 
@@ -309,7 +304,7 @@ class LayeredSurfaces:
 
 
 @lru_cache(maxsize=2)
-def kept(geometry: Any, mesh: Any, files: tuple[str, str]) -> LayeredSurfaces:
+def kept(geometry: Any, mesh: Any, files: str) -> LayeredSurfaces:
     """The surfaces of a patient; with a stem from CAD they take some seconds."""
     return LayeredSurfaces(geometry, mesh)
 

@@ -4,9 +4,8 @@ The model's axes: z along the shaft, proximal positive, 0 at the lesser trochant
 anterior. The stem's axes have their origin on its axis, at the level that its keys count from, z up
 its axis and x towards its head. Sections of the mesh are planes of the stem's axes.
 
-A bone says where its neck is (`neck`, the angle about z from x to y), whether it has condyles, and
-how far its surface is from z (`reach`). It is a table (`femur_bone.FemurBone`) or a surface from a
-file (`patient_bone.PatientBone`).
+A bone answers the questions of `ResectedBone`: `femur_bone.FemurBone` of the parametric femur, or
+one of another package.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -77,6 +76,29 @@ class Placement:
         below = round(float(self.normal @ (self.foot - x)) / self.normal[2])
         side = "above" if below < 0 else "below"
         return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x) + f", {abs(below)} mm {side} the cut"
+
+
+class ResectedBone(Protocol):
+    """A femur before the operation, in the model's axes."""
+
+    @property
+    def neck(self) -> float:
+        """Azimuth of the neck, from medial to anterior [rad]."""
+
+    @property
+    def has_condyles(self) -> bool:
+        """True if the posterior condyles are known."""
+
+    @property
+    def mirrored(self) -> bool:
+        """True if the model is the mirror image of the bone: a right femur."""
+
+    def reach(self, azimuth: float, height: float) -> float:
+        """Distance of the surface from the shaft's axis [mm].
+
+        Raises:
+            GeometryError: The axis is outside of the bone at this height.
+        """
 
 
 def place(geometry: Any) -> Placement:

@@ -15,12 +15,12 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes.bone_surface import section
 from meshes.cad_stem import INSIDE, around, outline
 from meshes.data import facet_areas
 from meshes.femur_stem import unit
 from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
 from meshes.mantle import triangles
+from meshes.plane_sections import section
 
 # A circle of 6 mm is met to 0.008 mm.
 TURN = 15  # second-order triangles in a full turn

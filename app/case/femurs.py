@@ -219,9 +219,14 @@ class Femur(_Femur, OperatedHip):
         return {_key(field): value for field, value in self.stem.values(self.stem_tip_z).items()}
 
     @property
-    def told(self) -> dict[str, Any]:
-        """Where axis, head and neck of a stem are in its file."""
-        return self.stem.told if self.stem else {}
+    def details(self) -> dict[str, str]:
+        """Places of axis, head and neck of a stem in its file."""
+        return self.stem.details if self.stem else {}
+
+    @property
+    def content(self) -> str:
+        """Hash of the stem's file; empty without."""
+        return self.stem.content if self.stem else ""
 
     def _check_stem(self) -> None:
         """Take the numbers of a stem's file, and refuse a stem that cannot be meshed."""
@@ -250,6 +255,7 @@ class IntactFemur(_Femur):
     compared with that of a femur of the same numbers.
     """
 
+    mesher: ClassVar[str] = "meshes.femur_intact"
     tissues: ClassVar[dict[str, str]] = OF_BONE
     boundary_names: ClassVar[tuple[str, ...]] = ("distal_cut", "bone_surface", "head", *MUSCLES)
 

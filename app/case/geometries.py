@@ -17,7 +17,6 @@ from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
 from app.case.head_cups import HeadCup
-from app.case.patients import Patient
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.mesh_files import Pick
 from app.mesh_files.named import stamps
@@ -26,7 +25,7 @@ from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail,
 from app.schema.units import Angle, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "HeadCup", "IntactFemur"]
-__all__ += ["MeshFile", "MeshOptions", "Patient", "Sides"]
+__all__ += ["MeshFile", "MeshOptions", "Sides"]
 
 # How long edges of cells may be (measured: beyond it gmsh fails or its cells are flat; rings of 20
 # and blocks of 25 are solved in `mantle stress`).
@@ -46,6 +45,8 @@ class Block(Section):
 
 class Blocks(Shape):
     """Rectangular blocks stacked along z, corner at the origin; the scene of patch tests."""
+
+    mesher: ClassVar[str] = "meshes.blocks"
 
     kind: Literal["blocks"] = "blocks"
     blocks: Annotated[tuple[Block, ...], ITEMS]
@@ -114,6 +115,7 @@ class Cylinders(Shape):
     length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
     """
 
+    mesher: ClassVar[str] = "meshes.cylinders"
     is_around_z: ClassVar[bool] = True
     has_curved_surfaces: ClassVar[bool] = True
     tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", "bone": "bone"}
@@ -206,6 +208,8 @@ class MeshFile(Shape):
     section (in the script's unit).
     """
 
+    mesher: ClassVar[str] = "meshes.imported"
+
     kind: Literal["file"] = "file"
     # Before the path, whose check needs them.
     array: str | None = None
@@ -259,7 +263,7 @@ class MeshFile(Shape):
         return physical_names(self.path, 2, self.pick)
 
     @property
-    def told(self) -> dict[str, Any]:
+    def details(self) -> dict[str, Any]:
         """Regions and boundaries that the file names."""
         return {"regions": list(self.region_names), "boundaries": list(self.boundary_names)}
 
@@ -308,6 +312,4 @@ class MeshFile(Shape):
         return content(self.path, folder)
 
 
-Geometry = Annotated[
-    Blocks | Cylinders | HeadCup | Femur | IntactFemur | Patient | MeshFile, Kinds()
-]
+Geometry = Annotated[Shape, Kinds()]

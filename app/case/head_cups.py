@@ -25,6 +25,7 @@ class HeadCup(Shape):
     presses the head into the cup. The head's bore opens at the opposite side.
     """
 
+    mesher: ClassVar[str] = "meshes.head_cup"
     has_curved_surfaces: ClassVar[bool] = True
     faces: ClassVar[dict[str, tuple[str, str]]] = {"bearing": ("head_surface", "liner_inner")}
     points: ClassVar[dict[str, Point3]] = {"head_centre": (0.0, 0.0, 0.0)}

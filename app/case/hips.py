@@ -100,7 +100,6 @@ class Hip(Shape):
     coarsest_size: ClassVar[float] = 20.0  # a few cells along the stem
     joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
 
-    kind: str
     cement_thickness: Thickness = 4.0
     """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
     plug_length: PositiveLength = 10.0
@@ -215,6 +214,7 @@ class Hip(Shape):
 class OperatedHip(Hip):
     """A proximal femur with a cemented stem."""
 
+    mesher: ClassVar[str] = "meshes.femur"
     tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", **OF_BONE}
     boundary_names: ClassVar[tuple[str, ...]] = (
         *("distal_cut", "bone_surface", "stem_trunnion"),

@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from app.schema.section import TAG, Scalar, Section, Truth, fail
+from app.schema.section import TAG, Extensible, Scalar, Section, Truth, fail
 from app.schema.units import Dimension, Plain, PositiveLength
 
 Point3 = tuple[float, float, float]
@@ -129,13 +129,27 @@ class Mantle:
     tip: float
 
 
-class Shape(Section):
-    """Base of the geometries: what a case may name in them, and defaults of their properties."""
+class Shape(Extensible):
+    """Base of the geometries: what a case may name in them, and defaults of their properties.
 
+    A subclass with a `kind` is a geometry, in this package or another one.
+    """
+
+    mesher: ClassVar[str]
+    """Module that meshes it, by `build(geometry, mesh)`."""
+    shape_keys: ClassVar[str] = "geometry"
+    """Keys to change where cells are poor, in words of a message."""
     is_around_z: ClassVar[bool] = False
     """Whether z is the axis of a stem, or of a planned one."""
     has_gruen_zones: ClassVar[bool] = False
     """Whether it has the bone around a stem, or a planned one (`meshes.gruen`)."""
+
+    kind: str
+
+    @property
+    def content(self) -> str:
+        """Hash of the content of its files; empty without files."""
+        return ""
 
     @property
     def region_names(self) -> tuple[str, ...]:
@@ -190,14 +204,9 @@ class Shape(Section):
         return min((most * length for length, most in self.spans.values()), default=math.inf)
 
     @property
-    def told(self) -> dict[str, Any]:
-        """What else is known of it, for `mantle check`."""
+    def details(self) -> dict[str, Any]:
+        """Lines about it for `mantle check`, by their captions."""
         return {}
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Doubts about what files gave, for `mantle check` and the log."""
-        return ()
 
     @property
     def proud(self) -> float:
@@ -210,6 +219,10 @@ class Shape(Section):
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along and cells through the layers, where there are layers."""
         return {}
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        raise NotImplementedError
 
     def cells_apart(self, region: str, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra of a region that is meshed apart; 0 if unknown."""
@@ -229,15 +242,6 @@ class Shape(Section):
     def points(self) -> dict[str, Point3]:
         """Named points (mm) for loads; none by default."""
         return {}
-
-    @property
-    def skin(self) -> Any:
-        """Points of a bone's surface (n, 3), where it is known (mm)."""
-        return ()
-
-    def in_image(self, x: Any, depth: float) -> Any:
-        """Points (n, 3) in the axes of an image of it, at a depth in the bone at least (mm)."""
-        return x
 
     @property
     def tissues(self) -> dict[str, str]:

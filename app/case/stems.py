@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -194,6 +194,9 @@ class Stem(Section):
             fail("is not above the tip", at=("section_depth",))
         return self
 
+    content: ClassVar[str] = ""
+    details: ClassVar[dict[str, str]] = {}
+
     def implant(self, **cement: float) -> Implant:
         """The implant with its shoulder at 0, ``plug_length`` and ``tip_void`` given (mm)."""
         numbers = dict(self)
@@ -247,8 +250,8 @@ class StemFile(Section):
         return _READ[self.content]
 
     @property
-    def told(self) -> dict[str, Any]:
-        """Where it is in the file, in words (mm)."""
+    def details(self) -> dict[str, str]:
+        """Places of its axis, head and neck in the file, in words (mm)."""
         low, high, head, end, medial = (self.found["in_file"].round(2) + 0.0).tolist()
         name = self.step.name
         return {

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from app.laws.creep import Creep
-from app.laws.densities import ChangingDensity, ImageModulus
+from app.laws.densities import ChangingDensity, ModulusField
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import LoadHistory, OfRegion, Source, Status, Table, rising
@@ -49,10 +49,10 @@ def _sloped(table: Table) -> Table:
 def _form(E: object) -> str:
     """Form of a modulus: a value, pairs, or a section."""
     pairs = "graded" if isinstance(E, list | tuple) else "constant"
-    return TAG + ("image" if isinstance(E, dict | ImageModulus) else pairs)
+    return TAG + ("field" if isinstance(E, dict | ModulusField) else pairs)
 
 
-# A modulus, pairs of height and modulus, or the density in an image.
+# A modulus, pairs of height and modulus, or a field that another package reads.
 YoungsModulus = Annotated[
     Annotated[Modulus, Tag(TAG + "constant")]
     | Annotated[
@@ -61,7 +61,7 @@ YoungsModulus = Annotated[
         AfterValidator(_sloped),
         Tag(TAG + "graded"),
     ]
-    | Annotated[ImageModulus, Tag(TAG + "image")],
+    | Annotated[ModulusField, Kinds("."), Tag(TAG + "field")],
     Discriminator(_form),
 ]
 
@@ -91,8 +91,8 @@ class Material(OfRegion):
     has_fibre: ClassVar[bool] = False
     # Keys of `thermal` that say how a region deforms; refused where it does not.
     refused: ClassVar[tuple[str, ...]] = ()
-    # The image that gives the stiffness, if one does.
-    image: ClassVar[ImageModulus | None] = None
+    # The field that gives the stiffness, if one does.
+    modulus_field: ClassVar[ModulusField | None] = None
 
     material: Text | None = None
     """Material of the library (`mantle explain materials`); other keys change it."""
@@ -110,7 +110,7 @@ class Material(OfRegion):
     def _deforms(self) -> Self:
         if self.thermal is None:
             return self
-        if self.image and self.thermal.cure:
+        if self.modulus_field and self.thermal.cure:
             fail("a modulus that sets is a value", at=("youngs_modulus",))
         for key in self.refused:
             if getattr(self.thermal, key) is not None:
@@ -129,8 +129,8 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
-    # Where points of the model are in the image that gives the stiffness.
-    _places: Any = None
+    # The geometry of the case, for a field that gives the stiffness.
+    _geometry: Any = None
     # The density that its stiffness follows, if it changes in a run.
     _density: ChangingDensity | None = None
 
@@ -180,7 +180,7 @@ class Isotropic(Elastic):
     kind: Literal["isotropic"] = "isotropic"
     youngs_modulus: YoungsModulus
     """Young's modulus E; pairs of height z and E, linear in between and constant beyond; or an
-    image whose density gives E."""
+    image of computed tomography whose density gives E."""
     poisson_ratio: Annotated[float, Plain(above=-1.0, below=0.5)]
     """Poisson's ratio nu."""
     creep: Creep | None = None
@@ -217,25 +217,25 @@ class Isotropic(Elastic):
         E = self.youngs_modulus
         if isinstance(E, tuple):
             return (max(value for _, value in E),)
-        return (E.largest if isinstance(E, ImageModulus) else E,)
+        return (E.largest if isinstance(E, ModulusField) else E,)
 
     @property
-    def image(self) -> ImageModulus | None:  # type: ignore[override]
-        """The image that gives Young's modulus, if one does."""
+    def modulus_field(self) -> ModulusField | None:  # type: ignore[override]
+        """The field that gives Young's modulus, if one does."""
         E = self.youngs_modulus
-        return E if isinstance(E, ImageModulus) else None
+        return E if isinstance(E, ModulusField) else None
 
     @property
     def varies(self) -> bool:
-        """Whether Young's modulus is a table or from an image."""
+        """Whether Young's modulus is a table or a field."""
         return not isinstance(self.youngs_modulus, float) or self._density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""
         import numpy as np
 
-        if self.image:
-            return np.asarray(self.image.at(x, self._places) / self.moduli[0])
+        if self.modulus_field:
+            return np.asarray(self.modulus_field.at(x, self._geometry) / self.moduli[0])
         if isinstance(self.youngs_modulus, float):
             return super().relative_stiffness(x)
         heights, moduli = np.transpose(np.asarray(self.youngs_modulus))

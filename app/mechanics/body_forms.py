@@ -236,7 +236,7 @@ class BodyForms:
 
         At the first order, where strains are constant in a cell, its mean over the cell (cells, 1).
         """
-        mean = self.scene.order == 1 or (e.image and e.image.per_cell)
+        mean = self.scene.order == 1 or (e.modulus_field and e.modulus_field.per_cell)
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
@@ -306,7 +306,7 @@ class BodyForms:
         return own(degree=self._degree(e)) if varies else own
 
     def _degree(self, e: Elastic) -> int:
-        by_density = e.image or e._density
+        by_density = e.modulus_field or e._density
         return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:

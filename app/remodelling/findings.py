@@ -40,7 +40,7 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
         if not (region and region.deforms) or region.eigenstrains or cures:
             text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
             yield Fault(("remodelling", "regions"), text)
-        elif not region.image:
+        elif not region.modulus_field:
             E, (low, high) = getattr(region, "youngs_modulus", None), law.density
             moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
             for rho in density(law.law, moduli):

@@ -105,7 +105,7 @@ def maps(
         columns = []
         for title, run, g in opened:
             if name in g.interface_sides:
-                own = sheet(run, g.kind, g.interface_sides[name], g.region_names, name)
+                own = sheet(run, g.is_around_z, g.interface_sides[name], g.region_names, name)
                 if own:
                     columns.append((title, run, own))
         if not columns:
@@ -190,7 +190,7 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 
 def sheet(
-    run: Run, kind: str, sides: Sides, regions: Sequence[str], name: str = ""
+    run: Run, around_z: bool, sides: Sides, regions: Sequence[str], name: str = ""
 ) -> Sheet | None:
     """An interface of a run in the plane; None if it does not surround a stem, and is no plane.
 
@@ -206,7 +206,7 @@ def sheet(
         cup = spread(run.points[triangles])
         if cup is not None:
             return Sheet(cup, triangles, False, True)
-    if kind in ("femur", "patient", "cylinders"):
+    if around_z:
         corners, nodes = unroll(run.points, triangles)
         return Sheet(corners, nodes, True) if len(nodes) else None
     x = run.points[triangles]

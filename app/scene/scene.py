@@ -195,7 +195,7 @@ def build_scene(case: Case) -> Scene:
     elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
     changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
     for e in elastic:
-        e._places = case.geometry.in_image
+        e._geometry = case.geometry
         e._density = changing.get(e.region)
     names = [stage.name for stage in case.stages]
     moduli = {e.region: max(e.moduli) for e in elastic}

@@ -43,5 +43,3 @@ def file(
 
 
 File = Annotated[Path, file()]
-SurfaceFile = Annotated[Path, file(".stl", ".ply", ".obj")]
-ImageFile = Annotated[Path, file(folder=True)]

@@ -10,8 +10,8 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise, takewhile
-from typing import Annotated, Any, NoReturn, Self, TypeVar, get_args
+from itertools import count, pairwise, takewhile
+from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -111,6 +111,8 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
             if not isinstance(given, dict):
                 text = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
                 return path, text
+            if not kinds:
+                return path, f"{value} is of no known kind; is a package missing?"
             missing = f"is missing; expected one of {', '.join(kinds)}"
             text = not_one_of(given["kind"], kinds) if "kind" in given else missing
             return (*path, "kind"), text
@@ -322,6 +324,7 @@ Pair = partial(Triple, number=2)
 Four = partial(Triple, number=4)
 
 
+_NUMBERS = count(1)
 # Called when a kind is added, to rebuild the schema (`case.case`).
 RENEWALS: list[Callable[[], object]] = []
 
@@ -329,9 +332,13 @@ RENEWALS: list[Callable[[], object]] = []
 class Extensible(Section):
     """Base of sections to which another package may add kinds: derive from it, and that is all."""
 
+    # Number of the class in the order of definition.
+    _number: ClassVar[int] = 0
+
     @classmethod
     def __pydantic_init_subclass__(cls, **more: object) -> None:
-        """Rebuild the schema with the new kind."""
+        """Number the class, and rebuild the schema with the new kind."""
+        cls._number = next(_NUMBERS)
         for renew in RENEWALS:
             renew()
 
@@ -382,11 +389,19 @@ def _derived(base: type[Section]) -> Iterator[type[Section]]:
         yield from _derived(section)
 
 
-def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:
-    """All subclasses that have a `kind`, in the order of their definition."""
+def kinds_of(base: type[Extensible]) -> tuple[type[Extensible], ...]:
+    """All subclasses that have a `kind` or a required key, in the order of their definition."""
     below = [c for sub in base.__subclasses__() for c in (sub, *kinds_of(sub))]
-    named = (c for c in below if get_args(c.model_fields["kind"].annotation))
-    return tuple(dict.fromkeys(named))
+    kinds = dict.fromkeys(c for c in below if _is_kind(c))
+    return tuple(sorted(kinds, key=lambda kind: kind._number))
+
+
+def _is_kind(model: type[BaseModel]) -> bool:
+    """Return True for a class that entries of a file can be of."""
+    fields = model.model_fields
+    if "kind" in fields:
+        return bool(get_args(fields["kind"].annotation))
+    return any(field.is_required() for field in fields.values())
 
 
 @dataclass(frozen=True)
@@ -402,7 +417,7 @@ class Kinds:
     default: str = ""
 
     def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
+        self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
         """A tagged union whose tags cannot be mistaken for keys of the file."""
         classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
@@ -418,9 +433,11 @@ class Kinds:
         def tag(value: object) -> str:
             if isinstance(value, classes):
                 return tags[type(value)]
-            found = value if isinstance(value, dict) else {}
-            by_key = next((tag for key, tag in keys.items() if key in found), "")
-            return by_key or f"{TAG}{found.get('kind', self.default)}"
+            if len(classes) == 1 and keys:
+                return tags[classes[0]]
+            entry = value if isinstance(value, dict) else {}
+            by_key = next((tag for key, tag in keys.items() if key in entry), "")
+            return by_key or f"{TAG}{entry.get('kind', self.default)}"
 
         schemas = {tags[model]: handler.generate_schema(model) for model in classes}
         return core_schema.tagged_union_schema(schemas, tag)

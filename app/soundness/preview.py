@@ -46,15 +46,16 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
-    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.told.items()]
+    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.details.items()]
     lines += ["mesh", *_entries(case.mesh, given.get("mesh"))]
     lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
     lines.append("regions")
     for name, region in case.regions.items():
         kind = "rigid" if region.moves_rigidly is True else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
-        if region.image:
-            lines += [f"      {k}: {plain(v)}" for k, v in region.image.told(case.geometry).items()]
+        if region.modulus_field:
+            details = region.modulus_field.details(case.geometry)
+            lines += [f"      {k}: {plain(v)}" for k, v in details.items()]
     lines += ["interfaces", *([] if case.interfaces else ["  none"])]
     for name, law in case.interfaces.items():
         a, b = (" + ".join(side) for side in case.geometry.interface_sides[name])
@@ -223,11 +224,7 @@ def from_memory(place: str, source: str | None) -> list[Verdict]:
 
 def warnings(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input, for `mantle check` and the log."""
-    notes = [note(text) for text in case.geometry.notes]
-    images = {name: getattr(region, "image", None) for name, region in case.regions.items()}
-    doubts = [text for image in images.values() if image for text in image.doubts(case.geometry)]
-    # Several regions may have the same image.
-    notes += [note(text) for text in dict.fromkeys(doubts)]
+    notes: list[Verdict] = []
     acts = [
         *(getattr(law, "gap", None) for law in case.interfaces.values()),
         *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.case.case import Case
+from app.case.geometries import MeshFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
@@ -454,7 +455,7 @@ def _cracks(case: Case, found: Parts) -> list[Verdict]:
 def _size(case: Case, found: Parts) -> list[Verdict]:
     """Mesh files in a doubtful unit."""
     size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
-    if case.geometry.kind != "file" or SIZES[0] <= size <= SIZES[1]:
+    if not isinstance(case.geometry, MeshFile) or SIZES[0] <= size <= SIZES[1]:
         return []
     text = f"the mesh is {size:.3g} mm from corner to corner: is its unit {case.geometry.unit}?"
     return [note(text, "geometry")]

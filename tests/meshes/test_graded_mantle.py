@@ -17,8 +17,8 @@ from meshes import femur_stem
 from meshes.data import interface_facets
 from meshes.gruen import Zones
 from tests.meshes import cad_stems
-from tests.meshes.bones import own, write
-from tests.meshes.patients import patient
+from tests.patient.bones import own, write
+from tests.patient.patients import patient
 
 BOTH = {"proximal": "3 mm", "distal": "1.5 mm", "medial": "3 mm", "lateral": "2 mm"}
 SIDES = {"medial": "4 mm", "anterior": "2 mm", "posterior": "3 mm"}

@@ -12,7 +12,7 @@ from app.results.stresses import Stresses
 from meshes import femur_bone, femur_stem
 from meshes.gruen import BELOW, Zones
 from tests import support
-from tests.meshes.bones import cut
+from tests.patient.bones import cut
 
 GEOMETRY = Femur()
 ZONES = Zones(GEOMETRY)

@@ -41,7 +41,7 @@ from meshes.femur_bone import FemurBone
 from meshes.gmsh_child import session
 from meshes.layered_surfaces import LayeredSurfaces as Surfaces
 from tests import support
-from tests.meshes.bones import cut, turned
+from tests.patient.bones import cut, turned
 from tests.support import digest
 
 

@@ -41,14 +41,14 @@ ROWS = (
     ("stepping",),
     ("results",),
     ("simulation",),
-    ("fatigue", "remodelling"),
+    ("fatigue", "patient", "remodelling"),
     ("campaigns",),
     ("report", "verification"),
     ("command_line",),
 )
 TOP = ("mantle", "app.cli", "app.rooms")
 # Packages that add to the core: only `app.rooms` knows them.
-ROOMS = {"fatigue", "remodelling"}
+ROOMS = {"fatigue", "patient", "remodelling"}
 # What a package may not see although it stands lower.
 HIDDEN = {
     "schema": {"forms", "meshes"},
@@ -141,9 +141,9 @@ def test_layering_packages_are_installed_with_a_docstring() -> None:
         assert text and len(text.splitlines()) <= 6, name
 
 
-@all_of("app/schema", "meshes")
+@all_of("app/schema", "app/patient", "meshes")
 def test_layering_cases_are_read_and_meshed_without_the_solver(path: Path) -> None:
-    unseen = {"dolfinx", "petsc4py", "ufl"} if package_of(module(path)) == "meshes" else STACK
+    unseen = STACK if package_of(module(path)) == "schema" else {"dolfinx", "petsc4py", "ufl"}
     assert path.name == "distribute.py" or not unseen & set(map(top, imported(path)))
 
 

@@ -86,14 +86,14 @@ def test_pictures_facets_are_those_of_the_interface(order: int) -> None:
 
 def test_pictures_flat_interface_is_drawn_in_its_plane() -> None:
     run = two_bodies(1)
-    sheet = pictures.sheet(run, "blocks", (("lower",), ("upper",)), ("lower", "upper"))
+    sheet = pictures.sheet(run, False, (("lower",), ("upper",)), ("lower", "upper"))
     assert sheet is not None and not sheet.round
     a, b, c = sheet.corners[0]
     lengths = sorted(float(np.linalg.norm(e)) for e in (b - a, c - b, a - c))
     assert lengths == pytest.approx([2.0, 2.0, np.sqrt(8.0)])
     # Bodies that do not meet have no map.
     run.points[4:] += 1.0
-    assert pictures.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
+    assert pictures.sheet(run, False, (("a",), ("b",)), ("a", "b")) is None
 
 
 def test_pictures_rows_and_titles_do_not_overlap(

@@ -54,7 +54,7 @@ def test_start_of_a_parametric_femur_imports_nothing_for_patients() -> None:
     for_patients = {
         f"scipy.{name}" for name in ("interpolate", "ndimage", "optimize", "signal", "stats")
     }
-    assert not loaded & (for_patients | {"meshes.patient_bone"})
+    assert not loaded & (for_patients | {"app.patient.bone"})
 
 
 def test_start_mesh_key_has_the_version_of_gmsh() -> None:

@@ -14,8 +14,8 @@ import pydicom
 import pytest
 
 from app.foundation.errors import InputError
-from meshes import dicom_series, images, label_surface
-from tests.meshes.bones import enhanced, slices
+from app.patient import dicom_series, images, label_surface
+from tests.patient.bones import enhanced, slices
 
 SHAPE = (12, 10, 8)
 SPACING = np.array([0.7, 0.8, 1.25])

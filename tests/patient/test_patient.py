@@ -13,19 +13,21 @@ from pydantic import ValidationError
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from app.case.geometries import Femur, Patient
+from app.case.geometries import Femur
 from app.case.hips import MUSCLES
 from app.case.stems import StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import _make, bone_surface, femur_bone, femur_stem, quality
-from meshes.bone_surface import BoneSurface
+from app.patient import bone_surface
+from app.patient.bone_surface import BoneSurface
+from app.patient.geometry import Patient
+from meshes import _make, femur_bone, femur_stem, quality
 from meshes.data import interface_facets, region_volumes
 from meshes.femur_bone import CORTEX
 from meshes.gruen import Zones
 from meshes.layered_surfaces import LEAST_MANTLE, LayeredSurfaces
 from tests.meshes import cad_stems
-from tests.meshes.bones import (
+from tests.patient.bones import (
     LINES,
     MEASURED,
     MEASURED_CANAL,
@@ -37,7 +39,7 @@ from tests.meshes.bones import (
     turned,
     write,
 )
-from tests.meshes.patients import TURNED, as_own, made, measured, options, patient
+from tests.patient.patients import TURNED, as_own, made, measured, options, patient
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +100,7 @@ def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> No
     given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
     (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
     assert here.head_centre == pytest.approx(given.head_centre, abs=0.02)
-    assert here.told["end of the neck in own.step"] == "[43.0, 0.0, 172.0] mm"
+    assert here.details["end of the neck in own.step"] == "[43.0, 0.0, 172.0] mm"
     x = here.placement.to_stem(data.points[np.unique(interface_facets(data, "stem_cement")[0])])
     x, y, z = x[x[:, 2] > -146.9].T
     body = femur_stem.body(given.implant)
@@ -118,7 +120,7 @@ def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
     for name, y, side in (("bone", -8, "left"), ("right", 8, "right, mirrored")):
         stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
         geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
-        assert geometry.told["side"] == side
+        assert geometry.details["side"] == side
         body = LayeredSurfaces(geometry, options()).stem.body
         found.append(np.stack([body._kept(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
         found.append(np.array(list(geometry.points.values())))
@@ -135,7 +137,7 @@ def test_patient_muscles_are_on_the_bone_below_the_cut(folder: Path) -> None:
         x = np.array(geometry.points[name])
         assert np.linalg.norm(geometry.femur.surface.corners.mean(axis=1) - x, axis=1).min() < 1e-9
         assert (x - placed.foot) @ placed.normal < -7.9
-    assert "vastus_medialis" in geometry.told["muscles moved (mm)"]
+    assert "vastus_medialis" in geometry.details["muscles moved (mm)"]
 
 
 def test_patient_stem_has_the_given_position(folder: Path) -> None:
@@ -431,8 +433,8 @@ def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
     tube = femur_bone.PERIOSTEUM
     for depth in (0.0, 3.0):
         x = (tube.radius(angle, z) - depth)[:, None] * ring + [0.0, 0.0, 1.0] * z[:, None]
-        own = here.in_image(here.femur.frame.to_model(x), 1.5)
+        own = here.in_file(here.femur.frame.to_model(x), 1.5)
         least = max(depth, 1.5)
         assert np.hypot(*own[:, :2].T) == pytest.approx(tube.radius(angle, z) - least, abs=0.3)
-        moved_ = there.in_image(there.femur.frame.to_model(x @ turn.T + shift), 1.5)
+        moved_ = there.in_file(there.femur.frame.to_model(x @ turn.T + shift), 1.5)
         assert moved_ == pytest.approx(own @ turn.T + shift, abs=0.05)

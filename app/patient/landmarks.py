@@ -20,8 +20,9 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
-from meshes.bone_surface import BoneSurface, centroid, exits, place, section
+from app.patient.bone_surface import BoneSurface, place
 from meshes.femur_stem import unit
+from meshes.plane_sections import centroid, exits, section
 
 RADII = (14.0, 36.0)  # mm: of heads
 END = 90.0  # mm from an end of the bone within which its head is
@@ -95,8 +96,8 @@ class Frame:
         return replace(surface, points=x, triangles=triangles)
 
     @property
-    def told(self) -> dict[str, str]:
-        """What was found, in words."""
+    def details(self) -> dict[str, str]:
+        """Landmarks in words, with the intervals that hold 90 %."""
         turn, s = math.degrees, self.spread
         places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
         version = "unknown without condyles: medial is along the neck"

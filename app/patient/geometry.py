@@ -1,28 +1,35 @@
-"""A patient's femur with a cemented stem: bone and canal from surfaces, the operation, the stem."""
+"""Keys of `kind: patient`: bone and canal from surfaces, the operation, the stem."""
 
 from __future__ import annotations
 
 import hashlib
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from app.case.hips import INSIDE, MUSCLES, Insertion, OperatedHip, Resection, point
 from app.case.shapes import MeshOptions, Point3, spread
 from app.case.stems import Implant, Stem, StemFile
+from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
 from app.foundation.files import parts
-from app.schema.paths import ImageFile, SurfaceFile
+from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Length, Number, Plain, PositiveLength
+
+if TYPE_CHECKING:
+    from app.patient.bone import PatientBone
+    from meshes.layered_surfaces import LayeredSurfaces
+    from meshes.placement import Placement
 
 SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
+SurfaceFile = Annotated[Path, file(".stl", ".ply", ".obj")]
+ImageFile = Annotated[Path, file(folder=True)]
 Unit = Literal["mm", "cm", "m", "inch"]
 Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
@@ -96,6 +103,8 @@ class Patient(OperatedHip):
     along the posterior condyles, or along the neck where the surface has no condyles; y anterior.
     """
 
+    shape_keys: ClassVar[str] = "geometry.insertion or geometry.resection"
+
     kind: Literal["patient"] = "patient"
     bone: Bone
     """Its outer surface."""
@@ -152,11 +161,16 @@ class Patient(OperatedHip):
         return self.stem.implant(plug_length=self.plug_length, tip_void=self.tip_void)
 
     @cached_property
-    def content(self) -> str:
-        """Hash of its files at the first access."""
+    def surface_content(self) -> str:
+        """Hash of the files of bone and canal at the first access."""
         given = [path for path in (self.bone.path, self.canal.path) if path]
-        paths = [file for path in given for file in parts(path)]
+        paths = [part for path in given for part in parts(path)]
         return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+
+    @property
+    def content(self) -> str:
+        """Hashes of the files of bone, canal and stem."""
+        return self.surface_content + self.stem.content
 
     @property
     def known(self) -> tuple[tuple[str, Any], ...]:
@@ -164,15 +178,18 @@ class Patient(OperatedHip):
         return tuple((k, v) for k, v in [("side", self.bone.side), *self.landmarks] if v)
 
     @cached_property
-    def femur(self) -> Any:
-        """The bone before the operation (`meshes.patient_bone.PatientBone`)."""
-        # By name: no other case needs most of scipy, which takes 0.11 s.
-        return import_module("meshes.patient_bone").read(self)
+    def femur(self) -> PatientBone:
+        """The bone before the operation."""
+        from app.patient.bone import read  # most of scipy, 0.11 s, which other cases do without
+
+        return read(self.bone, self.canal, self.surface_content, self.known)
 
     @cached_property
-    def placement(self) -> Any:
-        """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
-        return import_module("meshes.placement").place(self)
+    def placement(self) -> Placement:
+        """Cut and stem in the model's axes."""
+        from meshes.placement import place  # other cases do without
+
+        return place(self)
 
     @property
     def shoulder_depth(self) -> float:
@@ -180,9 +197,15 @@ class Patient(OperatedHip):
         return self.insertion.depth or 0.0
 
     @property
+    def level(self) -> float:
+        """Level at which the shaft is cut, in the model's axes (mm)."""
+        assert self.distal_cut_z is not None  # since the geometry was validated
+        return self.distal_cut_z
+
+    @property
     def distal_height(self) -> float:
         """Height at which the shaft is cut, in the stem's axes (mm)."""
-        return float(self.placement.along(self.distal_cut_z))
+        return float(self.placement.along(self.level))
 
     @property
     def more_room(self) -> tuple[str, str]:
@@ -190,10 +213,11 @@ class Patient(OperatedHip):
         text = "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and"
         return "geometry.insertion", f"{text} offsets"
 
-    def surfaces(self, mesh: MeshOptions) -> Any:
+    def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""
-        files = self.content, getattr(self.stem, "content", "")
-        return import_module("meshes.layered_surfaces").kept(self, mesh, files)
+        from meshes.layered_surfaces import kept  # most of scipy, which other cases do without
+
+        return kept(self, mesh, self.content)
 
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""
@@ -210,33 +234,25 @@ class Patient(OperatedHip):
         return {"head_centre": self.head_centre} | places
 
     @property
-    def skin(self) -> Any:
+    def skin(self) -> Floats:
         """Points of the bone's surface between the cuts (n, 3) (mm)."""
         x, placed = self.femur.surface.points, self.placement
-        return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.distal_cut_z)]
+        return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.level)]
 
-    def in_image(self, x: Any, depth: float) -> Any:
+    def in_file(self, x: Floats, depth: float) -> Floats:
         """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
         return self.femur.in_file(x, depth)
 
     @property
-    def told(self) -> dict[str, Any]:
-        """What was found and done, in words."""
+    def details(self) -> dict[str, str]:
+        """Landmarks of the bone, repairs of its surfaces, places of stem and muscles, in words."""
         femur = self.femur
-        found = dict(femur.frame.told)
+        details = dict(femur.frame.details)
         for name, surface in (("surface", femur.surface), ("surface of the canal", femur.canal)):
             if surface and surface.notes:
-                found[name] = ", ".join(surface.notes)
+                details[name] = ", ".join(surface.notes)
         lost = femur.trochanter_lost(self.placement)
         if lost > 0.5:
-            found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
-        if isinstance(self.stem, StemFile):
-            found |= self.stem.told
-        return found | {
-            "muscles moved (mm)": ", ".join(femur.projected(MUSCLES, self.placement)[1])
-        }
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Doubts about the bone: its size, its shape, an open end."""
-        return tuple(f"geometry.bone: {text}" for text in self.femur.notes)
+            details["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
+        moved = ", ".join(femur.projected(MUSCLES, self.placement)[1])
+        return details | self.stem.details | {"muscles moved (mm)": moved}

@@ -12,19 +12,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from app.foundation.errors import GeometryError
-from meshes import bone_frame, bone_surface
-from meshes.bone_surface import BoneSurface
-from tests.meshes.bones import MEASURED, moved, opened, own, write
-from tests.meshes.patients import measured
+from app.patient import bone_surface, landmarks
+from app.patient.bone_surface import BoneSurface
+from tests.patient.bones import MEASURED, moved, opened, own, write
+from tests.patient.patients import measured
 
 
 def angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(min(1.0, a @ b))))
 
 
-def test_bone_frame_of_the_parametric_femur() -> None:
+def test_landmarks_of_the_parametric_femur() -> None:
     """Head and neck are those of its keys; a bump on a flare peaks above its middle, at 0."""
-    found = bone_frame.find(own())
+    found = landmarks.find(own())
     turn = np.radians(15.0)
     assert found.head == pytest.approx([43 * np.cos(turn), 43 * np.sin(turn), 54.0], abs=0.3)
     assert found.radius == pytest.approx(23.0, abs=0.5)  # triangles are within the sphere
@@ -34,24 +34,16 @@ def test_bone_frame_of_the_parametric_femur() -> None:
     assert 0.0 < found.origin[2] < 4.0
     assert found.side == "left"
     assert found.version is None  # it has no condyles
-    assert "unknown without condyles" in found.told["version"]
+    assert "unknown without condyles" in found.details["version"]
 
 
-def test_bone_surface_rays_cross_bridged_gaps() -> None:
-    """Walls at 3, 5, 20 mm, as of a pit of 2 mm; at 3, 8, 10, 12, 20 mm, with a bay of 5 mm."""
-    for walls, expected in (((3.0, 5.0, 20.0), 20.0), ((3.0, 8.0, 10.0, 12.0, 20.0), 3.0)):
-        lines = np.array([[(x, -1.0), (x, 1.0)] for x in walls])
-        radii, times = bone_surface.exits(lines, np.array([0.0]), 4.0)
-        assert (radii[0], times[0]) == (expected, len(walls))
-
-
-def test_bone_frame_uses_given_landmarks() -> None:
+def test_landmarks_uses_given_landmarks() -> None:
     given = {"head_centre": (40.0, 10.0, 50.0), "lesser_trochanter": (19.0, 7.0, 0.0)}
-    found = bone_frame.find(own(), given | {"shaft": ((0, 0, -99), (0, 0, -9)), "side": "right"})
+    found = landmarks.find(own(), given | {"shaft": ((0, 0, -99), (0, 0, -9)), "side": "right"})
     assert found.head.tolist() == [40.0, 10.0, 50.0]
     assert found.origin == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     assert np.linalg.det(found.axes) == pytest.approx(-1.0)
-    with_condyles = bone_frame.find(own(), {"condyles": ((20, 0, -250), (-20, 0, -250))})
+    with_condyles = landmarks.find(own(), {"condyles": ((20, 0, -250), (-20, 0, -250))})
     assert np.degrees(with_condyles.version) == pytest.approx(15.0, abs=1.0)
 
 
@@ -70,9 +62,9 @@ def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]
 
 def check_copies(surface: BoneSurface, number: int) -> None:
     """Repeatability: 0.1 mm, 0.5 and 0.1 deg, 1 mm, and the side always."""
-    first = bone_frame.find(surface)
+    first = landmarks.find(surface)
     for copy, turn, shift, side in copies(surface, 1, number):
-        found = bone_frame.find(copy)
+        found = landmarks.find(copy)
         assert found.side == side
         assert angle(found.axes[2], turn @ first.axes[2]) < 0.5
         assert angle(found.neck, turn @ first.neck) < 0.1
@@ -84,15 +76,15 @@ def check_copies(surface: BoneSurface, number: int) -> None:
             assert np.degrees(found.version - first.version) == pytest.approx(0.0, abs=0.2)
 
 
-def test_bone_frame_moves_with_the_bone() -> None:
+def test_landmarks_moves_with_the_bone() -> None:
     check_copies(own(), 4)
 
 
 @measured
-def test_bone_frame_of_a_measured_femur() -> None:
+def test_landmarks_of_a_measured_femur() -> None:
     """Against those of its description (`data/README.md`), and of copies."""
     surface = bone_surface.read(MEASURED)
-    found = bone_frame.find(surface)
+    found = landmarks.find(surface)
     assert np.linalg.norm(found.head) < 0.6
     assert found.radius == pytest.approx(21.66, abs=0.4)
     assert found.side == "right"
@@ -103,7 +95,7 @@ def test_bone_frame_of_a_measured_femur() -> None:
 
 @measured
 @pytest.mark.slow
-def test_bone_frame_of_twenty_copies_of_a_measured_femur() -> None:
+def test_landmarks_of_twenty_copies_of_a_measured_femur() -> None:
     check_copies(bone_surface.read(MEASURED), 20)
 
 
@@ -125,14 +117,14 @@ def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
 @measured
 @pytest.mark.slow
 @pytest.mark.parametrize(("rms", "head", "neck", "version"), [(0.3, 0.3, 1, 1), (0.7, 1.2, 2, 3)])
-def test_bone_frame_with_bumps_is_within_its_interval(
+def test_landmarks_with_bumps_is_within_its_interval(
     rms: float, head: float, neck: float, version: float
 ) -> None:
     """The deviations asked for, and a spread that covers 90 % of them."""
     surface = bone_surface.read(MEASURED)
-    first, covered = bone_frame.find(surface), []
+    first, covered = landmarks.find(surface), []
     for seed in range(20):
-        found = bone_frame.find(bumps(surface, rms, seed))
+        found = landmarks.find(bumps(surface, rms, seed))
         off = [
             float(np.linalg.norm(found.head - first.head)),
             angle(found.neck, first.neck),

@@ -14,8 +14,8 @@ import pydicom
 from app.case.femurs import IntactFemur
 from app.case.shapes import MeshOptions
 from app.foundation.arrays import Bools, Floats
+from app.patient.bone_surface import BoneSurface
 from meshes import femur_bone, femur_intact
-from meshes.bone_surface import BoneSurface
 from meshes.data import exterior_facets
 
 LINES = 24  # around mantle's own femur here: a polygon within its sections

@@ -1,7 +1,7 @@
 """Triangles of surface files: STL, PLY and OBJ, in all dialects that programs write.
 
 The readers are written here because libraries get too much wrong, often without an error. Of the
-45 dialects of one box in `tests/meshes/test_surface_files.py`, trimesh 5.2 reads 32 as the box. It
+45 dialects of one box in `tests/patient/test_surface_files.py`, trimesh 5.2 reads 32 as the box. It
 misses: STL with `end solid`, decimal commas, keywords in a solid's name, a count of 0 or -1, bytes
 after the end; OBJ with comments after faces, tabs, decimal commas, and negative numbers of vertices
 that are counted from the last one so far; PLY with triangles and quads together, and with empty
@@ -25,7 +25,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes.welding import Polygon, divided
+from app.patient.welding import Polygon, divided
 
 SUFFIXES = (".stl", ".ply", ".obj")
 # Files of other formats, by their first bytes.

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from app.case.geometries import Patient
 from app.foundation.errors import GeometryError, InputError
-from meshes import bone_frame, bone_surface, surface_files, welding
-from meshes.bone_surface import BoneSurface
-from tests.meshes.bones import opened, own, write
-from tests.meshes.surface_text import (
+from app.patient import bone_surface, landmarks, surface_files, welding
+from app.patient.bone_surface import BoneSurface
+from app.patient.geometry import Patient
+from tests.patient.bones import opened, own, write
+from tests.patient.surface_text import (
     CORNERS,
     PLACE,
     obj_faces,
@@ -273,9 +273,9 @@ RADIUS = 22.71
 FAR = np.array([600.0, -800.0, 2100.0])
 
 
-def judged(path: Path) -> tuple[BoneSurface, bone_frame.Frame]:
+def judged(path: Path) -> tuple[BoneSurface, landmarks.Frame]:
     surface = bone_surface.read(path)
-    return surface, bone_frame.find(surface)
+    return surface, landmarks.find(surface)
 
 
 def stl(folder: Path, corners: Any) -> Path:
@@ -369,7 +369,7 @@ def test_bone_frame_note_on_rare_size_or_shape(
 
 def test_bone_frame_note_on_length_over_head() -> None:
     """With condyles 15 to 25 radii of the head are usual; without them the length is any."""
-    frame = bone_frame.find(own())
+    frame = landmarks.find(own())
     whole = replace(frame, version=0.2, length=18 * frame.radius)
     assert whole.doubts(own()) == []
     (note,) = replace(whole, length=27 * frame.radius).doubts(own())
@@ -435,7 +435,7 @@ def test_surface_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
                 found = bone_surface.read(path)
                 if sought < 6 and found.notes:
                     sought += 1
-                    bone_frame.find(found)
+                    landmarks.find(found)
         except (GeometryError, InputError) as error:
             assert str(path) in str(error) or "geometry.bone" in str(error)
         except BaseException as error:

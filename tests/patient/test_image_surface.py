@@ -12,12 +12,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from app.foundation.errors import InputError
-from app.laws.densities import ImageModulus, modulus
-from meshes import femur_bone, images, label_surface
+from app.laws.densities import modulus
+from app.patient import images, label_surface
+from app.patient.image_modulus import ImageModulus
+from meshes import femur_bone
 from meshes.data import region_volumes
 from tests import support
-from tests.meshes.bones import inside, own, own_canal, slices, write
-from tests.meshes.patients import as_own, made
+from tests.patient.bones import inside, own, own_canal, slices, write
+from tests.patient.patients import as_own, made
 
 VOXEL = 0.5  # mm
 LOW = -205.0  # mm: the scan ends in the shaft
@@ -69,7 +71,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_label_surface_volumes_equal_those_of_triangles(scan: Path) -> None:
     """To 0.3 % each; a voxel beside the bone is left out."""
     here, there = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABELS, STL))
-    assert "1 voxels in 1 other pieces left out" in here.told["surface"]
+    assert "1 voxels in 1 other pieces left out" in here.details["surface"]
     volumes, expected = (region_volumes(made(g)) for g in (here, there))
     assert volumes == pytest.approx(expected, rel=0.003)
 
@@ -111,7 +113,7 @@ def test_label_surface_from_slices_equals_nifti(tmp_path: Path) -> None:
     E = [ImageModulus.model_validate(DENSITY | {"density": str(path)}) for path in (folder, file)]
     here, there = (label_surface.read(e.density, 1200)[0] for e in E)
     assert here == pytest.approx(there, abs=1e-5)
-    here, there = (e.at(x, lambda x, depth: x) for e in E)
+    here, there = (e.at(x, None) for e in E)
     assert here == pytest.approx(there, rel=1e-5)
     (folder / "1.2.3").unlink()
     with pytest.raises(InputError, match=r"1\.25 to 2\.5 mm apart; is one missing after 1\.2\.14"):
@@ -130,11 +132,11 @@ def test_label_surface_moduli_at_points_of_the_cortex(scan: Path) -> None:
     r = low + part * (femur_bone.PERIOSTEUM.radius(angle, z) - low)
     x = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     expected = modulus(E.law, E.densities((density(z) - OFFSET) / SLOPE)["apparent"])
-    off = E.at(geometry.femur.frame.to_model(x), geometry.in_image) / expected - 1.0
+    off = E.at(geometry.femur.frame.to_model(x), geometry) / expected - 1.0
     assert np.percentile(np.abs(off), 95) < 0.03
     assert abs(off.mean()) < 0.003
-    assert list(E.told(geometry))[-1].startswith("E 1.5 mm below")
-    raw = E.at(x, lambda x, depth: x) / expected - 1.0
+    assert list(E.details(geometry))[-1].startswith("E 1.5 mm below")
+    raw = E.at(x, None) / expected - 1.0
     assert np.percentile(np.abs(raw), 95) > 0.1
 
 

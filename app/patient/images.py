@@ -19,7 +19,7 @@ from scipy import ndimage
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.files import parts
-from meshes import dicom_series
+from app.patient import dicom_series
 
 TILT = 0.01  # largest cosine of the angle between edges of voxels
 # Of NIfTI files

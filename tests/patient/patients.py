@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 import meshes
-from app.case.geometries import Femur, MeshOptions, Patient
+from app.case.geometries import Femur, MeshOptions
+from app.patient.geometry import Patient
 from meshes.data import MeshData
-from tests.meshes.bones import MEASURED, VERSION, cut
+from tests.patient.bones import MEASURED, VERSION, cut
 
 TURNED = Femur.model_validate({"anteversion": f"{VERSION} deg"})
 

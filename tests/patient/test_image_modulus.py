@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,10 @@ from pydantic import ValidationError
 
 from app.foundation.errors import InputError
 from app.laws import densities
-from app.laws.densities import ImageModulus
-from meshes import images
-from meshes.images import Image
+from app.patient import images
+from app.patient.geometry import Patient
+from app.patient.image_modulus import ImageModulus
+from app.patient.images import Image
 from tests import support
 from tests.cases.blocks import PULLED, bar
 
@@ -54,24 +54,24 @@ def even(tmp_path: Path) -> Path:
         ("carter_hayes", [78, 621, 2875]),
     ],
 )
-def test_densities_published_laws(even: Path, law: str, expected: list[float]) -> None:
+def test_image_modulus_published_laws(even: Path, law: str, expected: list[float]) -> None:
     """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the law's own density; pieces that meet.
 
     A CT number of 1400 is 1.124 g/cm3 by the phantom.
     """
     E = ImageModulus.model_validate(modulus(even, law))
     assert densities.modulus(law, np.array([0.3, 0.6, 1.0])) == pytest.approx(expected, abs=0.5)
-    told = E.told(SimpleNamespace(skin=()))
-    (words,) = (text for key, text in told.items() if key.startswith("E at 0.3, 0.6, 1 g/cm3"))
+    details = E.details(None)
+    (words,) = (text for key, text in details.items() if key.startswith("E at 0.3, 0.6, 1 g/cm3"))
     assert words.endswith(f"{expected[2]:,} MPa")
-    assert told["image"] == "arrays of numpy: 60 x 60 x 60 voxels of 1 x 1 x 1 mm, int16"
+    assert details["image"] == "arrays of numpy: 60 x 60 x 60 voxels of 1 x 1 x 1 mm, int16"
     below, above = (densities.modulus(law, np.array([0.27, 0.60]) + step) for step in (0, 1e-9))
     assert below == pytest.approx(above, rel=1.5e-3)
     ash = 0.877 * 1.124 + 0.0789
     assert E.densities(1400) == pytest.approx({"qct": 1.124, "ash": ash, "apparent": ash / 0.6})
 
 
-def test_densities_are_linear_between_voxels() -> None:
+def test_image_modulus_are_linear_between_voxels() -> None:
     """A linear field in an oblique image, to rounding."""
     rng = np.random.default_rng(0)
     affine = np.eye(4)
@@ -86,7 +86,7 @@ def test_densities_are_linear_between_voxels() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_densities_bar_of_an_image_equals_that_of_a_table(tmp_path: Path, order: int) -> None:
+def test_image_modulus_bar_of_an_image_equals_that_of_a_table(tmp_path: Path, order: int) -> None:
     """E is 100 MPa up to 2 mm and 1 GPa from 8 mm; all of it linear between voxels."""
     density = np.interp(np.arange(40) - 20.0, [2, 8], [0.1, 1.0])
     numbers = np.broadcast_to((density - 0.004) / 0.0008, (40, 40, 40))
@@ -101,7 +101,7 @@ def test_densities_bar_of_an_image_equals_that_of_a_table(tmp_path: Path, order:
     assert works[0] == pytest.approx(works[1], rel=1e-11)
 
 
-def test_densities_cells_are_stable_at_large_contrast(tmp_path: Path) -> None:
+def test_image_modulus_cells_are_stable_at_large_contrast(tmp_path: Path) -> None:
     """One voxel of ten is stiff, at the second order: weights of the quadrature are positive."""
     numbers = np.where(np.random.default_rng(0).uniform(size=(40, 40, 40)) < 0.1, 1400, -90)
     E = modulus(write(tmp_path / "rugged.npz", numbers), "carter_hayes")
@@ -111,7 +111,7 @@ def test_densities_cells_are_stable_at_large_contrast(tmp_path: Path) -> None:
     assert np.linalg.eigvalsh(K).min() > 0.0
 
 
-def test_densities_constant_image_is_a_constant(even: Path) -> None:
+def test_image_modulus_constant_image_is_a_constant(even: Path) -> None:
     """In contact, at the second order: the stiffness to rounding, and what that leaves of u."""
     given = modulus(even, "keyak")
     E = ImageModulus.model_validate(given).largest
@@ -148,13 +148,13 @@ def test_densities_constant_image_is_a_constant(even: Path) -> None:
         ({"density": "none.nii.gz"}, "no such file"),
     ],
 )
-def test_densities_refuse_bad_input(even: Path, changes: dict[str, Any], message: str) -> None:
+def test_image_modulus_refuse_bad_input(even: Path, changes: dict[str, Any], message: str) -> None:
     given = {k: v for k, v in (modulus(even, "keyak") | changes).items() if v is not None}
     with pytest.raises(ValidationError, match=message):
         ImageModulus.model_validate(given)
 
 
-def test_densities_refuse_other_files(tmp_path: Path) -> None:
+def test_image_modulus_refuse_other_files(tmp_path: Path) -> None:
     path, cube = tmp_path / "image.npz", np.zeros((4, 4, 4))
     for values, affine, message in (
         (cube[0], np.eye(4), "in 2 dimensions"),
@@ -170,7 +170,7 @@ def test_densities_refuse_other_files(tmp_path: Path) -> None:
         images.read(path)
 
 
-def test_densities_refuse_an_image_in_other_axes(even: Path) -> None:
+def test_image_modulus_refuse_an_image_in_other_axes(even: Path) -> None:
     """The stem's bone is around the axis, where the image begins."""
     write(even, np.full((60, 60, 60), 1400), start=0.0)
     text = f"regions.bone.youngs_modulus={json.dumps(modulus(even, 'morgan_neck'))}"
@@ -192,17 +192,23 @@ def test_densities_refuse_an_image_in_other_axes(even: Path) -> None:
         (-1000, 1840, 7, ["7 voxels are no numbers"]),
     ],
 )
-def test_densities_note_doubtful_ct_numbers(
-    least: int, cortex: int, lost: int, notes: list[str], tmp_path: Path
+def test_image_modulus_note_doubtful_ct_numbers(
+    least: int,
+    cortex: int,
+    lost: int,
+    notes: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of a cortex whose modulus by the law is 23.5 GPa at 1840, and 26.9 at 2024."""
     values = np.full((60, 60, 60), float(cortex))
     values[:5] = least
     values[0, 0, :lost] = np.nan
     E = ImageModulus.model_validate(modulus(write(tmp_path / "ct.npz", values), "morgan_neck"))
-    surface = SimpleNamespace(skin=np.zeros((9, 3)), in_image=lambda x, depth: x)
-    found = E.doubts(surface)
-    assert len(found) == len(notes)
-    assert all(re.search(note, text) for note, text in zip(notes, found, strict=True))
+    monkeypatch.setattr(Patient, "skin", np.zeros((9, 3)))
+    monkeypatch.setattr(Patient, "in_file", lambda patient, x, depth: x)
+    doubts = E.doubts(Patient.model_construct())
+    assert len(doubts) == len(notes)
+    assert all(re.search(note, text) for note, text in zip(notes, doubts, strict=True))
     (line,) = ["; ".join(E.image.summary)]
     assert (f"{lost} voxels are no numbers" in line) == bool(lost)

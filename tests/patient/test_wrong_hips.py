@@ -16,8 +16,8 @@ import pytest
 
 from app.cli import main
 from app.foundation.arrays import Floats
-from meshes.bone_surface import BoneSurface
-from tests.meshes.bones import moved, opened, own, own_canal, slices, tube, write
+from app.patient.bone_surface import BoneSurface
+from tests.patient.bones import moved, opened, own, own_canal, slices, tube, write
 
 EYE = np.eye(3)
 ZERO = np.zeros(3)

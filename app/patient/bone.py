@@ -9,17 +9,23 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from app.case.stems import Implant
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import bone_frame, bone_surface
-from meshes.bone_frame import Frame
-from meshes.bone_surface import BoneSurface, centroid, exits
+from app.patient import bone_surface, landmarks
+from app.patient.bone_surface import BoneSurface
+from app.patient.landmarks import Frame
+from app.patient.measured_layers import MeasuredLayers, Reaming
+from meshes.bone_layers import StemShape
+from meshes.layers import Sections
 from meshes.placement import Placement
+from meshes.plane_sections import centroid, exits
 
 # Of the parametric femur [mm].
 LATERAL = 31.5  # from the axis to the greater trochanter
@@ -27,6 +33,38 @@ HEAD = 54.0  # height of the head
 SHAFT = 14.4  # radius of the shaft
 LEVEL = -50.0  # level of that radius
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
+
+
+class SurfaceKeys(Protocol):
+    """Keys of a surface: its file, a label in it if that is an image, its unit."""
+
+    @property
+    def path(self) -> Path | None:
+        """File with the surface."""
+
+    @property
+    def label(self) -> int | None:
+        """Number of its voxels, in an image."""
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the file, if it is given."""
+
+
+class CanalKeys(SurfaceKeys, Reaming, Protocol):
+    """Keys of a canal."""
+
+
+class OperatedBone(Protocol):
+    """A geometry with a canal that is reamed for a stem."""
+
+    @property
+    def canal(self) -> CanalKeys:
+        """Keys of the canal."""
+
+    @property
+    def implant(self) -> Implant:
+        """The stem with its plug."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +80,7 @@ class PatientBone:
     frame: Frame
     surface: BoneSurface
     canal: BoneSurface | None
+    is_radial: ClassVar[bool] = False
 
     @property
     def neck(self) -> float:
@@ -79,6 +118,16 @@ class PatientBone:
     def size(self) -> float:
         """Height of the patient's head over that of the parametric femur."""
         return float(self.frame.to_model(self.frame.head)[2]) / HEAD
+
+    def layers(self, geometry: OperatedBone, sections: Sections, stem: StemShape) -> MeasuredLayers:
+        """Periosteum and endosteum in the sections of a mesh, the canal reamed.
+
+        Raises:
+            GeometryError: The stem's axis leaves the bone, or a surface crosses itself.
+        """
+        keys, implant = geometry.canal, geometry.implant
+        surfaces = self.surface, self.canal, self.size
+        return MeasuredLayers(*surfaces, keys, implant, sections, stem)
 
     @cached_property
     def _skin(self) -> tuple[Any, Floats]:
@@ -123,22 +172,33 @@ class PatientBone:
         return projections, distances
 
 
+Known = tuple[tuple[str, Any], ...]
+
+
 @lru_cache(maxsize=8)
-def _surface(bone: Any, content: str, known: Any) -> tuple[Frame, BoneSurface]:
+def _surface(
+    path: Path, unit: str | None, label: int | None, content: str, known: Known
+) -> tuple[Frame, BoneSurface]:
     """Frame and surface of the bone in a file, whose content is a part of the key."""
-    surface = bone_surface.read(bone.path, bone.unit, bone.label)
-    frame = bone_frame.find(surface, dict(known))
+    surface = bone_surface.read(path, unit, label)
+    frame = landmarks.find(surface, dict(known))
     return frame, frame.surface(surface)
 
 
-def read(geometry: Any) -> PatientBone:
-    """Read the bone of a geometry and its canal, and find its landmarks.
+def read(bone: SurfaceKeys, canal: SurfaceKeys, content: str, known: Known) -> PatientBone:
+    """Read a bone and its canal, and find its landmarks.
+
+    Args:
+        bone: Keys of its outer surface.
+        canal: Keys of its canal, which may have no file.
+        content: Hash of the files.
+        known: Landmarks that are given, by name (`landmarks.find`).
 
     Raises:
         GeometryError: A file is damaged or is no femur.
     """
-    bone, canal = geometry.bone, geometry.canal
-    frame, surface = _surface(bone, geometry.content, geometry.known)
+    assert bone.path
+    frame, surface = _surface(bone.path, bone.unit, bone.label, content, known)
     if not canal.path:
         return PatientBone(frame, surface, None)
     lumen = bone_surface.read(canal.path, canal.unit or bone.unit, canal.label)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from meshes.bone_surface import BoneSurface
+from app.patient.bone_surface import BoneSurface
 
 Faces = Sequence[Sequence[int]]
 

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array, diags_array
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
-from meshes import images
+from app.patient import images
 
 NEARLY = 0.05  # largest difference of a label from a whole number
 # Steps of Taubin's smoothing. It keeps shapes that are wider than a dozen of voxels.

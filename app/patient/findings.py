@@ -1,0 +1,33 @@
+"""Notes on a patient's bone and on its image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from app.case.case import Case
+from app.foundation.verdict import Verdict, note
+from app.patient.geometry import Patient
+from app.patient.image_modulus import ImageModulus
+from app.soundness.preview import warner
+
+
+@warner
+def _bone(case: Case) -> Iterable[Verdict]:
+    """Notes on a rare size or shape of the bone, and on an open end."""
+    if isinstance(case.geometry, Patient):
+        for text in case.geometry.femur.notes:
+            yield note(text, "geometry.bone")
+
+
+@warner
+def _images(case: Case) -> Iterable[Verdict]:
+    """Notes on implausible numbers of images; each once, where several regions have one image."""
+    fields = [region.modulus_field for region in case.regions.values() if region.modulus_field]
+    texts = [
+        text
+        for field in fields
+        if isinstance(field, ImageModulus)
+        for text in field.doubts(case.geometry)
+    ]
+    for text in dict.fromkeys(texts):
+        yield note(text)

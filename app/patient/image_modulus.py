@@ -1,0 +1,155 @@
+"""Young's moduli of bone by its density in an image of computed tomography."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
+from app.laws.densities import LEAST, Law, ModulusField, modulus, table_of
+from app.patient.geometry import ImageFile, Patient
+from app.schema.section import Section, Text, fail
+from app.schema.units import Dimension
+
+if TYPE_CHECKING:
+    from app.patient.images import Image
+
+# Density of ash by that of a phantom: slope [-].
+ASH_SLOPE = 0.877
+# Its offset [g/cm3].
+ASH_OFFSET = 0.0789
+# Part of the apparent density that is ash [-].
+ASH_PART = 0.6
+# No bone is stiffer [MPa].
+STIFFEST = 40e3
+# The densest bone of a femur is stiffer [MPa].
+SOFTEST = 500.0
+# The median of a cortex is below this [MPa].
+STIFF_CORTEX = 25e3
+AIR = -200.0  # CT number: air and lung are below it
+SHOWN = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are reported
+INSIDE = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it
+
+
+class Calibration(Section):
+    """Line of a phantom that was scanned with the bone."""
+
+    slope: Annotated[float, Dimension("g/cm^3", "a density", "0.0008 g/cm^3", above=0.0)]
+    """Density for each CT number."""
+    offset: Annotated[float, Dimension("g/cm^3", "a density", "0.004 g/cm^3")]
+    """Density at the CT number 0."""
+
+
+class ImageModulus(ModulusField):
+    """Young's modulus by the density in an image."""
+
+    found: ClassVar[tuple[str, ...]] = ("sha256",)
+
+    density: ImageFile
+    """Image of CT numbers: NIfTI, DICOM (slices or frames), or `values` and `affine` in an `.npz`
+    of numpy."""
+    calibration: Calibration
+    """What makes densities of CT numbers: the line of a phantom."""
+    law: Law
+    """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a law of one's own."""
+    axes: Literal["RAS", "LPS"] = "RAS"
+    """Axes of the bone's file, or of the geometry: to right, anterior, superior as in the image, or
+    to left, posterior, superior, as 3D Slicer writes surfaces."""
+    sha256: Text | None = None
+    """Hash of the image; another image is refused."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> ImageModulus:
+        try:
+            image = self.image
+        except InputError as error:
+            fail(str(error), at=("density",))
+        if self.sha256 not in (None, image.sha256):
+            fail(f"{self.density}: is not the image of this hash", at=("sha256",))
+        self.__dict__["sha256"] = image.sha256
+        if not self.modulus_of(-1e9) > 0.0:
+            fail(f"is not positive at {LEAST} g/cm3", at=("law",))
+        if not SOFTEST < self.largest < STIFFEST:
+            text = f"{image.dense:g}, the densest, is {self.largest / 1e3:.2g} GPa; expected"
+            text += f" {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g}: another unit, metal, or labels?"
+            fail(f"the CT number {text}", at=("calibration", "slope"))
+        return self
+
+    @property
+    def image(self) -> Image:
+        """Its voxels."""
+        from app.patient import images  # scipy, which other cases do without
+
+        return images.read(self.density)
+
+    def densities(self, numbers: Any) -> dict[str, Any]:
+        """Densities of CT numbers [g/cm3], by kind."""
+        qct = self.calibration.offset + self.calibration.slope * numbers
+        ash = ASH_SLOPE * qct + ASH_OFFSET
+        return {"qct": qct, "ash": ash, "apparent": ash / ASH_PART}
+
+    def modulus_of(self, numbers: Any) -> Any:
+        """Young's modulus of CT numbers [MPa]."""
+        return modulus(self.law, self.densities(numbers)[table_of(self.law)[0]])
+
+    @property
+    def largest(self) -> float:
+        """Young's modulus that is exceeded in one voxel of a thousand [MPa]."""
+        return float(self.modulus_of(self.image.dense))
+
+    def at(self, x: Floats, geometry: Any) -> Floats:
+        """Young's modulus at points (n, 3) of a geometry (n,) [MPa].
+
+        Points near the surface of a patient's bone have the modulus at `INSIDE` below it.
+        """
+        if isinstance(geometry, Patient):
+            x = geometry.in_file(x, INSIDE)
+        if self.axes == "LPS":
+            x = x * [-1.0, -1.0, 1.0]
+        return np.asarray(self.modulus_of(self.image.at(x)))
+
+    def details(self, geometry: Any) -> dict[str, str]:
+        """Moduli at three densities, at the densest voxels, and below the surface of a patient."""
+        dense, kind = self.image.dense, table_of(self.law)[0]
+        at, moduli = (
+            ", ".join(f"{v:{f}}" for v in values)
+            for values, f in ((SHOWN, "g"), (modulus(self.law, list(SHOWN)), ",.0f"))
+        )
+        densities = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
+        details = {
+            "image": "; ".join(self.image.summary),
+            f"E at {at} g/cm3 ({kind} density)": f"{moduli} MPa",
+            "densest voxels": f"CT number {dense:g}, {densities}, E {self.largest / 1e3:.1f} GPa",
+        }
+        if isinstance(geometry, Patient):
+            E = np.percentile(self.below_surface(geometry), [5, 50, 95]) / 1e3
+            words = f"E {INSIDE:g} mm below the bone's surface (5, 50, 95 %)"
+            details[words] = "{:.1f}, {:.1f}, {:.1f} GPa".format(*E)
+        return details
+
+    def below_surface(self, patient: Patient) -> Floats:
+        """Young's moduli at a depth of `INSIDE` below a patient's surface (n,) [MPa]."""
+        return self.at(patient.skin, patient)
+
+    def doubts(self, geometry: Any) -> list[str]:
+        """Notes on implausible CT numbers: shifted by 1024, or no numbers."""
+        image, name = self.image, self.density.name
+        notes = list(image.notes)
+        if image.lost:
+            notes.append(f"{name}: {image.lost:,} voxels are no numbers")
+        if image.least > AIR:
+            text = f"{name}: its least CT number is {image.least:g}; air has -1000: without air, or"
+            notes.append(f"{text} is 1024 added to all of them?")
+        if isinstance(geometry, Patient):
+            median = float(np.median(self.below_surface(geometry)))
+            if median > STIFF_CORTEX:
+                text = f"{name}: the median of E {INSIDE:g} mm below the bone's surface is"
+                expected = f"expected less than {STIFF_CORTEX / 1e3:g}"
+                notes.append(
+                    f"{text} {median / 1e3:.1f} GPa; {expected}: is 1024 added to its CT numbers,"
+                    " or is the calibration another's?"
+                )
+        return notes
