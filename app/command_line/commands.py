@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import meshes
-from app.case import gmsh_header, keys, new_case, overlay
+from app.case import explanations, gmsh_header, keys, new_case, overlay
 from app.case.case import LoadedCase
 from app.case.case import load as load_case
 from app.command_line import actions
-from app.command_line.parser import parser
+from app.command_line.parser import options_of_commands, parser
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.foundation.errors import EnvironmentProblem, InputError, stack_needed
 from app.simulation import finished_runs
@@ -240,7 +240,7 @@ def _explain(options: argparse.Namespace) -> int:
     if options.schema:
         print(json.dumps(keys.json_schema(), indent=2, ensure_ascii=False))
     else:
-        print(keys.explained(" ".join(options.key)))
+        print(explanations.explained(" ".join(options.key), options_of_commands()))
     return 0
 
 

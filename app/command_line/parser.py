@@ -13,11 +13,24 @@ from app.foundation.errors import InputError
 from app.schema.section import did_you_mean
 from app.system.ranks import rank
 
-EXIT_CODES = (
-    "exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input, "
-    "3 geometry or mesh, 4 not converged, 5 stopped with the state saved, 6 solved but not to be "
-    "used, 69 environment, 70 internal error"
-)
+# Last lines of ``mantle --help``.
+EPILOG = """\
+first steps:
+  mantle init hip                  write a case, hip.yaml
+  mantle check hip.yaml            describe it, estimate its size
+  mantle run hip.yaml -o out/hip   solve it; then open out/hip/report.html
+  mantle explain friction          explain a key, a result or a term
+
+exit codes:
+   0  done
+   1  a verification problem fails, or a benchmark cannot be measured
+   2  wrong input
+   3  no geometry or mesh can be made
+   4  not converged
+   5  stopped, with the state saved
+   6  solved, but the numbers must not be used
+  69  the environment is at fault: a package, a compiler, MPI
+  70  internal error"""
 
 
 def _number_of_ranks(text: str) -> int:
@@ -39,123 +52,163 @@ MANY = "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
 COMMANDS = {
-    "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
-    "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error --accuracy -v"),
-    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
-    "mesh": ("make the mesh of a case and pictures of it, or an .inp file", f"{CASE} -o"),
-    "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
+    "init": ("write a short case file to start from; it runs as it is", "name --kind --stem"),
+    "run": (
+        "solve a case and write its results, with a page report.html",
+        f"{CASE} -o -n --force --restart --walltime --error --accuracy -v",
+    ),
+    "check": (
+        "check and describe a case and estimate its size; solves nothing",
+        f"{CASE} --mesh -o",
+    ),
+    "mesh": ("mesh a case and draw it, or write it for CalculiX (.inp)", f"{CASE} -o"),
+    "study": ("measure error against run time of a case on several meshes", f"{CASE} {SUITE}"),
     "sweep": (
-        "run many cases of one base case, and compare them",
+        "run many cases that vary one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
     "report": (
-        "the page of a run, a sweep, or several runs side by side",
+        "write the page of a run or sweep again, or compare several runs",
         "folders -o --spread --evidence --methods",
     ),
-    "verify": ("solve the verification problems and compare with what is known", SUITE),
-    "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
-    "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
-    "explain": ("tell what a key of a case, or a name of the library, means", "key --schema"),
-    "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
+    "verify": ("solve problems with known answers and compare", SUITE),
+    "stress": ("solve extreme cases: each is right, or refused with a reason", SUITE),
+    "bench": ("measure the cost of contact, from 20 000 unknowns (20 minutes)", SUITE),
+    "explain": ("explain a key, a result or a term, such as E, fixed or friction", "key --schema"),
+    "doctor": ("check this machine: MPI, BLAS, compiler, threads", ""),
 }
 OUTPUTS = {
-    "check": "draw the case on its mesh, too: <name of CASE>.png",
-    "mesh": "default: out, for <name of CASE>.msh; NAME.inp: the case, for CalculiX",
-    "report": "of several runs; default: out, for compare.html",
-    "run": "default: out/<name of CASE>",
-    "study": "default: out/<name of the study>-study",
-    "sweep": "default: out/<name>-sweep",
+    "check": "also mesh the case and draw it: FOLDER/<name of CASE>.png",
+    "mesh": "folder of <name of CASE>.msh, default: out; or NAME.inp, a CalculiX deck of the case",
+    "report": "folder of compare.html, for several runs; default: out",
+    "run": "folder of the results, default: out/<name of CASE>",
+    "study": "folder of the results, default: out/<name of CASE>-study",
+    "sweep": "folder of the results, default: out/<name of SWEEP>-sweep",
 }
 ARGUMENTS: dict[str, dict[str, Any]] = {
-    "name": dict(type=Path, metavar="NAME", help="the case, NAME.yaml"),
-    "case": dict(type=Path, metavar="CASE", help="the case, a YAML file"),
-    "sweep": dict(type=Path, metavar="SWEEP", help="what varies, a YAML file"),
+    "name": dict(type=Path, metavar="NAME", help="name of the new case: writes NAME.yaml"),
+    "case": dict(
+        type=Path,
+        metavar="CASE",
+        help="case file (YAML), or the name of a shipped case, such as stance",
+    ),
+    "sweep": dict(
+        type=Path, metavar="SWEEP", help="sweep file (YAML): a base case and the keys that vary"
+    ),
     "folders": dict(
-        type=Path, nargs="+", metavar="DIR", help="written by mantle run or sweep; several: of runs"
+        type=Path,
+        nargs="+",
+        metavar="DIR",
+        help="folder that mantle run or sweep has written; several folders of runs are compared",
     ),
     "key": dict(
         nargs="*",
-        metavar="KEY",
-        help="a key such as interfaces.friction_coefficient, a material or load of the library, or "
-        "materials or loads for a list of them",
+        metavar="WORD",
+        help="a key such as interfaces.friction_coefficient; a result such as slip; a term such as "
+        "mesh size; a name of the library; 'materials' or 'loads' for lists",
     ),
     "--evidence": dict(
         action="store_true",
-        help="the credibility factors of ASME V&V 40 of a run: evidence.html and .json; further "
-        "folders are of mantle verify",
+        help="write the credibility factors of ASME V&V 40 of a run: evidence.html and .json; "
+        "further folders are those of mantle verify",
     ),
-    "--methods": dict(action="store_true", help="a section on methods of a run: methods.md"),
+    "--methods": dict(
+        action="store_true", help="write the methods section of a paper on a run: methods.md"
+    ),
     "-o": dict(dest="output", type=_folder, metavar="FOLDER"),
     "-n": dict(
         type=_number_of_ranks, default=1, metavar="N", help="number of MPI ranks (default 1)"
     ),
-    "-k": dict(dest="pattern", default="", metavar="NAME", help="only what has this in its name"),
+    "-k": dict(
+        dest="pattern",
+        default="",
+        metavar="NAME",
+        help="only problems or runs with NAME in their names",
+    ),
     "-v": dict(
-        dest="verbose", action="store_true", help="tell more: each phase, and what libraries print"
+        dest="verbose",
+        action="store_true",
+        help="print more: each phase, and the output of libraries",
     ),
     "--set": dict(
         dest="overrides",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="override a key, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
+        help="change a key, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
     ),
     "--allow-scripts": dict(
         action="store_true",
-        help="mesh .geo scripts that do not come with mantle; a script is a program",
+        help="run gmsh scripts (.geo) that do not come with mantle; a script is a program",
     ),
     "--force": dict(
         action="store_true",
-        help="replace results in the output folder; take a checkpoint of another configuration",
+        help="replace results in the output folder; accept a checkpoint of another case",
     ),
     "--restart": dict(
         metavar="auto|FILE",
         default="",
-        help="go on from a checkpoint: from the newest in the output folder, or from FILE",
+        help="continue from a checkpoint: auto: the newest in the output folder; or FILE",
     ),
     "--walltime": dict(
         metavar="TIME",
-        help="stop in time, with the state saved and exit code 5: 2:00:00, 90 min or 2 h",
+        help="save the state and stop with exit code 5 before TIME: 2:00:00, 90 min or 2 h",
     ),
     "--error": dict(
         action="store_true",
-        help="estimate the error of each number by coarser companions (as output.error: true)",
+        help="estimate the error of each number by coarser runs (as output.error: true)",
     ),
-    "--accuracy": dict(metavar="PART", help="pick mesh size and order for errors below, e.g. 0.05"),
+    "--accuracy": dict(
+        metavar="SHARE", help="choose mesh size and order for a largest relative error, e.g. 0.05"
+    ),
     "--mesh": dict(
         action="store_true",
-        help="make the mesh and give exact sizes (always done if there are probes)",
+        help="make the mesh and count instead of estimating (always with probes)",
     ),
     "--kind": dict(
         choices=("femur", "cylinders", "blocks", "head_cup", "file"),
         default="femur",
-        help="its geometry (default femur, standing on one leg); file: a mesh of gmsh, NAME.msh",
+        help="geometry (default: femur, standing on one leg); file: your own mesh, NAME.msh",
     ),
     "--stem": dict(
         choices=("titanium", "cocr", "steel"),
         default="",
-        help="what the stem is made of (default titanium)",
+        help="material of the stem (default: titanium)",
     ),
-    "--cores": dict(
-        type=int, metavar="N", help="cores to use (default: all that this process may)"
+    "--cores": dict(type=int, metavar="N", help="cores to use (default: all available)"),
+    "--dry-run": dict(
+        action="store_true", help="list the runs and their estimated cost; run nothing"
     ),
-    "--dry-run": dict(action="store_true", help="list the runs and what they would cost"),
     "--slurm": dict(
         nargs="?",
         const="",
         metavar="OPTIONS",
-        help="make each run a Slurm job, with these further options of sbatch in one word, "
+        help="submit each run as a Slurm job, with these options of sbatch in quotes, "
         "e.g. --slurm='--partition=long --time=2:00:00'",
     ),
     "--tier": dict(
         choices=("quick", "default", "long"),
         default="default",
-        help="how much: what takes seconds, the usual, or also what takes long",
+        help="quick: seconds; default; long: also problems that take long",
     ),
-    "--spread": dict(type=Path, metavar="SWEEP", help="a sweep over uncertain inputs of the run"),
+    "--spread": dict(
+        type=Path,
+        metavar="SWEEP",
+        help="show the spread of a sweep over uncertain inputs next to the errors",
+    ),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
 LONG = {"-o": "--output"}
+
+
+def options_of_commands() -> dict[str, str]:
+    """Meaning of each option of each command, by ``mantle run --restart``."""
+    meanings = {}
+    for command, (_, arguments) in COMMANDS.items():
+        for word in arguments.split():
+            if word.startswith("--"):
+                meanings[f"mantle {command} {word}"] = ARGUMENTS[word]["help"]
+    return meanings
 
 
 class Parser(argparse.ArgumentParser):
@@ -179,8 +232,9 @@ def parser() -> argparse.ArgumentParser:
     """The commands and their options."""
     top = Parser(
         prog="mantle",
-        description="Thermomechanics of cemented joint replacements.",
-        epilog=EXIT_CODES,
+        description="Finite elements for cemented joint replacements: contact, heat, setting.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"mantle {__version__}")
@@ -197,9 +251,13 @@ def parser() -> argparse.ArgumentParser:
         for word in arguments.split():
             options = ARGUMENTS[word]
             if word == "-o":
-                options = options | {"help": f"({OUTPUTS.get(name, f'default: out/{name}')})"}
+                options = options | {
+                    "help": OUTPUTS.get(name, f"folder of the results, default: out/{name}")
+                }
             elif word == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
             command.add_argument(*[word, LONG[word]] if word in LONG else [word], **options)
-    commands.choices["run"].epilog = "What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view"
+    commands.choices[
+        "run"
+    ].epilog = "Options after -- are passed to PETSc, e.g. -- -ksp_monitor -ksp_view"
     return top

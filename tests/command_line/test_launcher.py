@@ -102,7 +102,7 @@ def test_launcher_commands_without_solver_stack(words: str, code: int, said: str
 def test_launcher_help_lists_every_command() -> None:
     result = run("--help")
     assert result.returncode == 0
-    for word in ("test [--all]", "shell", "setup", "-n RANKS", "MANTLE_BACKEND"):
+    for word in ("test [ARGS]", "shell", "setup", "first steps", "MANTLE_BACKEND"):
         assert word in result.stdout
     (commands,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
     lines = [f"  {a.dest:<10} {a.help}" for a in commands._choices_actions]

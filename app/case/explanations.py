@@ -1,0 +1,324 @@
+"""Texts of ``mantle explain``: keys, kinds, entries of the library and results by any word.
+
+A word is the path of a key, the name of a kind, a name of the library, a part of the name of a
+result, or a term of the field (`WORDS`, the glossary of the manual).
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+
+import configs
+from app.case import library, quantities
+from app.case.case import Case
+from app.case.keys import Key, Keys, every, matches, table
+from app.foundation.errors import InputError
+
+WIDTH = 96
+# End of the line of a result.
+RESULT = ", a result"
+# Most lines that list keys by a word in their meaning.
+MOST_LINES = 12
+# Letters from which a word also finds longer ones that begin with it.
+SHORT = 4
+GLOSSARY = configs.FOLDER.parent / "docs" / "glossary.md"
+LOADS = "loads"
+# Terms of the field: the keys, kinds, results and options that they stand for, the first one first.
+WORDS: dict[str, tuple[str, ...]] = {
+    # Materials
+    "e": ("regions.youngs_modulus",),
+    "youngs_modulus": ("regions.youngs_modulus", "regions.axial_youngs_modulus"),
+    "nu": ("regions.poisson_ratio",),
+    "poissons_ratio": ("regions.poisson_ratio",),
+    "density": ("regions.thermal.density", "loads.density", "heat.density"),
+    "thermal_expansion": ("regions.thermal.thermal_expansion",),
+    "cte": ("regions.thermal.thermal_expansion",),
+    "rigid_body": ("regions: rigid",),
+    # Interfaces
+    "mu": ("interfaces.friction_coefficient",),
+    "friction": ("interfaces.friction_coefficient", "interfaces.friction_heating"),
+    "coulomb": ("interfaces.friction_coefficient",),
+    "sliding": ("interfaces.sliding", "interfaces.slip_p99", "interfaces.slip_path_p99"),
+    "finite_sliding": ("interfaces.sliding",),
+    "contact": ("interfaces: contact",),
+    "tie": ("interfaces: bonded",),
+    "tied": ("interfaces: bonded",),
+    "debonding": ("interfaces: cohesive", "interfaces.gap_p99", "interfaces.area_broken"),
+    "cohesive_zone": ("interfaces: cohesive",),
+    "czm": ("interfaces: cohesive",),
+    "press_fit": ("interfaces.gap",),
+    "interference": ("interfaces.gap",),
+    # Supports and loads
+    "encastre": ("supports: fixed",),
+    "clamp": ("supports: fixed",),
+    "clamped": ("supports: fixed",),
+    "boundary_condition": ("supports: fixed", "supports: roller", "supports: displacement"),
+    "symmetry": ("supports: roller",),
+    "prescribed_displacement": ("supports: displacement",),
+    "spring": ("supports: foundation",),
+    "body_weight": (LOADS,),
+    "loads.body_weight": (LOADS,),
+    "loads.library": (LOADS,),
+    "loads.sagittal_tilt": (LOADS,),
+    "sagittal_tilt": (LOADS,),
+    "weight": ("loads: body_force",),
+    "gravity": ("loads: body_force",),
+    "load_history": ("loads.history", "stages"),
+    "amplitude": ("loads.history",),
+    "pressure": ("loads: pressure", "interfaces.pressure_p95"),
+    "contact_pressure": ("interfaces.pressure_p95",),
+    # Mesh, steps, solver
+    "mesh_size": ("mesh.size", "mesh.far_size"),
+    "element_size": ("mesh.size", "mesh.far_size"),
+    "element_order": ("mesh.order",),
+    "time_step": ("time.first_step", "time.tolerance", "time.mechanical_step", "stages.increments"),
+    "load_step": ("stages.increments", "stages.adaptive", "stages.max_cut_backs"),
+    "increment": ("stages.increments",),
+    "cut_back": ("stages.max_cut_backs",),
+    "tolerance": ("solver.tolerance", "time.tolerance", "stages.creep_tolerance"),
+    "convergence": ("solver.tolerance", "solver.max_iterations"),
+    # Output
+    "probe": ("output.probes",),
+    "restart": ("--restart", "output.checkpoint"),
+    "checkpoint": ("output.checkpoint", "--restart"),
+    "micromotion": ("interfaces.motion_p99", "interfaces.area_motion_over_30um"),
+    "temperature": (
+        "heat: temperature",
+        "thermal.regions.temperature_max",
+        "regions.thermal.initial_temperature",
+    ),
+    "gruen": ("gruen.strain_energy_density", "gruen.volume", "gruen.interfaces"),
+}
+# Results by Gruen zone, which are in no table of `case.quantities`.
+BY_ZONE = {
+    "gruen.strain_energy_density": "strain energy density of the bone (MPa)",
+    "gruen.volume": "volume of the bone (mm^3)",
+    "gruen.interfaces": "gap, slip, motion, pressure, shear",
+}
+
+
+def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
+    """Explain a word: keys with meaning, value, unit, default and example; results; options.
+
+    Args:
+        key: A key as after ``--set``, without names or its last word alone; a kind; a name of the
+            library, ``materials`` or ``loads`` for all of them; a term of the field. Without it,
+            the sections of a case are listed.
+        options: Options of commands with their meanings.
+
+    Raises:
+        InputError: Nothing has to do with the word.
+    """
+    asked = key.strip().strip(".").replace(" ", "_")
+    if asked in ("unit", "units"):
+        return _units()
+    if not asked:
+        return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
+    word = re.sub("[ -]", "_", asked.lower().replace("'", ""))
+    targets = WORDS.get(word, (asked,))
+    entries = library.described()
+    blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
+    lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
+    blocks += lists
+    blocks += [entries[asked]] if asked in entries and not blocks else []
+    lines = [line for target in targets for line in _named(target, options or {})]
+    if not blocks and not lines:
+        lines += [_line(k) for k in every() if word in k.name.lower()]
+    if not lists:
+        lines += _lines_with(word, options or {})
+    if not blocks and not lines:
+        lines += list(_lines_on(word.replace("_", " ")))[:MOST_LINES]
+    if not blocks and not lines and len(key.split()) > 1:
+        return explained(key.split()[-1], options)
+    if not blocks and not lines:
+        nearest = ", ".join(_nearest(asked, entries)) or ", ".join(Case.model_fields)
+        raise InputError(f"{key}: is no key, kind, result or term of mantle; nearest: {nearest}")
+    return "\n\n".join(filter(None, [*dict.fromkeys(blocks), "\n".join(dict.fromkeys(lines))]))
+
+
+def _nearest(asked: str, names: Iterable[str]) -> list[str]:
+    """Keys, names and terms that are spelled like a word, the nearest first."""
+    known = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every())]
+    words = {w: name for name in reversed(known) for w in (name, name.rpartition(".")[2])}
+    close = [
+        words[match]
+        for word in (asked, asked.rpartition(".")[2])
+        for match in difflib.get_close_matches(word, words, 3)
+    ]
+    return list(dict.fromkeys(close))
+
+
+def _units() -> str:
+    """Internal units, each with the keys that have it; then how values are written."""
+    keys: dict[str, list[str]] = {}
+    for key in every():
+        if key.unit:
+            keys.setdefault(key.unit, []).append(key.name)
+    head = "Values have units in the file, such as 4 mm or 110 GPa; results are in these:"
+    rows = [
+        f"  {unit:<14} {textwrap.shorten(', '.join(dict.fromkeys(names)), WIDTH - 20)}"
+        for unit, names in sorted(keys.items())
+    ]
+    return "\n".join([head, *rows])
+
+
+# ------------------------------------------------------------------------------------ blocks
+
+
+def _keys(asked: str) -> Iterator[str]:
+    """Explanations of the keys of a path, or of those whose last word it is."""
+    keys = [k for k in every() if matches(k, asked)] or [k for k in every() if k.name == asked]
+    heads: dict[str, list[str]] = {}
+    for key in keys:
+        with_kind = key.kind and key.name != "kind"
+        head = f"{key.path}  (kind {key.kind})" if with_kind else key.path
+        heads.setdefault(_kinds(key.path) if key.name == "kind" else _body(key), []).append(head)
+    for body, paths in heads.items():
+        yield "\n".join([*dict.fromkeys(paths), body])
+
+
+def _kind(asked: str) -> Iterator[str]:
+    """Explanations of kinds: of ``fixed`` in every section, of ``supports: fixed`` in one."""
+    of, _, name = asked.rpartition(": ")
+    for section in table():
+        if section.kind == name and (not of or section.path.startswith(of)):
+            keys = [key.name for key in section.keys if key.name != "kind"]
+            rows = {
+                "": section.meaning.partition("\n")[0],
+                "keys": ", ".join(keys),
+                "example": _example_of(section),
+            }
+            yield f"{section.path}  of kind {name}\n{_table(rows)}"
+
+
+def _kinds(path: str) -> str:
+    """The kinds of a section, each as an example with its required keys."""
+    lines = []
+    for section in (s for s in table() if f"{s.path}.kind" == path and s.kind):
+        about = re.split(r"[.] |\n", section.meaning.replace("`", ""))[0]
+        for text in (_example_of(section), f"  {about}"):
+            lines.append(textwrap.indent(textwrap.fill(text, WIDTH, subsequent_indent="  "), "  "))
+    return "\n".join(lines)
+
+
+def _example_of(section: Keys) -> str:
+    """A section of a kind with its required keys."""
+    required = [k for k in section.keys if not k.default and k.name not in ("kind", "rigid")]
+    keys = [f"kind: {section.kind}", *(_example(k) or f"{k.name}: ..." for k in required)]
+    return f"{{{', '.join(keys)}}}"
+
+
+def _example(key: Key) -> str:
+    """A key with a value that it may have; empty if none is known."""
+    text = f"{key.value} such as {key.default} such as {key.value} {key.meaning}"
+    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", text)
+    value = "0.3" if key.value.startswith("number") else ""
+    if example:
+        value = example[1]
+    return f"{key.name}: {value}" if value else ""
+
+
+def _body(key: Key) -> str:
+    """Text of an explanation below its heading."""
+    rows = {
+        "": key.meaning,
+        "value": key.value,
+        "unit": key.unit,
+        "default": key.default or "none: it is required",
+        "keys": "; ".join(f"{k}: {', '.join(n)}".removeprefix(": ") for k, n in key.inner),
+        "example": _example(key),
+    }
+    return _table(rows)
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    """Titles and texts in two columns, without Markdown; empty texts are left out."""
+    lines = []
+    for name, text in rows.items():
+        plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
+        first = f"  {name:<9}" if name else "  "
+        further = " " * len(first)
+        lines += textwrap.wrap(
+            plain, WIDTH, initial_indent=first, subsequent_indent=further, break_on_hyphens=False
+        )
+    return "\n".join(lines)
+
+
+# ------------------------------------------------------------------------------------- lines
+
+
+def _line(key: Key) -> str:
+    """A key and its meaning in one line."""
+    meaning = key.meaning.replace("`", "").partition("\n")[0]
+    return f"  {key.path:<44} {textwrap.shorten(meaning, WIDTH - 20, placeholder=' ...')}"
+
+
+@cache
+def _results() -> dict[str, str]:
+    """Lines of all results by section and key."""
+    lines = {
+        f"{section}.{q.key}": f"{q.label} ({q.unit})"
+        for section, numbers in quantities.TABLE.items()
+        for q in numbers.values()
+    }
+    return {name: f"  {name:<44} {text}{RESULT}" for name, text in (lines | BY_ZONE).items()}
+
+
+def _lines_on(word: str) -> Iterator[str]:
+    """Kinds and keys with a word in their meaning."""
+    for section in table():
+        if section.kind and word in section.meaning.lower():
+            head = f"{section.path}: {section.kind}"
+            meaning = textwrap.shorten(section.meaning.replace("`", ""), WIDTH - 20)
+            yield f"  {head:<44} {meaning}"
+        for key in section.keys:
+            if word in key.meaning.lower():
+                yield _line(key)
+
+
+def _named(target: str, options: Mapping[str, str]) -> Iterator[str]:
+    """Line of a result or an option by its name."""
+    if target in _results():
+        yield _results()[target]
+    for name, meaning in options.items():
+        if target in name.split():
+            yield _option(name, meaning)
+
+
+def _option(name: str, meaning: str) -> str:
+    text = f"  {name:<44} {meaning}"
+    return textwrap.fill(text, WIDTH, subsequent_indent=" " * 47, break_on_hyphens=False)
+
+
+def _lines_with(word: str, options: Mapping[str, str]) -> Iterator[str]:
+    """Entries of the library, results, options and terms of the glossary with a word in them."""
+    # Short words stand alone; longer ones may be the beginning of a word.
+    end = r"(?![a-z0-9])" if len(word) < SHORT else ""
+    pattern = re.compile(
+        rf"(?<![a-z0-9]){re.escape(word.replace('_', ' '))}{end}",
+        re.IGNORECASE,
+    )
+
+    def has_word(text: str) -> bool:
+        return len(word) > 1 and pattern.search(text.replace("_", " ")) is not None
+
+    for kind in library.KINDS:
+        yield from filter(has_word, library.listed(kind).splitlines()[1:])
+    for name, line in _results().items():
+        section, _, key = name.rpartition(".")
+        label = line.removesuffix(RESULT).removeprefix(f"  {name} ")
+        if has_word(key) or has_word(label) or (has_word(section) and name in BY_ZONE):
+            yield line
+    for name, meaning in options.items():
+        if f"--{word.replace('_', '-')}" in name.split():
+            yield _option(name, meaning)
+    text = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
+    for words, meaning in re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", text, re.MULTILINE):
+        other_names = re.findall(r"\*([^*]+)\*", meaning)
+        if any(map(has_word, [words, *other_names])):
+            plain = re.sub("[*$`]", "", f"  {words}: {meaning}")
+            yield textwrap.fill(plain, WIDTH, subsequent_indent="    ")

@@ -1,0 +1,99 @@
+"""Texts of ``mantle explain``: the words that an engineer types, keys, units."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+
+from app.case import explanations, keys, library
+from app.command_line.parser import options_of_commands
+from app.foundation.errors import InputError
+
+# Words, and how the first line of the answer begins.
+WORDS = {
+    "E": "regions.<name>.youngs_modulus ",
+    "nu": "regions.<name>.poisson_ratio ",
+    "mu": "interfaces.<name>.friction_coefficient ",
+    "encastre": "supports.<name> of kind fixed",
+    "fixed": "supports.<name> of kind fixed",
+    "sliding": "interfaces.<name>.sliding ",
+    "body weight": "loads",
+    "mesh size": "mesh.size",
+    "units": "Values have units",
+    "density": "regions.<name>.thermal.density",
+    "friction": "interfaces.<name>.friction_coefficient ",
+    "roller": "supports.<name> of kind roller",
+    "contact": "interfaces.<name> of kind contact",
+    "debonding": "interfaces.<name> of kind cohesive",
+    "cohesive": "interfaces.<name> of kind cohesive",
+    "pressure": "loads.<name> of kind pressure",
+    "temperature": "heat.<name> of kind temperature",
+    "conductance": "interfaces.<name>.conductance ",
+    "thermal expansion": "regions.<name>.thermal.thermal_expansion",
+    "symmetry": "supports.<name> of kind roller",
+    "micromotion": "interfaces.motion_p99 ",
+    "von mises": "regions.von_mises_max ",
+    "subsidence": "stem.subsidence ",
+    "load history": "loads.<name>.history ",
+    "time step": "time.first_step",
+    "tolerance": "solver.tolerance",
+    "restart": "output.checkpoint",
+    "output": "output",
+    "probe": "output.probes",
+    "gruen": "gruen.strain_energy_density ",
+}
+# Further lines of some answers.
+FURTHER = {
+    "sliding": ["interfaces.slip_p99", "finite sliding"],
+    "body weight": ["body_weight: 750 N scales", "walking"],
+    "friction": ["interfaces.<name>.friction_heating", "friction disc"],
+    "debonding": ["interfaces.gap_p99"],
+    "pressure": ["interfaces.pressure_p95"],
+    "temperature": ["thermal.regions.temperature_max"],
+    "micromotion": ["motion: length of the whole relative displacement"],
+    "restart": ["mantle run --restart"],
+    "tolerance": ["time.tolerance"],
+    "gruen": ["Gruen zones"],
+}
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_explanation_of_a_word_begins_with_its_key_or_number(word: str) -> None:
+    text = explanations.explained(word, options_of_commands())
+    first = " ".join(text.splitlines()[0].split()) + " "
+    assert first.startswith(WORDS[word])
+    assert all(part in " ".join(text.split()) for part in FURTHER.get(word, ()))
+    assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.mark.parametrize("word", explanations.WORDS)
+def test_explanation_of_every_listed_word_finds_all_its_targets(word: str) -> None:
+    options = options_of_commands()
+    text = explanations.explained(word, options)
+    for target in explanations.WORDS[word]:
+        kind = target.partition(": ")[2]
+        first = f"of kind {kind}" if kind else explanations.explained(target, options)
+        assert first.splitlines()[0] in text
+
+
+def test_explanation_of_a_word_of_a_meaning_lists_the_keys() -> None:
+    assert explanations.explained("Pennes").split()[:2] == ["heat.<name>:", "perfusion"]
+    with pytest.raises(InputError, match="is no key, kind, result or term of mantle; nearest: "):
+        explanations.explained("xyzzy")
+
+
+def test_explanation_of_every_key_has_value_or_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "read", cache(library.read))  # once for 459 keys
+    for section in keys.table():
+        for key in section.keys:
+            text = explanations.explained(key.path)
+            expected = "{kind: " if key.name == "kind" else "  value "
+            assert "`" not in text and expected in text and "](#" not in text
+            assert max(map(len, text.splitlines())) <= 100
+
+
+def test_explanation_of_units_lists_their_keys() -> None:
+    lines = explanations.explained("units").splitlines()
+    assert any(line.split()[:2] == ["MPa", "youngs_modulus,"] for line in lines)
+    assert explanations.explained("unit") == explanations.explained("units")
