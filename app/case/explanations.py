@@ -317,8 +317,9 @@ def _lines_with(word: str, options: Mapping[str, str]) -> Iterator[str]:
         if f"--{word.replace('_', '-')}" in name.split():
             yield _option(name, meaning)
     text = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
-    for words, meaning in re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", text, re.MULTILINE):
-        other_names = re.findall(r"\*([^*]+)\*", meaning)
-        if any(map(has_word, [words, *other_names])):
-            plain = re.sub("[*$`]", "", f"  {words}: {meaning}")
+    # Term, symbol and unit, meaning, place in the code, other words.
+    row = r"^\| ([^|]+) \|[^|]*\| ([^|]+) \|[^|]*\|([^|]*)\|$"
+    for term, meaning, other_words in re.findall(row, text, re.MULTILINE):
+        if has_word(term) or has_word(other_words):
+            plain = re.sub("[*$`]", "", f"  {term}: {meaning}")
             yield textwrap.fill(plain, WIDTH, subsequent_indent="    ")

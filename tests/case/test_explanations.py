@@ -10,6 +10,7 @@ from app.case import explanations, keys, library
 from app.command_line.parser import options_of_commands
 from app.foundation.errors import InputError
 
+READ_ONCE = cache(library.read)
 # Words, and how the first line of the answer begins.
 WORDS = {
     "E": "regions.<name>.youngs_modulus ",
@@ -47,15 +48,21 @@ WORDS = {
 FURTHER = {
     "sliding": ["interfaces.slip_p99", "finite sliding"],
     "body weight": ["body_weight: 750 N scales", "walking"],
-    "friction": ["interfaces.<name>.friction_heating", "friction disc"],
+    "friction": ["interfaces.<name>.friction_heating", "friction coefficient: "],
     "debonding": ["interfaces.gap_p99"],
     "pressure": ["interfaces.pressure_p95"],
     "temperature": ["thermal.regions.temperature_max"],
     "micromotion": ["motion: length of the whole relative displacement"],
     "restart": ["mantle run --restart"],
     "tolerance": ["time.tolerance"],
-    "gruen": ["Gruen zones"],
+    "gruen": ["Gruen zone: "],
 }
+
+
+@pytest.fixture(autouse=True)
+def library_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read the library once for all explanations."""
+    monkeypatch.setattr(library, "read", READ_ONCE)
 
 
 @pytest.mark.parametrize("word", WORDS)
@@ -83,8 +90,7 @@ def test_explanation_of_a_word_of_a_meaning_lists_the_keys() -> None:
         explanations.explained("xyzzy")
 
 
-def test_explanation_of_every_key_has_value_or_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "read", cache(library.read))  # once for 459 keys
+def test_explanation_of_every_key_has_value_or_kinds() -> None:
     for section in keys.table():
         for key in section.keys:
             text = explanations.explained(key.path)
