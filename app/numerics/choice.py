@@ -1,7 +1,7 @@
 """The choice between condensing bodies onto the jumps of contact and a Krylov method, by size.
 
 The limits are where both take the same time, measured on one core on stances of 5,000 to 850,000
-unknowns (docs/verification.md, "What contact costs").
+unknowns (docs/verification.md, "Cost of contact").
 """
 
 from __future__ import annotations
