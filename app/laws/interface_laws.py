@@ -43,7 +43,9 @@ if TYPE_CHECKING:
     from forms.cohesion import Bond
     from forms.contact import Faces, Response
 
-# Keys of contact that slides far, and why others have none.
+# Points per facet of mortar rows where `quadrature` is not given.
+MORTAR_POINTS = 12
+# Keys of contact with finite sliding, and why other laws have none.
 FINITE = ("between", "quadrature", "wear_coefficient")
 SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
 # Default ratio of the augmentation to the stiffness against a jump.
@@ -171,9 +173,14 @@ class InterfaceLaw(Extensible):
         return isinstance(self.conductance, PressureConductance)
 
     @property
-    def slides_far(self) -> bool:
+    def finite_sliding(self) -> bool:
         """True if its sides may slide any distance."""
         return False
+
+    @property
+    def mortar_points(self) -> int:
+        """Points per facet that hand forces from one side to the other in finite sliding."""
+        return MORTAR_POINTS
 
     @property
     def sliding_boundaries(self) -> tuple[str, str] | None:
@@ -377,9 +384,14 @@ class Coulomb(Unilateral):
         return self
 
     @property
-    def slides_far(self) -> bool:
+    def finite_sliding(self) -> bool:
         """True if the key `sliding` is finite."""
         return self.sliding == "finite"
+
+    @property
+    def mortar_points(self) -> int:
+        """The key `quadrature`, or its default."""
+        return self.quadrature or MORTAR_POINTS
 
     @property
     def sliding_boundaries(self) -> tuple[str, str] | None:

@@ -97,7 +97,7 @@ class Constraints:
 
     Attributes:
         transforms: Whether P is not the identity.
-        follows: Whether its pattern changes as surfaces slide far on each other.
+        follows: True if the pattern of P changes as surfaces slide on each other.
         constrained: Own unknowns that supports hold (n,).
         unit: Values of the own unknowns by each support at full amplitude (s, n).
         reacting: Own nodal components through which supports act (3 own nodes,).
@@ -116,7 +116,8 @@ class Constraints:
         self._P: PETSc.Mat | None = None
         self._P0: PETSc.Mat | None = None
         self._comm = mechanics.mesh.comm
-        self._followers, self.follows = followers, followers is not None
+        self._followers = followers
+        self.follows = bool(followers and followers.deformable)
         self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
             self._transform(mechanics, own, frames)
@@ -138,17 +139,12 @@ class Constraints:
         region = np.full(nodes, -1, dtype=np.int64)
         for k, body in enumerate(scene.rigid):
             region[touched_nodes(space, cell_tags(tagged) == tagged.regions[body.region])] = k
-            for c in scene.contacts:
-                if c.between and c.master == (body.region,):
-                    # Points that slide far over it: it moves them, and their jumps.
-                    there = nodes_on(tagged, space, c.between[1])
-                    region[there[there < nodes]] = k
         rigid = len(scene.rigid)
         for k, m in enumerate(scene.driven, rigid):
             there = nodes_on(tagged, space, str(m.boundary))
             region[there[there < nodes]] = k
         if self._followers:
-            region[self._followers.own_following] = FOLLOWS
+            region[self._followers.owned_following] = FOLLOWS
         free = np.flatnonzero(region == -1)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)
@@ -244,7 +240,7 @@ class Constraints:
     def pushed(self, f: PETSc.Vec) -> PETSc.Vec:
         """Motion of the rigid regions alone, along forces f on the unknowns, where free.
 
-        Bodies that turn move as their driven boundaries; collective.
+        Deformable bodies that rotate move like their driven boundaries; collective.
         """
         u = f.duplicate()
         for place in self._bases:

@@ -232,10 +232,10 @@ class ContactInterfaces:
         self._by_supports = self._jumps_by_supports()
         held = stiffness.constraints
         self.coupling = JumpCoupling(mechanics, held, entries, self._number, len(rows))
-        sliding = mechanics, self.own, self.points.dof[rows], stiffness.followers
-        self.finite_sliding = (
-            FiniteSliding(*sliding) if any(c.between for c in scene.contacts) else None
-        )
+        self.finite_sliding: FiniteSliding | None = None
+        if stiffness.followers:
+            dof = self.points.dof[rows]
+            self.finite_sliding = FiniteSliding(mechanics, self.own, dof, stiffness.followers)
         self.law = PointLaw(self.comm, self.own, mechanics.timing)
         self.begin(scene, augmentation_factor)
 

@@ -1,18 +1,22 @@
-r"""Large slip: points that slide far over the surface of a rigid body that turns as it is told.
+r"""Contact points with finite sliding: their gaps, normals and slip over another body's surface.
 
-The slave's surface follows the master's by the jump q: :math:`u_s = t + q`, t the translation of
-the body. A point X of the slave is at :math:`X - c + q` from the centre c of the body, wherever it
-has gone, so that gap and normal of the surface follow from q alone, in axes turned by R. They are
-linearized about q where the points were paired with the surface last,
+The slave's surface follows the master's by the jump q (`mechanics.followers`). A point X of the
+slave is at :math:`X - c + q` from the centre c of the master's rotation, wherever it has slid. Gap
+and normal of the surface therefore follow from q alone, in axes rotated by R. They are linearized
+about the jumps q_0 at which the points were paired with the surface last,
 
 .. math:: D_n = g + n · (q - q_0).
 
-Slip of a step is what the body's surface did not bring along. With w the rotation vector of the
+The slip of a step is the motion less that of the body's surface. With w the rotation vector of the
 step and a the arm of the touching point,
 
 .. math:: D_T = (1 - n ⊗ n) (q - q_{ref}), \qquad q_{ref} = q_{old} + w × a.
 
-It is a length along arcs, so that dissipation does not depend on the step.
+It is a length along arcs, so that dissipation does not depend on the step. Rigid and deformable
+masters are alike here; `mechanics.followers` says in what they differ.
+
+Pairing is a part of Newton's system, so it stands with the mechanics. What is made of slip and
+pressure (wear, torque, heat of a cycle) is in the room `app/bearing`.
 """
 
 from __future__ import annotations
@@ -21,17 +25,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
-from app.foundation.errors import InputError
+from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_points import OwnPoints
-from app.mechanics.followers import Followers, Side
-from app.mechanics.pairs import SmoothSurface
-from app.mechanics.rigid_surfaces import RigidSurface, fitted
+from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rotation_vector
-from app.scene.bodies import boundary_facets, facet_nodes
 from app.scene.scene import Scene
-from meshes.contact_facets import NODES, gather, nodal_normals
+from meshes.contact_facets import gather
 
 # Points are paired anew if the pressure may be wrong by this part of the largest.
 ACCURACY = 1e-3
@@ -53,119 +53,99 @@ class Paired:
 
 
 class FiniteSliding:
-    """Own contact points that slide far, with the bodies they slide on.
+    """Contact points of this rank with finite sliding, and the bodies they slide on.
 
     Attributes:
-        rows: These among own points (m,).
+        rows: Rows of these points among all points of this rank (m,).
         nodes: Local node of each (m,).
         of: Interface of each (m,).
-        masters: What the sides of the interfaces slide on, as meshed, by number.
-        paired: As of the last pairing.
-        turn: Rotation vector of the body of each point since the last committed step (m, 3).
-        rotation: Rotation of the body of each point (m, 3, 3).
+        followers: Sides of the interfaces, and the nodes that follow them.
+        paired: The last pairing.
+        step_rotation: Rotation vector of the master of each point since the last committed step
+            (m, 3).
+        rotation: Rotation of the master of each point (m, 3, 3).
 
     Args:
-        dof: Global blocked dofs of the own points (n,).
-
-    Raises:
-        InputError: A rigid region has a surface without a formula.
+        dof: Global blocked dofs of the points of this rank (n,).
     """
 
     def __init__(
-        self,
-        mechanics: BodyForms,
-        own: OwnPoints,
-        dof: Ints,
-        followers: Followers | None,
+        self, mechanics: BodyForms, points: OwnPoints, dof: Ints, followers: Followers
     ) -> None:
-        scene, tagged, space = mechanics.scene, mechanics.tagged, mechanics.space
-        apart = [i for i, c in enumerate(scene.contacts) if c.between]
-        self.rows: Ints = np.flatnonzero(np.isin(own.interface, apart))
-        self.nodes: Ints = dof[self.rows] - space.dofmap.index_map.local_range[0]
-        self.of = own.interface[self.rows]
-        self._own, self._apart = own, apart
-        self._comm, self._followers = tagged.mesh.comm, followers
-        self.masters = (
-            {i: master for i, (master, _) in followers.sides.items()} if followers else {}
-        )
-        self._surfaces: dict[int, RigidSurface | SmoothSurface] = {}
-        for i in apart:
-            c, deforms = scene.contacts[i], i in self.masters
-            name = (c.between or ("",))[0]
-            if not deforms:
-                self.masters[i] = Side.of(tagged, space, name)
-            _, _, x, inside = facet_nodes(tagged, space, boundary_facets(tagged, name))
-            normals = nodal_normals(x[:, :3], inside, NODES[:3]).reshape(-1, 3)
-            nodes, n = gather(self._comm, x[:, :3].reshape(-1, 3), normals)
-            found = fitted(nodes, n / np.linalg.norm(n, axis=1)[:, None])
-            if not (found or deforms):
-                raise InputError(
-                    f"interfaces.{c.name}: boundary '{name}' of the rigid region is no plane, "
-                    "sphere or cylinder; allowed: these, or an elastic region"
-                )
-            self._surfaces[i] = found or self.masters[i].smooth
-        self.begin(scene)
+        self.followers = followers
+        self._interfaces = list(followers.sides)
+        self.rows: Ints = np.flatnonzero(np.isin(points.interface, self._interfaces))
+        self.nodes: Ints = dof[self.rows] - mechanics.space.dofmap.index_map.local_range[0]
+        self.of = points.interface[self.rows]
+        self._points, self._comm = points, mechanics.mesh.comm
+        self.begin(mechanics.scene)
+
+    @property
+    def on_deformable(self) -> Bools:
+        """Mask of the points whose masters deform (m,)."""
+        return np.isin(self.of, self.followers.deformable)
 
     def begin(self, scene: Scene) -> None:
         """Set the motions of a run."""
-        self._scene, regions = scene, {i: scene.contacts[i].master for i in self._apart}
-        self._motion = {i: scene.motion_of(region) for i, region in regions.items()}
+        self._scene, contacts = scene, scene.contacts
+        self._motion = {i: scene.motion_of(contacts[i].master) for i in self._interfaces}
         centres = {i: np.array(m.about if m else np.zeros(3)) for i, m in self._motion.items()}
-        self._arm = self._own.x[self.rows] - self._each(centres)
         self._centre = self._each(centres)
+        self._arm = self._points.x[self.rows] - self._centre
         self.set_time(0.0, 0.0)
 
     def _each(self, values: dict[int, Floats]) -> Floats:
         """Values of the interfaces at their points."""
-        return np.array([values[i] for i in self.of]).reshape(-1, *values[self._apart[0]].shape)
+        shape = values[self._interfaces[0]].shape
+        return np.array([values[i] for i in self.of]).reshape(-1, *shape)
 
     def set_time(self, committed: float, time: float) -> None:
-        """Set rotations to a time, and turns since that of the last committed step."""
+        """Set rotations to a time, and those since the time of the last committed step."""
         now, before = (
             {i: self._scene.rotation(m, t) for i, m in self._motion.items()}
             for t in (time, committed)
         )
         self.rotation = self._each(now)
-        self.turn = self._each({i: rotation_vector(now[i] @ before[i].T) for i in now})
+        self.step_rotation = self._each({i: rotation_vector(now[i] @ before[i].T) for i in now})
 
     def pair(self, jump: Floats) -> Paired:
-        """Pair the points, at jumps of all own points (n, 3) [mm]; collective."""
+        """Pair the points, at jumps of all points of this rank (n, 3) [mm]; collective."""
         self.paired = self._at(jump)
-        for i in self._followers.sides if self._followers else ():
+        places = self.places(jump)
+        for i in self.followers.deformable:
             here = self.of == i
-            number = self._own.rows[self.rows[here]]  # in the order of the vertices
-            number, x = gather(self._comm, number, self.places(jump)[here])
-            assert self._followers is not None
-            self._followers.pair(i, x[np.argsort(number)])
+            number = self._points.rows[self.rows[here]]  # in the order of the vertices
+            number, x = gather(self._comm, number, places[here])
+            self.followers.pair(i, x[np.argsort(number)])
         return self.paired
 
     def touching(self, time: float) -> Floats:
-        """Where points touched last, in axes of the bodies as turned at a time (m, 3) [mm]."""
+        """Points of the surfaces touched last, in axes of the bodies at a time (m, 3) [mm]."""
         R = self._each({i: self._scene.rotation(m, time) for i, m in self._motion.items()})
         return self._centre + np.einsum("pji,pj->pi", R, self.paired.arm)
 
     def places(self, jump: Floats) -> Floats:
         """Points in the axes of the bodies that they slide on (m, 3) [mm]."""
-        way = self._arm + jump[self.rows]
-        return self._centre + np.einsum("pji,pj->pi", self.rotation, way)
+        from_centre = self._arm + jump[self.rows]
+        return self._centre + np.einsum("pji,pj->pi", self.rotation, from_centre)
 
     def _at(self, jump: Floats) -> Paired:
-        way, R, x = self._arm + jump[self.rows], self.rotation, self.places(jump)
+        from_centre, x = self._arm + jump[self.rows], self.places(jump)
         gap, normal = np.zeros(len(x)), np.zeros(x.shape)
-        for i, surface in self._surfaces.items():
+        for i, (master, _) in self.followers.sides.items():
             here = self.of == i
-            gap[here], normal[here] = surface.gap(x[here])
-        normal = np.einsum("pij,pj->pi", R, normal)
-        return Paired(gap, normal, way - gap[:, None] * normal)
+            gap[here], normal[here] = master.surface.gap(x[here])
+        normal = np.einsum("pij,pj->pi", self.rotation, normal)
+        return Paired(gap, normal, from_centre - gap[:, None] * normal)
 
     def reference(self, jump: Floats) -> Floats:
-        """Jumps (n, 3) [mm] at which nothing has slid since the committed ones."""
-        found = jump.copy()
-        found[self.rows] += np.cross(self.turn, self.paired.arm)
-        return found
+        """Jumps (n, 3) [mm] with zero slip relative to committed jumps (n, 3) [mm]."""
+        reference = jump.copy()
+        reference[self.rows] += np.cross(self.step_rotation, self.paired.arm)
+        return reference
 
     def error(self, before: Floats, jump: Floats) -> Floats:
-        """Error of the gap linearized about jumps before, at jumps; both (n, 3): (m,) [mm]."""
+        """Error at jumps (n, 3) of the gap linearized about jumps before (n, 3): (m,) [mm]."""
         known, change = self.paired, (jump - before)[self.rows]
-        line = known.gap + np.einsum("pi,pi->p", known.normal, change)
-        return np.abs(self._at(jump).gap - line)
+        linear = known.gap + np.einsum("pi,pi->p", known.normal, change)
+        return np.abs(self._at(jump).gap - linear)

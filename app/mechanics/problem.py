@@ -39,7 +39,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
-from app.mechanics.followers import Followers, refuse_motions, soft
+from app.mechanics.followers import Followers, finitely_sliding, refuse_motions
 from app.mechanics.sliding_bodies import SlidingBodies
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
@@ -62,7 +62,7 @@ class Problem:
         thermal_strain: Thermal expansion of regions with constant moduli, if any.
         u: Displacement, the continuous field.
         moved: Displacement of each body that jumps move.
-        followers: Surfaces that slide far on deformable ones, if any.
+        followers: Nodes of surfaces with finite sliding, if there are any.
         sliding: State of bodies with such surfaces.
         time: Current time: stage k runs from k to k + 1.
         f: Forces on the unknowns of the displacement at that time [N].
@@ -104,7 +104,7 @@ class Problem:
             StressHistory(self.mechanics) if self.mechanics.path_dependent_regions else None
         )
         refuse_motions(self.mechanics)
-        self.followers = Followers(self.mechanics) if soft(scene) else None
+        self.followers = Followers(self.mechanics) if finitely_sliding(scene) else None
         shared = like.stiffness if like else None
         self.stiffness: Stiffness = Stiffness(self.mechanics, shared, self.followers)
         parts = self.mechanics, self.stiffness
@@ -113,11 +113,10 @@ class Problem:
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
-        self.sliding = (
-            SlidingBodies(*parts, self.contact, self.followers, self.moved)
-            if self.contact and self.followers
-            else None
-        )
+        self.sliding: SlidingBodies | None = None
+        on_surfaces = self.contact.finite_sliding if self.contact else None
+        if self.contact and on_surfaces:
+            self.sliding = SlidingBodies(*parts, self.contact, on_surfaces, self.moved)
         self.forces = Forces(scene, self.mechanics, self.contact)
         self.thermal_strain = ThermalStrain(self.mechanics) if self.mechanics.swelling else None
         self.set_time(0.0)
@@ -293,13 +292,11 @@ class Problem:
         return trial
 
     def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
-        """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
-        if q is None or self.contact is None or self.contact.finite_sliding is None:
+        """Pair surfaces with finite sliding anew if their gaps are wrong in a state; collective."""
+        if q is None or self.sliding is None:
             return False
         trial = self.trial(u, q)
         self.update_displacements(u, q)
-        if self.sliding is None:
-            return self.contact.pair(trial)
         paired = self.sliding.pair(trial, u, q)
         if paired:
             self._set_forces(self.load_time)
@@ -348,6 +345,17 @@ class Problem:
             function = self.moved[body]
             function.x.petsc_vec.array[:own] = nodal.array + extra.array
             function.x.scatter_forward()
+
+    @property
+    def contact_work(self) -> float:
+        """Work of the interface forces since the beginning, the part of this rank [N mm]."""
+        if self.contact is None:
+            return 0.0
+        work = self.contact.state.work
+        if self.sliding is None:
+            return float(work.sum())
+        assert self.contact.finite_sliding
+        return float(np.delete(work, self.contact.finite_sliding.rows).sum()) + self.sliding.work
 
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""

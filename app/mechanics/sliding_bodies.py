@@ -1,7 +1,7 @@
-"""Bodies that slide far on deformable ones: their state, as they turn and are paired anew.
+"""State of bodies with finite sliding, as they rotate and are paired anew.
 
-Nodes of a slave follow the master (`mechanics.followers`): in other pairs the same displacement has
-other unknowns and jumps. A step begins at the committed displacements, in the pairs of now.
+Nodes of a slave follow the master (`mechanics.followers`). In other pairs the same displacement has
+other unknowns and jumps. A step begins at the committed displacements, in the current pairs.
 """
 
 from __future__ import annotations
@@ -16,19 +16,21 @@ from dolfinx import fem
 from app.foundation.arrays import Floats
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.finite_sliding import FiniteSliding
 from app.mechanics.followers import Followers
 from app.mechanics.stiffness import Stiffness
 from app.scene.scene import Scene
 
-# Displacements of own nodes without the translations of bodies that turn, and these by motion.
+# Displacements of owned nodes without translations of rotating bodies, and these by motion.
 Moved = tuple[Floats, dict[str, Floats]]
 
 
 class SlidingBodies:
-    """State of bodies that slide far on deformable ones; made collectively.
+    """State of bodies with finite sliding; made collectively.
 
     Attributes:
-        work: Work of contact at own nodes so far, that of whole bodies on rank 0 [N mm].
+        work: Work of finite sliding at owned nodes since the beginning, and on rank 0 that of the
+            translations of rotating bodies [N mm].
 
     Args:
         moved: Displacement of each body that jumps move.
@@ -41,11 +43,12 @@ class SlidingBodies:
         mechanics: BodyForms,
         stiffness: Stiffness,
         contact: ContactInterfaces,
-        followers: Followers,
+        points: FiniteSliding,
         moved: Mapping[int, fem.Function],
     ) -> None:
         self._mechanics, self._stiffness, self._contact = mechanics, stiffness, contact
-        self._followers, self._moved = followers, moved
+        self._points, self._moved = points, moved
+        self._followers: Followers = points.followers
         self.begin(mechanics.scene)
 
     def begin(self, scene: Scene) -> None:
@@ -56,38 +59,33 @@ class SlidingBodies:
 
     @property
     def _nodal(self) -> Floats:
-        """Displacement of own nodes (n, 3) [mm]."""
+        """Displacement of owned nodes (n, 3) [mm]."""
         nodes = self._mechanics.space.dofmap.index_map.size_local
         return np.asarray(self._mechanics.u.x.array[: 3 * nodes].reshape(-1, 3))
 
     def _by_body(self) -> Moved:
-        """Displacement of own nodes, each as its body moves, as of `Followers.without_motion`."""
-        found = self._nodal.copy()
+        """Displacement of owned nodes, those of slaves with their jumps; collective."""
+        nodal = self._nodal.copy()
         for body, nodes in self._followers.slaves:
-            found[nodes] = self._moved[body].x.array.reshape(-1, 3)[nodes]
-        return self._followers.without_motion(found)
+            nodal[nodes] = self._moved[body].x.array.reshape(-1, 3)[nodes]
+        return self._followers.without_motion(nodal)
 
     def _contact_forces(self, trial: TrialState) -> Moved:
-        """Forces on own nodes where surfaces slide far [N], and their sums on bodies that turn."""
-        sliding, on_slaves = self._contact.finite_sliding, np.zeros_like(self._nodal)
-        assert sliding is not None
-        on_slaves[sliding.nodes] = trial.equilibrium[sliding.rows]
+        """Forces of finite sliding on owned nodes [N], and their sums on rotating bodies."""
+        on_slaves = np.zeros_like(self._nodal)
+        on_slaves[self._points.nodes] = trial.equilibrium[self._points.rows]
         forces = on_slaves - self._followers.handed(on_slaves)
         return forces, self._followers.totals(forces)
 
     def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Set unknowns and jumps to displacements, as turned and paired now; collective."""
+        """Set unknowns and jumps to displacements, in current rotations and pairs; collective."""
         constraints, nodal = self._stiffness.constraints, self._followers.with_motion(*moved)
         constraints.contract(nodal).copy(u)
-        sliding, apart = (
-            self._contact.finite_sliding,
-            nodal - constraints.expand(u).array.reshape(-1, 3),
-        )
-        assert sliding is not None
-        q.array.reshape(-1, 3)[sliding.rows] = apart[sliding.nodes]
+        apart = nodal - constraints.expand(u).array.reshape(-1, 3)
+        q.array.reshape(-1, 3)[self._points.rows] = apart[self._points.nodes]
 
     def taken_up(self) -> Floats:
-        """Pair surfaces as in the restored state; its displacement at own nodes (n, 3) [mm]."""
+        """Pair surfaces as in the restored state; its displacement at owned nodes (n, 3) [mm]."""
         jump = self._contact.committed_at
         if jump is not None:
             self._contact.pair_at(jump)
@@ -112,7 +110,7 @@ class SlidingBodies:
         self._contact.carried = q.array.reshape(-1, 3).copy()
 
     def carry(self, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Start from the committed displacements, whatever surfaces face each other now."""
+        """Set unknowns and jumps to the committed displacements, in the current pairs."""
         self._express(self._committed, u, q)
 
     def pair(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:

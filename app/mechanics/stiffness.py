@@ -28,7 +28,7 @@ class Stiffness:
         version: Number of its changes, which outdate preconditioners.
         pairings: Number of these by new pairs of surfaces alone.
         stage: The stage whose supports are active.
-        followers: Surfaces that slide far on deformable ones, if any.
+        followers: Nodes of surfaces with finite sliding, if there are any.
         frames: Nodes with axes of their own, if a support needs them.
         constraints: Map from unknowns to nodal displacements.
         rows: Global numbers of the constrained rows of this rank.
@@ -61,7 +61,7 @@ class Stiffness:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
-        if reuse and not followers:
+        if reuse and not self.constraints.follows:
             self.inverse = reuse.inverse
             return
         nodal = scene.order > 1 and not self.constraints.transforms

@@ -249,17 +249,16 @@ class ContactSystem(BondedSystem):
 
     def ties(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
         """Displacement of points by the unknowns they follow now, of masters by all such ones."""
-        followers, sliding = self._problem.followers, self.contact.finite_sliding
-        if followers is None or sliding is None:
+        sliding = self.contact.finite_sliding
+        if sliding is None or not sliding.followers.deformable:
             return None
         constraints, points = self._problem.stiffness.constraints, self.contact.points
         low = self._problem.space.dofmap.index_map.local_range[0]
         Q = constraints.at(points.dof[self.contact.own.rows] - low)
         follows = Q.createVecLeft()
-        soft = sliding.rows[np.isin(sliding.of, list(followers.sides))]
-        follows.array.reshape(-1, 3)[soft] = 1.0
+        follows.array.reshape(-1, 3)[sliding.rows[sliding.on_deformable]] = 1.0
         Q.diagonalScale(follows)
-        return Q, constraints.at(followers.masters)
+        return Q, constraints.at(sliding.followers.masters)
 
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
         """Residual of displacement and jumps without the law, and size of the forces [N]."""

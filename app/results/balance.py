@@ -188,9 +188,7 @@ class Balance:
         old, new = self._last, self._measure(u, trial)
         self._last = new
         problem, comm = self._problem, self._problem.comm
-        contact = trial.contact.state.work.sum() if trial else 0.0
-        if problem.sliding:
-            contact = problem.sliding.work
+        contact = problem.contact_work
         works = (_work(a, b) for a, b in ((old.external, new.external), (old.setting, new.setting)))
         local = [*works, contact, new.energy]
         work, set_in, *stored = comm.allreduce(np.array(local)).tolist()

@@ -62,7 +62,7 @@ class Bearing:
             np.searchsorted(self._rows, triangles),
             -points.normals[triangles[:, 0], 0],
         )
-        master = contact.finite_sliding.masters[i]
+        master = contact.finite_sliding.followers.sides[i][0]
         self.surface, self.dof = master.smooth, master.dofs
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)

@@ -97,7 +97,7 @@ class Cover:
         if contact is None or sliding is None:
             return
         places = sliding.places(contact.own.x * 0.0 + jump)
-        for i, master in sliding.masters.items():
+        for i, (master, _) in sliding.followers.sides.items():
             surface = master.smooth
             facet = contact.edge_lengths[i]
             here = sliding.of == i

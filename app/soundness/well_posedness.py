@@ -166,7 +166,7 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     guided |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
     for name, law in case.interfaces.items():
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
-            far = law.slides_far and region not in guided
+            far = law.finite_sliding and region not in guided
             if far and case.regions[region].moves_rigidly:
                 text = f"nothing says how the rigid {region} turns"
                 moved = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"

@@ -22,9 +22,9 @@ from app.foundation.arrays import Floats, Ints
 from app.heat.heat_loads import MeanExchange
 from app.heat.implicit_step import ImplicitStep
 from app.mechanics.contact import TrialState
-from app.mechanics.followers import Side
 from app.mechanics.pairs import mortar
 from app.mechanics.problem import Problem
+from app.mechanics.sides import Side
 from app.numerics.sparse import from_triplets
 from app.scene.scene import Interface, Stage
 from app.stepping.load_steps import LoadStep, OnStep
@@ -130,7 +130,7 @@ class CycleHeat:
 
         points, i = self._contact.points, [o.name for o in self._scene.contacts].index(c.name)
         here = points.interface == i  # in the order of the vertices
-        weight, surface = points.weight[here], self._finite_sliding.masters[i].smooth
+        weight, surface = points.weight[here], self._finite_sliding.followers.sides[i][0].smooth
         m, n = len(master.dofs), len(slave.dofs)
         least, slope, cap = c.law.conductances
         heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))

@@ -1,4 +1,4 @@
-"""Large slip on deformable bodies: a cut that is tied again, uniform pressure, turning heads."""
+"""Nodes that follow a surface: a cut that is tied again, uniform pressure, rotating heads."""
 
 from __future__ import annotations
 
@@ -10,9 +10,22 @@ import pytest
 import meshes
 from app.case.geometries import Block, Blocks, MeshOptions
 from app.foundation.errors import InputError
+from app.mechanics.contact import TrialState
+from app.stepping.load_steps import LoadStep, LoadStepper
+from app.stepping.stages import run_stages
 from meshes.data import MeshData
 from tests import support
-from tests.cases.turning_head import COCR, CUP, DRIVEN, FORCE, FRICTION, R, solve, stages
+from tests.cases.turning_head import (
+    COCR,
+    CUP,
+    DRIVEN,
+    FORCE,
+    FRICTION,
+    QUARTER,
+    R,
+    solve,
+    stages,
+)
 
 SOFT = "regions.head={youngs_modulus: 1 GPa, poisson_ratio: 0.4}"
 SIDE = 12  # of each block [mm]
@@ -140,6 +153,99 @@ def test_followers_friction_is_in_balance_on_a_deformable_head(
     text = CUP.replace("regions:", "stages: []\nregions:")
     balance = support.run(text, tmp_path, *head, DRIVEN, stages(3)).summary["balance"]
     assert max(balance.values()) < 1e-8
+
+
+def pile(path: Path, *blocks: MeshData) -> str:
+    """Write blocks on each other, meshed apart: an override."""
+    x, cells, facets = [], [], []
+    start = 0
+    for k, data in enumerate(blocks):
+        x.append(data.points + np.array([0, 0, k * HEIGHT]))
+        cells.append(data.cells + start)
+        for face in ("bottom", "top"):
+            facets.append(data.facets[np.isin(data.facet_tags, data.boundaries[face])] + start)
+        start += len(data.points)
+    regions = {f"block_{k}": k + 1 for k in range(len(blocks))}
+    boundaries = [f"{name}_{face}" for name in regions for face in ("bottom", "top")]
+    pairs = zip(regions, list(regions)[1:], strict=False)
+    data = MeshData(
+        points=np.concatenate(x),
+        cells=np.concatenate(cells),
+        cell_tags=np.repeat([*regions.values()], [len(c) for c in cells]).astype(np.int32),
+        facets=np.concatenate(facets),
+        facet_tags=np.repeat(range(len(facets)), [len(f) for f in facets]).astype(np.int32),
+        regions=regions,
+        boundaries={name: (k,) for k, name in enumerate(boundaries)},
+        interfaces={f"joint_{k}": ((a,), (b,)) for k, (a, b) in enumerate(pairs)},
+    )
+    meshes.write_msh(data, path)
+    return f"geometry.path={path}"
+
+
+PILE = """
+geometry: {kind: file, path: pile.msh,
+  interfaces: {joint_0: [block_0, block_1], joint_1: [block_1, block_2]}}
+mesh: {order: 1, size: 1 m}
+regions:
+  block_0: {rigid: true, tissue: other}
+  block_1: {youngs_modulus: 1000 MPa, poisson_ratio: 0, tissue: other}
+  block_2: {youngs_modulus: 3000 MPa, poisson_ratio: 0, tissue: other}
+interfaces:
+  joint_0: {kind: contact, friction_coefficient: 0.3, sliding: finite,
+    between: [block_0_top, block_1_bottom]}
+  joint_1: {kind: contact, friction_coefficient: 0.3, sliding: finite,
+    between: [block_1_top, block_2_bottom]}
+supports:
+  floor: {kind: fixed, boundary: block_0_bottom}
+  guide: {kind: displacement, boundary: block_2_top, x: 0.5 mm, y: 0 mm, history: [0, 1]}
+loads:
+  weight: {kind: pressure, boundary: block_2_top, pressure: 1 MPa, history: [1, 1]}
+stages: [{name: press}, {name: slide, increments: 3}]
+output: {report: false, fields: false}
+"""
+
+
+def test_rigid_and_deformable_masters_in_one_model(tmp_path: Path) -> None:
+    """Both joints share the path of 0.5 mm: friction of 0.3 of the weight spends what moves it.
+
+    A twentieth of the path is elastic.
+    """
+    path = pile(tmp_path / "pile.msh", *(block(size) for size in (4.0, 2.9, 3.5)))
+    summary = support.run(PILE, tmp_path, path).summary
+    assert max(summary["balance"].values()) < 1e-8
+    joints = summary["interfaces"].values()
+    spent, work = sum(joint["dissipation"] for joint in joints), 0.3 * SIDE**2 * 0.5
+    assert 0.93 * work < spent < work
+    for joint in joints:
+        assert joint["force"][2] == pytest.approx(SIDE**2, rel=1e-9)
+
+
+def test_energy_balances_with_ordinary_contact_in_the_model(tmp_path: Path) -> None:
+    """A deformable head rotates in a liner that can slip in its shell."""
+    case = CUP.replace("regions:", "stages: []\nregions:")
+    shell = (
+        "geometry.shell_thickness=3 mm",
+        "regions.shell={youngs_modulus: 110 GPa, poisson_ratio: 0.3}",
+        "interfaces.liner_shell={kind: contact, friction_coefficient: 0.3}",
+        "supports.outer={kind: fixed, boundary: shell_outer}",
+    )
+    summary = support.run(case, tmp_path, COCR, DRIVEN, stages(3), *shell).summary
+    assert summary["interfaces"]["liner_shell"]["dissipation"] > 1
+    assert summary["balance"]["energy"] < 1e-10
+
+
+def test_pairing_on_a_rigid_master_assembles_nothing() -> None:
+    """The same matrices from the first step to the last, though the surfaces are paired anew."""
+    problem, solver = support.assemble(support.case(CUP, QUARTER, stages(5)))
+    version, paired = problem.stiffness.version, []
+
+    def keep(step: LoadStep, trial: TrialState | None) -> None:
+        assert trial is not None
+        paired.append(trial.contact.committed_at)
+
+    run_stages(problem.scene.stages, LoadStepper(problem, solver, keep, print), None)
+    assert not np.array_equal(paired[0], paired[-1])
+    assert problem.stiffness.version == version
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.foundation.arrays import Floats
-from app.mechanics.rigid_surfaces import fitted
+from app.mechanics.analytical_surfaces import fitted
 from app.numerics.rigid_motions import rotation_vector
 
 RNG = np.random.default_rng(54)

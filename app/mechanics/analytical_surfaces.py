@@ -1,7 +1,7 @@
-"""Surfaces of rigid bodies that are known by formula: planes, spheres, cylinders.
+"""Analytical surfaces: planes, spheres and cylinders, fitted to the nodes of a boundary.
 
-Gap and normal of a point come from the formula, never from facets: the sagitta of a facet is as
-large as the deformations that contact is about.
+Gap and normal of a point come from the formula. Flat facets would be off by their sagitta, which
+is as large as the deformations in contact.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 
-# Largest distance of nodes from the surface they are on, over their extent.
+# Largest distance of nodes from the fitted surface, over their extent.
 FIT = 1e-6
+# Steps of Gauss and Newton for the axis of a cylinder.
 STEPS = 20
 
 
 @dataclass(frozen=True)
-class RigidSurface:
+class AnalyticalSurface:
     """A plane, a sphere or a cylinder.
 
     Attributes:
         kind: plane, sphere or cylinder.
         centre: A point of the plane, of the axis, or the centre (3,) [mm].
-        across: Projector on what counts of the way from the centre (3, 3).
+        across: Projector on the directions in which distance from the centre counts (3, 3).
         radius: Radius, 0 of a plane [mm].
         outward: Unit normal of a plane out of the body (3,), else zero.
         sign: 1 if the body is inside a sphere or cylinder, -1 if it is outside.
@@ -47,28 +48,28 @@ class RigidSurface:
         return self.sign * (size - self.radius), normal
 
 
-def fitted(x: Floats, outward: Floats) -> RigidSurface | None:
-    """The surface that nodes (n, 3) [mm] are on, with normals there (n, 3); None if there is none.
+def fitted(x: Floats, outward: Floats) -> AnalyticalSurface | None:
+    """Fit a surface to nodes (n, 3) [mm] with outward normals (n, 3); None if none fits.
 
-    A sphere and a cylinder by least squares (Gauss-Newton).
+    Spheres and cylinders are fitted by least squares (Gauss-Newton).
     """
     middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
     thin = np.linalg.svd(x - middle, full_matrices=False)[2][-1]
     thin = thin * np.sign(outward.sum(axis=0) @ thin)
     if np.abs((x - middle) @ thin).max() <= FIT * size:
-        return RigidSurface("plane", middle, np.outer(thin, thin), 0.0, thin)
+        return AnalyticalSurface("plane", middle, np.outer(thin, thin), 0.0, thin)
     # The axis of a cylinder is across the normals of its facets.
     axis = np.linalg.eigh(outward.T @ outward)[1][:, 0]
     for kind, along in (("sphere", np.zeros(3)), ("cylinder", axis)):
-        found = _round(kind, x, outward, along)
-        way = (x - found.centre) @ found.across
-        off = np.abs(np.linalg.norm(way, axis=1) - found.radius).max()
+        surface = _round(kind, x, outward, along)
+        way = (x - surface.centre) @ surface.across
+        off = np.abs(np.linalg.norm(way, axis=1) - surface.radius).max()
         if off <= FIT * size:
-            return found
+            return surface
     return None
 
 
-def _round(kind: str, x: Floats, outward: Floats, axis: Floats) -> RigidSurface:
+def _round(kind: str, x: Floats, outward: Floats, axis: Floats) -> AnalyticalSurface:
     """The sphere, with axis zero, or the cylinder nearest to nodes."""
     across = np.eye(3) - np.outer(axis, axis)
     flat = x @ across
@@ -80,13 +81,13 @@ def _round(kind: str, x: Floats, outward: Floats, axis: Floats) -> RigidSurface:
         way = (x - centre) @ across
         size = np.linalg.norm(way, axis=1)
         e, along = way / size[:, None], (x - centre) @ axis
-        # Residual |way| - radius, by centre, by a turn of the axis, by the radius.
-        turn = np.cross(np.broadcast_to(axis, e.shape), -along[:, None] * e)
-        columns = np.column_stack([-e, turn, -np.ones(len(x))])
+        # Derivatives of |way| - radius by the centre, a rotation of the axis, and the radius.
+        rotation = np.cross(np.broadcast_to(axis, e.shape), -along[:, None] * e)
+        columns = np.column_stack([-e, rotation, -np.ones(len(x))])
         step = np.linalg.lstsq(columns, radius - size, rcond=1e-10)[0]
         centre, radius = centre + step[:3], radius + float(step[6])
         axis = axis + np.cross(step[3:6], axis)
         axis /= np.linalg.norm(axis)
         across = np.eye(3) - np.outer(axis, axis)
     sign = np.sign(((x - centre) @ across * outward).sum())
-    return RigidSurface(kind, centre, across, radius, np.zeros(3), float(sign))
+    return AnalyticalSurface(kind, centre, across, radius, np.zeros(3), float(sign))

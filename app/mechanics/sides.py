@@ -1,0 +1,73 @@
+"""Sides of interfaces with finite sliding: the surfaces of two bodies meshed apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from dolfinx import fem
+
+from app.foundation.arrays import Floats, Ints
+from app.mechanics.analytical_surfaces import AnalyticalSurface, fitted
+from app.mechanics.pairs import SmoothSurface, oriented
+from app.scene.bodies import boundary_facets, facet_nodes
+from meshes.contact_facets import bends, gather
+from meshes.distribute import TaggedMesh
+
+
+@dataclass(frozen=True)
+class Side:
+    """Surface of a body at an interface with finite sliding, replicated.
+
+    Attributes:
+        dofs: Global blocked dofs of its vertices (n,), which are in the order of their numbers.
+        x: Their positions (n, 3) [mm].
+        triangles: Vertices of its facets, counterclockwise seen from outside (f, 3).
+        outward: A vector out of the body for each facet (f, 3).
+        edges: Dof of the middle of each edge, and its two vertices (e, 3); none at first order.
+        halves: Matrices from the displacements of the two vertices to that of the middle
+            (2, e, 3, 3).
+    """
+
+    dofs: Ints
+    x: Floats
+    triangles: Ints
+    outward: Floats
+    edges: Ints
+    halves: Floats
+
+    @classmethod
+    def of(cls, tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Side:
+        """Gather a boundary on every rank; collective."""
+        f = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
+        numbers, dofs, x, inside = gather(tagged.mesh.comm, *f)
+        # The same on any number of ranks.
+        order = np.lexsort(np.sort(numbers, axis=1).T)
+        numbers, dofs, x, inside = numbers[order], dofs[order], x[order], inside[order]
+        _, first, vertex = np.unique(numbers, return_index=True, return_inverse=True)
+        vertices, triangles = dofs[:, :3].ravel()[first], vertex.reshape(-1, 3)
+        # The middle of an edge of a facet is opposite its vertex of the same number.
+        ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
+        edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
+        _, one = np.unique(edges[..., 0], return_index=True)
+        edges, middle = edges.reshape(-1, 3)[one], x[:, 3:].reshape(-1, 3)
+        outward, x = x[:, 0] - inside, x[:, :3].reshape(-1, 3)[first]
+        a, b = x[edges[:, 1:]].transpose(1, 0, 2)
+        bend = bends(a, b, middle[one] if len(middle) else (a + b) / 2)
+        halves = np.eye(3) / 2 + np.stack([-bend, bend])
+        return cls(vertices, x, oriented(x, triangles, outward), outward, edges, halves)
+
+    @cached_property
+    def smooth(self) -> SmoothSurface:
+        """The smooth surface that its facets approximate."""
+        return SmoothSurface(self.x, self.triangles, self.outward)
+
+    @cached_property
+    def surface(self) -> AnalyticalSurface | SmoothSurface:
+        """The surface that gaps and normals are computed from: by formula if it has one."""
+        corners = self.x[self.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        analytical = fitted(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
+        return analytical or self.smooth
