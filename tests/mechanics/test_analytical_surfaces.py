@@ -32,7 +32,7 @@ def nodes(kind: str) -> tuple[Floats, Floats, Floats]:
 
 @pytest.mark.parametrize("kind", ["plane", "sphere", "cylinder"])
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["inside", "outside"])
-def test_rigid_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None:
+def test_analytical_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None:
     """Gap and normal at points off the surface equal those of the formula, body on either side."""
     x, rough, exact = nodes(kind)
     surface = fitted(x @ ROTATION.T + PLACE, side * rough @ ROTATION.T)
@@ -43,13 +43,13 @@ def test_rigid_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None:
     np.testing.assert_allclose(normal, side * exact @ ROTATION.T, atol=1e-11)
 
 
-def test_rigid_surfaces_refuse_other_shapes() -> None:
+def test_analytical_surfaces_refuse_other_shapes() -> None:
     """Nodes off a sphere by a thousandth of its radius are on none."""
     x, rough, exact = nodes("sphere")
     assert fitted(x + 0.014 * np.sin(9 * x[:, :1]) * exact, rough) is None
 
 
-def test_rigid_surfaces_rotation_vector_returns_axis_and_angle() -> None:
+def test_analytical_surfaces_rotation_vector_returns_axis_and_angle() -> None:
     """Axis and angle return (Rodrigues), small ones and nearly half a turn too."""
     axis = ROTATION[:, 0]
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])

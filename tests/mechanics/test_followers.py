@@ -205,7 +205,7 @@ output: {report: false, fields: false}
 """
 
 
-def test_rigid_and_deformable_masters_in_one_model(tmp_path: Path) -> None:
+def test_followers_of_rigid_and_deformable_masters_in_one_model(tmp_path: Path) -> None:
     """Both joints share the path of 0.5 mm: friction of 0.3 of the weight spends what moves it.
 
     A twentieth of the path is elastic.
@@ -220,7 +220,7 @@ def test_rigid_and_deformable_masters_in_one_model(tmp_path: Path) -> None:
         assert joint["force"][2] == pytest.approx(SIDE**2, rel=1e-9)
 
 
-def test_energy_balances_with_ordinary_contact_in_the_model(tmp_path: Path) -> None:
+def test_followers_energy_balances_with_ordinary_contact_in_the_model(tmp_path: Path) -> None:
     """A deformable head rotates in a liner that can slip in its shell."""
     case = CUP.replace("regions:", "stages: []\nregions:")
     shell = (
@@ -234,7 +234,7 @@ def test_energy_balances_with_ordinary_contact_in_the_model(tmp_path: Path) -> N
     assert summary["balance"]["energy"] < 1e-10
 
 
-def test_pairing_on_a_rigid_master_assembles_nothing() -> None:
+def test_followers_of_a_rigid_master_are_paired_without_assembly() -> None:
     """The same matrices from the first step to the last, though the surfaces are paired anew."""
     problem, solver = support.assemble(support.case(CUP, QUARTER, stages(5)))
     version, paired = problem.stiffness.version, []
