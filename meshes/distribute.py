@@ -1,9 +1,9 @@
-"""From arrays on rank 0 to a dolfinx mesh on all ranks."""
+"""A dolfinx mesh on all ranks with names for its tags, from arrays on rank 0 or given."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,19 +13,34 @@ import dolfinx
 import numpy as np
 from dolfinx.graph import adjacencylist
 from dolfinx.io.utils import distribute_entity_data
-from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_entities
+from dolfinx.mesh import (
+    CellType,
+    GhostMode,
+    MeshTags,
+    locate_entities,
+    locate_entities_boundary,
+    meshtags,
+    meshtags_from_entities,
+)
 
 from app.foundation import dolfinx_features
-from app.foundation.dolfinx_features import cell_perm_array, ufl_mesh
+from app.foundation.arrays import Bools, Floats
+from app.foundation.dolfinx_features import Entities, cell_perm_array, ufl_mesh
+from app.foundation.errors import InputError
 from meshes.data import MeshData
 
 THREADS = "SCOTCH_PTHREAD_NUMBER"
 ARRAYS = ("points", "cells", "facets", "facet_tags")  # that the other ranks get by parts
+NO_ENTITIES = np.zeros(0, dtype=np.int32)
+# Returns True for points (3, n) [mm] of a part of the mesh.
+Marker = Callable[[Floats], Bools]
 
 
 @dataclass(frozen=True)
 class TaggedMesh:
     """A distributed mesh; names and notes as in `MeshData`.
+
+    `from_tags` makes one of a dolfinx mesh with tags, `from_markers` of a dolfinx mesh alone.
 
     Attributes:
         mesh: Tetrahedra, ghosted across shared facets (interface integrals need both sides).
@@ -41,6 +56,75 @@ class TaggedMesh:
     boundaries: Mapping[str, tuple[int, ...]]
     interfaces: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
     notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_tags(
+        cls,
+        mesh: dolfinx.mesh.Mesh,
+        cell_tags: MeshTags,
+        facet_tags: MeshTags,
+        regions: Mapping[str, int],
+        boundaries: Mapping[str, int | tuple[int, ...]],
+    ) -> TaggedMesh:
+        """Name the tags of a dolfinx mesh; collective.
+
+        Args:
+            mesh: Tetrahedra, ghosted across shared facets as those of `dolfinx.mesh.create_box`.
+            cell_tags: Region of every cell, ghosts included.
+            facet_tags: Patches of the exterior facets.
+            regions: Tag of each region.
+            boundaries: Tags of each boundary.
+
+        Raises:
+            InputError: The mesh has other cells, or cells without a region.
+        """
+        connect(mesh)
+        cells = mesh.topology.index_map(3)
+        tagged = np.isin(cell_tags.values, list(regions.values())).sum()
+        missing = cells.size_local + cells.num_ghosts - int(tagged)
+        if mesh.topology.cell_type != CellType.tetrahedron:
+            raise InputError(f"cells are of type {mesh.topology.cell_type.name}, not tetrahedron")
+        if mesh.comm.allreduce(missing):
+            raise InputError("cells without a region; tag every cell, ghosts too")
+        patches = {n: (t,) if isinstance(t, int) else tuple(t) for n, t in boundaries.items()}
+        return cls(mesh, cell_tags, facet_tags, dict(regions), patches, {})
+
+    @classmethod
+    def from_markers(
+        cls,
+        mesh: dolfinx.mesh.Mesh,
+        regions: Mapping[str, Marker],
+        boundaries: Mapping[str, Marker],
+    ) -> TaggedMesh:
+        """Name parts of a dolfinx mesh by place; collective.
+
+        A marker returns True for points (3, n) [mm]. Cells belong to the first region that has
+        all their vertices, and exterior facets to the first such boundary.
+
+        Raises:
+            InputError: As `from_tags`.
+        """
+        connect(mesh)
+        cells = [locate_entities(mesh, 3, marker) for marker in regions.values()]
+        facets = [locate_entities_boundary(mesh, 2, marker) for marker in boundaries.values()]
+        numbers = {name: k for k, name in enumerate(regions, 1)}
+        patches = {name: k for k, name in enumerate(boundaries, 1)}
+        return cls.from_tags(mesh, _tags(mesh, 3, cells), _tags(mesh, 2, facets), numbers, patches)
+
+
+def connect(mesh: dolfinx.mesh.Mesh) -> None:
+    """Number the facets of a mesh and connect them with its cells; collective."""
+    mesh.topology.create_connectivity(3, 0)
+    mesh.topology.create_entities(2)
+    mesh.topology.create_connectivity(2, 3)
+
+
+def _tags(mesh: dolfinx.mesh.Mesh, dim: int, sets: Sequence[Entities]) -> MeshTags:
+    """Tags of sets of entities, numbered from 1; the first set that has an entity counts."""
+    sizes = [len(entities) for entities in sets]
+    values = np.repeat(np.arange(1, len(sets) + 1, dtype=np.int32), sizes)
+    entities, first = np.unique(np.concatenate([NO_ENTITIES, *sets]), return_index=True)
+    return meshtags(mesh, dim, entities, values[first])
 
 
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
@@ -62,9 +146,7 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     finally:
         if given is None:
             del os.environ[THREADS]
-    mesh.topology.create_connectivity(3, 0)
-    mesh.topology.create_entities(2)
-    mesh.topology.create_connectivity(2, 3)
+    connect(mesh)
     original = mesh.topology.original_cell_index
     cells = np.arange(len(original), dtype=np.int32)
     regions = meshtags(mesh, 3, cells, known.cell_tags[original])

@@ -29,17 +29,16 @@ from app.case.case import Case, load, plain
 from app.foundation.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.reading import Results
 from app.results.stresses import Stresses
 from app.scene.scene import build_scene
-from app.stepping.load_steps import LoadStep, LoadStepper
-from app.stepping.stages import run_stages
+from app.stepping import stages
+from app.stepping.load_steps import LoadStep
+from app.stepping.stages import Analysis, SolverSettings
 from app.system import folders, form_cache, ranks
-from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 
@@ -204,19 +203,24 @@ def mesh(case: Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
     return distribute(data, comm)
 
 
+def analysis(case: Case, tagged: TaggedMesh | None = None) -> Analysis:
+    """A case at rest, ready to be solved."""
+    options = case.solver
+    settings = SolverSettings(
+        tolerance=options.tolerance,
+        max_iterations=options.max_iterations,
+        linear=options.linear,
+        petsc=dict(options.petsc),
+        augmentation_factor=options.augmentation_factor,
+    )
+    return stages.assemble(build_scene(case), tagged or mesh(case), settings)
+
+
 def assemble(case: Case, tagged: TaggedMesh | None = None) -> tuple[Problem, Solver]:
     """Problem and solver of a case, at rest."""
-    timing, options = Timing(), case.solver
-    problem = Problem(build_scene(case), tagged or mesh(case), options.augmentation_factor, timing)
-    solver = Solver(
-        mechanical(problem),
-        options.tolerance,
-        options.max_iterations,
-        options.linear,
-        dict(options.petsc),
-        timing,
-    )
-    return problem, solver
+    at_rest = analysis(case, tagged)
+    assert at_rest.problem is not None and at_rest.solver is not None
+    return at_rest.problem, at_rest.solver
 
 
 def solve(
@@ -237,7 +241,9 @@ def solve(
         MantleError: As the application does.
     """
     this = text if isinstance(text, Case) else case(text, *overrides)
-    problem, solver = assemble(this, tagged)
+    at_rest = analysis(this, tagged)
+    problem, solver = at_rest.problem, at_rest.solver
+    assert problem is not None and solver is not None
     balance = Balance(problem, np.zeros(3)) if balances else None
     steps: list[LoadStep] = []
     samples: list[ContactSamples] = []
@@ -251,7 +257,7 @@ def solve(
             balance.update(solver.u_and_q()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    run_stages(problem.scene.stages, LoadStepper(problem, solver, on_step, print), None)
+    at_rest.run(on_step, on_trouble=print)
     return Solved(
         case=this,
         tagged=problem.tagged,

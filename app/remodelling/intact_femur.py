@@ -15,7 +15,6 @@ from app.remodelling.laws import Remodelling
 from app.remodelling.stimulus import Stimulus
 from app.scene.scene import Stage
 from app.simulation.model import Model
-from app.stepping.load_steps import LoadStepper
 
 # Cells in which a point is looked for: those whose centres are nearest.
 NEAR = 32
@@ -30,9 +29,8 @@ def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
 def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
     """Stimulus of the intact femur at the vertices of a model (n, r) [J/g]; collective."""
     intact = model.apart(intact_case(law, model.case, ours.by_density), "intact femur")
-    m, bone = intact.mechanics, intact.records["bone"]
-    assert m is not None and isinstance(bone, BoneMass)
-    loads = LoadStepper(m.problem, m.solver, lambda *_: None, lambda text: None)
+    loads, bone = intact.analysis.load_stepper(), intact.records["bone"]
+    assert loads is not None and isinstance(bone, BoneMass)
     stages = intact.scene.stages
     cases = [(k, k + 1.0) for k in load_cases(law, stages)]
     stimulus = Stimulus(law, bone, loads).of(cases)

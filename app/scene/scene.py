@@ -1,7 +1,7 @@
 """A scene: bodies, interfaces, supports, loads, heat and stages to be solved.
 
-`build_scene` is the one place that chooses what is solved. A scene does not know the mesh or the
-solver. Absent parts are empty tuples.
+`scene_of` is the one place that chooses what is solved, from laws by name; `build_scene` takes them
+from a case. A scene does not know the mesh or the solver. Absent parts are empty tuples.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.foundation.arrays import Field, Floats
+from app.foundation.errors import InputError
 from app.laws.courses import Course
 from app.laws.creep import Creep
 from app.laws.cure import Cure
@@ -28,12 +30,15 @@ from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.loads import Load
-from app.laws.materials import Elastic, Rigid
+from app.laws.materials import Elastic, Region, Rigid
 from app.laws.motions import Motion
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
 from app.laws.values import amplitude, field
 from app.numerics.rigid_motions import rotation_vector
+
+# No laws of a kind.
+NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -189,40 +194,72 @@ def by_density(function: Densities) -> Densities:
     return function
 
 
-def build_scene(case: Case) -> Scene:
-    """Build the scene of a case."""
-    regions: Mapping[str, Any] = case.regions
+def scene_of(
+    regions: Mapping[str, Region],
+    stages: Sequence[Stage],
+    *,
+    order: int = 2,
+    interfaces: Mapping[str, InterfaceLaw] = NONE,
+    sides: Mapping[str, tuple[Sequence[str], Sequence[str]]] = NONE,
+    faces: Mapping[str, tuple[str, str]] = NONE,
+    supports: Mapping[str, Support | Foundation] = NONE,
+    loads: Mapping[str, Load] = NONE,
+    motions: Mapping[str, Motion] = NONE,
+    heat: Mapping[str, HeatCondition] = NONE,
+    time: TimeOptions | None = None,
+) -> Scene:
+    """Build a scene from laws; regions, boundaries and interfaces go by the names of the mesh.
+
+    Args:
+        regions: Material of each region.
+        stages: The loading history.
+        order: Polynomial order of the displacement, 1 or 2.
+        interfaces: Law of each interface. Regions that touch without an interface are bonded.
+        sides: Regions on the two sides of each interface.
+        faces: Boundaries of the two sides of interfaces that slide far, if their law names none.
+        supports: Supports by name.
+        loads: Loads by name.
+        motions: Motions by name.
+        heat: Heat conditions by name.
+        time: Time stepping of heat; that of `TimeOptions` by default.
+
+    Raises:
+        InputError: The sides of an interface are unknown.
+    """
+    unknown = [name for name in interfaces if name not in sides]
+    if unknown:
+        raise InputError(f"interfaces.{unknown[0]}: expected the regions on its two sides")
+    courses = _courses(motions, loads)
+    stages = _with_courses(stages, courses)
     elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
-    changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
-    for e in elastic:
-        e._geometry = case.geometry
-        e._density = changing.get(e.region)
-    names = [stage.name for stage in case.stages]
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
-    interfaces = [
-        _interface(name, law, case, moduli, thermal) for name, law in case.interfaces.items()
+    places = [
+        _interface(name, law, sides[name], faces.get(name), moduli, thermal)
+        for name, law in interfaces.items()
     ]
-    conducting = tuple(i for i in interfaces if i.law.conductance is not None)
-    rubbing = tuple(i for i in interfaces if i.law.heated_by_friction is not None)
+    conducting = tuple(i for i in places if i.law.conductance is not None)
+    rubbing = tuple(i for i in places if i.law.heated_by_friction is not None)
     jumps = tuple(i for i in conducting if not i.between)
-    times = next((c.times for c in _courses(case)), (0.0,))
+    times = courses[0].times if courses else (0.0,)
     return Scene(
-        order=case.mesh.order,
+        order=order,
         elastic=elastic,
         rigid=tuple(r.named(n) for n, r in regions.items() if r.moves_rigidly),
-        foundations=tuple(s for s in case.supports.values() if s.is_spring is True),
+        foundations=tuple(s for s in supports.values() if s.is_spring is True),
         supports=tuple(
-            _support(name, s, case) for name, s in case.supports.items() if s.is_spring is False
+            _support(name, s, stages) for name, s in supports.items() if s.is_spring is False
         ),
-        loads=tuple(part for name, load in case.loads.items() for part in _loads(name, load, case)),
-        motions=tuple(motion.named(name) for name, motion in case.motions.items()),
-        contacts=tuple(i for i in interfaces if i.law.can_part),
-        bonds=tuple(i for i in interfaces if not i.law.can_part and math.isfinite(i.modulus)),
-        stages=_stages(case),
+        loads=tuple(
+            part for name, load in loads.items() for part in _loads(name, load, motions, stages)
+        ),
+        motions=tuple(motion.named(name) for name, motion in motions.items()),
+        contacts=tuple(i for i in places if i.law.can_part),
+        bonds=tuple(i for i in places if not i.law.can_part and math.isfinite(i.modulus)),
+        stages=stages,
         period=times[-1] - times[0],
         conductors=tuple(thermal.values()),
-        heat=tuple(condition.named(name) for name, condition in case.heat.items()),
+        heat=tuple(condition.named(name) for name, condition in heat.items()),
         thermal_contacts=jumps,
         friction_heat=rubbing,
         sliding_heat=tuple(i for i in conducting if i.between),
@@ -233,15 +270,38 @@ def build_scene(case: Case) -> Scene:
         creeps=tuple(
             creep.named(e.region)
             for e in elastic
-            if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in case.stages)
+            if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in stages)
         ),
-        time=case.time,
-        loads_of={
-            k: names.index(stage.other.loads(case))
-            for k, stage in enumerate(case.stages)
-            if stage.other
-        },
+        time=(time or TimeOptions()) if thermal else None,
     )
+
+
+def build_scene(case: Case) -> Scene:
+    """Build the scene of a case."""
+    scene = scene_of(
+        case.regions,
+        case.stages,
+        order=case.mesh.order,
+        interfaces=case.interfaces,
+        sides=case.geometry.interface_sides,
+        faces=case.faces,
+        supports=case.supports,
+        loads=case.loads,
+        motions=case.motions,
+        heat=case.heat,
+        time=case.time,
+    )
+    changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
+    for e in scene.elastic:
+        e._geometry = case.geometry
+        e._density = changing.get(e.region)
+    names = [stage.name for stage in case.stages]
+    loads_of = {
+        k: names.index(stage.other.loads(case))
+        for k, stage in enumerate(case.stages)
+        if stage.other
+    }
+    return dataclasses.replace(scene, loads_of=loads_of)
 
 
 def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
@@ -257,28 +317,29 @@ def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
     return passed - math.ceil(passed - 1e-9) + 1, 1.0
 
 
-def _courses(case: Case) -> list[Course]:
-    parts = *case.motions.values(), *case.loads.values()
+def _courses(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[Course]:
+    parts = *motions.values(), *loads.values()
     return [c for part in parts if (c := getattr(part, "course", None))]
 
 
-def _stages(case: Case) -> tuple[Stage, ...]:
+def _with_courses(stages: Sequence[Stage], courses: Sequence[Course]) -> tuple[Stage, ...]:
     """The stages; courses run through the last one that takes no time."""
-    if not _courses(case):
-        return case.stages
-    k = max(i for i, stage in enumerate(case.stages) if not stage.takes_time)
-    return (*case.stages[:k], case.stages[k].repeating(), *case.stages[k + 1 :])
+    if not courses:
+        return tuple(stages)
+    k = max(i for i, stage in enumerate(stages) if not stage.takes_time)
+    return (*stages[:k], stages[k].repeating(), *stages[k + 1 :])
 
 
-def _loads(name: str, load: Load, case: Case) -> tuple[Load, ...]:
+def _loads(
+    name: str, load: Load, motions: Mapping[str, Motion], stages: Sequence[Stage]
+) -> tuple[Load, ...]:
     """A load; of a force with a course or a motion its three components."""
-    force = load.moving_force([m.boundary for m in case.motions.values()])
+    force = load.moving_force([m.boundary for m in motions.values()])
     if force is None:
         return (load.named(name),)
-    motion = case.motions[force.follows] if force.follows else None
+    motion = motions[force.follows] if force.follows else None
     # Nodes of an elastic region that turns have axes that turn with it.
-    own = next((m for m in case.motions.values() if m.boundary == force.boundary), None)
-    stages = _stages(case)
+    own = next((m for m in motions.values() if m.boundary == force.boundary), None)
 
     def component(k: int, time: float) -> float:
         s, part = course(stages, time)
@@ -303,9 +364,9 @@ def _thermal(region: Any, name: str) -> Thermal:
     return thermal.named(name, fibre=fibre)
 
 
-def _support(name: str, support: Support, case: Case) -> Support:
-    stages = [stage.name for stage in case.stages]
-    always = support.stages is None or set(stages) <= set(support.stages)
+def _support(name: str, support: Support, stages: Sequence[Stage]) -> Support:
+    names = {stage.name for stage in stages}
+    always = support.stages is None or names <= set(support.stages)
     changes: dict[str, Any] = {"stages": None} if always else {}
     if "history" in type(support).model_fields:
         changes["history"] = support.history or (1.0,) * len(stages)
@@ -315,16 +376,17 @@ def _support(name: str, support: Support, case: Case) -> Support:
 def _interface(
     name: str,
     law: InterfaceLaw,
-    case: Case,
+    sides: tuple[Sequence[str], Sequence[str]],
+    faces: tuple[str, str] | None,
     moduli: Mapping[str, float],
     thermal: Mapping[str, Thermal],
 ) -> Interface:
     """Interface with the stiffer side as master: the softer side carries the jumps."""
-    first, second = (tuple(side) for side in case.geometry.interface_sides[name])
+    first, second = (tuple(side) for side in sides)
     swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if swapped else (first, second)
     gap, gap_history = law.initial_gap
-    faces = case.faces.get(name)
+    faces = faces or law.sliding_boundaries
     share = law.heated_by_friction
     if isinstance(share, str):
         e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))

@@ -16,15 +16,11 @@ from numpy.typing import NDArray
 import meshes
 from app.case.case import Case
 from app.foundation.errors import on_root
-from app.heat.implicit_step import ImplicitStep
-from app.heat.operators import HeatOperators
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
 from app.mechanics.problem import Problem
-from app.mechanics.systems import mechanical
 from app.numerics import lifetime
 from app.numerics.newton import Solver
-from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.bearing import bearings
 from app.results.bond_forces import BondForces
@@ -39,13 +35,10 @@ from app.simulation.steppers import steppers
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
-from app.stepping.coupled_system import CoupledSystem
-from app.stepping.creep_steps import CreepStepper
-from app.stepping.heat_state import HeatState, HeatStep
-from app.stepping.heat_steps import HeatStepper, OnHeat
-from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
+from app.stepping.heat_state import HeatStep
+from app.stepping.heat_steps import OnHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from app.stepping.stages import StageStepper, run_stages
+from app.stepping.stages import Analysis, SolverSettings, assemble
 from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
@@ -103,11 +96,10 @@ class Mechanical:
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
-    def begin(self, build: Scene, augmentation_factor: float, tolerance: float) -> None:
-        """Begin another model, at rest; collective."""
-        self.problem.begin(build, augmentation_factor)
-        self.solver.begin(tolerance)
+    def begin(self, case: Case) -> None:
+        """Begin another case, whose problem and solver are at rest; collective."""
         self.neighbours.begin()
+        self.bearings = bearings(self.problem, case)
 
     def slide(self, samples: ContactSamples, stage: Stage, step: LoadStep) -> None:
         """Take a step in where sides slide far; collective."""
@@ -141,6 +133,9 @@ class Model:
 
     Attributes:
         case: Its case.
+        analysis: Problem, solver and heat of its scene.
+        mechanics: Its mechanics with what is published of it, if a region deforms.
+        thermal: Its heat with what is published of it, if regions conduct.
         records: What other packages follow in its mechanics, by name.
         mesh_hash: Digest of the mesh.
         parts: Connected pieces of the mesh, on rank 0.
@@ -174,11 +169,13 @@ class Model:
             self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
-            self.mechanics = self._mechanics()
+            self.analysis, self.mechanics = self._assemble()
             self.records: dict[str, Record] = {}
             if self.mechanics:
                 self.records = records(case, self.mechanics)
-            self.thermal = self._heat()
+            self.thermal: ThermalModel | None = None
+            if self.analysis.heating:
+                self.thermal = ThermalModel(case, self.analysis.heating, self.analysis.problem)
         self._others[:] = [m for m in self._others if not self.deforms_like(m.case)] + [self]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
@@ -199,43 +196,40 @@ class Model:
         """Whether a case differs from this one in loads and laws alone."""
         return _matrices(self.case) == _matrices(case)
 
-    def _solver(self, system: System) -> Solver:
-        s = self.case.solver
-        options = dict(s.petsc) | self.options
-        limits = s.tolerance, s.max_iterations
-        return Solver(system, *limits, s.linear, options, self._timing, self.stop)
-
-    def _mechanics(self) -> Mechanical | None:
-        if not self.scene.elastic:
-            return None
+    def _assemble(self) -> tuple[Analysis, Mechanical | None]:
+        """Return the analysis and its mechanics, on earlier matrices where they fit; collective."""
         case, like = self.case, None
+        earlier: Model | None = None
         for model in self._others if not self.scene.stiffens else ():
             m = model.mechanics
             if m is None or m.problem.mechanics.by_density:
                 continue
             if model.deforms_like(case):
-                m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
-                m.bearings = bearings(m.problem, case)
-                return m
+                earlier = model
+                break
             same = _stiffness(model.case) == _stiffness(case)
             if same and all(support.stages is None for support in self.scene.supports):
                 like = like or m.problem
-        factor, timing = case.solver.augmentation_factor, self._timing
-        problem = Problem(self.scene, self.tagged, factor, timing, like)
-        solves = self._runs * cost.contact_solves(case)
-        solver = self._solver(mechanical(problem, solves, memory.available()))
-        return Mechanical(problem, solver, case)
-
-    def _heat(self) -> ThermalModel | None:
-        if not self.scene.conductors:
-            return None
-        heat = ImplicitStep(HeatOperators(self.scene, self.tagged, self._timing))
-        coupled = None
-        m = self.mechanics
-        if self.scene.coupled and m is not None:
-            coupled = CoupledSystem(self.scene, heat, m.problem, m.solver.blocks())
-        state = HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
-        return ThermalModel(self.case, state, m.problem if m else None)
+        options = case.solver
+        settings = SolverSettings(
+            tolerance=options.tolerance,
+            max_iterations=options.max_iterations,
+            linear=options.linear,
+            petsc={**options.petsc, **self.options},
+            augmentation_factor=options.augmentation_factor,
+            solves=self._runs * cost.contact_solves(case),
+            memory=memory.available(),
+            stop=self.stop,
+        )
+        where = self.scene, self.tagged, settings, self._timing
+        if earlier is not None and earlier.mechanics is not None:
+            analysis = assemble(*where, reuse=earlier.analysis)
+            earlier.mechanics.begin(case)
+            return analysis, earlier.mechanics
+        analysis = assemble(*where, like=like)
+        if analysis.problem is None or analysis.solver is None:
+            return analysis, None
+        return analysis, Mechanical(analysis.problem, analysis.solver, case)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -275,9 +269,8 @@ class Model:
             resume: First: may restore a state, and returns its stage.
 
         Raises:
-            ConvergenceError: As `run_stages`.
+            ConvergenceError: As `Steppers.run`.
         """
-        load_stepper = heat_stepper = creep_stepper = None
         for record in self.records.values():
             on_step = record.before(on_step)
         begin = on_stage
@@ -286,50 +279,29 @@ class Model:
         if cycle:
             on_step = cycle.before(on_step)
             begin = cycle.before_stage(on_stage)
-        m = self.mechanics
-        if m:
-            load_stepper = LoadStepper(
-                m.problem, m.solver, on_step, on_trouble, self._predictors(m)
-            )
-            if m.problem.creep:
-                creep_stepper = CreepStepper(load_stepper)
-        if t:
 
-            def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
+        def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
+            if t:
                 t.update(accepted)
-                on_heat(step, accepted)
+            on_heat(step, accepted)
 
-            beside: SolvedAfterHeat | SolvedWithHeat | None = None
-            coupled = t.heating.coupled
-            if load_stepper and coupled:
-                beside = SolvedWithHeat(load_stepper, t.heating, coupled)
-            elif load_stepper:
-                beside = SolvedAfterHeat(load_stepper, t.heating)
-            heat_stepper = HeatStepper(t.heating, beside, on_accepted)
-        stages = self.scene.stages
-        others: dict[str, StageStepper] = {}
-        if load_stepper:
-            others = steppers(stages, self, load_stepper)
-        self._steppers = load_stepper, heat_stepper, creep_stepper
-        self._other_steppers = others
-        run_stages(stages, *self._steppers, begin, checkpoint_point, resume(), others)
-        total = Summary()
-        for part in self._steppers[:2]:
-            if part is not None:
-                total.add(part.total)
-        return total
+        m, stages = self.mechanics, self.scene.stages
+        predictors = self._predictors(m) if m else ()
+        self._steppers = self.analysis.steppers(on_step, on_accepted, on_trouble, predictors)
+        if self._steppers.load:
+            self._steppers.others = steppers(stages, self, self._steppers.load)
+        return self._steppers.run(stages, begin, checkpoint_point, resume())
 
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
-        load_stepper, heat_stepper, creep_stepper = self._steppers
         parts = dict(self.records) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
-            "heat_stepper": heat_stepper,
-            "load_stepper": load_stepper,
-            "creep_stepper": creep_stepper,
+            "heat_stepper": self._steppers.heat,
+            "load_stepper": self._steppers.load,
+            "creep_stepper": self._steppers.creep,
         }
-        return parts | {f"stepper of {key}": own for key, own in self._other_steppers.items()}
+        return parts | {f"stepper of {key}": own for key, own in self._steppers.others.items()}
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
         """States of earlier models and, for large models, a start from a cheaper one."""
@@ -347,9 +319,11 @@ class Model:
 
     def _cheaper(self, case: Case) -> LoadStepper:
         other = self._other(case, self._timing.of("cheaper model"))
-        m = other.mechanics
-        assert m is not None
-        return LoadStepper(m.problem, m.solver, _nothing, log.debug, other._predictors(m))
+        assert other.mechanics is not None
+        predictors = other._predictors(other.mechanics)
+        stepper = other.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
+        assert stepper is not None
+        return stepper
 
     def _other(self, case: Case, timing: Timing) -> Model:
         comm = self.tagged.mesh.comm

@@ -12,14 +12,13 @@ from dolfinx import fem
 from app.foundation.arrays import Floats
 from app.laws.cure import Cure, Prescribed
 from app.mechanics.problem import Problem
-from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.remedies import solve
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene.scene import Scene, build_scene
-from app.system.timing import Timing
+from app.stepping.stages import SolverSettings, assemble
 from tests import support
 from tests.cases import laws
 
@@ -80,9 +79,10 @@ class Heated:
     def make(cls, text: str, change: Callable[[Scene], Scene], *overrides: str) -> Heated:
         """A case, its scene changed."""
         case = support.case(text, *overrides)
-        timing = Timing()
-        problem = Problem(change(build_scene(case)), support.mesh(case), 1.0, timing)
-        solver = Solver(mechanical(problem), 1e-12, 50, "direct", {}, timing)
+        settings = SolverSettings(1e-12, 50, "direct", augmentation_factor=1.0)
+        analysis = assemble(change(build_scene(case)), support.mesh(case), settings)
+        problem, solver = analysis.problem, analysis.solver
+        assert problem is not None and solver is not None
         return cls(problem, solver, Stresses(problem), Balance(problem, np.zeros(3)))
 
     def scalar(self, field: float | Field) -> fem.Function:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -29,15 +30,8 @@ State = Callable[[np.ndarray, float], np.ndarray]
 def two_blocks(comm: MPI.Comm) -> TaggedMesh:
     """Bone under cement, each 4 x 4 x 2 mm, nodes every half millimetre."""
     box = mesh.create_box(comm, [[0, 0, 0], [4, 4, 4]], [8, 8, 8])
-    box.topology.create_connectivity(3, 0)
-    box.topology.create_entities(2)
-    box.topology.create_connectivity(2, 3)
-    index_map = box.topology.index_map(3)
-    cells = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-    above = mesh.compute_midpoints(box, 3, cells)[:, 2] > 2
-    tags = mesh.meshtags(box, 3, cells, above.astype(np.int32) + 1)
-    none = mesh.meshtags(box, 2, np.zeros(0, np.int32), np.zeros(0, np.int32))
-    return TaggedMesh(box, tags, none, {"bone": 1, "cement": 2}, {}, SIDES)
+    marks = {"bone": lambda x: x[2] <= 2, "cement": lambda x: x[2] >= 2}
+    return replace(TaggedMesh.from_markers(box, marks, {}), interfaces=SIDES)
 
 
 class Play:

@@ -14,8 +14,7 @@ import meshes
 from app.foundation.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.numerics.rigid_motions import rotation_vector
-from app.stepping.load_steps import LoadStep, LoadStepper
-from app.stepping.stages import run_stages
+from app.stepping.load_steps import LoadStep
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
@@ -90,7 +89,9 @@ def cup() -> TaggedMesh:
 
 def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
     """The steps of a case, on the mesh of the cup or its own."""
-    problem, solver = support.assemble(support.case(CUP, *overrides), tagged or cup())
+    analysis = support.analysis(support.case(CUP, *overrides), tagged or cup())
+    problem = analysis.problem
+    assert problem is not None
     cells = problem.tagged.cell_tags.find(problem.tagged.regions["head"])
     node = problem.space.dofmap.list[cells[0], 0]
     found, before = list[Step](), [np.eye(3)]
@@ -115,7 +116,7 @@ def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
         )
         before.append(turned)
 
-    run_stages(problem.scene.stages, LoadStepper(problem, solver, keep, print), None)
+    analysis.run(keep, on_trouble=print)
     return found
 
 

@@ -12,8 +12,7 @@ import pytest
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.contact import ContactInterfaces, TrialState
-from app.stepping.load_steps import LoadStep, LoadStepper
-from app.stepping.stages import run_stages
+from app.stepping.load_steps import LoadStep
 from meshes.distribute import TaggedMesh
 from tests import support
 from tests.reference import formulation_b
@@ -112,7 +111,9 @@ CLAMPED_STEM = HALF_STEM.replace(
 
 def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], ContactInterfaces]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
-    problem, solver = support.assemble(case, tagged)
+    analysis = support.analysis(case, tagged)
+    problem = analysis.problem
+    assert problem is not None
     jumps = problem.contact
     assert (jumps.own.faces <= 1).all(), "the reference has one normal per node"
     vertex = jumps.points.vertex[jumps.own.rows]
@@ -144,7 +145,7 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
         times.append(step.time)
         states.append(State(interfaces, displacement))
 
-    run_stages(problem.scene.stages, LoadStepper(problem, solver, on_step, print), None)
+    analysis.run(on_step, on_trouble=print)
     return times, states, jumps
 
 
