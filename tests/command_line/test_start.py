@@ -183,7 +183,7 @@ def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:
     assert slip == pytest.approx(0.1, rel=0.02)  # all of the way that it is pushed
 
 
-FEMUR = """
+FEMUR = """\
 geometry.cement_thickness  (kind femur)
 geometry.cement_thickness  (kind intact_femur)
 geometry.cement_thickness  (kind patient)
