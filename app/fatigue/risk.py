@@ -50,7 +50,7 @@ class CementRisk(Record):
         borders: Functions of points that are not positive in a part of a hip (`Zones.borders`).
     """
 
-    saved = ("_valley", "_found")
+    saved = ("valley", "damage")
 
     def __init__(self, case: Case, problem: Problem, borders: Borders | None) -> None:
         fatigue = fatigue_of(case)
@@ -69,14 +69,14 @@ class CementRisk(Record):
         count = len(self._stresses.shares[self._tires]) if laws else 1
         self.row_keys: Ints = (at[:, None] * count + np.arange(count)).ravel()
         # Stress at the points in the last valley, or at the end of the stage before [MPa].
-        self._valley = np.zeros((len(self.row_keys), 3, 3))
+        self.valley = np.zeros((len(self.row_keys), 3, 3))
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
-        self._found = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
+        self.damage = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
 
     def numbers(self) -> dict[str, dict[str, Any]]:
         """Published numbers: of regions by strength, of fatigue by law; collective."""
         numbers = {"regions": self.weibull()}
-        return numbers | ({"fatigue": self.fatigue()} if self._found else {})
+        return numbers | ({"fatigue": self.fatigue()} if self.damage else {})
 
     # Fatigue
 
@@ -90,8 +90,8 @@ class CementRisk(Record):
                 now = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
                 cycles = self._fatigue.spectrum.get(stage.name)
                 if turn == stage.ways and cycles:
-                    self._add(cycles, *tensions(now, self._valley))
-                self._valley = now
+                    self._add(cycles, *tensions(now, self.valley))
+                self.valley = now
             on_step(done, trial)
 
         return step
@@ -101,12 +101,12 @@ class CementRisk(Record):
         assert self._fatigue
         for name, law in self._fatigue.laws.items():
             s = self._fatigue.equivalent(law, most, least)
-            self._found[name][:, 0] += cycles * law.damage(s)
-            self._found[name][:, 1] = np.maximum(self._found[name][:, 1], s)
+            self.damage[name][:, 0] += cycles * law.damage(s)
+            self.damage[name][:, 1] = np.maximum(self.damage[name][:, 1], s)
 
     def fatigue(self) -> dict[str, Any]:
         """Published numbers by law, of activities so far; collective."""
-        damages = self._found.items()
+        damages = self.damage.items()
         return {n: self._by_part(self._tires, partial(self._damaged, own)) for n, own in damages}
 
     def _damaged(self, own: Floats, at: Bools) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class CementRisk(Record):
     def cell_fields(self, cells: int) -> dict[str, Floats]:
         """Mean damage a year of the cells of this rank by law (cells,), zero elsewhere."""
         fields: dict[str, Floats] = {}
-        for name, own in self._found.items():
+        for name, own in self.damage.items():
             mean, shares = np.zeros(cells), self._stresses.shares[self._tires]
             mean[self._stresses.cells[self._tires]] = own[:, 0].reshape(-1, len(shares)) @ shares
             fields[f"damage_{name}"] = mean

@@ -51,7 +51,7 @@ class MaximumPrinciple:
         heated: Whether cure or friction heat.
     """
 
-    saved = ("_flagged", "_low", "_high", "_heated", "_cooled")
+    saved = ("flagged", "data_low", "data_high", "heated", "cooled")
 
     def __init__(
         self, K: Sequence[PETSc.Mat], capacity: Floats, data: Sequence[float], heated: bool
@@ -59,20 +59,20 @@ class MaximumPrinciple:
         self._comm, self._K, self._present = K[0].comm.tompi4py(), list(K), capacity > 0
         self._edges = [_positive(self._comm, k) for k in K]
         self._degree = np.array([p.getRowSum().array for p in self._edges])
-        self._flagged = list(np.zeros(capacity.shape, dtype=bool))
-        self._low, self._high = min(data), max(data)
-        self._heated, self._cooled = heated, False
+        self.flagged = list(np.zeros(capacity.shape, dtype=bool))
+        self.data_low, self.data_high = min(data), max(data)
+        self.heated, self.cooled = heated, False
         self.matrices, self.version = list(K), 0
 
     @property
     def low(self) -> float:
         """Least temperature of the data [K], or minus infinity if something may cool below it."""
-        return -np.inf if self._cooled else self._low
+        return -np.inf if self.cooled else self.data_low
 
     @property
     def high(self) -> float:
         """Largest temperature of the data [K], or infinity if something may heat above it."""
-        return np.inf if self._heated else self._high
+        return np.inf if self.heated else self.data_high
 
     def see(self, given: Floats, heats: Floats) -> None:
         """Include given temperatures [K] and heat into own nodes [N mm/s]; collective."""
@@ -81,9 +81,9 @@ class MaximumPrinciple:
         over_all = np.array(ends)
         self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
         below, above, cooling, heating = map(float, over_all)
-        self._low, self._high = min(self._low, -below), max(self._high, above)
-        self._cooled = self._cooled or cooling > ZERO * heating
-        self._heated = self._heated or heating > ZERO * cooling
+        self.data_low, self.data_high = min(self.data_low, -below), max(self.data_high, above)
+        self.cooled = self.cooled or cooling > ZERO * heating
+        self.heated = self.heated or heating > ZERO * cooling
 
     def outside(self, T: Floats) -> bool:
         """Whether any temperature of a body (b, n) [K] is out of bounds; collective."""
@@ -91,23 +91,23 @@ class MaximumPrinciple:
 
     def correct(self, T: Floats) -> bool:
         """Remove edges of nodes at T [K] out of bounds; False if none are left; collective."""
-        return self._flag(np.array(self._flagged) | (self._offending(T) & (self._degree > 0)))
+        return self._flag(np.array(self.flagged) | (self._offending(T) & (self._degree > 0)))
 
     def take_back(self, T: Floats) -> None:
         """Restore the edges of nodes no longer near their bounds; collective."""
         near = np.minimum(T - self.low, self.high - T) <= NEAR * self._span(T)
-        self._flag(np.array(self._flagged) & near)
+        self._flag(np.array(self.flagged) & near)
 
     def restored(self) -> None:
         """Remove the edges of restored flagged nodes; collective."""
-        flagged = np.array(self._flagged)
-        self._flagged = list(np.zeros_like(flagged))
+        flagged = np.array(self.flagged)
+        self.flagged = list(np.zeros_like(flagged))
         self._flag(flagged)
 
     def _span(self, T: Floats) -> float:
         """Range of data and current temperatures [K]; collective."""
         here = T[self._present]
-        ends = np.array([-here.min(initial=self._low), here.max(initial=self._high)])
+        ends = np.array([-here.min(initial=self.data_low), here.max(initial=self.data_high)])
         self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
         return max(float(ends.sum()), LEAST)
 
@@ -117,9 +117,9 @@ class MaximumPrinciple:
 
     def _flag(self, flagged: Bools) -> bool:
         """Set the flags (b, n); return whether any matrix changed."""
-        here = (flagged != np.array(self._flagged)).any(axis=1)
+        here = (flagged != np.array(self.flagged)).any(axis=1)
         changed = np.flatnonzero(self._comm.allreduce(here.astype(int), MPI.SUM))
-        self._flagged = list(flagged)
+        self.flagged = list(flagged)
         for b in map(int, changed):
             self.matrices[b] = self._corrected(b)
         self.version += len(changed) > 0
@@ -129,7 +129,7 @@ class MaximumPrinciple:
         """The matrix of a body without the positive edges of its flagged nodes."""
         kept = self._edges[b].copy()
         clear = kept.createVecLeft()
-        clear.array[:] = ~self._flagged[b]
+        clear.array[:] = ~self.flagged[b]
         kept.diagonalScale(clear, clear)
         K = self._K[b].copy()
         K.axpy(-1.0, self._edges[b], structure=SUBSET)

@@ -56,12 +56,13 @@ class StressHistory:
         points: Quadrature points in the reference cell (p, 3).
         weights: Their weights (p,).
         creep: State of the regions that creep, if any.
+        stress_at_points: Stress of the last converged state at the points [MPa].
 
     Raises:
         InputError: Such a region has eigenstrains, which have no rate.
     """
 
-    saved = ("_stress", "creep")
+    saved = ("stress_at_points", "creep")
 
     def __init__(self, mechanics: BodyForms) -> None:
         self._mechanics, scene = mechanics, mechanics.scene
@@ -81,9 +82,9 @@ class StressHistory:
         self.points, self.weights = points, weights
         element = basix.ufl.quadrature_element("tetrahedron", value_shape=(6,), degree=degree)
         space = fem.functionspace(mechanics.mesh, element)
-        self._stress = fem.Function(space)
+        self.stress_at_points = fem.Function(space)
         # The stress that the step begins with: less, by what creep takes in it.
-        self._left = fem.Function(space) if scene.creeps else self._stress
+        self._left = fem.Function(space) if scene.creeps else self.stress_at_points
         self._before = {b: fem.Function(mechanics.space) for b in self.bodies}
         self._step = {b: fem.Function(mechanics.space) for b in self.bodies}
         free = {*mechanics.growth, *mechanics.swelling}
@@ -135,14 +136,14 @@ class StressHistory:
 
     def internal_work(self, body: int, v: Any, stress: fem.Function | None = None) -> Any:
         """Work of the stress of a body, or another stress there, in a displacement v [N mm]."""
-        σ = elasticity.symmetric(list(self._stress if stress is None else stress))
+        σ = elasticity.symmetric(list(self.stress_at_points if stress is None else stress))
         return sum(
             loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
         )
 
     def complementary_energy(self) -> Any:
         """Energy that the stress would have in elastic regions of the current moduli [N mm]."""
-        mechanics, σ = self._mechanics, elasticity.symmetric(list(self._stress))
+        mechanics, σ = self._mechanics, elasticity.symmetric(list(self.stress_at_points))
         return sum(
             ufl.inner(σ, σ)
             / (2 * mechanics.growth.get(e.region, 1) * mechanics.constant(max(e.moduli)))
@@ -196,17 +197,18 @@ class StressHistory:
 
     def stress(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
-        dofs = self._stress.function_space.dofmap.list[self._cells[region]]
+        dofs = self.stress_at_points.function_space.dofmap.list[self._cells[region]]
         σ = np.zeros((*dofs.shape, 3, 3))
-        σ[..., ROWS, COLUMNS] = σ[..., COLUMNS, ROWS] = self._stress.x.array.reshape(-1, 6)[dofs]
+        components = self.stress_at_points.x.array.reshape(-1, 6)[dofs]
+        σ[..., ROWS, COLUMNS] = σ[..., COLUMNS, ROWS] = components
         return σ
 
     @property
     def row_keys(self) -> Ints:
         """Keys of the quadrature points of own cells."""
-        dofs = self._stress.function_space.dofmap.list
+        dofs = self.stress_at_points.function_space.dofmap.list
         number = self._mechanics.mesh.topology.original_cell_index
-        keys = np.full(len(self._stress.x.array) // 6, LEFT_OUT, dtype=np.int64)
+        keys = np.full(len(self.stress_at_points.x.array) // 6, LEFT_OUT, dtype=np.int64)
         for cells in self._cells.values():
             keys[dofs[cells]] = number[cells, None] * dofs.shape[1] + np.arange(dofs.shape[1])
         return keys
@@ -227,7 +229,7 @@ class StressHistory:
         Args:
             displacements: Of each body, ghosts included.
         """
-        added, σ = self._added(displacements), self._stress.x.array.reshape(-1, 6)
+        added, σ = self._added(displacements), self.stress_at_points.x.array.reshape(-1, 6)
         for b in self.bodies:
             self._before[b].x.array[:] = displacements[b].x.array
         c = self.creep
@@ -244,13 +246,14 @@ class StressHistory:
         """Stress that the step adds by strain and free strain at all points (n, 6) [MPa]."""
         for b in self.bodies:
             self._step[b].x.array[:] = displacements[b].x.array - self._before[b].x.array
-        added = np.zeros((len(self._stress.x.array) // 6, 6))
+        added = np.zeros((len(self.stress_at_points.x.array) // 6, 6))
         for region, expression in self._increments.items():
             cells = self._cells[region]
             if len(cells):
                 values = expression.eval(self._mechanics.mesh, cells)
                 values = values.reshape(len(cells), len(self.weights), 3, 3)
-                added[self._stress.function_space.dofmap.list[cells]] = values[..., ROWS, COLUMNS]
+                dofs = self.stress_at_points.function_space.dofmap.list[cells]
+                added[dofs] = values[..., ROWS, COLUMNS]
         return added
 
     # Creep
@@ -258,14 +261,14 @@ class StressHistory:
     def trial(self, displacements: Sequence[fem.Function]) -> Floats:
         """Stress at the points that creep, as if nothing crept in the step (n, 6) [MPa]."""
         assert self.creep is not None
-        σ = self._stress.x.array.reshape(-1, 6) + self._added(displacements)
+        σ = self.stress_at_points.x.array.reshape(-1, 6) + self._added(displacements)
         return np.asarray(σ[self.creep.rows])
 
     def relax(self, taken: Floats, length: float) -> None:
         """Set the stress that creep takes in a step of some cycles or seconds (n, 6) [MPa]."""
         assert self.creep is not None
         self.creep.taken, self.creep.length = taken, length
-        self._left.x.array[:] = self._stress.x.array
+        self._left.x.array[:] = self.stress_at_points.x.array
         self._left.x.array.reshape(-1, 6)[self.creep.rows] -= taken
 
     def begin(self) -> None:
@@ -279,12 +282,13 @@ class StressHistory:
 
     def state(self) -> tuple[Any, ...]:
         """The committed state, for `go_back`."""
-        own = self._stress, *self._before.values()
+        own = self.stress_at_points, *self._before.values()
         return [f.x.array.copy() for f in own], self.creep and self.creep.state()
 
     def go_back(self, state: tuple[Any, ...]) -> None:
         """Return to an earlier state, with the same cure."""
-        for f, values in zip((self._stress, *self._before.values()), state[0], strict=True):
+        functions = self.stress_at_points, *self._before.values()
+        for f, values in zip(functions, state[0], strict=True):
             f.x.array[:] = values
         if self.creep:
             self.creep.go_back(state[1])

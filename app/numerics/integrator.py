@@ -143,7 +143,7 @@ class Controller:
         method: Runge-Kutta method.
     """
 
-    saved = ("_next", "_last")
+    saved = ("next_step", "last_step")
     events: Sequence[float] = ()
 
     def __init__(self, method: Method) -> None:
@@ -152,12 +152,12 @@ class Controller:
 
     def begin(self, first: float) -> None:
         """Begin a stage with a first step to try [s]."""
-        self._next = first
-        self._last: tuple[float, float] | None = None
+        self.next_step = first
+        self.last_step: tuple[float, float] | None = None
 
     def propose(self, seconds: float) -> float:
         """Step to try at a time [s]: it ends at the next event or well before it."""
-        dt = self._next
+        dt = self.next_step
         ahead = [e - seconds for e in self.events if e - seconds > _SAME * e]
         if not ahead or dt < ahead[0] / 2:
             return dt
@@ -168,20 +168,20 @@ class Controller:
         ratio = max(ratio, 1e-10)
         factor = _SAFETY * ratio**-self._power
         if not ratio <= 1:
-            self._next = dt * max(_CUT, factor)
+            self.next_step = dt * max(_CUT, factor)
             return False
-        if self._last is not None:
-            last_dt, last_ratio = self._last
+        if self.last_step is not None:
+            last_dt, last_ratio = self.last_step
             factor = min(factor, factor * dt / last_dt * (last_ratio / ratio) ** self._power)
-        self._last = dt, max(ratio, 1e-2)
+        self.last_step = dt, max(ratio, 1e-2)
         grown = dt * min(_GROWTH, max(_CUT, factor))
         # A step shortened by an event says little about a longer one.
-        self._next = max(grown, self._next) if dt < self._next else grown
+        self.next_step = max(grown, self.next_step) if dt < self.next_step else grown
         return True
 
     def failed(self, dt: float) -> None:
         """Try half of a step that could not be solved."""
-        self._next = dt / 2
+        self.next_step = dt / 2
 
 
 def _along(

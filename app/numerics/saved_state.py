@@ -1,7 +1,8 @@
 """Saved state of a run: attributes that objects list, in rows that do not depend on ranks.
 
-A class names its attributes: ``saved = ("jump", "force")``. Numbers, texts and None are the same on
-all ranks; lists, dicts and dataclasses are saved item by item, other objects by their own list.
+A class names its public attributes: ``saved = ("jump", "force")``. Numbers, texts and None
+are the same on all ranks. Lists, dicts and dataclasses are saved item by item, other
+objects by their own list.
 Arrays and functions are by contact point, node or cell: ``row_keys``, of the object or of its
 owner, numbers their rows, so that any number of ranks finds them again. It is one array of keys, or
 a dict or list of them for attributes and items with different keys. Keys come from the numbers of

@@ -59,7 +59,7 @@ class Remodeller:
             case gives it.
     """
 
-    saved = ("_progress", "_speed")
+    saved = ("progress", "density_rate")
 
     def __init__(
         self,
@@ -72,14 +72,14 @@ class Remodeller:
         self._stepper, self._intact = stepper, reference
         self._problem, self._forms = bone.problem, bone.forms
         self._stimulus = Stimulus(law, bone, stepper)
-        self._progress = Progress()
+        self.progress = Progress()
         # Change of the density in time at the last step's end [g/(cm3 s)], if it is known.
-        self._speed: Floats | None = None
+        self.density_rate: Floats | None = None
 
     @property
     def row_keys(self) -> dict[str, Any]:
         """Keys of vertices."""
-        return {"_speed": node_keys(self._forms.scalars)}
+        return {"density_rate": node_keys(self._forms.scalars)}
 
     def _largest(self, values: Floats) -> float:
         local = float(np.abs(values).max(initial=0.0))
@@ -117,16 +117,16 @@ class Remodeller:
         """
         stepper, m = self._stepper, self._forms
         self._begin(k)
-        if not self._progress.step:
-            self._progress = Progress(1.0 / stage.increments)
+        if not self.progress.step:
+            self.progress = Progress(1.0 / stage.increments)
         self._k, self._stage = k, stage
         self._kept = m.density.copy(), stepper.solver.x.copy()
         try:
-            if self._speed is None:
-                self._speed = self._change()
-            if self._speed is None:
+            if self.density_rate is None:
+                self.density_rate = self._change()
+            if self.density_rate is None:
                 raise self._failure()
-            self._limit(self._speed)
+            self._limit(self.density_rate)
             advance(self, self, checkpoint_point)
         except MantleError:
             m.density[:] = self._kept[0]
@@ -134,7 +134,7 @@ class Remodeller:
             self._stimulus.follow_density()
             self._problem.update_displacements(*stepper.solver.u_and_q())
             raise
-        self._progress, self._speed = Progress(), None
+        self.progress, self.density_rate = Progress(), None
 
     def _change(self) -> Floats | None:
         """Change of the density in time [g/(cm3 s)]; None if a load case cannot be solved."""
@@ -151,10 +151,10 @@ class Remodeller:
         old, (low, high) = self._forms.density, self._law.density
         far = np.where(speed > 0, high - old, old - low) > MOST
         fastest = max(self._largest(speed[far]) * self._duration, TINY)
-        self._progress.step = min(self._progress.step, MOST / fastest)
+        self.progress.step = min(self.progress.step, MOST / fastest)
 
     def _failure(self) -> ConvergenceError:
-        p = self._progress
+        p = self.progress
         why = explain(self._problem, self._stepper.solver, self._stimulus.outcome)
         return why.error(self._stage.name, p.done, [p.step])
 
@@ -163,15 +163,15 @@ class Remodeller:
     @property
     def finished(self) -> bool:
         """Return True if the stage is done."""
-        return self._progress.done >= 1.0
+        return self.progress.done >= 1.0
 
     def propose(self) -> Step:
         """Return the next step."""
-        return self._progress.next(1.0 / self._stage.increments)
+        return self.progress.next(1.0 / self._stage.increments)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance, and choose the next one."""
-        p, factor = self._progress, GROWTH.factor(error)
+        p, factor = self.progress, GROWTH.factor(error)
         if error > 1.0:
             p.step = min(factor, SHORTER) * step.length
             return False
@@ -185,7 +185,7 @@ class Remodeller:
     def try_step(self, step: Step) -> float:
         """Change the density by Heun's rule; return the error over the tolerance; collective."""
         self._old = self._forms.density.copy()
-        speed = self._speed
+        speed = self.density_rate
         assert speed is not None
         seconds = self._duration * step.length
         euler = self._moved(seconds * speed)
@@ -216,7 +216,7 @@ class Remodeller:
         """
         self._stepper.total.rejected += 1
         self._forms.density[:] = self._old
-        if self._progress.step <= SHORTEST:
+        if self.progress.step <= SHORTEST:
             raise self._failure()
 
     def commit(self, step: Step, started: float) -> None:
@@ -228,9 +228,9 @@ class Remodeller:
         bone.seconds += self._duration * step.length
         bone.steps += 1
         assert self._next is not None
-        self._speed = self._next
+        self.density_rate = self._next
         time = self._k + step.end
         self._problem.set_time(time)
         stepper.commit(self._stage, time, self._stimulus.outcome, started, step.whole)
         self._kept = m.density.copy(), stepper.solver.x.copy()
-        self._limit(self._speed)
+        self._limit(self.density_rate)

@@ -65,11 +65,26 @@ class Balance:
     strain, also trapezoidal, takes the place of stored energy and of the work of free strain. So it
     does in all regions where the density of one changes: what is stored changes with stiffness too.
 
+    Attributes:
+        external_work: Work of loads, supports and free strains so far [N mm].
+        setting_work: Work of the stress of regions that set or creep so far [N mm].
+        energy_scale: Largest energy so far, which the defect of energy is compared with [N mm].
+        force_scale: Largest force so far, which the defect of force is compared with [N].
+        force, moment, energy: Relative defects of the last step [-].
+
     Args:
         about: Point that moments are taken about (3,) [mm].
     """
 
-    saved = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
+    saved = (
+        "external_work",
+        "setting_work",
+        "energy_scale",
+        "force_scale",
+        "force",
+        "moment",
+        "energy",
+    )
 
     def __init__(self, problem: Problem, about: Floats) -> None:
         self._problem = problem
@@ -123,7 +138,7 @@ class Balance:
 
     def begin(self) -> None:
         """Reset to the unloaded state."""
-        self._work = self._spent = self._scale = self._largest = 0.0
+        self.external_work = self.setting_work = self.energy_scale = self.force_scale = 0.0
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0
 
@@ -192,17 +207,18 @@ class Balance:
         works = (_work(a, b) for a, b in ((old.external, new.external), (old.setting, new.setting)))
         local = [*works, contact, new.energy]
         work, set_in, *stored = comm.allreduce(np.array(local)).tolist()
-        self._work, self._spent = self._work + work, self._spent + set_in
-        spent = (self._spent, *stored)
+        self.external_work += work
+        self.setting_work += set_in
+        spent = (self.setting_work, *stored)
         (_, displacement), (_, jump), *_ = new.external
         free = problem.forces.free_work(problem.load_time, displacement, jump)
         held = comm.allreduce(fem.assemble_scalar(self._set)) if self._set else 0.0
         q = PETSc.Vec().createWithArray(jump, comm=comm) if trial else None
         rounding = problem.rounding(u, q) / ROUNDING
         far = comm.allreduce(np.abs(displacement).max(initial=0.0), MPI.MAX)
-        sizes = (self._work, *spent, free, held, rounding * far)
-        self._scale = max(self._scale, *map(abs, sizes))
-        self.energy = _relative(self._work - sum(spent), self._scale)
+        sizes = (self.external_work, *spent, free, held, rounding * far)
+        self.energy_scale = max(self.energy_scale, *map(abs, sizes))
+        self.energy = _relative(self.external_work - sum(spent), self.energy_scale)
         self._forces(new, max(problem.force_scale(u, q), rounding))
 
     def _forces(self, new: _State, scale: float) -> None:
@@ -215,7 +231,7 @@ class Balance:
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))
         reactions = comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM)
         # After unloading only forces of rounding are left.
-        scale = self._largest = max(self._largest, scale, float(loads), float(reactions))
+        scale = self.force_scale = max(self.force_scale, scale, float(loads), float(reactions))
         left = float(np.sqrt(comm.allreduce(new.left @ new.left)))
         self.force = _relative(max(left, float(np.linalg.norm(force))), scale)
         far = comm.allreduce(np.linalg.norm(arm, axis=1).max(initial=0.0), MPI.MAX)
@@ -253,14 +269,14 @@ class HeatBalance:
     """
 
     saved = (
-        *("_stored", "_now", "_last", "_stage_sum", "_end_sum", "_moved"),
+        *("stored_at_start", "stored", "last_flows", "stage_sum", "end_sum", "moved"),
         *("heat", "quadrature", "heats"),
     )
 
     def __init__(self, stored: float, flows: Flows) -> None:
-        self._stored = self._now = stored
-        self._last = dict(flows)
-        self._stage_sum = self._end_sum = self._moved = 0.0
+        self.stored_at_start = self.stored = stored
+        self.last_flows = dict(flows)
+        self.stage_sum = self.end_sum = self.moved = 0.0
         self.heat = self.quadrature = 0.0
         self.heats: dict[str, float] = {}
 
@@ -280,16 +296,16 @@ class HeatBalance:
         """
         for name, heat in heats.items():
             self.heats[name] = self.heats.get(name, 0.0) + heat
-        self._stage_sum += sum(heats.values())
-        begin = self._last or end
-        self._end_sum += step * (sum(begin.values()) + sum(end.values())) / 2
-        self._last = dict(end)
-        self._moved += max(sum(map(abs, heats.values())), moved)
-        self._now = stored
-        if self._moved >= least:
-            gained, scale = stored - self._stored, self._moved or 1.0
-            self.heat = max(self.heat, abs(self._stage_sum - gained) / scale)
-            self.quadrature = abs(self._end_sum - gained) / scale
+        self.stage_sum += sum(heats.values())
+        begin = self.last_flows or end
+        self.end_sum += step * (sum(begin.values()) + sum(end.values())) / 2
+        self.last_flows = dict(end)
+        self.moved += max(sum(map(abs, heats.values())), moved)
+        self.stored = stored
+        if self.moved >= least:
+            gained, scale = stored - self.stored_at_start, self.moved or 1.0
+            self.heat = max(self.heat, abs(self.stage_sum - gained) / scale)
+            self.quadrature = abs(self.end_sum - gained) / scale
 
     def steady(self, flows: Flows, stored: float, rounding: float) -> None:
         """Add a steady state, where inflow equals outflow and storage does not count.
@@ -303,6 +319,6 @@ class HeatBalance:
         if through > rounding:
             self.heat = max(self.heat, abs(sum(flows.values())) / through)
         # The sums go on from here.
-        self._end_sum += stored - self._now
-        self._stage_sum += stored - self._now
-        self._now, self._last = stored, dict(flows)
+        self.end_sum += stored - self.stored
+        self.stage_sum += stored - self.stored
+        self.stored, self.last_flows = stored, dict(flows)

@@ -46,7 +46,16 @@ class Bearing:
         numbers: Numbers of the last step.
     """
 
-    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_bare", "_here", "_there")
+    saved = (
+        "numbers",
+        "time",
+        "cycle_start",
+        "cycle_rows",
+        "last_cycles",
+        "uncovered",
+        "slave_amounts",
+        "master_amounts",
+    )
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
@@ -70,22 +79,23 @@ class Bearing:
         self._period = problem.scene.period
         self._effusivity = _effusivity(case, (c.master, c.slave))
         self.numbers: dict[str, Any] = {}
-        self._time = self._way = 0.0
+        self.time = self.cycle_start = 0.0
         self._centre = np.array(self._motion.about if self._motion else np.zeros(3))
         # Part, torque, place and energy of each step of this cycle, and of the last two.
-        self._track: list[list[float]] = []
-        self._tracks: list[list[list[float]]] = []
+        self.cycle_rows: list[list[float]] = []
+        self.last_cycles: list[list[list[float]]] = []
         # Energy [N mm] and slid distance times area [mm3]: at points after the last step, before
         # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
-        self._here = np.zeros((len(self._rows), 3, 2))
-        self._there = np.zeros((len(self.dof), 2, 2))
+        self.slave_amounts = np.zeros((len(self._rows), 3, 2))
+        self.master_amounts = np.zeros((len(self.dof), 2, 2))
         # Which points have faced no master after some step.
-        self._bare = np.zeros(len(self._rows), dtype=bool)
+        self.uncovered = np.zeros(len(self._rows), dtype=bool)
 
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of contact points and of the master's nodes, which every rank has."""
-        return {key: np.arange(len(getattr(self, key))) for key in ("_bare", "_here", "_there")}
+        points, nodes = np.arange(len(self._rows)), np.arange(len(self.dof))
+        return {"uncovered": points, "slave_amounts": points, "master_amounts": nodes}
 
     def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
         """Take in a step at its end, which may end an increment of its stage; collective.
@@ -95,10 +105,10 @@ class Bearing:
         if stage.takes_time:
             return
         scene, rows, motion = self._problem.scene, self._rows, self._motion
-        if math.ceil(time) > math.ceil(self._time):
-            self._way, self._track, self._tracks = 0.0, [], []
+        if math.ceil(time) > math.ceil(self.time):
+            self.cycle_start, self.cycle_rows, self.last_cycles = 0.0, [], []
         before, middle, now = (
-            scene.rotation(motion, t) for t in (self._time, (self._time + time) / 2, time)
+            scene.rotation(motion, t) for t in (self.time, (self.time + time) / 2, time)
         )
         arm, turn = s.arm[rows], rotation_vector(now @ before.T)
         torque = np.cross(arm, s.weight[rows, None] * s.friction[rows]).sum(axis=0)
@@ -106,13 +116,13 @@ class Bearing:
         if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in its own axes
             centre = now @ centre
         spent = np.column_stack([s.dissipation[rows], s.weight[rows] * s.path[rows]])
-        dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
+        dose = (spent - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
         places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
-        self._there[:, 0] += self.surface.deposit(*places)
+        self.master_amounts[:, 0] += self.surface.deposit(*places)
         feet = arm @ now + self._centre
         on, at, _ = self.surface.closest(feet)
-        self._bare |= ~self.surface.faces(feet, self._slave.normals @ now, on, at)
-        self._here[:, 0], self._time = spent, time
+        self.uncovered |= ~self.surface.faces(feet, self._slave.normals @ now, on, at)
+        self.slave_amounts[:, 0], self.time = spent, time
         self.numbers = {
             "centre": centre.tolist(),
             "eccentricity": float(np.linalg.norm(centre)),
@@ -126,13 +136,19 @@ class Bearing:
                 "torque_size": float(np.linalg.norm(torque)),
                 "torque_along": float(torque @ along),
             }
-        way, energy = stage.ways * (time - math.ceil(time) + 1), self._there[:, 0, 0].sum()
-        self._track.append([float(v) for v in (way - self._way, *torque, *centre, energy)])
+        way = stage.ways * (time - math.ceil(time) + 1)
+        energy = self.master_amounts[:, 0, 0].sum()
+        row = (way - self.cycle_start, *torque, *centre, energy)
+        self.cycle_rows.append([float(v) for v in row])
         turns = stage.turn(time) if whole else 0
         if turns and (turns % 2 or stage.ways == stage.cycles):
-            self._here[:, 2], self._here[:, 1] = spent - self._here[:, 1], spent
-            self._there[:, 1], self._there[:, 0] = self._there[:, 0], 0.0
-            self._tracks, self._track, self._way = [*self._tracks[-1:], self._track], [], way
+            self.slave_amounts[:, 2] = spent - self.slave_amounts[:, 1]
+            self.slave_amounts[:, 1] = spent
+            self.master_amounts[:, 1] = self.master_amounts[:, 0]
+            self.master_amounts[:, 0] = 0.0
+            self.last_cycles = [*self.last_cycles[-1:], self.cycle_rows]
+            self.cycle_rows = []
+            self.cycle_start = way
 
     def _translation(self) -> Floats:
         """Displacement of the master: the mean over its surface (3,) [mm]; collective."""
@@ -151,9 +167,12 @@ class Bearing:
 
         Of the last whole cycle of the stage; of the first so far.
         """
-        k = int(bool(self._tracks))
-        here = self._here[:, 2] if k else self._here[:, 0] - self._here[:, 1]
-        return here / self._weight[:, None], self._there[:, k] / self.surface.areas[:, None]
+        if self.last_cycles:
+            slave, master = self.slave_amounts[:, 2], self.master_amounts[:, 1]
+        else:
+            slave = self.slave_amounts[:, 0] - self.slave_amounts[:, 1]
+            master = self.master_amounts[:, 0]
+        return slave / self._weight[:, None], master / self.surface.areas[:, None]
 
     def fields(self) -> dict[str, tuple[Floats, Floats]]:
         """Slid distance and depth of wear of a cycle at points (n,) and the master's nodes (m,).
@@ -176,10 +195,11 @@ class Bearing:
             "slid_mean": float(self._weight @ fields["slid"][0] / self._weight.sum()),
             "slid_max_master": float(fields["slid"][1].max()),
         }
-        if self._bare.any():
-            numbers["uncovered_fraction"] = float(self._weight @ self._bare / self._weight.sum())
+        if self.uncovered.any():
+            uncovered = self._weight @ self.uncovered
+            numbers["uncovered_fraction"] = float(uncovered / self._weight.sum())
         if self._motion:
-            track = np.array(self._tracks[-1] if self._tracks else self._track)
+            track = np.array(self.last_cycles[-1] if self.last_cycles else self.cycle_rows)
             numbers["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())
         if "wear" in fields:
             here, there = fields["wear"]
@@ -204,9 +224,9 @@ class Bearing:
         Largest difference of the torque over the largest torque, of the place of the centre [mm],
         both at the same part of the cycle; of the dissipation over the last one.
         """
-        if len(self._tracks) < 2:
+        if len(self.last_cycles) < 2:
             return {}
-        before, now = map(np.array, self._tracks)
+        before, now = map(np.array, self.last_cycles)
         then = np.column_stack([np.interp(now[:, 0], before[:, 0], v) for v in before.T])
         torque, off, largest = (
             float(np.linalg.norm(v, axis=1).max())

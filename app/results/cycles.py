@@ -22,11 +22,11 @@ Turn = dict[str, dict[str, float]]
 class Cycles:
     """Numbers at the peaks and valleys of the loads, by stage."""
 
-    saved = ("_turns",)
+    saved = ("turns",)
 
     def __init__(self) -> None:
         # Dissipation at every turn [N mm], and numbers of the last three.
-        self._turns: dict[str, tuple[list[float], list[Turn]]] = {}
+        self.turns: dict[str, tuple[list[float], list[Turn]]] = {}
 
     def add(self, stage: str, stem: Mapping[str, Any], interfaces: Mapping[str, Any]) -> None:
         """Keep the numbers where the loads of a stage turn: peaks and valleys in turns."""
@@ -34,14 +34,14 @@ class Cycles:
             name: {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
             for name, numbers in interfaces.items()
         }
-        spent, last = self._turns.setdefault(stage, ([], []))
+        spent, last = self.turns.setdefault(stage, ([], []))
         spent.append(sum(own.get("dissipation", 0.0) for own in kept.values()))
         last.append(({"stem": dict(stem)} if stem else {}) | kept)
         del last[:-3]
 
     def summary(self) -> dict[str, Any]:
         """For each stage with two peaks at least, what `split` finds."""
-        turns = self._turns.items()
+        turns = self.turns.items()
         return {stage: split(*history) for stage, history in turns if len(history[0]) > 2}
 
 

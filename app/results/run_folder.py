@@ -73,7 +73,7 @@ class Writer:
         StoppedError: The directory cannot be written.
     """
 
-    saved = ("_columns", "_rows", "field_steps")
+    saved = ("columns", "rows", "field_steps")
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class Writer:
     ) -> None:
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
         # Rows as text, for a run may have thousands of steps.
-        self._columns, self._rows = list[str](), ""
+        self.columns, self.rows = list[str](), ""
         self._written = -OFTEN
 
         def start() -> None:
@@ -147,12 +147,12 @@ class Writer:
 
     def add_row(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv, which is written now and then; collective."""
-        new = [name for name in row if name not in self._columns]
+        new = [name for name in row if name not in self.columns]
         if new:
-            self._columns += new
-            self._rows = self._rows.replace("\n", "," * len(new) + "\n")
-        full = {name: row.get(name, "") for name in self._columns}
-        self._rows += csv_text([full]).partition("\n")[2]
+            self.columns += new
+            self.rows = self.rows.replace("\n", "," * len(new) + "\n")
+        full = {name: row.get(name, "") for name in self.columns}
+        self.rows += csv_text([full]).partition("\n")[2]
         self._table(OFTEN)
 
     def _table(self, often: float = 0.0) -> None:
@@ -160,15 +160,15 @@ class Writer:
 
         def write() -> None:
             if clock.monotonic() - self._written >= often:
-                header = csv_text([dict.fromkeys(self._columns)]).partition("\n")[0]
-                write_text(path, f"{header}\n{self._rows}")
+                header = csv_text([dict.fromkeys(self.columns)]).partition("\n")[0]
+                write_text(path, f"{header}\n{self.rows}")
                 self._written = clock.monotonic()
 
         _write(self._comm, write, str(path))
 
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
-        if self._rows:
+        if self.rows:
             self._table()
 
         def write() -> None:

@@ -188,7 +188,7 @@ class ThermalRecord:
         InputError: A probe is not in its region.
     """
 
-    saved = ("_seconds", "row", "_extremes", "regions")
+    saved = ("seconds", "row", "extremes", "regions")
 
     def __init__(
         self,
@@ -214,7 +214,7 @@ class ThermalRecord:
                 self._bone_sides.append(self._interfaces[name].sides[0 if first else 1])
         self._probes = Probes(tagged, forms.space, of_region, probes)
         # Largest numbers of each interface so far, over all ranks.
-        self._extremes: dict[str, dict[str, float]] = {name: {} for name in interfaces}
+        self.extremes: dict[str, dict[str, float]] = {name: {} for name in interfaces}
         self.regions: dict[str, RegionTemperatures] = {}
 
     def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
@@ -244,9 +244,9 @@ class ThermalRecord:
             rates: Rates of change at its end, of own nodes of the bodies [K/s], if the heat source
                 has a kink at its start, so that earlier states say nothing of it.
         """
-        step = seconds - self._seconds
+        step = seconds - self.seconds
         for r in self.regions.values():
-            r.take(self._seconds, temperatures)
+            r.take(self.seconds, temperatures)
         if step > 0:
             self._expose(seconds, rates)
         elif self._comm.allreduce(any(r.warm.any() for r in self.regions.values()), MPI.LOR):
@@ -266,11 +266,11 @@ class ThermalRecord:
         worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
         pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
-            r.doses.add_bent(r.begin, r.now, bends[name], seconds - self._seconds, pieces)
+            r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, pieces)
 
     def _raise(self, interface: str, numbers: Mapping[str, float]) -> None:
         """Raise the extremes of an interface to some numbers."""
-        extremes = self._extremes[interface]
+        extremes = self.extremes[interface]
         for key, value in numbers.items():
             extremes[key] = max(extremes.get(key, -np.inf), value)
 
@@ -286,11 +286,11 @@ class ThermalRecord:
             if not nodes.apart:
                 local[f"{name} temperature_jump_max [K]"] = np.abs(nodes.jump(temperatures))
         row = maxima(self._comm, local)
-        for name in self._extremes:
+        for name in self.extremes:
             self._raise(name, {"jump": row.get(f"{name} temperature_jump_max [K]", 0.0)})
         probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
-        self._seconds, self.row = seconds, {"seconds [s]": seconds, **row}
+        self.seconds, self.row = seconds, {"seconds [s]": seconds, **row}
 
     def _on(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
         """Values of the nodes of a side of an interface (n, ...)."""
@@ -350,7 +350,7 @@ class ThermalRecord:
             result[f"temperature_max_{which}_time"] = when
         if self._interfaces[name].apart:
             return result
-        extremes = self._extremes[name]
+        extremes = self.extremes[name]
         result["temperature_jump_max"] = extremes["jump"]
         # Where both sides share one temperature the rest is unknown.
         if "flux" in extremes:
@@ -396,7 +396,7 @@ class CureRecord:
         keys: Keys of these nodes (n,).
     """
 
-    saved = ("_regions", "_seconds")
+    saved = ("regions", "seconds")
 
     def __init__(
         self,
@@ -405,16 +405,16 @@ class CureRecord:
         keys: Mapping[str, Ints],
         seconds: float = 0.0,
     ) -> None:
-        self._comm, self._seconds = comm, seconds
-        self.row_keys = {"_regions": keys}
-        self._regions = {name: _CuringRegion(d, seconds) for name, d in degrees.items()}
+        self._comm, self.seconds = comm, seconds
+        self.row_keys = {"regions": keys}
+        self.regions = {name: _CuringRegion(d, seconds) for name, d in degrees.items()}
 
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
     ) -> None:
         """Record an accepted step: its end [s], the degrees then (n,) and their rates [1/s]."""
-        step = seconds - self._seconds
-        for name, r in self._regions.items():
+        step = seconds - self.seconds
+        for name, r in self.regions.items():
             degree = degrees[name]
             rate = rates[name]
             for key, level in SET.items():
@@ -422,16 +422,16 @@ class CureRecord:
                 share = _crossing(
                     level, r.degree[now], degree[now], step * r.rate[now], step * rate[now]
                 )
-                r.reached[key][now] = self._seconds + step * share
+                r.reached[key][now] = self.seconds + step * share
             r.fastest.take(rate, seconds)
             r.degree = degree.copy()
             r.rate = rate.copy()
-        self._seconds = seconds
+        self.seconds = seconds
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv for the last recorded state; collective."""
         result: dict[str, float] = {}
-        for name, r in self._regions.items():
+        for name, r in self.regions.items():
             low, high = self._range(r)
             result |= {f"{name} degree_min [-]": low, f"{name} degree_max [-]": high}
         return result
@@ -439,7 +439,7 @@ class CureRecord:
     def summary(self) -> dict[str, Any]:
         """Section ``cure`` of the summary; collective. Times not reached are None."""
         result: dict[str, dict[str, float | None]] = {}
-        for name, r in self._regions.items():
+        for name, r in self.regions.items():
             low, high = self._range(r)
             latest = maxima(self._comm, {**r.reached, "rate_max": r.fastest.value})
             result[name] = {"degree_min": low, "degree_max": high}

@@ -34,7 +34,7 @@ from app.system import folders
 log = logging.getLogger("mantle")
 
 # Version of the file layout.
-FORMAT = 8
+FORMAT = 9
 # Stands for rows in the header, which is an array of its name.
 ROWS = "@rows"
 # Number of checkpoints kept.

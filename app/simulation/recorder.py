@@ -73,8 +73,17 @@ class Recorder:
     """
 
     saved = (
-        *("step_count", "time", "_frames", "_written", "_total", "_mechanical", "_contact"),
-        *("_balance", "_writer", "_cycles", "_valley"),
+        "step_count",
+        "time",
+        "whole_steps",
+        "fields_at",
+        "total",
+        "mechanical_row",
+        "contact_state",
+        "balance",
+        "writer",
+        "cycles",
+        "valley",
     )
 
     def __init__(
@@ -86,17 +95,17 @@ class Recorder:
         begin: float,
         progress: OnAccepted,
     ) -> None:
-        self._case, self._model, self._writer = case, model, writer
+        self._case, self._model, self.writer = case, model, writer
         self._progress = progress
         self._timing, self._begin = timing, begin
         about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
-        self._balance: Balance | None = None
+        self.balance: Balance | None = None
         self._critical: dict[str, Any] = {}
         self._probes: Probes | None = None
         m = model.mechanics
         if m:
             with timing.phase("assemble"):
-                self._balance = m.balance(about)
+                self.balance = m.balance(about)
                 self._critical, beyond = failure.beyond_critical(m.problem)
             for warning in beyond:
                 log.warning("%s", warning)
@@ -104,36 +113,36 @@ class Recorder:
             p = m.problem
             self._probes = Probes(model.tagged, p.space, p.bodies.of_region, probes)
         self.samples: ContactSamples | None = None
-        self._contact: dict[str, Any] = {}
+        self.contact_state: dict[str, Any] = {}
         self.time = 0.0
-        self.step_count = self._written = self._frames = 0
-        self._total = Summary()
+        self.step_count = self.fields_at = self.whole_steps = 0
+        self.total = Summary()
         self._stage = Stage(name="rest")
-        self._cycles = Cycles()
-        self._valley: dict[str, Any] = {}
-        self._mechanical: dict[str, Any] = {}
+        self.cycles = Cycles()
+        self.valley: dict[str, Any] = {}
+        self.mechanical_row: dict[str, Any] = {}
 
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of owned contact points."""
         m = self._model.mechanics
         contact = m.problem.contact if m else None
-        return dict.fromkeys(("_contact", "_valley"), contact.row_keys) if contact else {}
+        return dict.fromkeys(("contact_state", "valley"), contact.row_keys) if contact else {}
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
         # Until the mechanics have been solved the balance is at rest, without given temperatures.
         m = self._model.mechanics
-        if self._mechanical and m and self._balance:
+        if self.mechanical_row and m and self.balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
-            self._balance.go_on(u, trial)
+            self.balance.go_on(u, trial)
             if trial is not None:
-                trial = replace(trial, law=replace(trial.law, **self._contact))
-                since = self._valley.get("jump")
+                trial = replace(trial, law=replace(trial.law, **self.contact_state))
+                since = self.valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
-        if self._writer.fields and not self._writer.field_steps:
-            self._written = 0
+        if self.writer.fields and not self.writer.field_steps:
+            self.fields_at = 0
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
         """Add the wall seconds before a restart, as `seconds` gave them."""
@@ -150,21 +159,21 @@ class Recorder:
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
-            m, balance = self._model.mechanics, self._balance
+            m, balance = self._model.mechanics, self.balance
             assert m is not None and balance is not None
             balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
-                self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
-                since = self._valley.get("jump")
+                self.contact_state = {"pressures": trial.law.pressures, "status": trial.law.status}
+                since = self.valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
                 m.slide(self.samples, self._stage, step)
-            self._total.count(step.outcome)
+            self.total.count(step.outcome)
             moved = m.stem(self._case.side)
             columns = [q for key, q in TABLE["stem"].items() if q.step_record and key in moved]
-            self._mechanical = self._row_of(step, balance)
-            self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
+            self.mechanical_row = self._row_of(step, balance)
+            self.mechanical_row |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
             for record in self._model.records.values():
-                self._mechanical |= record.step_record()
+                self.mechanical_row |= record.step_record()
             self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:
@@ -176,14 +185,14 @@ class Recorder:
         turn = self._stage.turn(step.time)
         if self._stage.ways == self._stage.cycles or not step.whole or not turn:
             return  # courses have no valleys
-        self._cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
+        self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
         if trial is not None and turn % 2 == 0:
-            self._valley = {"jump": trial.jump.copy()}
+            self.valley = {"jump": trial.jump.copy()}
 
     def heat(self, step: LoadStep, accepted: HeatStep) -> None:
         """Record a step of the heat, with the mechanics at its end; collective."""
         with self._timing.phase("output"):
-            self._total.count(accepted.outcome)
+            self.total.count(accepted.outcome)
             wall = clock.perf_counter() - self._begin
             t = self._model.thermal
             if t:
@@ -233,18 +242,18 @@ class Recorder:
     def _row(self, step: LoadStep) -> None:
         self.time = step.time
         self.step_count += 1
-        row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical
+        row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self.mechanical_row
         t = self._model.thermal
         if t:
             row |= t.row()
         wall = clock.perf_counter() - self._begin
         row["wall [s]"] = round(wall, 3)
-        self._writer.add_row(row)
+        self.writer.add_row(row)
         if step.whole:
-            self._frames += 1
-            if self._frames % self._case.output.every == 0:
+            self.whole_steps += 1
+            if self.whole_steps % self._case.output.every == 0:
                 self._fields()
-        end, folder = float(len(self._case.stages)), self._writer.folder
+        end, folder = float(len(self._case.stages)), self.writer.folder
         self._progress(AcceptedStep(folder, self.step_count, step.stage, step.time, end, wall, row))
 
     def _displacements(self) -> dict[str, list[float]]:
@@ -260,28 +269,28 @@ class Recorder:
         return float(s.weight[s.status == status].sum() / s.weight.sum()) if s else 0.0
 
     def _fields(self) -> None:
-        self._written = self.step_count  # a step that does not fit the disk is not tried again
-        self._writer.write_fields(self.time, self.samples)
+        self.fields_at = self.step_count  # a step that does not fit the disk is not tried again
+        self.writer.write_fields(self.time, self.samples)
 
     def flush(self) -> None:
         """Write pending fields of the last step, and fields of the last step alone."""
-        if self._written < self.step_count:
+        if self.fields_at < self.step_count:
             self._fields()
-        self._writer.last_fields()
+        self.writer.last_fields()
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
-        model, counted = self._model, total or self._total
+        model, counted = self._model, total or self.total
         m = model.mechanics
         contact = m and m.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
-        b, t = self._balance, model.thermal
+        b, t = self.balance, model.thermal
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
         balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples)
-            cycles = self._cycles.summary()
+            cycles = self.cycles.summary()
             changes = {name: b.change() for name, b in m.bearings.items()} if m else {}
             change = {name: numbers for name, numbers in changes.items() if numbers}
             if change:
@@ -336,7 +345,7 @@ class Recorder:
 
         def finish() -> None:
             found = {"verdicts": [verdict.record() for verdict in why]}
-            self._writer.finish(self.summary(status, None) | found, done=False)
+            self.writer.finish(self.summary(status, None) | found, done=False)
 
         for write in (self.flush, finish) if self.step_count else (finish,):
             try:
@@ -347,8 +356,8 @@ class Recorder:
     def last_state(self) -> str:
         """Sentence on the last converged state and its folder."""
         if not self.step_count:
-            return f"no step has converged: {self._writer.folder} has the case, and no numbers"
+            return f"no step has converged: {self.writer.folder} has the case, and no numbers"
         return (
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
-            f"in {self._writer.folder}"
+            f"in {self.writer.folder}"
         )

@@ -28,7 +28,7 @@ class ThermalModel:
             interfaces of finite conductance from the first side to the second [mW].
     """
 
-    saved = ("heating", "record", "_settled", "cure", "balance", "flows", "sliding")
+    saved = ("heating", "record", "settled", "cure", "balance", "flows", "sliding")
 
     def __init__(self, case: Case, heating: HeatState, problem: Problem | None) -> None:
         operators = heating.operators
@@ -51,7 +51,7 @@ class ThermalModel:
         )
         self._first_contact = InitialJump(operators)
         # Once a steady state has been reached the first instants are over.
-        self._settled = False
+        self.settled = False
         self.record.start(self._reported(0.0))
         self.cure: CureRecord | None = None
         if operators.cure:
@@ -64,7 +64,7 @@ class ThermalModel:
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Reported temperatures of the bodies at a time [s]; collective."""
         temperatures = self.operators.temperatures(self.heating.vectors())
-        if not self._settled:
+        if not self.settled:
             self._first_contact.put(temperatures, seconds)
         return temperatures
 
@@ -74,7 +74,7 @@ class ThermalModel:
         x = heating.vectors()
         temperatures = operators.temperatures(x)
         exchanges = exchange(operators, x, temperatures)
-        self._settled = self._settled or accepted.dt == 0.0
+        self.settled = self.settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
         highest = operators.principle.high
         rates = [*heating.slopes()] if heating.begins_at_event(accepted) else ()

@@ -39,15 +39,15 @@ class CycleHeat:
 
     # Steps of this cycle, and of the last one, at own points (n, 6): part of the cycle, place in
     # the axes of the master (3), pressure, and dissipation [N mm].
-    saved = ("_steps", "_cycle", "_time", "_spent")
+    saved = ("steps", "cycle", "time", "dissipated")
 
     def __init__(self, problem: Problem, step: ImplicitStep) -> None:
         self._problem, self._step, self._scene = problem, step, problem.scene
         assert problem.contact is not None and problem.contact.finite_sliding is not None
         self._contact, self._finite_sliding = problem.contact, problem.contact.finite_sliding
-        self._time, self._spent = 0.0, self._contact.own.weight * 0.0
-        self._steps: list[Floats] = []
-        self._cycle = [self._state(1.0, 0.0, self._spent, self._spent)]
+        self.time, self.dissipated = 0.0, self._contact.own.weight * 0.0
+        self.steps: list[Floats] = []
+        self.cycle = [self._state(1.0, 0.0, self.dissipated, self.dissipated)]
         self._changed = True
 
     @property
@@ -68,7 +68,7 @@ class CycleHeat:
             stage = self._scene.stages[math.ceil(step.time) - 1]
             if trial is not None and not stage.takes_time:
                 self._take(stage, step, trial)
-            self._time = step.time
+            self.time = step.time
             on_step(step, trial)
 
         return taken
@@ -77,14 +77,14 @@ class CycleHeat:
         pressure, spent = trial.law.pressures[:, 0], self._contact.state.dissipation
         self._changed = True
         if stage.repeats:
-            begin = max(self._time, math.ceil(step.time) - 1)
+            begin = max(self.time, math.ceil(step.time) - 1)
             part, middle = stage.cycles * (step.time - begin), (step.time + begin) / 2
-            self._steps.append(self._state(part, middle, pressure, spent - self._spent))
+            self.steps.append(self._state(part, middle, pressure, spent - self.dissipated))
             if step.whole and stage.turn(step.time):
-                self._cycle, self._steps = self._steps, []
+                self.cycle, self.steps = self.steps, []
         else:
-            self._cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]
-        self._spent = spent.copy()
+            self.cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]
+        self.dissipated = spent.copy()
 
     def before_stage(self, on_stage: Callable[[Stage], None]) -> Callable[[Stage], None]:
         """Set the mean heat before a stage in which heat flows."""
@@ -134,7 +134,7 @@ class CycleHeat:
         m, n = len(master.dofs), len(slave.dofs)
         least, slope, cap = c.law.conductances
         heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))
-        for state in self._cycle:
+        for state in self.cycle:
             part, *place, pressure, spent = self._contact.whole(state)[here].T
             pairs = mortar(np.column_stack(place), slave.triangles, surface)
             Π = sparse.csr_array((pairs.values, (pairs.rows, pairs.columns)), shape=(n, m))

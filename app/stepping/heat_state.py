@@ -64,7 +64,7 @@ class HeatState:
         total: Counts of steps and iterations so far.
     """
 
-    saved = ("seconds", "total", "state", "_slope", "step", "solver")
+    saved = ("seconds", "total", "state", "slope", "step", "solver")
 
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
@@ -78,7 +78,7 @@ class HeatState:
         self.seconds = 0.0
         self.total = Summary()
         self.state = self._state(step.initial())
-        self._slope: State = [np.zeros_like(part) for part in self.state]
+        self.slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []
         self.put(self.state)
         cure = self.operators.cure
@@ -88,7 +88,7 @@ class HeatState:
     def row_keys(self) -> dict[str, list[Ints]]:
         """Keys of own nodes and points, by block."""
         blocks = self.operators.block_keys()
-        return {"state": blocks, "_slope": blocks}
+        return {"state": blocks, "slope": blocks}
 
     def restored(self) -> None:
         """Set the solver to the restored temperatures."""
@@ -152,8 +152,8 @@ class HeatState:
         if self.coupled is None:
             shortest = 1e-6 * min(longest, 1.0)
             slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
-            self._slope = slope or self._slope
-            first = integrator.first_step(self._slope, self.norm, longest)
+            self.slope = slope or self.slope
+            first = integrator.first_step(self.slope, self.norm, longest)
         return self.options.first_step or first
 
     def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
@@ -164,7 +164,7 @@ class HeatState:
         A step that leaves the extremes of the data is repeated: without the edges of the mesh that
         cause it (`heat.maximum_principle`), else by backward Euler.
         """
-        state, slope = (self._with_work(part) for part in (self.state, self._slope))
+        state, slope = (self._with_work(part) for part in (self.state, self.slope))
         principle = self.operators.principle
         for name in dict.fromkeys((self.method.name, "backward_euler")):
             method = METHODS[name]
@@ -187,7 +187,7 @@ class HeatState:
         }
         self.operators.principle.take_back(self.operators.nodal(self.vectors()))
         own = slice(len(self.state))
-        self.state, self._slope = found.state[own], found.slope[own]
+        self.state, self.slope = found.state[own], found.slope[own]
         self.seconds += dt
         self.total.steps += 1
         return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
@@ -199,7 +199,7 @@ class HeatState:
         if found is None:
             return None
         found = found[: len(self.state)]
-        self.state, self._slope = found, [np.zeros_like(part) for part in found]
+        self.state, self.slope = found, [np.zeros_like(part) for part in found]
         self.total.steps += 1
         return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
 
@@ -224,7 +224,7 @@ class HeatState:
 
     def slopes(self) -> Floats:
         """Rates of change of temperature at own nodes of each body (b, n) [K/s]."""
-        return self._nodal(self._slope)
+        return self._nodal(self.slope)
 
     def degrees(self) -> dict[str, Floats]:
         """Degrees of cure of own nodes of each curing region."""
@@ -234,7 +234,7 @@ class HeatState:
     def rates(self) -> dict[str, Floats]:
         """Rates of cure of own nodes of each curing region [1/s]."""
         n = len(self.vectors())
-        return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
+        return {c.region: a for c, a in zip(self._curing, self.slope[n:], strict=True)}
 
     def _nodal(self, state: State) -> Floats:
         """Temperatures of own nodes of each body in a state (b, n) [K]."""

@@ -35,12 +35,12 @@ class HeatStepper:
         on_heat: Called after each committed step, once the mechanics have followed.
     """
 
-    saved = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
+    saved = ("under_way", "stage_start", "steps_done", "controller", "mechanics")
 
     def __init__(self, heating: HeatState, mechanics: Mechanics | None, on_heat: OnHeat) -> None:
         self.heating, self.mechanics, self._on_heat = heating, mechanics, on_heat
-        self._under_way, self._begin, self._steps = False, 0.0, 0
-        self._controller = Controller(heating.method)
+        self.under_way, self.stage_start, self.steps_done = False, 0.0, 0
+        self.controller = Controller(heating.method)
 
     @property
     def total(self) -> Summary:
@@ -49,25 +49,25 @@ class HeatStepper:
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Run a stage that takes time, or find a steady state."""
-        if not self._under_way:
-            self._begin, self._steps = self.heating.seconds, 0
+        if not self.under_way:
+            self.stage_start, self.steps_done = self.heating.seconds, 0
         if self.mechanics is not None:
-            self.mechanics.begin(k, stage, not self._under_way)
-        self._under_way = True
+            self.mechanics.begin(k, stage, not self.under_way)
+        self.under_way = True
         self._k, self._stage = k, stage
         advance(self, self._control_of(stage), checkpoint_point)
-        self._under_way = False
+        self.under_way = False
 
     def _control_of(self, stage: Stage) -> Control:
         """Lengths of the steps of a stage: one to a steady state, by their error, or equal."""
         if stage.steady:
-            return GivenSteps([Step(0.0, 1.0, math.inf, whole=True)], self._steps)
+            return GivenSteps([Step(0.0, 1.0, math.inf, whole=True)], self.steps_done)
         first = 0.0
-        if not self._steps:
+        if not self.steps_done:
             first = self.heating.start(stage.seconds / stage.increments)
         if stage.adaptive:
-            return StepsByError(self.heating, self._controller, stage, self._begin, first)
-        return GivenSteps(self._equal(stage), self._steps)
+            return StepsByError(self.heating, self.controller, stage, self.stage_start, first)
+        return GivenSteps(self._equal(stage), self.steps_done)
 
     def _equal(self, stage: Stage) -> list[Step]:
         """Equal steps of a stage, divided at events."""
@@ -75,7 +75,7 @@ class HeatStepper:
         tiny = SHORTEST * stage.seconds
         steps: list[Step] = []
         for n in range(stage.increments):
-            inside = [e - self._begin - n * length for e in self.heating.events]
+            inside = [e - self.stage_start - n * length for e in self.heating.events]
             ends = [0.0, *(e for e in inside if tiny < e < length - tiny), length]
             for a, b in pairwise(ends):
                 places = (n + a / length) / stage.increments, (n + b / length) / stage.increments
@@ -124,7 +124,7 @@ class HeatStepper:
         outcome, seconds = accepted.outcome, clock.perf_counter() - started
         load_step = LoadStep(self.total.steps, self._stage.name, time, outcome, seconds, step.whole)
         self._on_heat(load_step, accepted)
-        self._steps += 1
+        self.steps_done += 1
 
     def _failure_text(self, step: Step) -> str:
         outcome, stage = self.heating.outcome, self._stage

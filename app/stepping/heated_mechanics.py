@@ -49,7 +49,7 @@ class HeatedMechanics:
     ``time.mechanical_step``: a change of temperature, or of cure as the temperature it releases.
     """
 
-    saved: tuple[str, ...] = ("_strains", "_before")
+    saved: tuple[str, ...] = ("strains", "previous")
     _stage: Stage
 
     def __init__(self, load_stepper: LoadStepper, heating: HeatState) -> None:
@@ -59,7 +59,7 @@ class HeatedMechanics:
         self._curing = operators.cure.nodes if operators.cure else []
         self._temperatures = [fem.Function(operators.forms.space) for _ in operators.bodies.names]
         # Free strain so far, and what the mechanics see.
-        self._degrees, self._strains, self._seen = (
+        self._degrees, self.strains, self._seen = (
             [fem.Function(operators.forms.space) for _ in self._curing] for _ in range(3)
         )
         expansion = {x.region: x.expansion for x in operators.scene.expansions}
@@ -68,8 +68,8 @@ class HeatedMechanics:
             for cure, c in zip(operators.scene.cures, self._curing, strict=True)
         ]
         self._last: ThermalState | None = None
-        self._before = self._now()
-        self._load(self._before, self._before, 1.0)
+        self.previous = self._now()
+        self._load(self.previous, self.previous, 1.0)
 
     @cached_property
     def row_keys(self) -> Ints:
@@ -80,7 +80,7 @@ class HeatedMechanics:
         """Load the mechanics with the thermal state of their last solve; collective."""
         self._last = None
         self._now()
-        self._load(self._before, self._before, 1.0)
+        self._load(self.previous, self.previous, 1.0)
         problem = self._load_stepper.problem
         if problem.stress_history:
             problem.stress_history.begin_at(problem.displacements())
@@ -98,24 +98,24 @@ class HeatedMechanics:
         last = self._last
         if last is not None:
             for k, c in enumerate(self._curing):
-                self._strains[k].x.array[c.dof] += self._free[k](
+                self.strains[k].x.array[c.dof] += self._free[k](
                     a_old=last.degrees[k][c.dof],
                     T_old=last.temperatures[c.body][c.dof],
                     a=degrees[k],
                     T=self._temperatures[c.body].x.array[c.dof],
                 )[0]
-                self._strains[k].x.scatter_forward()
+                self.strains[k].x.scatter_forward()
         self._last = ThermalState(
             *(
                 [f.x.array.copy() for f in functions]
-                for functions in (self._temperatures, self._degrees, self._strains)
+                for functions in (self._temperatures, self._degrees, self.strains)
             )
         )
         return self._last
 
     def _distance(self, now: ThermalState) -> float:
         """Largest change since the last solve [K], of cure by the heat it releases; collective."""
-        before = self._before
+        before = self.previous
         pairs = zip(before.temperatures, now.temperatures, strict=True)
         # A rank may be without cells, and then it has no values.
         sizes = [float(np.abs(a - b).max(initial=0.0)) for a, b in pairs]
@@ -125,9 +125,9 @@ class HeatedMechanics:
 
     def _advance(self, now: ThermalState, begin: float, end: float) -> None:
         """Solve from the thermal state and the time of the last solve to others."""
-        before = self._before
+        before = self.previous
         steps = max(math.ceil(self._distance(now) / self._limit - SAME), 1)
-        self._before = now
+        self.previous = now
 
         def set_load(s: float) -> None:
             self._load_stepper.problem.set_time(begin + s * (end - begin))
@@ -168,42 +168,42 @@ class SolvedAfterHeat(HeatedMechanics):
     temperature.
     """
 
-    saved = (*HeatedMechanics.saved, "_time")
+    saved = (*HeatedMechanics.saved, "time")
 
-    _time = 0.0
+    time = 0.0
 
     def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:
-            self._time, self._before = float(k), self._now()
+            self.time, self.previous = float(k), self._now()
 
     def follow(self, time: float, whole: bool) -> None:
         """Solve at the end of an increment, or after a large change."""
         now = self._now()
         if whole or self._distance(now) >= self._limit:
-            self._advance(now, self._time, time)
-            self._time = time
+            self._advance(now, self.time, time)
+            self.time = time
 
 
 class SolvedWithHeat(HeatedMechanics):
     """Mechanics that heat depends on: in one system with it."""
 
-    saved = (*HeatedMechanics.saved, "_start", "_committed")
+    saved = (*HeatedMechanics.saved, "stage_start", "committed_at")
 
     def __init__(
         self, load_stepper: LoadStepper, heating: HeatState, system: CoupledSystem
     ) -> None:
         super().__init__(load_stepper, heating)
         self._system = system
-        self._start = self._committed = heating.seconds
+        self.stage_start = self.committed_at = heating.seconds
 
     def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:
-            self._start = self._committed = self._heating.seconds
-        self._system.begin_stage(k, stage, self._start)
+            self.stage_start = self.committed_at = self._heating.seconds
+        self._system.begin_stage(k, stage, self.stage_start)
         self._system.restore(self._heating.solver.blocks())
 
     def follow(self, time: float, whole: bool) -> None:
@@ -211,11 +211,11 @@ class SolvedWithHeat(HeatedMechanics):
         started = clock.perf_counter()
         heating, now = self._heating, self._now()
         self._system.commit(heating.solver.blocks())
-        self._system.exchange.report((heating.seconds - self._committed) or np.inf)
-        self._committed = heating.seconds
+        self._system.exchange.report((heating.seconds - self.committed_at) or np.inf)
+        self.committed_at = heating.seconds
         if self._load_stepper.problem.stress_history:
             # Within the step stiffness and free strain were those before it: an error of order 1.
             self._advance(now, time, time)
         else:
-            self._before = now
+            self.previous = now
             self._load_stepper.commit(self._stage, time, heating.outcome, started, whole)

@@ -112,7 +112,7 @@ class LoadStepper:
         total: Counts of steps and iterations so far.
     """
 
-    saved: ClassVar = ("_progress", "total")
+    saved: ClassVar = ("progress", "total")
 
     problem: Problem
     solver: Solver
@@ -125,7 +125,7 @@ class LoadStepper:
         """Put extrapolation before the other predictors."""
         self._line = Extrapolation(self.solver, self.problem.scene.last_turn)
         self.predictors = (self._line, *self.predictors)
-        self._progress, self._cover = LoadProgress(), Cover(self.problem)
+        self.progress, self._cover = LoadProgress(), Cover(self.problem)
 
     def solve(self) -> NewtonResult:
         """Solve, until points that slide far are paired with the surface that they touch."""
@@ -147,14 +147,14 @@ class LoadStepper:
         """Take load steps through a stage that takes no time, up to its creep."""
         whole, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
         whole /= self.problem.scene.turns(k, whole)
-        if not self._progress.step:
-            self._progress = LoadProgress(whole)
+        if not self.progress.step:
+            self.progress = LoadProgress(whole)
 
         def set_load(s: float) -> None:
             self.problem.set_time(k + s * stage.loaded)
 
-        self.run_path(stage, whole, set_load, k, end, self._progress, checkpoint_point)
-        self._progress = LoadProgress()
+        self.run_path(stage, whole, set_load, k, end, self.progress, checkpoint_point)
+        self.progress = LoadProgress()
 
     def run_path(
         self,
@@ -251,7 +251,7 @@ class GivenLoads:
     """
 
     def __init__(self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress) -> None:
-        self._stepper, self._path, self._progress = stepper, path, progress
+        self._stepper, self._path, self.progress = stepper, path, progress
         self._problem, self._solver = stepper.problem, stepper.solver
         self.begun: float | None = None
         self.start = self._solver.x.copy()
@@ -263,17 +263,17 @@ class GivenLoads:
     @property
     def finished(self) -> bool:
         """Return True if the path is done, or steps of given energy go on."""
-        return self._progress.done >= 1.0 or self._progress.energy > 0.0
+        return self.progress.done >= 1.0 or self.progress.energy > 0.0
 
     def propose(self) -> Step:
         """Return the next step."""
-        return self._progress.next(self._path.whole)
+        return self.progress.next(self._path.whole)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step that was solved, in a number of iterations; lengthen the next one."""
         if math.isinf(error):
             return False
-        p, whole = self._progress, self._path.whole
+        p, whole = self.progress, self._path.whole
         p.done = step.end
         if error <= EASY_ITERATIONS and p.step < whole:
             p.step = min(GROWTH * p.step, whole)
@@ -309,7 +309,7 @@ class GivenLoads:
         Raises:
             ConvergenceError: The step cannot or may not be halved.
         """
-        problem, solver, p = self._problem, self._solver, self._progress
+        problem, solver, p = self._problem, self._solver, self.progress
         stage, set_load = self._path.stage, self._path.set_load
         self._stepper.total.rejected += 1
         self.start.copy(solver.x)
@@ -360,7 +360,7 @@ class GivenEnergy:
     def __init__(
         self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress, start: PETSc.Vec
     ) -> None:
-        self._stepper, self._path, self._progress = stepper, path, progress
+        self._stepper, self._path, self.progress = stepper, path, progress
         self._solver = stepper.solver
         self._most = path.stage.fracture_step or 0.0
         self._control: EnergyControl | None = None
@@ -375,11 +375,11 @@ class GivenEnergy:
     @property
     def finished(self) -> bool:
         """Return True if steps of given loads go on, or the path is done."""
-        return self._progress.energy == 0.0 or self._progress.done >= 1.0
+        return self.progress.energy == 0.0 or self.progress.done >= 1.0
 
     def propose(self) -> Step:
         """Return the next step: its length is its energy [N mm], its end unknown."""
-        p = self._progress
+        p = self.progress
         return Step(p.done, p.done, p.energy, whole=False)
 
     def judge(self, step: Step, error: float) -> bool:
@@ -390,7 +390,7 @@ class GivenEnergy:
 
     def try_step(self, step: Step) -> float:
         """Solve a step; collective."""
-        p = self._progress
+        p = self.progress
         if self._control is None:
             arguments = self._stepper.problem, self._solver, self._path.set_load
             self._control = EnergyControl(*arguments)
@@ -405,7 +405,7 @@ class GivenEnergy:
         Raises:
             ConvergenceError: These have handed over from the same place.
         """
-        p, stage = self._progress, self._path.stage
+        p, stage = self.progress, self._path.stage
         self._start.copy(self._solver.x)
         self._begun = None
         if self._outcome.converged:  # beyond the end of the path
@@ -428,7 +428,7 @@ class GivenEnergy:
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
-        p, whole, reach = self._progress, self._path.whole, self._reach
+        p, whole, reach = self.progress, self._path.whole, self._reach
         longer = reach - p.done >= whole
         passed = math.floor(reach / whole) > math.floor(p.done / whole)
         p.done, p.most = reach, max(p.most, reach)

@@ -398,7 +398,7 @@ def heated(h: float) -> tuple[Solved, KeptFactors]:
     cold = [fixed("cold", "top", 20.0)]
     s = Solved(scene([CEMENT, BONE], cold, contact(h)), stack(1.0, *CEMENT_ON_BONE))
     principle = s.operators.principle
-    principle._heated = principle._cooled = True  # no bounds, no corrections
+    principle.heated = principle.cooled = True  # no bounds, no corrections
     return s, s.solver.snes.getKSP().getPC().getPythonContext()
 
 

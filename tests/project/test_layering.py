@@ -277,3 +277,19 @@ def test_layering_laws_declare_their_fields(path: Path) -> None:
     """`getattr` with a default hides a field that no class declares."""
     calls = (n for n in ast.walk(tree(path)) if isinstance(n, ast.Call))
     assert not [n.lineno for n in calls if names_in(n.func) == {"getattr"} and len(n.args) > 2]
+
+
+def test_layering_saved_attributes_are_public() -> None:
+    """Names in ``saved`` begin without an underscore: a checkpoint holds no private attribute."""
+    private = []
+    for path in sorted((ROOT / "app").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            targets = node.targets if isinstance(node, ast.Assign) else []
+            if isinstance(node, ast.AnnAssign):
+                targets = [node.target]
+            if not any(isinstance(t, ast.Name) and t.id == "saved" for t in targets):
+                continue
+            assert isinstance(node, ast.Assign | ast.AnnAssign)
+            texts = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
+            private += [f"{path.name}: {t}" for t in texts if str(t).startswith("_")]
+    assert private == []

@@ -163,8 +163,11 @@ PARTS: dict[str, tuple[Callable[[], Heated], Callable[[Any], Any]]] = {
     "contact": (pushed, lambda m: m.problem.contact.state.work),
     "modulus": (pushed, lambda m: m.problem.mechanics._constants["rod"][0][0].value),
     "heat": (lambda: heated((CLAMPS,), 40), lambda m: m.problem.mechanics.swelling["one"].x.array),
-    "stress": (lambda: ring(SMOOTH), lambda m: m.problem.stress_history._stress.x.array),
-    "rough-stress": (lambda: ring(ROUGH), lambda m: m.problem.stress_history._stress.x.array),
+    "stress": (lambda: ring(SMOOTH), lambda m: m.problem.stress_history.stress_at_points.x.array),
+    "rough-stress": (
+        lambda: ring(ROUGH),
+        lambda m: m.problem.stress_history.stress_at_points.x.array,
+    ),
 }
 FAULTS = {"lost": 0.0, "turned": -1.0, "off": 1.001, "unknown": np.nan}
 
