@@ -67,7 +67,7 @@ class Case(Section):
     supports: Annotated[dict[Name, AnySupport], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
     motions: Annotated[dict[Name, Motion], MAPPING] = Field(default_factory=dict)
-    """Regions that rotate far, by a course through each cycle of the last stage."""
+    """Regions that rotate far, by a cycle table through each cycle of the last stage."""
     loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
         json_schema_extra={"properties": LIBRARY_KEYS},

@@ -15,8 +15,8 @@ from app.foundation.verdict import Reason
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
-# Keys that a stage with courses cannot have, and why.
-UNLIKE_COURSES = {
+# Keys that a stage with cycle tables cannot have, and why.
+NO_CYCLE_TABLE = {
     "creep_cycles": "needs loads that stay",
     "creep_time": "needs loads that stay",
     "fracture_step": "may turn the loads back",
@@ -265,7 +265,7 @@ def _creep(case: Any) -> Iterable[Fault]:
 
 @check("geometry")
 def _sliding(case: Any) -> Iterable[Fault]:
-    """Finite sliding without two boundaries, parts that move twice, courses without a stage."""
+    """Finite sliding without boundaries, parts that move twice, cycle tables without a stage."""
     whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
     laws, far = {name: law for _, name, law in _entries(case, "interfaces")}, set[str]()
     for name, law in laws.items():
@@ -291,31 +291,30 @@ def _sliding(case: Any) -> Iterable[Fault]:
                 text = f"{motion.region} is rigid, driven as a whole; expected no `boundary`"
             yield Fault(("motions", name, "region"), text)
     motions = tuple(case.motions or ())
-    courses = any(motion.course for _, _, motion in _entries(case, "motions"))
+    cyclic = any(motion.cycle_table for _, _, motion in _entries(case, "motions"))
     for _, name, load in _entries(case, "loads"):
-        courses |= getattr(load, "course", None) is not None
+        cyclic |= getattr(load, "cycle_table", None) is not None
         followed = getattr(load, "follows", None)
         if followed is not None and followed not in motions:
             text = f"there is no motion '{followed}'{did_you_mean(followed, motions)}"
             yield Fault(("loads", name, "follows"), text)
     stages = case.stages or ()
-    if courses and stages and all(stage.takes_time for stage in stages):
+    if cyclic and stages and all(stage.takes_time for stage in stages):
         last = "steady" if stages[-1].steady else "duration"
-        text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
-        text += ", about half a kelvin, which is not solved; expected a stage without one before"
-        text += " it, for the courses: their mean heat then flows in this one"
+        text = "cycle tables need a stage without duration; expected one before this stage, in "
+        text += "which the mean heat of a cycle then flows"
         yield Fault(("stages", len(stages) - 1, last), text)
     through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
-    unlike = UNLIKE_COURSES | {kind.key: kind.courses for kind in STAGE_KINDS}
-    for key, why in unlike.items() if courses and stages else ():
+    reasons = NO_CYCLE_TABLE | {kind.key: kind.no_cycle_table for kind in STAGE_KINDS}
+    for key, why in reasons.items() if cyclic and stages else ():
         if getattr(stages[through], key):
-            text = f"{why}, and courses run through this stage, the last that takes no time"
-            yield Fault(("stages", through, key), f"{text}; expected an earlier one")
+            text = f"{why}, and cycle tables run through this stage, the last without duration"
+            yield Fault(("stages", through, key), f"{text}; expected an earlier stage")
     if far and any(region.thermal is not None for _, _, region in _entries(case, "regions")):
-        yield from _sliding_heat(laws, far, courses)
+        yield from _sliding_heat(laws, far, cyclic)
 
 
-def _sliding_heat(laws: Mapping[str, Any], far: set[str], courses: bool) -> Iterable[Fault]:
+def _sliding_heat(laws: Mapping[str, Any], far: set[str], cyclic: bool) -> Iterable[Fault]:
     """Surfaces that slide far without a conductance or a cycle; heat that depends on others."""
     for name, law in laws.items():
         heats = getattr(law, "friction_heating", None) is not None
@@ -323,8 +322,10 @@ def _sliding_heat(laws: Mapping[str, Any], far: set[str], courses: bool) -> Iter
         if name not in far and (heats or law.conductances[1] > 0):
             text = f"heat that depends on contact cannot go with {', '.join(sorted(far))}, which "
             yield Fault(path, f"{text}slides far; expected a constant conductance")
-        elif name in far and heats and not courses:
-            text = "its heat is that of a cycle in its time; expected a course of a motion or load"
+        elif name in far and heats and not cyclic:
+            text = (
+                "friction heat is the mean over a cycle; expected a cycle_table of a motion or load"
+            )
             yield Fault(path, text)
         if name in far and law.conductance is None:
             text = "the two sides share no nodes; expected the conductance between them, large if "

@@ -71,6 +71,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "amplitude": ("loads.history",),
     "pressure": ("loads: pressure", "interfaces.pressure_p95"),
     "contact_pressure": ("interfaces.pressure_p95",),
+    "course": ("loads.cycle_table", "motions.rotation.cycle_table", "heat.time_course"),
     # Mesh, steps, solver
     "mesh_size": ("mesh.size", "mesh.far_size"),
     "element_size": ("mesh.size", "mesh.far_size"),

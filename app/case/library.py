@@ -1,4 +1,4 @@
-"""Library of materials, courses and loads by name with their sources: shipped, of the user."""
+"""Library of materials, cycle tables and loads by name with their sources: shipped, of the user."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 
 import configs
+from app.case.former_keys import FORMER_KEYS_OF_LIBRARIES, with_present_names
 from app.schema import yaml_file
 from app.schema.section import show
 from app.schema.yaml_file import CaseFile, Fault
@@ -23,7 +24,7 @@ ORIGIN = ("status", SOURCE)
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
     "finishes": "a cohesive interface takes one by `finish: NAME`",
-    "courses": "a motion or a load takes one by `course: NAME`",
+    "cycle_tables": "a motion or a load takes one by `cycle_table: NAME`",
     "loads": "the loads of a case are those of a name by `library: NAME` among them",
 }
 
@@ -35,6 +36,7 @@ def read(path: Path = SHIPPED) -> CaseFile:
         InputError: The file cannot be read or is no library.
     """
     file = yaml_file.read(path)
+    file.data = with_present_names(file, file.data, (), FORMER_KEYS_OF_LIBRARIES)
     faults = []
     for kind, entries in file.data.items():
         if kind not in KINDS:

@@ -20,7 +20,9 @@ from pydantic_core import PydanticCustomError
 
 import configs
 from app.case import library
+from app.case.former_keys import present_name, with_present_names
 from app.foundation.errors import InputError
+from app.foundation.verdict import note
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
@@ -34,9 +36,9 @@ OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Key that names an entry of the library, by section.
 NAMED = {"regions": "material", "interfaces": "finish", "loads": "library"}
-# Files that a case names relative to its own folder; a course without a suffix is of the library.
+# Files that a case names relative to its folder; a cycle table without a suffix is the library's.
 FILES = "geometry.path geometry.stem.step geometry.bone.surface geometry.canal.surface".split()
-FILES += ["loads.*.course", "motions.*.rotation.course"]
+FILES += ["loads.*.cycle_table", "motions.*.rotation.cycle_table"]
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
@@ -55,13 +57,16 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     chain = _chain(path)
     case = CaseFile(chain[0].name, option=option)
     for file in chain:
+        file.data = with_present_names(file, file.data)
         case.digests |= file.digests
         case.complaints += file.complaints
+        case.notes += file.notes
     found = len(case.complaints)
     for file in reversed(chain):
         if file.data.get("library") is not None:
             case.libraries.append(library.read(_named_file(file, "library")))
             case.digests |= case.libraries[-1].digests
+            case.notes += case.libraries[-1].notes
         for keys in FILES if file is not chain[0] else ():
             _from(FilePath(file.name).parent, file.data, keys.split("."))
         below = None if file is chain[-1] else case.data
@@ -87,7 +92,7 @@ def _from(folder: FilePath, part: Any, keys: Sequence[str]) -> None:
                 _from(folder, part.get(key), keys[1:])
                 continue
             name = part.get(key)
-            if isinstance(name, str) and (key != "course" or "." in name):
+            if isinstance(name, str) and (key != "cycle_table" or "." in name):
                 part[key] = str((folder / expanduser(name)).absolute())
 
 
@@ -192,8 +197,8 @@ def _rule(path: Path) -> Rule | None:
             return _load
         case ("loads", _, "force"):
             return _force
-        case ("loads", _, "course") | ("motions", _, "rotation", "course"):
-            return _course
+        case ("loads", _, "cycle_table") | ("motions", _, "rotation", "cycle_table"):
+            return _cycle_table
     return None
 
 
@@ -261,10 +266,10 @@ def _load(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]
     return _without_origin(lower, upper) if isinstance(upper, dict) else lower, upper
 
 
-def _course(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
-    """Resolve the name of a course of the library; a file has a point in its name."""
+def _cycle_table(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Resolve the name of a cycle table of the library; a file has a point in its name."""
     if isinstance(upper, str) and "." not in upper:
-        return None, _entry(case, "courses", upper, path, path) or lower
+        return None, _entry(case, "cycle_tables", upper, path, path) or lower
     return lower, upper
 
 
@@ -462,6 +467,10 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     """
     _, equals, text = override.partition("=")
     items = key_parts(key)
+    present = present_name(tuple(items))
+    if present != items[-1]:
+        case.notes.append(note(f"the key '{items[-1]}' has a new name", key, f"use {present}"))
+        items[-1] = str(present)
     if not equals or not all(items):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(items) > yaml_file.DEEPEST:
@@ -496,7 +505,7 @@ def _override(case: CaseFile, key: str, override: str) -> None:
         if node is None:  # KEY= without a value is not the null that removes an entry
             case.given[key] = target[step] = None
             return
-        value = Reader(case, key).value(node, path)
+        value = with_present_names(case, Reader(case, key).value(node, path), path)
     except BadYaml:
         # "[0, 0, -1] N" is no YAML without the quotes, which the shell has removed.
         if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):

@@ -39,7 +39,7 @@ class Stage(Section):
     cycles: units.PositiveInteger = 1
     """Number of times that loads, gaps and supports reach their values of the end of the stage. In
     between they return to `valley`; `increments` are those of each segment. In the last stage
-    without a duration, through which courses run: number of repetitions of the courses. There
+    without a duration, through which cycle tables run: number of repetitions of the tables. There
     nothing returns, and `increments` are those of a cycle."""
     valley: units.Share = 0.1
     """Part of the change of the stage that remains between two cycles."""
@@ -55,11 +55,11 @@ class Stage(Section):
 
     @property
     def repeats(self) -> bool:
-        """Return True if courses run through the stage."""
+        """Return True if cycle tables run through the stage."""
         return self._repeats
 
     def repeating(self) -> Stage:
-        """The stage with cycles of courses."""
+        """The stage with cycles of cycle tables."""
         stage = self.model_copy()
         stage._repeats = True
         return stage
@@ -104,7 +104,7 @@ class Stage(Section):
 
     @property
     def ways(self) -> int:
-        """Number of monotonic load segments in the stage; of courses, the number of cycles."""
+        """Number of monotonic load segments in the stage; of cycle tables, of cycles."""
         return self.cycles if self._repeats else 2 * self.cycles - 1
 
     def turn(self, time: float) -> int:
@@ -141,14 +141,14 @@ class StageKind:
     Attributes:
         key: Key of a stage, whose value is the time that it takes [s].
         doc: Its text in the manual.
-        courses: Why courses cannot run through such a stage.
+        no_cycle_table: Why cycle tables cannot run through such a stage.
         loads: Returns the name of the stage of a case at whose end its loads are.
         solves: Returns about how many solves such a stage of a case needs.
     """
 
     key: str
     doc: str
-    courses: str
+    no_cycle_table: str
     loads: Callable[[Any], str]
     solves: Callable[[Any], int]
 

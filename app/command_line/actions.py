@@ -73,7 +73,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     """
     memory.check(case.file, case.config)
     size = cost.estimated_size(case.config, memory.available())
-    notes = preview.warnings(case.config)
+    notes = [*case.file.notes, *preview.warnings(case.config)]
     if meshed or case.config.output.probes:
         data = mesh(case)
         with stack_needed():

@@ -75,7 +75,7 @@ class PrescribedKinetics:
     """Cure as a function of time, whatever the temperature."""
 
     def __init__(self, terms: Prescribed, initial: float) -> None:
-        self._course, self._initial = terms.rate, initial
+        self._time_course, self._initial = terms.rate, initial
         times, rates = np.array(terms.rate).T
         self._total = float(np.trapezoid(rates, times))
         self.events = tuple(map(float, times))
@@ -83,11 +83,11 @@ class PrescribedKinetics:
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Advance all nodes alike."""
         start = np.clip(start, 0.0, 1.0)
-        # Before and after its course the reaction rests. Where it begins or ends abruptly, a step
-        # that ends there has the rate before; times are rounded.
+        # Before and after its time course the reaction rests. Where it begins or ends abruptly, a
+        # step that ends there has the rate before; times are rounded.
         near = SAME * seconds
         runs = self.events[0] + near < seconds <= self.events[-1] + near
-        r = multiplier(self._course, seconds) if runs else 0.0
+        r = multiplier(self._time_course, seconds) if runs else 0.0
         rate = forms.prescribed_rate(r, self._total, self._initial)
         return Degrees(np.minimum(start + h * rate, 1.0), np.zeros_like(start))
 

@@ -90,7 +90,9 @@ class HeatLoads:
 
     def heats(self, seconds: float) -> Floats:
         """Heat into own nodes of each body at a time (b, n) [N mm/s]."""
-        return sum((multiplier(c.course, seconds) * nodal for c, nodal in self.heating), self._none)
+        return sum(
+            (multiplier(c.time_course, seconds) * nodal for c, nodal in self.heating), self._none
+        )
 
     def exchanged(self, T: Floats) -> Floats:
         """Heat that own nodes at temperatures [K] give to surroundings (b, n) [N mm/s]."""
@@ -134,7 +136,7 @@ class FixedTemperatures:
 
     def values(self, seconds: float) -> Floats:
         """Given temperature of each condition at own nodes (s + 1, n) [K]; the last row is zero."""
-        factors = [multiplier(c.course, seconds) for c in self.conditions]
+        factors = [multiplier(c.time_course, seconds) for c in self.conditions]
         return np.array([*factors, 0.0])[:, None] * self._values
 
     def by_body(self, values: Floats) -> Floats:

@@ -292,7 +292,7 @@ class ImplicitStep(System):
         here, o = self.at(x), self.operators
         found: dict[str, float] = {}
         for c, nodal in o.loads.heating:
-            found[c.name] = multiplier(c.course, self.seconds) * float(nodal.sum())
+            found[c.name] = multiplier(c.time_course, self.seconds) * float(nodal.sum())
         for e in o.loads.exchange:
             found[e.name] = float((e.per_kelvin * (e.outside - here.T)).sum())
         if o.cure:

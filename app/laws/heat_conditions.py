@@ -27,7 +27,7 @@ FluxField = Annotated[
 SourceField = Annotated[
     float | str, Varying(units.Dimension("mW/mm^3", "a power per volume", "1e6 W/m^3"))
 ]
-Course = OverTime[Annotated[tuple[units.NonNegativeTime, units.Number], Pair("[10 s, 0]")]]
+TimeCourse = OverTime[Annotated[tuple[units.NonNegativeTime, units.Number], Pair("[10 s, 0]")]]
 TemperatureCourse = OverTime[
     Annotated[tuple[units.NonNegativeTime, units.Temperature], Pair("[10 s, 37 degC]")]
 ]
@@ -44,19 +44,19 @@ class FixedTemperature(Named):
     regions: Annotated[tuple[Name, ...], ITEMS] | None = None
     """Regions held at the temperature; or give a boundary."""
     temperature: TemperatureField | None = None
-    """The temperature; an expression gives it in K. Or give a course."""
-    course: TemperatureCourse | None = None
+    """The temperature; an expression gives it in K. Or give a time course."""
+    time_course: TemperatureCourse | None = None
     """Pairs of time since the start and temperature, linear in between; or give a temperature."""
 
     @model_validator(mode="after")
     def _one_of_each(self) -> FixedTemperature:
-        for a, b in (("boundary", "regions"), ("temperature", "course")):
+        for a, b in (("boundary", "regions"), ("temperature", "time_course")):
             if (getattr(self, a) is None) == (getattr(self, b) is None):
                 fail(f"expected either {a} or {b}")
         return self
 
     def values(self, x: Floats) -> Floats:
-        """Prescribed temperature at points (n,) [K]; 1 if it follows a course."""
+        """Prescribed temperature at points (n,) [K]; 1 if it follows a time course."""
         import numpy as np
 
         if self.temperature is None:
@@ -81,7 +81,7 @@ class HeatFlux(Named):
     """Boundary of the geometry."""
     flux: FluxField
     """Power per area; an expression gives it in mW/mm^2."""
-    course: Course | None = None
+    time_course: TimeCourse | None = None
     """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
 
     def values(self, x: Floats) -> Floats:
@@ -120,7 +120,7 @@ class HeatSource(Named):
     """Regions that release the heat."""
     density: SourceField
     """Power per volume; an expression gives it in mW/mm^3."""
-    course: Course | None = None
+    time_course: TimeCourse | None = None
     """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
 
     def values(self, x: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
-from app.laws.courses import FORCES, Course
+from app.laws.cycle_tables import FORCES, CycleTable
 from app.laws.values import LoadHistory, Named, Source, Status, amplitude, field
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
@@ -102,7 +102,7 @@ class Load(Extensible, Named):
         return 0.0 * x
 
     def moving_force(self, driven: Container[str | None]) -> Force | None:
-        """Return it if it is a force with a course or a motion; else None.
+        """Return it if it is a force with a cycle table or a motion; else None.
 
         Args:
             driven: Boundaries that motions drive.
@@ -137,10 +137,10 @@ class Force(Load):
     boundary: Name
     """Boundary of the geometry."""
     force: ForceVector
-    """Resultant; its direction, 1 N long, where a course has a column `force`."""
+    """Resultant; its direction, 1 N long, where a cycle table has a column `force`."""
     at: Point | None = None
     """Point at which the resultant acts (mm); over the boundary evenly by default."""
-    course: Course | None = None
+    cycle_table: CycleTable | None = None
     """Force through each cycle of the last stage, in place of `history`: the column `force` times
     the direction, or `force x`, `force y` and `force z` in place of the key `force`."""
     follows: Name | None = None
@@ -149,22 +149,27 @@ class Force(Load):
     @model_validator(mode="before")
     @classmethod
     def _of_components(cls, value: Any) -> Any:
-        course = isinstance(value, dict) and value.get("course") is not None
-        return {"force": "[0, 0, 0] N"} | value if course else value
+        cycle_table = isinstance(value, dict) and value.get("cycle_table") is not None
+        return {"force": "[0, 0, 0] N"} | value if cycle_table else value
 
     @model_validator(mode="after")
-    def _one_course(self) -> Force:
-        if self.course is None:
+    def _one_cycle_table(self) -> Force:
+        if self.cycle_table is None:
             return self
-        one, three = ("force" in self.course.columns), self.course.columns.keys() & {*FORCES}
+        one, three = (
+            ("force" in self.cycle_table.columns),
+            self.cycle_table.columns.keys() & {*FORCES},
+        )
         if self.history is not None:
-            fail("the force has a course; leave one out", at=("history",))
+            fail("the force has a cycle table; leave one out", at=("history",))
         if one == bool(three):
             known = f"expected force, or some of {', '.join(FORCES)}"
-            fail(f"has {', '.join(self.course.columns)}; {known}", at=("course",))
+            fail(f"has {', '.join(self.cycle_table.columns)}; {known}", at=("cycle_table",))
         size = math.hypot(*self.force)
         if abs(size - one) > 1e-3:
-            wanted = "the direction, 1 N long" if one else "none: the course has the components"
+            wanted = (
+                "the direction, 1 N long" if one else "none: the cycle table has the components"
+            )
             fail(f"is {size:g} N long; expected {wanted}", at=("force",))
         return self
 
@@ -174,21 +179,21 @@ class Force(Load):
         return self.at
 
     def moving_force(self, driven: Container[str | None]) -> Force | None:
-        """Return the force if it has a course, or it or its boundary has a motion."""
-        moves = self.course or self.follows or self.boundary in driven
+        """Return the force if it has a cycle table, or it or its boundary has a motion."""
+        moves = self.cycle_table or self.follows or self.boundary in driven
         return self if moves else None
 
     def force_at(self, s: float) -> tuple[float, float, float]:
-        """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a course."""
-        if self.course is None:
+        """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a cycle table."""
+        if self.cycle_table is None:
             return self.force
-        size, *parts = self.course.at(("force", *FORCES), s)
+        size, *parts = self.cycle_table.at(("force", *FORCES), s)
         x, y, z = (size * f + part for f, part in zip(self.force, parts, strict=True))
         return x, y, z
 
     @property
     def resultant(self) -> tuple[float, float, float]:
-        """Resultant at full amplitude, or at the end of the course [N]."""
+        """Resultant at full amplitude, or at the end of the cycle table [N]."""
         return self.force_at(1.0)
 
     def work(self, v: Expr, on: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import model_validator
 
-from app.laws.courses import ROTATIONS, Course
+from app.laws.cycle_tables import ROTATIONS, CycleTable
 from app.laws.loads import Point
 from app.laws.values import Named
 from app.schema.section import Name, Section, fail
@@ -26,15 +26,15 @@ class Rotation(Section):
 
     axes: Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
     """Order of the product, the first letter outermost."""
-    course: Course
+    cycle_table: CycleTable
     """Its angles: of the columns `rotation x`, `rotation y`, `rotation z`; zero of one it lacks."""
 
     @model_validator(mode="after")
     def _turns(self) -> Rotation:
-        columns = self.course.columns
+        columns = self.cycle_table.columns
         if not columns.keys() & {*ROTATIONS}:
             text = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
-            fail(text, at=("course",))
+            fail(text, at=("cycle_table",))
         return self
 
 
@@ -55,9 +55,9 @@ class Motion(Named):
     """Largest turn in a load step; longer ones are divided."""
 
     @property
-    def course(self) -> Course | None:
-        """Course of its angles."""
-        return self.rotation.course if self.rotation else None
+    def cycle_table(self) -> CycleTable | None:
+        """Cycle table of its angles."""
+        return self.rotation.cycle_table if self.rotation else None
 
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
         """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
@@ -70,6 +70,6 @@ class Motion(Named):
         if self.rotation is None:
             return Turn.identity().as_matrix()
         columns = [f"rotation {axis}" for axis in self.rotation.axes]
-        angles = [part * angle for angle in self.rotation.course.at(columns, s)]
+        angles = [part * angle for angle in self.rotation.cycle_table.at(columns, s)]
         # Capitals are axes that turn with it.
         return Turn.from_euler(self.rotation.axes.upper(), angles).as_matrix()

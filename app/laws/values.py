@@ -33,7 +33,7 @@ MEMORY = "from memory: check"
 # Multipliers at the ends of the stages.
 LoadHistory = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.
-Course = Sequence[tuple[float, float]]
+TimeCourse = Sequence[tuple[float, float]]
 Table = tuple[tuple[float, float], ...]
 
 
@@ -167,10 +167,10 @@ def gap_at(gap: Floats, gap_history: Sequence[float], time: float) -> Floats:
     return np.maximum(gap, 0.0) + amplitude((1.0,), time) * np.minimum(gap, 0.0)
 
 
-def multiplier(course: Course | None, seconds: float) -> float:
+def multiplier(time_course: TimeCourse | None, seconds: float) -> float:
     """Multiplier of a heat condition at a time [s], linear between pairs; 1 without any."""
     import numpy as np
 
-    if not course:
+    if not time_course:
         return 1.0
-    return float(np.interp(seconds, [t for t, _ in course], [m for _, m in course]))
+    return float(np.interp(seconds, [t for t, _ in time_course], [m for _, m in time_course]))

@@ -57,7 +57,7 @@ def _load(case: SweptCase) -> str:
     forces: dict[str, list[float]] = {}
     every = case.data.get("loads", {})
     for name, load in every.items():
-        if load.get("course"):
+        if load.get("cycle_table"):
             continue  # it has no one size
         parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
         last = (load.get("history") or [1.0])[-1]

@@ -35,7 +35,7 @@ def bearings(problem: Problem, case: Case) -> dict[str, Bearing]:
 class Bearing:
     """An interface whose sides slide far, through its cycles.
 
-    A cycle ends where courses do, else at each peak of the loads and at the end of a stage.
+    A cycle ends where cycle tables do, else at each peak of the loads and at the end of a stage.
 
     Attributes:
         surface: The master's surface, in its own axes; the fields below are its.

@@ -22,9 +22,9 @@ from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.foundation.arrays import Field, Floats
 from app.foundation.errors import InputError
-from app.laws.courses import Course
 from app.laws.creep import Creep
 from app.laws.cure import Cure
+from app.laws.cycle_tables import CycleTable
 from app.laws.densities import ChangingDensity
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
@@ -87,7 +87,7 @@ class Scene:
         time: Time stepping of heat; None without heat.
         coupled: Whether heat depends on contact, so that both are solved together.
         motions: Regions that turn as they are told.
-        period: Time that a cycle of courses takes, 0 without [s].
+        period: Time that a cycle of the cycle tables takes, 0 without [s].
         loads_of: For stages that another package steps through: the stage at whose end their loads
             are.
     """
@@ -161,7 +161,7 @@ class Scene:
 
     def rotation(self, motion: Motion | None, time: float) -> Floats:
         """Rotation of a motion at a time (3, 3); without a motion none."""
-        return np.eye(3) if motion is None else motion.rotation_at(*course(self.stages, time))
+        return np.eye(3) if motion is None else motion.rotation_at(*cycle_phase(self.stages, time))
 
     def turns(self, k: int, part: float) -> int:
         """In how many steps to divide each part of stage k, for turns below `largest_step`."""
@@ -229,8 +229,8 @@ def scene_of(
     unknown = [name for name in interfaces if name not in sides]
     if unknown:
         raise InputError(f"interfaces.{unknown[0]}: expected the regions on its two sides")
-    courses = _courses(motions, loads)
-    stages = _with_courses(stages, courses)
+    tables = _cycle_tables(motions, loads)
+    stages = _with_cycle_tables(stages, tables)
     elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
@@ -241,7 +241,7 @@ def scene_of(
     conducting = tuple(i for i in places if i.law.conductance is not None)
     rubbing = tuple(i for i in places if i.law.heated_by_friction is not None)
     jumps = tuple(i for i in conducting if not i.between)
-    times = courses[0].times if courses else (0.0,)
+    times = tables[0].times if tables else (0.0,)
     return Scene(
         order=order,
         elastic=elastic,
@@ -304,7 +304,7 @@ def build_scene(case: Case) -> Scene:
     return dataclasses.replace(scene, loads_of=loads_of)
 
 
-def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
+def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
     """Part of a cycle at a time, and the part of its values that is there.
 
     Before the stage of the cycles values go to those of their beginning in the first, and after it
@@ -317,14 +317,14 @@ def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
     return passed - math.ceil(passed - 1e-9) + 1, 1.0
 
 
-def _courses(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[Course]:
+def _cycle_tables(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[CycleTable]:
     parts = *motions.values(), *loads.values()
-    return [c for part in parts if (c := getattr(part, "course", None))]
+    return [c for part in parts if (c := getattr(part, "cycle_table", None))]
 
 
-def _with_courses(stages: Sequence[Stage], courses: Sequence[Course]) -> tuple[Stage, ...]:
-    """The stages; courses run through the last one that takes no time."""
-    if not courses:
+def _with_cycle_tables(stages: Sequence[Stage], tables: Sequence[CycleTable]) -> tuple[Stage, ...]:
+    """The stages; cycle tables run through the last one that takes no time."""
+    if not tables:
         return tuple(stages)
     k = max(i for i, stage in enumerate(stages) if not stage.takes_time)
     return (*stages[:k], stages[k].repeating(), *stages[k + 1 :])
@@ -333,7 +333,7 @@ def _with_courses(stages: Sequence[Stage], courses: Sequence[Course]) -> tuple[S
 def _loads(
     name: str, load: Load, motions: Mapping[str, Motion], stages: Sequence[Stage]
 ) -> tuple[Load, ...]:
-    """A load; of a force with a course or a motion its three components."""
+    """A load; of a force with a cycle table or a motion its three components."""
     force = load.moving_force([m.boundary for m in motions.values()])
     if force is None:
         return (load.named(name),)
@@ -342,15 +342,15 @@ def _loads(
     own = next((m for m in motions.values() if m.boundary == force.boundary), None)
 
     def component(k: int, time: float) -> float:
-        s, part = course(stages, time)
+        s, part = cycle_phase(stages, time)
         F = force.force_at(s)
-        factor = part if force.course else amplitude(force.history, time)
+        factor = part if force.cycle_table else amplitude(force.history, time)
         in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))
         return float((own.rotation_at(s, part).T @ in_space if own else in_space)[k])
 
     found = []
     for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
-        part = force.named(name, force=axis, course=None, follows=None, history=None)
+        part = force.named(name, force=axis, cycle_table=None, follows=None, history=None)
         part._value = partial(component, k)
         found.append(part)
     return tuple(found)

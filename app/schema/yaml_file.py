@@ -89,6 +89,7 @@ class CaseFile:
         data: Mappings, lists and scalars.
         places: Place of each path.
         complaints: Errors found while reading.
+        notes: Notes on what was read, such as former names of keys.
         given: Values of overrides as given, by key.
         digests: SHA-256 of the file, its bases and libraries, by name.
         libraries: Files of materials and loads by name, the newest last.
@@ -101,6 +102,7 @@ class CaseFile:
     data: dict[str, Any] = field(default_factory=dict)
     places: dict[Path, Place] = field(default_factory=dict)
     complaints: list[Fault] = field(default_factory=list)
+    notes: list[Verdict] = field(default_factory=list)
     given: dict[str, Any] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     libraries: list[CaseFile] = field(default_factory=list)

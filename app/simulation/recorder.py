@@ -184,7 +184,7 @@ class Recorder:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
         turn = self._stage.turn(step.time)
         if self._stage.ways == self._stage.cycles or not step.whole or not turn:
-            return  # courses have no valleys
+            return  # cycle tables have no valleys
         self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
         if trial is not None and turn % 2 == 0:
             self.valley = {"jump": trial.jump.copy()}

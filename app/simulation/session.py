@@ -126,7 +126,7 @@ def run(
         begin=begin,
         started=started,
     )
-    setup.note(preview.warnings(case.config))
+    setup.note([*case.file.notes, *preview.warnings(case.config)])
     with case.file.placing(), ExitStack() as held:
         on_root(comm, lambda: held.enter_context(claim(output)), share=False)
         if case.config.variations:

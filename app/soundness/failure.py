@@ -203,7 +203,7 @@ def explain(
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
         cure = AT_REST if scales else SMALLER
-        return Explanation(outcome, Verdict(_course(outcome), cure=cure))
+        return Explanation(outcome, Verdict(_residuals(outcome), cure=cure))
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     controlled = contact.law.dissipates
@@ -225,7 +225,7 @@ def explain(
         far = loose_bodies.runaway(problem, trial)
     friction = [] if free or far else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
-    cause = Verdict(_course(outcome), cure=AT_REST if scales else SMALLER)
+    cause = Verdict(_residuals(outcome), cure=AT_REST if scales else SMALLER)
     if breaks:
         cause = replace(cause, cure=BREAKS)
     if friction:
@@ -240,7 +240,7 @@ def explain(
     return Explanation(outcome, cause, others, bool(free))
 
 
-def _course(outcome: NewtonResult) -> str:
+def _residuals(outcome: NewtonResult) -> str:
     """One clause on how the iteration ended."""
     if outcome.linear_failed:
         return "the linear solver failed"

@@ -15,7 +15,7 @@ from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
 from app.foundation.verdict import Verdict, note
-from app.laws.courses import ROTATIONS
+from app.laws.cycle_tables import ROTATIONS
 from app.laws.values import MEMORY
 from app.scene.scene import build_scene
 from app.schema.section import Section, added_keys
@@ -70,7 +70,11 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["motions"] if case.motions else []
         for n, m in case.motions.items():
             turn = f"turns about {plain(m.about)} mm by "
-            turn += f"{m.rotation.axes}: {m.rotation.course.told}" if m.rotation else "nothing"
+            turn += (
+                f"{m.rotation.axes}: {m.rotation.cycle_table.description}"
+                if m.rotation
+                else "nothing"
+            )
             lines.append(f"  {n}: {m.region} {turn}; translation {m.translation}")
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
@@ -130,8 +134,8 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
         fields = entry.model_dump(mode="json", exclude_none=True)
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         words = [f"{kind} on {place}" if place else kind] if kind else []
-        told = {k: getattr(getattr(entry, k), "told", plain(v)) for k, v in fields.items()}
-        words += [f"{k} {text}" for k, text in told.items() if k not in ORIGIN]
+        texts = {k: getattr(getattr(entry, k), "description", plain(v)) for k, v in fields.items()}
+        words += [f"{k} {text}" for k, text in texts.items() if k not in ORIGIN]
         lines.append(f"  {name}: {', '.join(words)}")
     return lines or ["  none"]
 
@@ -140,10 +144,14 @@ def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
         found = []
-        courses = {name: course for name, m in case.motions.items() if (course := m.course)}
-        loads = {name: getattr(load, "course", None) or load for name, load in case.loads.items()}
+        tables = {
+            name: cycle_table for name, m in case.motions.items() if (cycle_table := m.cycle_table)
+        }
+        loads = {
+            name: getattr(load, "cycle_table", None) or load for name, load in case.loads.items()
+        }
         parts: Any
-        for section, parts in (("regions", case.regions), ("motions", courses), ("loads", loads)):
+        for section, parts in (("regions", case.regions), ("motions", tables), ("loads", loads)):
             names = [name for name, part in parts.items() if part.status == status]
             if names:
                 every = len(names) == len(parts)
@@ -262,11 +270,11 @@ def warnings(case: Case) -> list[Verdict]:
             text = f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
             notes.append(note(text))
     for name, motion in case.motions.items():
-        columns = motion.course.columns if motion.course else {}
+        columns = motion.cycle_table.columns if motion.cycle_table else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
         if 0.0 < largest < math.radians(0.5):
             text = "all angles are below 0.5 degrees: radians by mistake?"
-            notes.append(note(text, f"motions.{name}.rotation.course"))
+            notes.append(note(text, f"motions.{name}.rotation.cycle_table"))
     for name, region in case.regions.items():
         notes += from_memory(f"regions.{name}", region.source)
     notes += _without_effect(case)

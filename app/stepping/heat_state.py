@@ -209,9 +209,9 @@ class HeatState:
     def events(self) -> tuple[float, ...]:
         """Times that no step may cross [s]."""
         scene, cure = self.operators.scene, self.operators.cure
-        courses = [t for c in scene.heat for t, _ in getattr(c, "course", None) or ()]
+        times = [t for c in scene.heat for t, _ in getattr(c, "time_course", None) or ()]
         curing = cure.events if cure else ()
-        return tuple(sorted({*courses, *curing}))
+        return tuple(sorted({*times, *curing}))
 
     def begins_at_event(self, accepted: HeatStep) -> bool:
         """Whether a step begins at the event that ended the one before."""

@@ -41,13 +41,19 @@ def expansion(region: str, coefficient: float, reference: float) -> Thermal:
     return Thermal.model_construct(**keys).named(region)
 
 
-def temperature(name: str, values: Values, course: Any = None, **where: Any) -> FixedTemperature:
+def temperature(
+    name: str, values: Values, time_course: Any = None, **where: Any
+) -> FixedTemperature:
     """Given on a `boundary` or in `regions`."""
-    return FixedTemperature.model_construct(**where, temperature=values, course=course).named(name)
+    return FixedTemperature.model_construct(
+        **where, temperature=values, time_course=time_course
+    ).named(name)
 
 
-def flux(name: str, boundary: str, values: Values, course: Any = None) -> HeatFlux:
-    return HeatFlux.model_construct(boundary=boundary, flux=values, course=course).named(name)
+def flux(name: str, boundary: str, values: Values, time_course: Any = None) -> HeatFlux:
+    return HeatFlux.model_construct(boundary=boundary, flux=values, time_course=time_course).named(
+        name
+    )
 
 
 def source(name: str, regions: tuple[str, ...], values: Values) -> HeatSource:

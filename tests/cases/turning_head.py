@@ -34,8 +34,8 @@ output: {{fields: false, report: false}}
 FRICTION = "interfaces.bearing.friction_coefficient"
 
 
-def course(column: str, rows: Sequence[Sequence[float]]) -> list[str]:
-    """The lines of a course: three components at equal times."""
+def cycle_table(column: str, rows: Sequence[Sequence[float]]) -> list[str]:
+    """The lines of a cycle table: three components at equal times."""
     lines = [[f"{v:.17g}" for v in (k, *row)] for k, row in enumerate(rows)]
     return [", ".join(line) for line in [["time [s]", *map(column.format, "xyz")], *lines]]
 
@@ -43,7 +43,9 @@ def course(column: str, rows: Sequence[Sequence[float]]) -> list[str]:
 def turning(*angles: tuple[float, float, float], axes: str = "yxz", **more: str) -> str:
     """An override: the head turns through angles about x, y, z [deg], at equal times."""
     keys = "".join(f", {key}: {value}" for key, value in more.items())
-    rotation = f"rotation: {{axes: {axes}, course: {course('rotation {} [deg]', angles)}}}"
+    rotation = (
+        f"rotation: {{axes: {axes}, cycle_table: {cycle_table('rotation {} [deg]', angles)}}}"
+    )
     return f"motions.ball={{region: head, about: head_centre, {rotation}{keys}}}"
 
 

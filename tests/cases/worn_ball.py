@@ -14,13 +14,13 @@ FRICTION = 0.06  # friction coefficient
 WEAR = 1.07e-9  # wear coefficient [mm2/N]
 LOAD = 2000.0  # along z [N]
 
-COURSE = '["time [s], rotation y [deg]", "0, 0", "0.3, 20", "0.7, -10", "1, 0"]'
+TABLE = '["time [s], rotation y [deg]", "0, 0", "0.3, 20", "0.7, -10", "1, 0"]'
 
 WORN = "finite, wear_coefficient: 1.07e-6 mm^3/(N m)"
 
 CASE = f"""{support.HEAD_CUP.replace("finite", WORN)}
 motions:
-  ball: {{region: head, about: [0 mm, 0 mm, 0 mm], rotation: {{axes: yxz, course: {COURSE}}}}}
+  ball: {{region: head, about: [0 mm, 0 mm, 0 mm], rotation: {{axes: yxz, cycle_table: {TABLE}}}}}
 loads: {{hip: {{kind: force, boundary: head_surface, force: [0 N, 0 N, {LOAD} N]}}}}
 stages: [{{name: press}}, {{name: turn, increments: 10, cycles: 2}}]
 output: {{report: false}}

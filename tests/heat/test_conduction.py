@@ -224,16 +224,16 @@ def test_conduction_between_bodies_conserves_heat(h: float, dt: float) -> None:
 @pytest.mark.parametrize("h", [300.0, PERFECT])
 def test_conduction_balance_closes_with_all_conditions(h: float, method: str) -> None:
     """What the conditions bring in by the sums of the integrator is what is stored."""
-    course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
+    time_course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
     heat: list[HeatCondition] = [
-        # Its course multiplies kelvins.
+        # Its time course multiplies kelvins.
         laws.temperature(
             "held",
             lambda x: ZERO + 40 + 3 * x[:, 0],
             ((0.0, 1.0), (8.0, 1.02)),
             boundary="bottom",
         ),
-        laws.flux("lamp", "x_min", lambda x: 0.4 * x[:, 2], course),
+        laws.flux("lamp", "x_min", lambda x: 0.4 * x[:, 2], time_course),
         laws.source("ohmic", ("bone",), lambda x: 0.05 * x[:, 1]),
         laws.convection("air", "top", 0.02, ZERO + 20.0),
         laws.perfusion("blood", ("bone",), 0.01, ZERO + 37.0),
@@ -247,7 +247,7 @@ def test_conduction_balance_closes_with_all_conditions(h: float, method: str) ->
         assert after - before == pytest.approx(came, abs=1e-9 * moved)
         before = after
     # The lamp on a side of 2 mm by 10 mm: 0.4 times the first moment of its height.
-    m = np.interp(7.5, *np.array(course).T)
+    m = np.interp(7.5, *np.array(time_course).T)
     assert s.flows["lamp"] == pytest.approx(0.4 * 2 * 50 * m, rel=1e-9)
     assert s.flows["ohmic"] == pytest.approx(0.05 * 2 * 5 * 2, rel=1e-9)
     assert all(abs(f) > 0 for f in s.flows.values())

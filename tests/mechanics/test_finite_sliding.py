@@ -26,7 +26,7 @@ from tests.cases.turning_head import (
     R,
     Step,
     built,
-    course,
+    cycle_table,
     solve,
     stages,
     turning,
@@ -39,8 +39,8 @@ AS_IT_IS = np.eye(3)
 
 def loaded(*forces: Floats) -> str:
     """An override: the head is loaded by forces [N] at equal times."""
-    rows = course("force {} [N]", forces)
-    return f"loads.hip={{kind: force, boundary: head_bore, course: {rows}}}"
+    rows = cycle_table("force {} [N]", forces)
+    return f"loads.hip={{kind: force, boundary: head_bore, cycle_table: {rows}}}"
 
 
 def same(one: list[Step], other: list[Step], tolerance: float, Q: Floats = AS_IT_IS) -> None:
@@ -121,7 +121,7 @@ def test_finite_sliding_results_are_invariant_under_rotation() -> None:
 
 
 def test_finite_sliding_load_follows_the_head() -> None:
-    """It is that of a course with the turned components."""
+    """It is that of a cycle table with the turned components."""
     follows = solve(QUARTER, stages(5), "loads.hip.follows=ball")
     ways = [Rotation.from_euler("Y", 5 * k, degrees=True).as_matrix() for k in range(6)]
     same(follows, solve(QUARTER, stages(5), loaded(*(W @ FORCE for W in ways))), 1e-8)
@@ -190,7 +190,7 @@ def test_finite_sliding_head_comes_into_contact(
 
 
 def test_finite_sliding_head_outside_its_cup_is_an_error() -> None:
-    """Off its cup from the start, or in the middle of a course.
+    """Off its cup from the start, or in the middle of a cycle table.
 
     A step to far away converges or not by rounding: either is told.
     """

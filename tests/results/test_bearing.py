@@ -74,8 +74,8 @@ def test_bearing_errors_cover_a_finer_mesh(tmp_path: Path) -> None:
 
 def test_bearing_reports_the_share_facing_a_bore(tmp_path: Path) -> None:
     """That within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
-    course = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
-    moved = (f"motions.ball.rotation.course={course}", "motions.ball.largest_step=45 deg")
+    cycle_table = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
+    moved = (f"motions.ball.rotation.cycle_table={cycle_table}", "motions.ball.largest_step=45 deg")
     found = support.run(CASE, tmp_path, *moved, "stages=[{name: press}, {name: turn}]")
     run = Run(found.folder)
     liner, (x, y, z) = areas(run, "liner"), run.points.T

@@ -142,7 +142,7 @@ regions:
     specific_heat: 1300 J/(kg K), initial_temperature: 37 degC}}
   hot: *bone
 heat:
-  bath: {kind: temperature, regions: [bone, hot], course: [[0 s, 37 degC], [20 s, 47 degC],
+  bath: {kind: temperature, regions: [bone, hot], time_course: [[0 s, 37 degC], [20 s, 47 degC],
     [30 s, 52 degC], [60 s, 52 degC], [75 s, 49 degC], [100 s, 37 degC]]}
 stages:
   - {name: bath, duration: 110 s}

@@ -11,7 +11,7 @@ import pytest
 
 import mantle
 from app.campaigns.runs import runs_of
-from app.case import keys
+from app.case import explanations, keys
 from app.case import sweep as sweep_file
 from app.case.case import PlannedRun, dump, load
 from app.case.femurs import Femur
@@ -283,5 +283,5 @@ def test_case_shorter_stem_follows_the_message() -> None:
 def test_case_creep_exponent_requires_stresses() -> None:
     with pytest.raises(ValueError, match="'stresses' is missing, required with m1"):
         Creep.model_validate({"A": 1e-7, "p": 1.8, "m0": 0.3, "m1": 0.02})
-    explained = " ".join(keys.explained("regions.creep.stresses").split())
+    explained = " ".join(explanations.explained("regions.creep.stresses").split())
     assert "required with m1" in explained

@@ -105,10 +105,10 @@ def test_case_heat_conditions() -> None:
     assert isinstance(outside, FixedTemperature) and isinstance(held, FixedTemperature)
     np.testing.assert_allclose(outside.values(x), [301, 304])
     for seconds, celsius in ((0, 40), (30, 30), (60, 20), (1e4, 20)):
-        given = multiplier(held.course, seconds) * held.values(x)
+        given = multiplier(held.time_course, seconds) * held.values(x)
         np.testing.assert_allclose(given, celsius + 273.15)
     np.testing.assert_allclose(lamp.values(x), 0.1)
-    assert lamp.course == ((0, 1), (10, 0))
+    assert lamp.time_course == ((0, 1), (10, 0))
     assert (air.name, air.coefficient, air.ambient) == ("air", 0.02, 295.15)
     np.testing.assert_allclose(warm.values(x), 1.0)
     impossible = build("heat.outside.temperature=37 - 10 * x").heat[1]

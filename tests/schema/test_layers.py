@@ -225,11 +225,11 @@ def test_library_entries_have_sources_and_are_valid(tmp_path: Path) -> None:
         assert len(entry["source"]) > 20 and entry["about"]
         body = loaded(tmp_path, HEATED.replace("PMMA", name)).regions["body"]
         assert body.thermal.conductivity and body.thermal.thermal_expansion, name
-    for name, entry in shipped["courses"].items():
+    for name, entry in shipped["cycle_tables"].items():
         assert len(entry["source"]) > 20 and entry["about"]
-        force = BLOCKS.replace("[3 N, 0 N, -4 N]", f'"[0, 0, -1] N", course: {name}')
-        course = loaded(tmp_path, force).loads["push"].course
-        assert (course.status, course.source) == (entry["status"], entry["source"])
+        force = BLOCKS.replace("[3 N, 0 N, -4 N]", f'"[0, 0, -1] N", cycle_table: {name}')
+        table = loaded(tmp_path, force).loads["push"].cycle_table
+        assert (table.status, table.source) == (entry["status"], entry["source"])
     stance = load(CONFIGS / "stance.yaml").config
     for name, entry in shipped["loads"].items():
         assert len(entry["source"]) > 20 and entry["about"]
@@ -324,8 +324,8 @@ def test_library_material_replaces_only_constants(tmp_path: Path) -> None:
          "case.yaml:2:19: regions.upper.material: 'Ti' is not in the library; materials: Ti-6"),
         ("loads:\n  library: stance",
          "case.yaml:3:3: loads.library: 'stance' is not in the library; loads: paper_stance"),
-        ("loads: {push: {force: '[0, 0, -1] N', course: walk}}",
-         "case.yaml:2:39: loads.push.course: 'walk' is not in the library; courses: iso_14242_1"),
+        ("loads: {push: {force: '[0, 0, -1] N', cycle_table: walk}}",
+         "case.yaml:2:39: loads.push.cycle_table: 'walk' is not in the library; cycle_tables: iso"),
         ("loads:\n  library: walking_hip", "LIBRARY:7: loads.hip.at: 'head_centre'"),
         ("regions: {upper: {material: PMMA, kind: transversely_isotropic}}",
          "case.yaml:2:35: regions.upper.kind: PMMA is of kind isotropic; leave kind out"),

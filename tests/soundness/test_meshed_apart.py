@@ -32,7 +32,7 @@ supports:
 motions:
   ball: {region: head, about: head_centre}
 """
-TURN = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, course:
+TURN = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, cycle_table:
 ["time [s], rotation y [deg]", "0, 0", "1, 25"]}}}"""
 BLOCK = f"""
 geometry:

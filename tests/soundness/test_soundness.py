@@ -60,7 +60,7 @@ MOTION = """
 motions:
   turn:
     {region: metal, boundary: top, about: [5 mm, 5 mm, 5 mm], translation: held,
-     rotation: {axes: xyz, course: ["time [s], rotation z [deg]", "0, 0", "1, 0.4"]}}
+     rotation: {axes: xyz, cycle_table: ["time [s], rotation z [deg]", "0, 0", "1, 0.4"]}}
 """
 
 
@@ -474,7 +474,9 @@ def test_mesh_parts_only_bonded_interfaces_join_bodies() -> None:
 
 def test_checks_supports_of_a_region_with_a_motion() -> None:
     notes = [v.text for v in preview.warnings(support.case(TWO + MOTION))]
-    text = "motions.turn.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
+    text = (
+        "motions.turn.rotation.cycle_table: all angles are below 0.5 degrees: radians by mistake?"
+    )
     assert notes == [text]
     (note,) = judged(TWO + MOTION)
     assert note == "motions.turn.translation: metal does not give way to press: its place is given"

@@ -79,9 +79,9 @@ def test_cycle_heat_conductance_without_a_time_course(tmp_path: Path) -> None:
 
 def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
     """It is pressed beside the axis of its turns: the cup is warm there, the ball in a ring."""
-    course = '["time [s], rotation z [deg]", "0, 0", "1, 120", "2, 240", "3, 360"]'
+    cycle_table = '["time [s], rotation z [deg]", "0, 0", "1, 120", "2, 240", "3, 360"]'
     few = (
-        f"motions.ball.rotation={{axes: zyx, course: {course}}}",
+        f"motions.ball.rotation={{axes: zyx, cycle_table: {cycle_table}}}",
         "motions.ball.largest_step=10 deg",
         "loads.hip.force=[1400 N, 0 N, 1400 N]",
         "stages=[{name: press}, {name: turn, increments: 36}, {name: warm, steady: true}]",

@@ -1,4 +1,4 @@
-"""Steps that are cut back or end at kinks of a course; steady states that nothing stays in."""
+"""Steps that are cut back or end at kinks of a time course; steady states that nothing stays in."""
 
 from __future__ import annotations
 

@@ -28,11 +28,11 @@ COARSE = "mesh={size: 4 mm, far_size: 6 mm, order: 1}"
 WHOLE = "motions.ball.largest_step=30 deg"
 
 
-def course(*angles: Sequence[float] | Floats) -> str:
+def cycle_table(*angles: Sequence[float] | Floats) -> str:
     """Override for the angles of the ball about x, y and z [deg] at equal times."""
     rows = [", ".join(repr(float(v)) for v in (k, *of)) for k, of in enumerate(angles)]
     lines = ["time [s], rotation x [deg], rotation y [deg], rotation z [deg]", *rows]
-    return f"motions.ball.rotation.course={lines}"
+    return f"motions.ball.rotation.cycle_table={lines}"
 
 
 def nodal_areas(run: Run, on: Bools) -> Floats:
@@ -122,7 +122,7 @@ def test_slip_wear(problem: KnownProblem) -> None:
         tolerance=1e-8,
         source="Archard's law",
     )
-    path = course((0, 0, 0), (5, 25, 0), (-5, 10, 20), (0, 0, 0))
+    path = cycle_table((0, 0, 0), (5, 25, 0), (-5, 10, 20), (0, 0, 0))
     solved = problem.solve(CUP, COARSE, path)
     area = nodal_areas(solved, solved.on_interface("bearing"))
     ball = nodal_areas(solved, np.isclose(np.linalg.norm(solved.points, axis=1), 14))
@@ -146,7 +146,7 @@ def compare_energies(problem: KnownProblem, runs: Sequence[Run]) -> None:
     problem.compare(*(relative(energy, energies[-1]) for energy in energies))
 
 
-CYCLE = course((0, 0, 0), (0, 25, 0), (0, 0, 0), (0, -25, 0), (0, 0, 0))
+CYCLE = cycle_table((0, 0, 0), (0, 25, 0), (0, 0, 0), (0, -25, 0), (0, 0, 0))
 
 
 @verify
@@ -185,7 +185,7 @@ def test_slip_turned(problem: KnownProblem) -> None:
         "motions.ball.about=[0 mm, 0 mm, 0 mm]",
         "interfaces.bearing.between=[head_surface, liner_inner]",
         f'loads.press.force="{(2000 * ROTATION[:, 2]).tolist()} N"',
-        course(*turned),
+        cycle_table(*turned),
         mesh="turned",
     )
     runs = problem.solve_all([rotated, run(CUP, COARSE)])
@@ -225,7 +225,7 @@ def test_slip_ball_rolls(problem: KnownProblem) -> None:
         source="Coulomb's law: 1, 0, -1",
     )
     forces = {0: 1, 1: 0, 1.1: -1}  # by the speed of the ball over that of rolling
-    changes = [(course((0, 0, 0), (0, np.degrees(c * 4 / 60), 0)),) for c in forces]
+    changes = [(cycle_table((0, 0, 0), (0, np.degrees(c * 4 / 60), 0)),) for c in forces]
     runs = problem.solve_each("verification/rolling_ball.yaml", changes)
     comparisons = []
     for solved, force in zip(runs, forces.values(), strict=True):

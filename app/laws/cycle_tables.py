@@ -1,4 +1,4 @@
-"""Courses: tables of time with the angles of a motion, or the force of a load, through a cycle."""
+"""Cycle tables: angles of a motion, or force of a load, against time through a cycle."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ COLUMNS = {"time": Dimension("s", "a time", "0.02 s")} | dict.fromkeys(ROTATIONS
 COLUMNS |= dict.fromkeys(("force", *FORCES), FORCE)
 
 
-class Course(Section):
+class CycleTable(Section):
     """Angles or a force through a cycle, linear between rows: a CSV file, or its lines in a list.
 
     Columns by name with their units, in any order: `time [s]`, `rotation x [deg]`, `rotation y`,
-    `rotation z`, and `force [N]` or `force x`, `force y`, `force z`. One course serves motions and
+    `rotation z`, and `force [N]` or `force x`, `force y`, `force z`. One table serves motions and
     loads, which take what is theirs.
     """
 
@@ -37,7 +37,7 @@ class Course(Section):
 
     rows: Annotated[tuple[Text, ...], ITEMS]
     """Lines of the table, the first with its columns. Alone they stand for the section, as do the
-    name of a file and one of the library (`mantle explain courses`)."""
+    name of a file and one of the library (`mantle explain cycle_tables`)."""
     status: Status = None
     """How sure its values are; unverified are those of a source that was not read."""
     source: Source = None
@@ -46,7 +46,7 @@ class Course(Section):
     @model_validator(mode="before")
     @classmethod
     def _of_rows(cls, value: Any, info: ValidationInfo) -> object:
-        if isinstance(value, Course):
+        if isinstance(value, CycleTable):
             return value
         section, name = value if isinstance(value, dict) else {"rows": value}, ""
         rows = section.get("rows", ())
@@ -54,7 +54,7 @@ class Course(Section):
             path = CSV.func(rows, info)
             rows, name = path.read_text(encoding="utf-8-sig").splitlines(), f"{path}: "
         if not isinstance(rows, list | tuple):
-            fail(f"{show(rows)} is not a course; expected a CSV file or its lines in a list")
+            fail(f"{show(rows)} is not a cycle table; expected a CSV file or its lines in a list")
         lines = [", ".join(map(str, r)) if isinstance(r, list) else str(r) for r in rows]
         _columns(lines, name)
         return section | {"rows": [line for line in lines if line.strip()]}
@@ -65,8 +65,8 @@ class Course(Section):
         return _columns(self.rows)
 
     @property
-    def told(self) -> str:
-        """In words, for `mantle check`."""
+    def description(self) -> str:
+        """Rows and columns, for `mantle check`."""
         return f"{len(self.rows) - 1} rows of {', '.join(self.columns)}"
 
     @property

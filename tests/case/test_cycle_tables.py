@@ -1,4 +1,4 @@
-"""Courses of motions and loads: read from files and lines, written, evaluated."""
+"""Cycle tables of motions and loads: read from files and lines, written, evaluated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from app.case.case import dump, load
 from app.foundation.errors import InputError
-from app.laws.courses import ROTATIONS, Course
+from app.laws.cycle_tables import ROTATIONS, CycleTable
 from app.laws.loads import Force
 from app.laws.motions import Motion
 from app.soundness import preview
@@ -46,25 +46,25 @@ motions:
   ball:
     region: upper
     about: [5 mm, 10 mm, 30 mm]
-    rotation: {axes: yxz, course: gait.csv}
+    rotation: {axes: yxz, cycle_table: gait.csv}
 loads:
   hip:
     kind: force
     boundary: top
     force: "[0, 0, -1] N"
-    course: gait.csv
+    cycle_table: gait.csv
     follows: ball
   side:
     kind: force
     boundary: top
-    course: ["time [s], force x [N], force z [N]", "0, 10, 0", "2, 30, -8"]
+    cycle_table: ["time [s], force x [N], force z [N]", "0, 10, 0", "2, 30, -8"]
 """
 
 
 def motion(axes: str, **degrees: tuple[float, float]) -> Motion:
     heads = ["time [s]", *(f"rotation {axis} [deg]" for axis in degrees)]
     rows = [[k, *(v[k] for v in degrees.values())] for k in range(2)]
-    rotation = {"axes": axes, "course": [heads, *rows]}
+    rotation = {"axes": axes, "cycle_table": [heads, *rows]}
     about = ["0 mm", "0 mm", "0 mm"]
     return Motion.model_validate({"region": "head", "about": about, "rotation": rotation})
 
@@ -76,13 +76,13 @@ def about(axis: int, degrees: float) -> np.ndarray:
     return np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
 
 
-def test_time_courses_of_motion_and_load_are_written(tmp_path: Path) -> None:
+def test_cycle_table_of_motion_and_load_are_written(tmp_path: Path) -> None:
     (tmp_path / "gait.csv").write_text(GAIT)
     (tmp_path / "case.yaml").write_text(CASE)
     case = load(tmp_path / "case.yaml").config
     assert support.case(dump(case)) == case
     ball, law = case.motions["ball"], case.interfaces["lower_upper"]
-    assert np.degrees(ball.rotation.course.at(ROTATIONS, 0.75)) == pytest.approx([3.5, 0, -4])
+    assert np.degrees(ball.rotation.cycle_table.at(ROTATIONS, 0.75)) == pytest.approx([3.5, 0, -4])
     assert law.wear_coefficient == pytest.approx(1.07e-9, rel=1e-15)
     assert law.values == {"μ": 0.06} and law.form == ("contact", True)
     forces = [load for load in case.loads.values() if isinstance(load, Force)]
@@ -99,7 +99,7 @@ def test_time_courses_of_motion_and_load_are_written(tmp_path: Path) -> None:
         ("600", "line 4: has 3 values; expected 4: time, force, rotation z, rotation x"),
     ],
 )
-def test_time_courses_faults_name_the_line(wrong: str, text: str, tmp_path: Path) -> None:
+def test_cycle_table_faults_name_the_line(wrong: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "gait.csv").write_text(GAIT.replace("600, 3", wrong, 1))
     (tmp_path / "case.yaml").write_text(CASE.partition("loads:")[0])
     with pytest.raises(InputError, match=re.escape(f"gait.csv: {text}")) as caught:
@@ -107,26 +107,29 @@ def test_time_courses_faults_name_the_line(wrong: str, text: str, tmp_path: Path
     assert caught.value.messages[0].startswith(f"{tmp_path / 'case.yaml'}:23:27: motions.ball")
 
 
-def test_time_courses_by_name_or_file(tmp_path: Path) -> None:
+def test_cycle_table_by_name_or_file(tmp_path: Path) -> None:
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / "gait.csv").write_text(GAIT)
     (tmp_path / "lib" / "below.yaml").write_text(CASE)
     (tmp_path / "case.yaml").write_text("base: lib/below.yaml\n")
-    found = load(tmp_path / "case.yaml", ["motions.ball.rotation.course=iso_14242_1"]).config
-    course, own = found.motions["ball"].rotation.course, found.loads["hip"].course
-    assert own.rows[-1] == "1100, 0.3, 2, 25" and course.status == "unverified"
-    x, y, z = (np.degrees(course.columns[name]) for name in ROTATIONS)
+    found = load(tmp_path / "case.yaml", ["motions.ball.rotation.cycle_table=iso_14242_1"]).config
+    cycle_table, of_load = (
+        found.motions["ball"].rotation.cycle_table,
+        found.loads["hip"].cycle_table,
+    )
+    assert of_load.rows[-1] == "1100, 0.3, 2, 25" and cycle_table.status == "unverified"
+    x, y, z = (np.degrees(cycle_table.columns[name]) for name in ROTATIONS)
     for angles, least, most in ((x, -18, 25), (y, -4, 7), (z, -2, 10)):
         assert (angles.min(), angles.max()) == pytest.approx((least, most))
         assert angles[0] == pytest.approx(angles[-1])
-    force = dict(zip(course.columns["time"], course.columns["force"], strict=True))
+    force = dict(zip(cycle_table.columns["time"], cycle_table.columns["force"], strict=True))
     assert force[0.12] == force[0.5] == 3000 and force[0.62] == force[1.0] == 300
     assert "unverified: all motions" in preview.describe(
         found, {"regions": {"lower": {}, "upper": {}}}
     )
 
 
-def test_time_courses_first_axis_is_the_outermost() -> None:
+def test_cycle_table_first_axis_is_the_outermost() -> None:
     turn = motion("yxz", x=(0, 40), y=(0, -30), z=(0, 70))
     assert turn.rotation_at(0.0) == pytest.approx(np.eye(3))
     expected = about(1, -15) @ about(0, 20) @ about(2, 35)
@@ -135,6 +138,6 @@ def test_time_courses_first_axis_is_the_outermost() -> None:
     assert other == pytest.approx(about(2, 35) @ about(0, 20) @ about(1, -15), abs=1e-15)
 
 
-def test_time_courses_missing_columns_are_zero() -> None:
-    course = Course.model_validate(["time [s], rotation y [deg]", "0, 0", "1, 90"])
-    assert course.at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])
+def test_cycle_table_missing_columns_are_zero() -> None:
+    cycle_table = CycleTable.model_validate(["time [s], rotation y [deg]", "0, 0", "1, 90"])
+    assert cycle_table.at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])
