@@ -96,7 +96,7 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     assert contact is not None
     comm, space, constraints = problem.comm, problem.space, problem.stiffness.constraints
     nodes = space.dofmap.index_map.size_local
-    x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
+    x, y = space.tabulate_dof_coordinates()[:nodes], contact.local.x
     large = Boxes(contact.points.x)
     edge = SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
     small = Boxes(contact.points.x, edge)
@@ -109,7 +109,7 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     first, stiffest = 0, _stiffest(problem)
     for body, name in enumerate(problem.bodies.names):
         own = _components(problem, contact, body)
-        master, slave = (contact.own.bodies == body).T
+        master, slave = (contact.local.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
             others.append(_dense(_unknowns(problem, own)[:, None] * (modes.T @ frame), first))

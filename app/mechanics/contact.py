@@ -32,7 +32,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import (
     ContactState,
-    OwnPoints,
+    LocalPoints,
     prescribed_jump,
     refuse_loose_regions,
     refuse_supports,
@@ -71,8 +71,8 @@ class TrialState:
     """Contact at a trial state.
 
     Attributes:
-        equilibrium: Residual e of equilibrium at own points (n, 3) [N].
-        jump: Jumps of own points (n, 3) [mm].
+        equilibrium: Residual e of equilibrium at local points (n, 3) [N].
+        jump: Jumps of local points (n, 3) [mm].
         law: Forces by the laws, and their derivatives.
     """
 
@@ -87,12 +87,12 @@ class TrialState:
         Exactly zero where a point is open or sticks, whatever the solver's tolerance leaves.
         """
         c, law = self.contact, self.law
-        force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        missing = c.own.project_free(c.multiplier(self.equilibrium) - force)
+        force = law.force + np.einsum("pk,pki->pi", law.pressures, c.local.normals)
+        missing = c.local.project_free(c.multiplier(self.equilibrium) - force)
         slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
         slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
-        force, slip = (np.where(slides, c.own.tangential(v, closed), 0.0) for v in (force, slip))
+        force, slip = (np.where(slides, c.local.tangential(v, closed), 0.0) for v in (force, slip))
         return force, slip
 
     def _closed(self, step: Floats) -> Bools:
@@ -101,7 +101,7 @@ class TrialState:
         At an edge the tangential direction is along it: a point that friction on one face holds
         against another has a force across the edge too, but no slip there.
         """
-        gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.own.normals)
+        gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.local.normals)
         nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
         return np.asarray((self.law.pressures > 0) | nearly)
 
@@ -125,7 +125,7 @@ class TrialState:
     def sliding(self, motion: Floats) -> Floats:
         """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
         touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
-        along = self.contact.own.tangential(motion, self._closed(motion))
+        along = self.contact.local.tangential(motion, self._closed(motion))
         return np.where(touching, along, 0.0)
 
     def committed(self) -> ContactState:
@@ -142,10 +142,10 @@ class TrialState:
         does work in the jump), so ``contact_work`` is the error of load steps in which points close
         or open. In it is the energy of a layer across, which is released when it opens.
         """
-        c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
+        c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.local.weight
         step, opening = self.jump - c.reference, c.opening(self.jump)
-        force = c.forces(self.equilibrium) + c.own.tangential_held(law.force)
-        normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
+        force = c.forces(self.equilibrium) + c.local.tangential_held(law.force)
+        normal = np.einsum("pk,pki->pi", law.pressures, c.local.normals)
         friction = force + normal
         outputs, slip = law.outputs, self.slip(friction)
         rubbed = np.einsum("pi,pi->p", *self.rubbing())
@@ -178,7 +178,7 @@ class ContactInterfaces:
         points: All contact points, replicated.
         facets: All interface facets, replicated.
         edge_lengths: Mean edge of the facets of each interface [mm].
-        own: The points of this rank.
+        local: The points of this rank.
         coupling: Their coupling to the displacement.
         law: Their laws.
         state: Their committed state.
@@ -225,7 +225,7 @@ class ContactInterfaces:
         # The one face of a point that slides far is that of the surface under it.
         self.points.faces[apart], self.points.normals[apart, 1:] = 1, 0.0
         rows, self._number = owners(self.comm, space.dofmap.index_map, self.points.dof)
-        self.own = OwnPoints.of(self.points, rows)
+        self.local = LocalPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
         self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
@@ -235,8 +235,8 @@ class ContactInterfaces:
         self.finite_sliding: FiniteSliding | None = None
         if stiffness.followers:
             dof = self.points.dof[rows]
-            self.finite_sliding = FiniteSliding(mechanics, self.own, dof, stiffness.followers)
-        self.law = PointLaw(self.comm, self.own, mechanics.timing)
+            self.finite_sliding = FiniteSliding(mechanics, self.local, dof, stiffness.followers)
+        self.law = PointLaw(self.comm, self.local, mechanics.timing)
         self.begin(scene, augmentation_factor)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -257,30 +257,30 @@ class ContactInterfaces:
             except PydanticCustomError as error:
                 key = ".".join(("interfaces", c.name, *(error.context or {})["at"]))
                 raise InputError(f"{key}: {error}") from error
-        own = {name: full[self.own.rows] for name, full in values.items()}
-        self._full_gap = own["gap"]
+        of_rank = {name: full[self.local.rows] for name, full in values.items()}
+        self._full_gap = of_rank["gap"]
         laws = [c.law for c in contacts]
-        self.law.begin(laws, own, augmentation_factor, self.coupling.local_stiffness())
+        self.law.begin(laws, of_rank, augmentation_factor, self.coupling.local_stiffness())
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
         self._committed = 0.0
         self.state: ContactState = ContactState.at_rest(
-            self.own.x * 0.0, self.law.internal_variables
+            self.local.x * 0.0, self.law.internal_variables
         )
         self.carried = self.state.jump
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
     def _jumps_by_supports(self) -> list[Floats]:
-        """Jumps of own points that each support prescribes at full amplitude (n, 3) [mm]."""
-        constraints, own = self._stiffness.constraints, self.own
+        """Jumps of local points that each support prescribes at full amplitude (n, 3) [mm]."""
+        constraints, local = self._stiffness.constraints, self.local
         jumps = []
         for k, support in enumerate(self._supports):
-            moved = np.zeros((len(own), 3))
+            moved = np.zeros((len(local), 3))
             if (self.points.given == RIGIDLY).any():
                 unit = PETSc.Vec().createWithArray(constraints.unit[k].copy(), comm=self.comm)
                 moved = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
-            jumps.append(prescribed_jump(self.points, own.rows, k, support, moved))
+            jumps.append(prescribed_jump(self.points, local.rows, k, support, moved))
         return jumps
 
     def update_stiffness(self) -> None:
@@ -292,28 +292,28 @@ class ContactInterfaces:
 
     def set_time(self, time: float) -> None:
         """Set gaps and prescribed jumps to a time."""
-        gap = self._clearance = np.zeros(len(self.own))
+        gap = self._clearance = np.zeros(len(self.local))
         for i, c in enumerate(self._contacts):
-            here = self.own.interface == i
+            here = self.local.interface == i
             gap[here] = gap_at(self._full_gap[here], c.gap_history, time)
         if self.finite_sliding is None:
-            self.gap = gap_vectors(self.own.normals, gap)
+            self.gap = gap_vectors(self.local.normals, gap)
         else:
             self.finite_sliding.set_time(self._committed, time)
             self.pair_at(self.state.jump)
-        self.prescribed = np.zeros((len(self.own), 3))
+        self.prescribed = np.zeros((len(self.local), 3))
         for support, jump in zip(self._supports, self._by_supports, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
 
     def pair_at(self, jump: Floats) -> None:
         """Pair the points that slide far, at jumps (n, 3) [mm]: gaps, normals, reference."""
         assert self.finite_sliding is not None
-        rows, own, found = self.finite_sliding.rows, self.own, self.finite_sliding.pair(jump)
-        own.normals[rows, 0] = found.normal
+        rows, local, found = self.finite_sliding.rows, self.local, self.finite_sliding.pair(jump)
+        local.normals[rows, 0] = found.normal
         self.law.set_normals(rows)
         self._paired_at, gap = jump.copy(), self._clearance.copy()
         gap[rows] += found.gap - np.einsum("pi,pi->p", found.normal, jump[rows])
-        self.gap = gap_vectors(own.normals, gap)
+        self.gap = gap_vectors(local.normals, gap)
 
     def pair(self, trial: TrialState) -> bool:
         """Pair the points that slide far anew if their gaps are wrong in a state; collective."""
@@ -350,7 +350,7 @@ class ContactInterfaces:
         """Jumps (n, 3) with the initial gap; where points slide far along the normal alone."""
         found = jump + self.gap
         if self.finite_sliding is not None:
-            rows, n = self.finite_sliding.rows, self.own.normals[self.finite_sliding.rows, 0]
+            rows, n = self.finite_sliding.rows, self.local.normals[self.finite_sliding.rows, 0]
             found[rows] = np.einsum("pi,pi->p", found[rows], n)[:, None] * n
         return found
 
@@ -364,7 +364,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are tied.
         """
-        tied = self.law.tied = np.zeros(len(self.own), dtype=bool)
+        tied = self.law.tied = np.zeros(len(self.local), dtype=bool)
         if not on:
             return False
         apart = self._clearance.copy()
@@ -373,7 +373,7 @@ class ContactInterfaces:
         touched = (apart <= 0) | self.state.force.any(axis=1)
         floating: set[int] | None = None
         for i in range(len(self._contacts)):
-            here = self.own.interface == i
+            here = self.local.interface == i
             touching, open_ = (
                 bool(self.comm.allreduce(int(t[here].sum()), MPI.SUM)) for t in (touched, ~touched)
             )
@@ -406,7 +406,7 @@ class ContactInterfaces:
         are none with finite sliding or mean jumps.
 
         Args:
-            status: States of own points (n,).
+            status: States of local points (n,).
         """
         if self.finite_sliding is not None or self.points.surface.jumps is not None:
             return np.zeros((6 * self._bodies, 0))
@@ -437,16 +437,16 @@ class ContactInterfaces:
         """Rigid motions resisted by less than a part of the largest (6 bodies, k); collective.
 
         Args:
-            stick: Mask of own points that resist their jump (n,).
-            slide: Mask of own points that resist their opening (n,).
+            stick: Mask of local points that resist their jump (n,).
+            slide: Mask of local points that resist their opening (n,).
             part: Part of the largest resistance.
         """
-        faces = np.einsum("pki,pkj->pij", self.own.normals, self.own.normals)
+        faces = np.einsum("pki,pkj->pij", self.local.normals, self.local.normals)
         B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
-        B *= self.own.weight[:, None, None]
-        R = self.rigid_motions(self.own.x)
+        B *= self.local.weight[:, None, None]
+        R = self.rigid_motions(self.local.x)
         at_points = R.transpose(0, 2, 1) @ B @ R
-        local = relative_resistance(at_points, self.own.bodies, self._bodies)
+        local = relative_resistance(at_points, self.local.bodies, self._bodies)
         resistance = self.comm.allreduce(local)
         total = float(self.points.weight.sum())
         if self._held is None:
@@ -469,16 +469,16 @@ class ContactInterfaces:
         return rigid_modes((x - origin) / size)
 
     def relative_motion(self, motions: Floats) -> Floats:
-        """Jumps of own points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
+        """Jumps of local points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
         of_bodies = motions.reshape(self._bodies, 6, -1)
-        master, slave = self.own.bodies.T
-        return self.rigid_motions(self.own.x) @ (of_bodies[slave] - of_bodies[master])
+        master, slave = self.local.bodies.T
+        return self.rigid_motions(self.local.x) @ (of_bodies[slave] - of_bodies[master])
 
     def apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
         opening = self.opening(self.state.jump)
-        gaps = np.einsum("pi,pki->pk", opening, self.own.normals)
-        faces = np.arange(3) < self.own.faces[:, None]
+        gaps = np.einsum("pi,pki->pk", opening, self.local.normals)
+        faces = np.arange(3) < self.local.faces[:, None]
         touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
@@ -505,7 +505,7 @@ class ContactInterfaces:
         pushed = constraints.pushed(f)
         way = constraints.expand(pushed).array_r.reshape(-1, 3)[self.finite_sliding.nodes]
         gap = self._clearance[rows] + self.finite_sliding.paired.gap
-        along = np.einsum("pi,pi->p", self.own.normals[rows, 0], way)
+        along = np.einsum("pi,pi->p", self.local.normals[rows, 0], way)
         before = along > FACING * np.linalg.norm(way, axis=1)
         near = float(np.min(gap[before] / along[before], initial=np.inf))
         touch = (gap <= 0).any() or self.state.force[rows].any()
@@ -536,13 +536,13 @@ class ContactInterfaces:
         self.law.scale_augmentation(factor)
 
     def whole(self, values: Floats) -> Floats:
-        """Values at all points, from those at own ones (n, ...); collective."""
+        """Values at all points, from those at local ones (n, ...); collective."""
         return np.asarray(gather(self.comm, values)[0][self._number])
 
     @property
     def row_keys(self) -> Ints:
-        """Keys of own contact points."""
-        return self.own.rows
+        """Keys of local contact points."""
+        return self.local.rows
 
     # Residual and Jacobian
 
@@ -554,7 +554,7 @@ class ContactInterfaces:
 
     def forces(self, e: Floats) -> Floats:
         """Interface force per area from equilibrium (n, 3) [MPa]; zero where supports hold."""
-        return self.own.project_free(-e / self.own.weight[:, None])
+        return self.local.project_free(-e / self.local.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
         """Multiplier part of the trial force (n, 3) [MPa].
@@ -566,7 +566,7 @@ class ContactInterfaces:
         return F - np.einsum("pij,pj->pi", layers, F - self.state.friction)
 
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
-        """The laws at own points for equilibrium and jumps."""
+        """The laws at local points for equilibrium and jumps."""
         state = self.state
         if self.finite_sliding is not None:
             state = replace(state, jump=self.reference)
@@ -574,18 +574,18 @@ class ContactInterfaces:
 
     def with_prescribed(self, q: Floats) -> Floats:
         """Return jumps (n, 3) with prescribed components in place of the solver's [mm]."""
-        return self.own.project_free(q) + self.prescribed
+        return self.local.project_free(q) + self.prescribed
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
-        """Residual e + W P at own points (n, 3) [N]; prescribed jumps where supports hold."""
-        own, free = self.own, self.own.project_free
-        r = e + own.weight[:, None] * law.force
-        scale = self.law.stiffness * own.weight
+        """Residual e + W P at local points (n, 3) [N]; prescribed jumps where supports hold."""
+        local, free = self.local, self.local.project_free
+        r = e + local.weight[:, None] * law.force
+        scale = self.law.stiffness * local.weight
         return free(r) + scale[:, None] * (q - free(q) - self.prescribed)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
         """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
-        held, weight = self.own.projector, self.own.weight
+        held, weight = self.local.projector, self.local.weight
         free = np.eye(3) - held
         P = free @ law.by_multiplier @ self.law.multiplier_share @ free
         by_jump = free @ law.by_jump @ free

@@ -21,7 +21,7 @@ from ufl.core.expr import Expr
 from app.foundation.arrays import Floats, Ints
 from app.laws import interface_laws
 from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw
-from app.mechanics.contact_points import ContactState, OwnPoints
+from app.mechanics.contact_points import ContactState, LocalPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
@@ -43,7 +43,8 @@ AT_REST = 1e-13
 FAR = 1e3
 # Most local Newton iterations.
 LOCAL = 50
-# The modules that define a law, beside its own: a change of their text makes it another law.
+# The modules that define a law, together with the module of its class. If their text changes, the
+# law is compiled again.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
 
 
@@ -86,8 +87,8 @@ class PointForces:
         Of contact it is the first derivative, of what else resists its share beside the trial
         force.
         """
-        own, r = self.by_law, self.stiffness[:, None]
-        sizes, axes = np.linalg.eigh((own + own.transpose(0, 2, 1)) / 2)
+        of_law, r = self.by_law, self.stiffness[:, None]
+        sizes, axes = np.linalg.eigh((of_law + of_law.transpose(0, 2, 1)) / 2)
         shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
         return self.by_multiplier + (axes * shares[:, None, :]) @ axes.transpose(0, 2, 1)
 
@@ -118,8 +119,8 @@ class PointLaw:
 
     frozen = False
 
-    def __init__(self, comm: MPI.Comm, own: OwnPoints, timing: Timing) -> None:
-        self._comm, self._own, self._timing = comm, own, timing
+    def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
+        self._comm, self._points, self._timing = comm, points, timing
         self._known: dict[tuple[Hashable, ...], list[Group]] = {}
 
     def begin(
@@ -131,48 +132,53 @@ class PointLaw:
     ) -> None:
         """Set the laws of a run, compiled once for all of the same form; collective.
 
-        Their constants have values at own points (n,). The default augmentation is ``factor`` times
-        the local stiffness (as of `update_stiffness`) per area.
+        Args:
+            laws: Law of each interface.
+            values: Constants of the laws at local points (n,), by name.
+            factor: Default augmentation over the local stiffness per area [-].
+            local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
-        own, forms = self._own, tuple(law.form for law in laws)
+        points, forms = self._points, tuple(law.form for law in laws)
         if forms not in self._known:
             with self._timing.phase("compile", "contact"):
                 self._known[forms] = self._compiled(laws)
         self._factor, self._groups = factor, self._known[forms]
-        self._laws = [(law, own.interface == i) for i, law in enumerate(laws)]
+        self._laws = [(law, points.interface == i) for i, law in enumerate(laws)]
         for rows, law, compiled, _ in self._groups:
             constants: dict[str, Any] = {name: values[name][rows] for name in law.values}
             compiled.set(**constants)
         self.internal_variables = {
             k: shape for law in laws for k, shape in law.internal_variables.items()
         }
-        self.can_open = np.array([law.can_open for law in laws])[own.interface]
-        self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
-        self.slides = np.array([law.is_contact for law in laws])[own.interface]
+        self.can_open = np.array([law.can_open for law in laws])[points.interface]
+        self.frictional = np.array([law.friction > 0 for law in laws])[points.interface]
+        self.slides = np.array([law.is_contact for law in laws])[points.interface]
         touch = [law.is_contact or law.beside is not None for law in laws]
-        self.has_contact = np.array(touch)[own.interface]
-        self.dissipates = np.array([law.dissipates for law in laws])[own.interface]
+        self.has_contact = np.array(touch)[points.interface]
+        self.dissipates = np.array([law.dissipates for law in laws])[points.interface]
         # Of laws that have contact beside them.
-        self._friction = values.get("friction_coefficient", np.zeros(len(own)))
-        self.tied = np.zeros(len(own), dtype=bool)
-        self.released = np.zeros(len(own), dtype=bool)
+        self._friction = values.get("friction_coefficient", np.zeros(len(points)))
+        self.tied = np.zeros(len(points), dtype=bool)
+        self.released = np.zeros(len(points), dtype=bool)
         self._scale = 1.0
-        self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[own.interface]
-        self.compliance = np.zeros((len(own), 3, 3))
+        self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[points.interface]
+        self.compliance = np.zeros((len(points), 3, 3))
         for law, here in self._laws:
             if law.layer is not None:
-                self.compliance[here] = _compliance(own.normals[here], own.faces[here], *law.layer)
+                self.compliance[here] = _compliance(
+                    points.normals[here], points.faces[here], *law.layer
+                )
         self.update_stiffness(local_stiffness)
 
     def _compiled(self, laws: Sequence[InterfaceLaw]) -> list[Group]:
-        own, forms = self._own, list(dict.fromkeys(law.form for law in laws))
-        form = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[own.interface]
-        here = {(int(m), int(k)) for m, k in zip(own.faces, form, strict=True) if m}
+        points, forms = self._points, list(dict.fromkeys(law.form for law in laws))
+        form = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[points.interface]
+        here = {(int(m), int(k)) for m, k in zip(points.faces, form, strict=True) if m}
         groups = []
         for m, k in sorted(set().union(*self._comm.allgather(here))):
-            rows = np.flatnonzero((own.faces == m) & (form == k))
+            rows = np.flatnonzero((points.faces == m) & (form == k))
             law = next(law for law in laws if law.form == forms[k])
-            normals = own.normals[rows, :m]
+            normals = points.normals[rows, :m]
             compiled = _compile(self._comm, normals, law)
             beside = None if law.beside is None else _compile(self._comm, normals, law.beside)
             groups.append((rows, law, compiled, beside))
@@ -182,7 +188,7 @@ class PointLaw:
         """Set the normals of points of one face to their current values."""
         for rows, _, compiled, _ in self._groups:
             if np.isin(rows, points).any():
-                normal = self._own.normals[rows, 0]
+                normal = self._points.normals[rows, 0]
                 compiled.set(normal_0=normal, dual_0=normal)
 
     # Stiffness of the trial force
@@ -196,10 +202,10 @@ class PointLaw:
         Args:
             local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
-        self.met = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
+        self.met = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._points.weight
         self.default_stiffness = self._softest.copy()
         for law, here in self._laws:
-            # Above a layer's own, the multiplier would enter with a negative sign.
+            # Above the stiffness of a layer the multiplier would enter with a negative sign.
             r = law.trial_stiffness(self.met[here], self._factor)
             self.default_stiffness[here] = np.minimum(r, self._softest[here])
         self.scale_augmentation(self._scale)
@@ -213,10 +219,10 @@ class PointLaw:
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case, in the mean; collective."""
-        here = np.array([law.augmented for law, _ in self._laws])[self._own.interface]
+        here = np.array([law.augmented for law, _ in self._laws])[self._points.interface]
         usual = np.minimum(USUAL_AUGMENTATION * self.met, self._softest)[here]
-        own = np.array_equal(usual, self.default_stiffness[here])
-        if self._comm.allreduce(own, MPI.LAND):
+        default = np.array_equal(usual, self.default_stiffness[here])
+        if self._comm.allreduce(default, MPI.LAND):
             return 1.0
         logs = float(np.log(usual / self.default_stiffness[here]).sum())
         total, count = self._comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
@@ -237,12 +243,12 @@ class PointLaw:
         self, force: Floats, jump: Floats, gap: Floats, state: ContactState
     ) -> PointForces:
         """Evaluate the laws at a trial state: multiplier (n, 3) [MPa], jump and gap (n, 3) [mm]."""
-        own, n, r = self._own, len(self._own), self.stiffness
+        points, n, r = self._points, len(self._points), self.stiffness
         inputs = {
-            "force": own.acting(force),
-            "jump": own.acting(jump),
+            "force": points.acting(force),
+            "jump": points.acting(jump),
             "gap": gap,
-            "old": own.acting(state.jump),
+            "old": points.acting(state.jump),
             "r": r,
             "live": np.full(n, float(not self.frozen)),
         }
@@ -299,7 +305,7 @@ class PointLaw:
         at rest keeps its last friction.
 
         Args:
-            rows: Own points of the law (n,).
+            rows: Local points of the law (n,).
             compiled: The law.
             inputs: Its inputs by name, without F_h in the force.
             last: Friction in the last converged state (n, 3) [MPa].
@@ -307,7 +313,7 @@ class PointLaw:
         Returns:
             Outputs of the law, with total derivatives.
         """
-        H = self._own.along[rows]
+        H = self._points.along[rows]
         if not H.any():
             return compiled.named(**inputs)
         share, given = self.multiplier_share[rows], inputs["force"]
@@ -351,18 +357,18 @@ class PointLaw:
 
         Its code is that of contact alone: one kernel for T and P together takes ffcx minutes.
         """
-        own, r = self._own, inputs["r"]
+        points, r = self._points, inputs["r"]
         share = out.outputs["broken"][rows]
         on = (share > 0) & ~self.released[rows]
         T, T_by_jump = out.force[rows], out.by_jump[rows]
-        free = np.eye(3) - own.along[rows]
+        free = np.eye(3) - points.along[rows]
         inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, T)
         if law.friction > 0:
             inputs["μ"] = self._friction[rows] * share
         response = self._respond(rows, contact, inputs, state.friction[rows])
         P, slope, p = response["force"], response["by_multiplier"], response["pressures"]
         status = np.rint(response["status"]).astype(np.int64)
-        friction = P + np.einsum("pk,pki->pi", p, own.normals[rows, : p.shape[1]])
+        friction = P + np.einsum("pk,pki->pi", p, points.normals[rows, : p.shape[1]])
         rubs = on & (status == SLIP)
         by_jump = slope @ (r[:, None, None] * np.eye(3) - free @ T_by_jump)
         # The disc of friction grows with the broken share.
@@ -379,15 +385,15 @@ class PointLaw:
         out.rubbed[rows] = np.where(rubs, np.einsum("pi,pi->p", friction, slid), 0.0)
         motion = np.zeros_like(out.force)
         motion[rows] = inputs["jump"] + inputs["gap"]
-        slip = own.tangential(motion, out.pressures > 0)
+        slip = points.tangential(motion, out.pressures > 0)
         closed = here[status[on] != OPEN]
         out.outputs["slip"][closed] = slip[closed]
 
     def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
-        own, tied = self._own, self.tied
-        slid = own.tangential(old, np.ones((len(own), 3), dtype=bool))
+        points, tied = self._points, self.tied
+        slid = points.tangential(old, np.ones((len(points), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - slid)
-        out.force[tied] = own.project_free(trial)[tied]
+        out.force[tied] = points.project_free(trial)[tied]
         out.by_multiplier[tied] = np.eye(3)
         out.by_jump[tied] = (self.stiffness[:, None, None] * np.eye(3))[tied]
         out.status[tied] = STICK

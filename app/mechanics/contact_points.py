@@ -19,7 +19,7 @@ from meshes.contact_points import RIGIDLY, ContactPoints, Holds
 
 
 @dataclass(frozen=True)
-class OwnPoints:
+class LocalPoints:
     """Contact points of this rank (n of them).
 
     Attributes:
@@ -45,7 +45,7 @@ class OwnPoints:
     along: Floats
 
     @classmethod
-    def of(cls, points: ContactPoints, rows: Ints) -> OwnPoints:
+    def of(cls, points: ContactPoints, rows: Ints) -> LocalPoints:
         """Select the points that a rank owns."""
         names = ("interface", "x", "bodies", "faces", "normals", "weight", "along")
         kept = {name: getattr(points, name)[rows] for name in names}
@@ -116,14 +116,14 @@ class ContactState:
 def prescribed_jump(
     points: ContactPoints, rows: Ints, number: int, support: Support, moved: Floats
 ) -> Floats:
-    """Jump prescribed by a support at full amplitude, at own points (n, 3) [mm].
+    """Jump prescribed by a support at full amplitude, at local points (n, 3) [mm].
 
     Args:
         points: All points.
-        rows: Own points (n,).
+        rows: Local points (n,).
         number: Index of the support.
         support: The support.
-        moved: Displacement of the nodes of own points that it prescribes (n, 3) [mm].
+        moved: Displacement of the nodes of local points that it prescribes (n, 3) [mm].
     """
     given, axes, x = points.given[rows], points.axes[rows], points.x[rows]
     jump = np.zeros(x.shape)

@@ -85,7 +85,7 @@ class Forces:
         return total
 
     def _sum(self, acting: Iterable[tuple[float, Action]]) -> Action:
-        points = len(self._contact.own) if self._contact else 0
+        points = len(self._contact.local) if self._contact else 0
         nodes = self._mechanics.space.dofmap.index_map.size_local
         total = Action(np.zeros(3 * nodes), np.zeros(3 * points))
         for factor, action in acting:

@@ -27,7 +27,7 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact_points import OwnPoints
+from app.mechanics.contact_points import LocalPoints
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.scene import Scene
@@ -70,7 +70,7 @@ class FiniteSliding:
     """
 
     def __init__(
-        self, mechanics: BodyForms, points: OwnPoints, dof: Ints, followers: Followers
+        self, mechanics: BodyForms, points: LocalPoints, dof: Ints, followers: Followers
     ) -> None:
         self.followers = followers
         self._interfaces = list(followers.sides)

@@ -76,11 +76,11 @@ class JumpCoupling:
             renew(matrix, values, constraints.follows)
 
     def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
-        """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
+        """Equilibrium e = C^T u + D q - f_q at local points (n, 3) [N]; -e is the force W F."""
         self.Ct.mult(u, self._work)
         self.D.multAdd(q, self._work, self._work)
         return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
 
     def local_stiffness(self) -> Floats:
-        """Stiffness of the jump of each own point with all else held (n, 3, 3) [N/mm]."""
+        """Stiffness of the jump of each local point with all else held (n, 3, 3) [N/mm]."""
         return diagonal_blocks(self.D, 3)

@@ -319,7 +319,7 @@ class Problem:
     def interface_scale(self, e: Floats) -> float:
         """Size of loads and interface forces, from equilibrium e (n, 3) [N]; collective."""
         assert self.contact is not None
-        parts = [float(np.sum(v**2)) for v in (self.contact.own.project_free(e), self.f_q)]
+        parts = [float(np.sum(v**2)) for v in (self.contact.local.project_free(e), self.f_q)]
         return self.load_size + float(np.sqrt(self.comm.allreduce(np.array(parts))).sum())
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:

@@ -96,7 +96,7 @@ class ContactSystem(BondedSystem):
         contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
         factors: Blocks in the rows of the jumps as last set, times equilibrium and added to it.
-        law_status: States of own points when they were set (n,).
+        law_status: States of local points when they were set (n,).
 
     Args:
         solves: Number of solves foreseen; 0 if it is not to be condensed.
@@ -117,10 +117,10 @@ class ContactSystem(BondedSystem):
         self._C = contact.coupling.C.copy()
         self._C.zeroRows(problem.stiffness.rows, diag=0.0)
         self._coupled = problem.stiffness.version
-        self.times = block_diagonal(contact.comm, len(contact.own))
+        self.times = block_diagonal(contact.comm, len(contact.local))
         self._A_qu = self.times.matMult(contact.coupling.Ct)
         self._A_qq = self.times.matMult(contact.coupling.D)
-        self._added = block_diagonal(contact.comm, len(contact.own))
+        self._added = block_diagonal(contact.comm, len(contact.local))
         self._coarse_version = -1
 
     def blocks(self) -> dict[str, PETSc.Vec]:
@@ -155,13 +155,13 @@ class ContactSystem(BondedSystem):
         it. Nothing resists this moment. The contact points bear it if it is within the doubt.
         """
         contact, problem = self.contact, self._problem
-        doubt = contact.points.doubt[contact.own.rows]
+        doubt = contact.points.doubt[contact.local.rows]
         if not contact.points.doubt.any():
             return r.ravel()
         motions = contact.free_motions(law.status)
         if not motions.shape[1]:
             return r.ravel()
-        moved, w = contact.relative_motion(motions), contact.own.weight
+        moved, w = contact.relative_motion(motions), contact.local.weight
         local = (
             np.einsum("p,pik,pil->kl", w, moved, moved),
             np.einsum("p,pik,pik,p->", w, moved, moved, doubt**2),
@@ -201,7 +201,7 @@ class ContactSystem(BondedSystem):
         motions = contact.loose_motions(law.status)
         if not motions.shape[1]:
             return False
-        forces = self._problem.f_q.reshape(-1, 3) - contact.own.weight[:, None] * law.force
+        forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
         work = self._work(motions, forces)
         return bool(np.abs(work).max() > UNBALANCED * self._problem.interface_scale(forces))
 
@@ -254,7 +254,7 @@ class ContactSystem(BondedSystem):
             return None
         constraints, points = self._problem.stiffness.constraints, self.contact.points
         low = self._problem.space.dofmap.index_map.local_range[0]
-        Q = constraints.at(points.dof[self.contact.own.rows] - low)
+        Q = constraints.at(points.dof[self.contact.local.rows] - low)
         follows = Q.createVecLeft()
         follows.array.reshape(-1, 3)[sliding.rows[sliding.on_deformable]] = 1.0
         Q.diagonalScale(follows)
@@ -291,7 +291,7 @@ class ContactSystem(BondedSystem):
         motions = contact.free_motions(self.trial.law.status)
         if not motions.shape[1]:
             return False
-        moved, w = contact.relative_motion(motions), contact.own.weight
+        moved, w = contact.relative_motion(motions), contact.local.weight
         since = x[1].array_r.reshape(-1, 3) - contact.reference
         gram = np.einsum("p,pik,pil->kl", w, moved, moved)
         work = np.einsum("p,pik,pi->k", w, moved, since)
@@ -320,7 +320,7 @@ class ContactSystem(BondedSystem):
         version = self._problem.stiffness.version
         if self._coarse_version != version:
             self._coarse, self._coarse_version = sliding_motions(self._problem), version
-        allowing, law = np.eye(3) - self.contact.own.projector, self.trial.law
+        allowing, law = np.eye(3) - self.contact.local.projector, self.trial.law
         free = allowing @ free_directions(law.resisted) @ allowing
         self._coarse.update(free, np.linalg.norm(law.by_law, axis=(1, 2)))
         return self._coarse

@@ -66,7 +66,7 @@ LITTLE = 0.01
 
 
 class Condensable(Protocol):
-    """Interface between condensation and contact; arrays are those of own points.
+    """Interface between condensation and contact; arrays are those of local points.
 
     Attributes:
         factors: T and B at the last state, (n, 3, 3) each.
@@ -99,7 +99,7 @@ class Condensable(Protocol):
 
     @property
     def law_status(self) -> Ints:
-        """States of own points at the last call of `law` (n,)."""
+        """States of local points at the last call of `law` (n,)."""
 
     def runs_away(self, x: list[PETSc.Vec]) -> bool:
         """Return True if jumps, the last block of x, exceed the size of the model; collective."""
@@ -234,15 +234,15 @@ class Condensed:
         q.array = dq
 
     def step(self, r: Floats) -> Floats:
-        """Solution of (T S + B) dq = r at own points; collective."""
+        """Solution of (T S + B) dq = r at local points; collective."""
         return self._on_root(self._step, r)
 
     def times(self, dq: Floats) -> Floats:
-        """(T S + B) dq at own points; collective."""
+        """(T S + B) dq at local points; collective."""
         return self._on_root(self._times, dq)
 
     def forces(self, dq: Floats) -> Floats:
-        """S dq, the forces at own points by jumps of the bodies in equilibrium; collective."""
+        """S dq, the forces at local points by jumps of the bodies in equilibrium; collective."""
         return self._on_root(lambda every: self._S @ every, dq)
 
     def _on_root(self, function: Callable[..., Floats], *own: Floats) -> Floats:

@@ -67,7 +67,7 @@ class CoarseSpace:
             self._stiffness = stiffness
 
     def set_free_directions(self, free: Floats) -> None:
-        """Restrict jumps to free directions, by projectors at own points (n, 3, 3)."""
+        """Restrict jumps to free directions, by projectors at local points (n, 3, 3)."""
         self.version += 1
         self._known = free
         fill(self._free, free)

@@ -178,9 +178,9 @@ class Balance:
         missing = held_q = jump
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
-            own, force = trial.contact.own, trial.contact.state.force
-            rubs = own.weight[:, None] * own.tangential_held(force)
-            held_q = (e - own.project_free(e) + rubs).ravel()
+            local, force = trial.contact.local, trial.contact.state.force
+            rubs = local.weight[:, None] * local.tangential_held(force)
+            held_q = (e - local.project_free(e) + rubs).ravel()
             missing = inner.jump - acting.jump - e.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
         if followers:

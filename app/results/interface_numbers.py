@@ -93,7 +93,7 @@ class ContactSamples:
         arm: From the centre of the master to where they touch it (n, 3) [mm].
 
     Args:
-        since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
+        since: Jumps of local points at the last valley of the loads (n, 3) [mm]: ``inducible``
             sizes are those of the way since then.
         parts: Surface of each interface; by default undivided.
     """
@@ -102,7 +102,7 @@ class ContactSamples:
         self, problem: Problem, trial: TrialState, since: Floats | None = None, parts: Parts = ()
     ) -> None:
         contact, state = trial.contact, trial.contact.state
-        own, points = contact.own, contact.points
+        local, points = contact.local, contact.points
         surface = points.surface
 
         def whole(values: Floats) -> Any:
@@ -110,7 +110,7 @@ class ContactSamples:
 
         def total(values: Floats) -> Any:
             """Amounts at the corners from amounts at the points, by area."""
-            return whole(values / own.weight) * surface.weight
+            return whole(values / local.weight) * surface.weight
 
         self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
         motion = surface.true_jumps(contact.whole(trial.jump))
@@ -119,20 +119,20 @@ class ContactSamples:
         self.gap = np.where(used, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=used, initial=-np.inf)
         # The law holds at the points, some of which have the mean jump of several corners.
-        of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
-        within = np.arange(3)[None, :] < own.faces[:, None]
+        of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, local.normals)
+        within = np.arange(3)[None, :] < local.faces[:, None]
         self.penetration = contact.whole(np.where(within, np.maximum(-of_points, 0.0), 0.0))
         self.of_points = points.interface
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
         signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
-        sign = signs[own.interface][:, None]
+        sign = signs[local.interface][:, None]
         self.slip, self.path = whole(sign * state.slip), whole(state.path)
         self.motion = signs[surface.interface][:, None] * motion
-        self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
+        self.pressure = whole(normal_pressure(trial.law.pressures, local.normals))
         self.shear = whole(np.linalg.norm(state.friction, axis=1))
         self.force = whole(-sign * state.force)
-        status = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
+        status = contact.whole(np.where(local.faces > 0, trial.law.status, STICK))
         self.status = surface.spread_status(status.astype(np.int64))
         self.dissipation, self.least = total(state.dissipation), total(state.least)
         self.contact_work, self.stored = total(state.contact_work), total(state.stored)
@@ -152,12 +152,12 @@ class ContactSamples:
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
         sliding = contact.finite_sliding
         if sliding is not None:
-            arm = np.zeros((len(own), 3))
+            arm = np.zeros((len(local), 3))
             arm[sliding.rows] = sliding.paired.arm
             self.arm, self.friction = whole(arm), whole(state.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # With a normal that is off by an angle, slip times this angle presses on the surface.
-        pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[own.rows]
+        pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[local.rows]
         self.by_facets = contact.whole(contact.law.met * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
@@ -299,7 +299,7 @@ LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) 
 def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """Penetration of each interface on its facets: largest and mean over the area; collective.
 
-    Jumps are those of own contact points (n, 3) [mm].
+    Jumps are those of local contact points (n, 3) [mm].
     """
     motion = _motion(contact, jump)
     surface = contact.points.surface

@@ -87,7 +87,7 @@ class Cover:
     def _points(
         self, jump: Floats | float = 0.0
     ) -> Iterator[tuple[Interface, Ints, Floats, Floats, float]]:
-        """Interfaces at jumps of all own points (n, 3) [mm].
+        """Interfaces at jumps of all local points (n, 3) [mm].
 
         With their points (m,), how far each (m,) is beyond the rim, 0 if it is not, and from the
         surface, and the size of a facet [mm].
@@ -96,7 +96,7 @@ class Cover:
         sliding = contact.finite_sliding if contact else None
         if contact is None or sliding is None:
             return
-        places = sliding.places(contact.own.x * 0.0 + jump)
+        places = sliding.places(contact.local.x * 0.0 + jump)
         for i, (master, _) in sliding.followers.sides.items():
             surface = master.smooth
             facet = contact.edge_lengths[i]
@@ -108,7 +108,7 @@ class Cover:
             yield self._problem.scene.contacts[i], sliding.rows[here], beyond, apart, facet
 
     def _largest(self, here: Ints, values: Floats) -> tuple[float, str]:
-        """The largest of values at some own points, and its place; collective."""
+        """The largest of values at some local points, and its place; collective."""
         assert self._problem.contact is not None
-        every, x = gather(self._problem.comm, values, self._problem.contact.own.x[here])
+        every, x = gather(self._problem.comm, values, self._problem.contact.local.x[here])
         return float(every.max()), point_text(x[int(np.argmax(every))])

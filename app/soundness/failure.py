@@ -75,14 +75,14 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     """
     stiffness = contact.coupling.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
-    free = np.eye(3) - contact.own.projector
+    free = np.eye(3) - contact.local.projector
     stiffness = free @ stiffness @ free
-    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.own.projector
-    critical = np.full(len(contact.own), np.inf)
-    for k in range(contact.own.normals.shape[1]):
-        on = contact.own.faces > k
+    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.local.projector
+    critical = np.full(len(contact.local), np.inf)
+    for k in range(contact.local.normals.shape[1]):
+        on = contact.local.faces > k
         critical[on] = np.minimum(
-            critical[on], critical_friction(stiffness[on], contact.own.normals[on, k])
+            critical[on], critical_friction(stiffness[on], contact.local.normals[on, k])
         )
     return critical
 
@@ -96,9 +96,9 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
         return found, warnings
     critical = critical_friction_of_points(contact)
     for i, term in enumerate(problem.scene.contacts):
-        on = np.flatnonzero(contact.own.interface == i)
+        on = np.flatnonzero(contact.local.interface == i)
         k = on[np.argmin(critical[on])] if len(on) else 0
-        here = (float(critical[k]), tuple(contact.own.x[k])) if len(on) else (np.inf, ())
+        here = (float(critical[k]), tuple(contact.local.x[k])) if len(on) else (np.inf, ())
         least, x = min(problem.comm.allgather(here))
         over = int((critical[on] < term.law.friction).sum())
         over = problem.comm.allreduce(over, MPI.SUM)
@@ -263,8 +263,8 @@ def _state(status: int) -> str:
 
 
 def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
-    name = problem.scene.contacts[contact.own.interface[row]].name
-    return f"on interface '{name}' at {point_text(contact.own.x[row])}"
+    name = problem.scene.contacts[contact.local.interface[row]].name
+    return f"on interface '{name}' at {point_text(contact.local.x[row])}"
 
 
 def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet) -> list[str]:

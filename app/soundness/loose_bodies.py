@@ -257,8 +257,8 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     x = contact.points.x
     centre, size = contact.frame
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
-    R = contact.rigid_motions(contact.own.x)
-    A = _gathered(problem, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
+    R = contact.rigid_motions(contact.local.x)
+    A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
     held = supported(problem)
     # A body with a given motion is free if nothing is in its way, see `pulled_off`.
@@ -279,7 +279,7 @@ def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
     contact = trial.contact
     motions = contact.free_motions(trial.law.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
-    pressures = contact.own.weight[:, None] * trial.law.pressures
+    pressures = contact.local.weight[:, None] * trial.law.pressures
     return _pulls(problem, motion, pressures)
 
 
@@ -311,14 +311,14 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     Args:
         problem: The problem, at the time of the loads.
         motion: The part of the loads that nothing bears, as a motion of all bodies (6 n,).
-        pressures: Forces on the faces of own points, positive in compression (p, 3) [N].
+        pressures: Forces on the faces of local points, positive in compression (p, 3) [N].
     """
     contact, names = problem.contact, problem.bodies.names
     assert contact is not None
-    own = contact.own
+    local = contact.local
     jump = contact.relative_motion(motion[:, None])[:, :, 0]
-    closing = np.maximum(0.0, -np.einsum("pki,pi->pk", own.normals, jump))
-    friction = _frictions(problem)[own.interface] + LIKELY * contact.points.doubt[own.rows]
+    closing = np.maximum(0.0, -np.einsum("pki,pi->pk", local.normals, jump))
+    friction = _frictions(problem)[local.interface] + LIKELY * contact.points.doubt[local.rows]
     along = friction * np.linalg.norm(jump, axis=1)
     resisted = problem.comm.allreduce(float((pressures * (closing + along[:, None])).sum()))
     R = contact.rigid_motions(_own_nodes(problem))
@@ -332,9 +332,9 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
 
 
 def _gathered(problem: Problem, resistance: Floats) -> Floats:
-    """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
+    """Resistance to the motions of all n bodies (6 n, 6 n), from that of local points (p, 6, 6)."""
     assert problem.contact is not None
-    bodies, n = problem.contact.own.bodies, len(problem.bodies.names)
+    bodies, n = problem.contact.local.bodies, len(problem.bodies.names)
     return np.asarray(problem.comm.allreduce(relative_resistance(resistance, bodies, n)))
 
 
@@ -352,11 +352,11 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
     }
     found = []
     for i, term in enumerate(problem.scene.contacts):
-        on = (contact.own.interface == i) & (normal > 0)
+        on = (contact.local.interface == i) & (normal > 0)
         slips = on & (shear >= ALL_OF_IT * term.law.friction * normal)
-        local = np.array([contact.own.weight[slips].sum(), contact.own.weight[on].sum()])
+        local = np.array([contact.local.weight[slips].sum(), contact.local.weight[on].sum()])
         slip, touch = problem.comm.allreduce(local)
-        bodies = problem.comm.allgather(set(contact.own.bodies[on].ravel().tolist()))
+        bodies = problem.comm.allgather(set(contact.local.bodies[on].ravel().tolist()))
         loose = set().union(*bodies) - fixed
         if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
@@ -385,7 +385,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     # Closing a gap or making room for an interference is not running away.
     moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
-        here = contact.own.interface == i
+        here = contact.local.interface == i
         largest = max(problem.comm.allgather(float(moved[here].max(initial=0.0))))
         if largest <= RUNAWAY * size + LEVER * given:
             continue
@@ -422,7 +422,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     taper that is pulled has no pressures. However small such a load is beside the others, nothing
     bears it.
     """
-    own, n, comm = contact.own, len(problem.bodies.names), problem.comm
+    local, n, comm = contact.local, len(problem.bodies.names), problem.comm
     held = np.zeros((n, 6, n, 6))
     for b, part in supported(problem).items():
         held[b, :, b] += part
@@ -432,19 +432,19 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         return []
     loads = left.T @ _on_bodies(problem)
     jumps = contact.relative_motion(left)
-    openings = own.normals @ jumps
+    openings = local.normals @ jumps
     frictions = _frictions(problem)
     # Motions are as large as they move the mean point: a narrow interface resists rolling.
     every = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
-    metric = every / max(comm.allreduce(len(own)), 1) + 1e-9 * np.eye(len(loads))
+    metric = every / max(comm.allreduce(len(local)), 1) + 1e-9 * np.eye(len(loads))
     scale = np.linalg.inv(np.linalg.cholesky(metric)).T
     # What slides without friction may hide behind bodies that friction holds: these stick then.
     mixed = frictions.min() == 0 < frictions.max()
-    may_stick = frictions[own.interface] > 0
+    may_stick = frictions[local.interface] > 0
     for stick in [np.zeros_like(may_stick), may_stick][: 1 + mixed]:
         rest: Floats = loads
         springs = np.zeros_like(metric)
-        pressures, shear = np.zeros((2, len(own), 3))
+        pressures, shear = np.zeros((2, len(local), 3))
         for _ in range(LOADINGS):
             for _ in range(MOST):  # Newton's method: the springs that are pressed
                 closing = openings @ rest < SPRING**2 * pressures
@@ -479,10 +479,10 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     contact = trial.contact
     n = len(problem.bodies.names)
-    R = contact.rigid_motions(contact.own.x)
+    R = contact.rigid_motions(contact.local.x)
     free = np.setdiff1d(np.arange(n), sorted(supported(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
-    resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
+    resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.local.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
         return None
@@ -497,9 +497,9 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     soft = np.zeros((6 * n, int(few.sum())))
     soft[rows] = scale.T @ vectors[:, few]
     parts = soft.reshape(n, 6, -1)
-    master, slave = contact.own.bodies.T
+    master, slave = contact.local.bodies.T
     moved = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
-    w, q, sum_ = contact.own.weight, trial.jump, problem.comm.allreduce
+    w, q, sum_ = contact.local.weight, trial.jump, problem.comm.allreduce
     turned = sum_(np.einsum("p,pi,pik->k", w, q, moved))
     gram = sum_(np.einsum("p,pik,pil->kl", w, moved, moved))
     amounts = np.linalg.lstsq(gram, turned, rcond=1e-12)[0]
@@ -520,22 +520,24 @@ def _against_spread(
 ) -> tuple[Floats, Floats]:
     """Resistance of contact to rigid motions R (p, 3, 6), and that of the spread of normals."""
     contact, points = trial.contact, trial.contact.points
-    r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.own.weight)
+    r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.local.weight)
     B = trial.law.resisted
     # Friction holds a touching point, though no stiffness shows it while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
     spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
-    spread = spread[contact.own.rows]
+    spread = spread[contact.local.rows]
     A, N = (
         _gathered(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ at_points @ R))
         for at_points in (S, spread)
     )
     # Normals that are off at random agree in the mean, the more of them the better.
-    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.own.normals)
+    touching = np.einsum(
+        "pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.local.normals
+    )
     mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
     sides = np.column_stack([points.interface, points.bodies])
     for i, m, s in np.unique(sides, axis=0):
-        here = (sides[contact.own.rows] == (i, m, s)).all(axis=1)
+        here = (sides[contact.local.rows] == (i, m, s)).all(axis=1)
         local = (mean[here].sum(axis=0), float(r[here].sum()), int(here.sum()))
         g, weight, count = (problem.comm.allreduce(x) for x in local)
         add_relative(A, m, s, count * np.outer(g, g) / (weight or 1.0))

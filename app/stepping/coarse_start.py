@@ -77,8 +77,8 @@ class CoarseModelStart:
             contact, self._coarse = self._contact, self._make()
             source = self._coarse.problem.contact
             assert source is not None
-            self._weights = interpolation(source.points, contact.points, contact.own.rows)
-            self._known = [(0.0, np.zeros((len(contact.own), 3)))]
+            self._weights = interpolation(source.points, contact.points, contact.local.rows)
+            self._known = [(0.0, np.zeros((len(contact.local), 3)))]
         for then in [*self._past, time]:
             while then > (last := self._known[-1][0]):
                 # A resumed run has not passed through the stages before.

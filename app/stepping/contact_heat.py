@@ -55,14 +55,14 @@ class ContactHeat:
         contact = self._contact = problem.contact
         comm, points = problem.comm, contact.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
-        self._n = len(contact.own)
+        self._n = len(contact.local)
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
         self.heats = _heats(scene, problem, contact, operators, number)
         heated = {f.name for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(
-            contact.own.interface, [i for i, name in enumerate(names) if name in heated]
+            contact.local.interface, [i for i, name in enumerate(names) if name in heated]
         )
         surface = points.surface
         known = {
@@ -106,7 +106,7 @@ class ContactHeat:
     def to_heat(self, trial: TrialState) -> None:
         """Set the pressures and the friction heat of the heat equation."""
         contact = self._contact
-        pressure = np.linalg.norm(_normal(trial.law, contact.own.normals), axis=1)
+        pressure = np.linalg.norm(_normal(trial.law, contact.local.normals), axis=1)
         self.friction_work = np.where(self.rubbing, np.einsum("pi,pi->p", *trial.rubbing()), 0.0)
         power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
         jumps, friction = self._operators.jumps, self._operators.friction
@@ -116,7 +116,7 @@ class ContactHeat:
             friction.nodal = np.array([_times(H, power) for H in self.heats])
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
-                    mine = float((contact.own.weight * power)[contact.own.interface == i].sum())
+                    mine = float((contact.local.weight * power)[contact.local.interface == i].sum())
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
     def report(self, seconds: float) -> None:
@@ -131,7 +131,7 @@ class ContactHeat:
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may have moved far.
         met = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        stiffness = met + law.stiffness * contact.own.weight
+        stiffness = met + law.stiffness * contact.local.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
@@ -139,7 +139,7 @@ class ContactHeat:
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the pressure at own points by equilibrium and by the jump (n, 3)."""
-        force = _normal(trial.law, self._contact.own.normals)
+        force = _normal(trial.law, self._contact.local.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
@@ -151,7 +151,7 @@ class ContactHeat:
         given = force / contact.law.stiffness[:, None]
         by_equilibrium, by_jump = self._rows(slip - given, trial)
         scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
-        share = contact.law.multiplier_share / contact.own.weight[:, None, None]
+        share = contact.law.multiplier_share / contact.local.weight[:, None, None]
         lost = np.einsum("pi,pij->pj", given, share)
         return scale * (by_equilibrium - lost), scale * (by_jump + force)
 
@@ -161,7 +161,7 @@ class ContactHeat:
             np.asarray(np.einsum("pi,pij->pj", along, derivative))
             for derivative in (trial.law.by_multiplier, trial.law.by_jump)
         )
-        share = self._contact.law.multiplier_share / self._contact.own.weight[:, None, None]
+        share = self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
         return -np.einsum("pi,pij->pj", by_force, share), by_jump
 
 
@@ -185,7 +185,7 @@ def _heats(
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
-    sizes = problem.comm, operators.forms.owned, len(contact.own)
+    sizes = problem.comm, operators.forms.owned, len(contact.local)
     found = []
     for b in range(len(operators.bodies.names)):
         share = sum(np.where(body[points.interface] == b, s, 0.0) for body, s in sides)

@@ -214,7 +214,7 @@ class CoupledSystem(ContactSystem):
 
     def _point_rows(self, rows: tuple[Floats, Floats]) -> list[PETSc.Mat]:
         """Derivatives of scalars of the contact points as matrices (points x components)."""
-        n = len(self.contact.own)
+        n = len(self.contact.local)
         start = self.contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [

@@ -55,7 +55,7 @@ def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, F
     if contact is None or q is None or not contact.law.internal_variables:
         return 0.0, np.zeros(0)
     outputs = problem.trial(u, q).law.outputs
-    weight = np.where(contact.law.dissipates, contact.own.weight, 0.0)
+    weight = np.where(contact.law.dissipates, contact.local.weight, 0.0)
     local = float(weight @ outputs["dissipated"])
     return problem.comm.allreduce(local), (weight[:, None] * outputs["dissipated_by_jump"]).ravel()
 

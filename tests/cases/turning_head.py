@@ -100,16 +100,16 @@ def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
 
     def keep(step: LoadStep, trial: TrialState | None) -> None:
         assert trial is not None
-        own, state, scene = trial.contact.own, trial.contact.state, problem.scene
-        normal, turned = own.normals[:, 0].copy(), scene.rotation(scene.motions[0], step.time)
+        local, state, scene = trial.contact.local, trial.contact.state, problem.scene
+        normal, turned = local.normals[:, 0].copy(), scene.rotation(scene.motions[0], step.time)
         moved = problem.displacements()[problem.bodies.of_region["head"]].x.array
-        friction = own.weight[:, None] * state.friction
+        friction = local.weight[:, None] * state.friction
         found.append(
             Step(
                 step.outcome.iterations,
-                own.weight * trial.law.pressures[:, 0],
+                local.weight * trial.law.pressures[:, 0],
                 normal,
-                own.weight @ -state.force,
+                local.weight @ -state.force,
                 np.cross(R * normal, friction).sum(axis=0),
                 rotation_vector(turned @ before.pop().T),
                 float(state.dissipation.sum()),

@@ -12,7 +12,7 @@ import pytest
 from app.foundation.arrays import Floats
 from app.laws.interface_laws import Cohesive
 from app.mechanics.contact_law import PointForces, PointLaw
-from app.mechanics.contact_points import ContactState, OwnPoints
+from app.mechanics.contact_points import ContactState, LocalPoints
 from app.system.timing import Timing
 
 K = 1e4  # stiffness [MPa/mm]
@@ -39,7 +39,7 @@ class Points:
         normals[:, :faces] = np.eye(3)[::-1][:faces]
         number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
         interface, x, given = np.arange(n) % len(μ), np.zeros((n, 3)), np.full(n, faces)
-        own = OwnPoints(number, interface, x, sides, given, normals, np.ones(n), tensors, tensors)
+        own = LocalPoints(number, interface, x, sides, given, normals, np.ones(n), tensors, tensors)
         laws = [
             Cohesive.model_validate(
                 {

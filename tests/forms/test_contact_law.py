@@ -25,7 +25,7 @@ from app.foundation.arrays import Floats
 from app.laws.interface_laws import Coulomb
 from app.mechanics import contact_law as point_law
 from app.mechanics.contact_law import PointLaw, gap_vectors
-from app.mechanics.contact_points import ContactState, OwnPoints
+from app.mechanics.contact_points import ContactState, LocalPoints
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK, contact_law
@@ -130,7 +130,7 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     faces = np.full(n, p.faces)
     none, tensors = np.zeros((n, 3)), np.zeros((n, 3, 3))
     number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
-    own = OwnPoints(number, number, none, sides, faces, normals, np.ones(n), tensors, tensors)
+    own = LocalPoints(number, number, none, sides, faces, normals, np.ones(n), tensors, tensors)
     law = PointLaw(MPI.COMM_SELF, own, Timing())
     laws = [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ]
     law.begin(laws, {"μ": p.μ * friction}, 1.0, tensors + np.eye(3))

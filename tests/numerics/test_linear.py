@@ -192,7 +192,7 @@ def test_deflation_motions_are_updated_when_many_points_change(
     problem, _ = support.assemble(support.case(PUSHED))
     j = problem.contact
     motions = sliding_motions(problem)
-    n = len(j.own.rows)
+    n = len(j.local.rows)
     assert motions.version == 0
     # Six at least for each of the two bodies; sticking points stick.
     assert motions.jump.getSize()[1] >= 12

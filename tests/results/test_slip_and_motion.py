@@ -202,6 +202,6 @@ def test_interface_pressure_by_facets(doubt: float, decides: bool) -> None:
     numbers = ContactSamples(solved.problem, trial).numbers["stem_cement"]
     assert ("pressure_by_facets" in numbers) == decides
     if decides:
-        here = contact.own.interface == 0
+        here = contact.local.interface == 0
         pressed = contact.law.met * np.linalg.norm(contact.state.slip, axis=1) * doubt
         assert numbers["pressure_by_facets"] == pytest.approx(pressed[here].max(), rel=1e-6)

@@ -188,11 +188,11 @@ def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
         for size in ("3.1", "1.3")
     )
-    weights = coarse_start.interpolation(coarse.points, fine.points, fine.own.rows)
+    weights = coarse_start.interpolation(coarse.points, fine.points, fine.local.rows)
     slope = np.random.default_rng(5).normal(size=(3, 3))
     found = weights @ (coarse.points.x @ slope + 1.0)
-    assert len(fine.own.rows) > 2 * len(coarse.own.rows)
-    assert support.difference(found, fine.own.x @ slope + 1.0) < 1e-12
+    assert len(fine.local.rows) > 2 * len(coarse.local.rows)
+    assert support.difference(found, fine.local.x @ slope + 1.0) < 1e-12
 
 
 def test_coarse_start_between_two_states() -> None:

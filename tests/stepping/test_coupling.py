@@ -56,7 +56,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
         operators.fixed.base >= 0,
         *([operators.jumps.held] if operators.jumps else []),
         problem.stiffness.constraints.constrained,
-        j.points.held[j.own.rows].ravel(),
+        j.points.held[j.local.rows].ravel(),
     ]
     free = dict(zip(solver.blocks_by_name(), map(np.logical_not, held), strict=True))
     rng = np.random.default_rng(1)
@@ -169,7 +169,7 @@ def test_coupled_system_friction_heat_of_growing_force_and_slip(
         c = together(monkeypatch, n, f"time.method={method}")
         j = c.model.mechanics.problem.contact
         h = j.state
-        whole = float(j.own.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
+        whole = float(j.local.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
         heats.append(sum(step.heats["friction lower_upper"] for step in c.steps))
         assert heats[-1] == pytest.approx(whole * (n + 1) / (2 * n), rel=1e-8)
     errors = [heat - whole / 2 for heat in heats]
@@ -186,7 +186,7 @@ def test_coupled_system_penalty_stretch_is_no_heat(
     c = together(monkeypatch, 2, f"time.method={method}", law, little)
     j = c.model.mechanics.problem.contact
     h = j.state
-    assert float(j.own.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
+    assert float(j.local.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
     assert c.dissipated == (0.0, 0.0)
     assert [step.heats["friction lower_upper"] for step in c.steps] == [0.0, 0.0]
 

@@ -52,7 +52,7 @@ def test_curved_interfaces_circle_of_three_facets_is_one_face() -> None:
     """A circle of three facets is one face, where flat facets would meet at 30 degrees."""
     result = support.solve(SHRINK_FIT.format(size=6.0, length=4, taper=1), balances=True)
     j = result.problem.contact
-    assert (j.own.faces == 1).all()
+    assert (j.local.faces == 1).all()
     assert result.balances.max() < 1e-8
 
 
@@ -76,7 +76,7 @@ def test_curved_interfaces_rigid_motions_and_widening_are_exact() -> None:
     (B,) = j.coupling.jump_to_displacement.values()
     x = problem.space.tabulate_dof_coordinates()
     q, u = B.createVecRight(), B.createVecLeft()
-    moved = np.abs(_product(B, q, np.ones((len(j.own.rows), 3)), u)).any(axis=1)
+    moved = np.abs(_product(B, q, np.ones((len(j.local.rows), 3)), u)).any(axis=1)
     on = moved & (np.abs(np.hypot(x[:, 0], x[:, 1]) - 7) < 0.2)
     level = on & np.isin(np.round(x[:, 2], 6), [0.0, 20.0])
     assert level.sum() > 10
@@ -85,7 +85,7 @@ def test_curved_interfaces_rigid_motions_and_widening_are_exact() -> None:
         (lambda p: np.column_stack([-p[:, 1], p[:, 0], 0 * p[:, 2]]), level),
         (lambda p: np.column_stack([p[:, 0], p[:, 1], 0 * p[:, 2]]), level),
     ):
-        found = _product(B, q, field(j.own.x), u)
+        found = _product(B, q, field(j.local.x), u)
         np.testing.assert_allclose(found[where], field(x)[where], atol=1e-10)
 
 

@@ -115,9 +115,9 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
     problem = analysis.problem
     assert problem is not None
     jumps = problem.contact
-    assert (jumps.own.faces <= 1).all(), "the reference has one normal per node"
-    vertex = jumps.points.vertex[jumps.own.rows]
-    normal = jumps.own.normals[:, 0]
+    assert (jumps.local.faces <= 1).all(), "the reference has one normal per node"
+    vertex = jumps.points.vertex[jumps.local.rows]
+    normal = jumps.local.normals[:, 0]
     dofs, nodes = problem.space.dofmap.list, tagged.mesh.geometry.dofmap
     number = np.zeros(len(tagged.mesh.geometry.x), dtype=np.int64)
     number[dofs] = np.asarray(tagged.mesh.geometry.input_global_indices)[nodes]
@@ -133,10 +133,10 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
         force = jumps.forces(trial.equilibrium)
         interfaces = {
             c.name: InterfaceState(
-                *(v[own] for v in (vertex, normal, jumps.own.weight, trial.jump, slip, force))
+                *(v[own] for v in (vertex, normal, jumps.local.weight, trial.jump, slip, force))
             )
             for k, c in enumerate(problem.scene.contacts)
-            for own in [jumps.own.interface == k]
+            for own in [jumps.local.interface == k]
         }
         displacement: dict[str, tuple[Ints, Floats]] = {
             name: (number, u.x.array.reshape(-1, 3).copy())
@@ -227,9 +227,9 @@ def test_formulation_b_agrees_with_a(text: str, steps: int) -> None:
         assert max(differences.values()) < TOLERANCE, (time, differences)
         seen += shares(two, friction)
     for k, name in enumerate(friction):
-        own = jumps.own.interface == k
+        own = jumps.local.interface == k
         slip, work = sums([s.interfaces[name] for s in b])
-        order = np.argsort(jumps.points.vertex[jumps.own.rows][own])
+        order = np.argsort(jumps.points.vertex[jumps.local.rows][own])
         assert support.difference(jumps.state.path[own][order], slip) < TOLERANCE
         if friction[name]:
             assert support.difference(jumps.state.dissipation[own][order], work) < TOLERANCE

@@ -135,7 +135,7 @@ def test_solvers_agree_on_a_block_on_a_slope(linear: str, degrees: float, fricti
     slope = math.tan(math.radians(degrees))
     contact = solved.problem.contact
     assert contact is not None
-    push, _, lift = (contact.own.weight[:, None] * contact.state.force).sum(axis=0)
+    push, _, lift = (contact.local.weight[:, None] * contact.state.force).sum(axis=0)
     assert abs(lift) == pytest.approx(WEIGHT, rel=1e-9)
     expected = WEIGHT * (slope + friction) / (1 - friction * slope)
     assert abs(push) == pytest.approx(expected, rel=1e-9)
@@ -215,7 +215,7 @@ def test_solvers_agree_on_a_belt(
     contact = solved.problem.contact
     assert contact is not None
     # What the drum bears is the hold along x and the pull along y.
-    borne = np.abs((contact.own.weight[:, None] * contact.state.force).sum(axis=0))
+    borne = np.abs((contact.local.weight[:, None] * contact.state.force).sum(axis=0))
     hold = TENSION * math.exp(-friction * math.pi / 2)
     assert borne[:2] == pytest.approx([hold, TENSION], rel=0.01)
 
@@ -267,8 +267,8 @@ def test_solvers_agree_on_separate_columns(
     solved = support.solve(load(tmp_path / "case.yaml", [linear]).config)
     contact = solved.problem.contact
     assert contact is not None
-    column = contact.own.x[:, 0] // 3
-    pushed = contact.own.weight * contact.state.force[:, 2]
+    column = contact.local.x[:, 0] // 3
+    pushed = contact.local.weight * contact.state.force[:, 2]
     borne = [abs(pushed[column == k].sum()) for k in range(3)]
     # The gap of the second column is open at its left edge (x = 4) alone.
     assert borne[0] == pytest.approx(10e3 * 4 * 0.01 / 5, rel=1e-6)
@@ -304,9 +304,9 @@ def test_solvers_agree_on_a_wedge(linear: str, gap: str) -> None:
     assert contact is not None
     assert numbers["pressure_mean"] == pytest.approx(63 / 18, rel=1e-6)
     assert numbers["open_fraction"] == 0
-    pushed = contact.own.weight * contact.state.force[:, 2]
+    pushed = contact.local.weight * contact.state.force[:, 2]
     # Its moments are those of the force, at z = 4 mm of friction's none.
-    centre = pushed @ contact.own.x[:, :2] / pushed.sum()
+    centre = pushed @ contact.local.x[:, :2] / pushed.sum()
     assert centre == pytest.approx([3, 1.5], abs=2e-3)
 
 
