@@ -1,4 +1,4 @@
-r"""Heat of surfaces that slide far: friction and exchange, the means of a cycle of the cycle tables.
+r"""Heat of finitely sliding surfaces: friction and exchange, averaged over a cycle of the tables.
 
 Temperature takes minutes and a cycle seconds: heat sees what a cycle brings on average, on each
 surface in the axes of its own body. With D the friction power per cycle, β the part of it that
