@@ -84,15 +84,15 @@ class SurfaceMeasure:
 class OnBody:
     """One body of the mechanics as loads see it: position x and outward normal n, in UFL."""
 
-    def __init__(self, mechanics: BodyForms, body: int) -> None:
-        self._mechanics, self._body = mechanics, body
-        self.x = ufl.SpatialCoordinate(mechanics.mesh)
-        self.n = ufl.FacetNormal(mechanics.mesh)
-        self.constant, self.patch = mechanics.constant, mechanics.patch
+    def __init__(self, body_forms: BodyForms, body: int) -> None:
+        self._body_forms, self._body = body_forms, body
+        self.x = ufl.SpatialCoordinate(body_forms.mesh)
+        self.n = ufl.FacetNormal(body_forms.mesh)
+        self.constant, self.patch = body_forms.constant, body_forms.patch
 
     def ds(self, boundary: str) -> ufl.Measure | None:
         """Measure of the facets of a boundary that belong to the body, if any."""
-        return self._mechanics.ds(boundary, self._body)
+        return self._body_forms.ds(boundary, self._body)
 
     def spread(
         self, density: Field, regions: Sequence[str] | None
@@ -103,21 +103,21 @@ class OnBody:
         The quadrature is exact for constants on curved cells, and keeps the third order of
         quadratic displacements where the density varies.
         """
-        mechanics = self._mechanics
+        body_forms = self._body_forms
         if regions is None:
-            regions = [e.region for e in mechanics.scene.elastic]
-        own = [r for r in regions if mechanics.bodies.of_region[r] == self._body]
+            regions = [e.region for e in body_forms.scene.elastic]
+        own = [r for r in regions if body_forms.bodies.of_region[r] == self._body]
         if not own:
             return []
-        degree = 2 * mechanics.scene.order + 2
+        degree = 2 * body_forms.scene.order + 2
         element = basix.ufl.quadrature_element("tetrahedron", value_shape=(3,), degree=degree)
-        b = fem.Function(fem.functionspace(mechanics.mesh, element))
-        cells = np.sort(np.concatenate([mechanics.region_cells(r) for r in own]))
+        b = fem.Function(fem.functionspace(body_forms.mesh, element))
+        cells = np.sort(np.concatenate([body_forms.region_cells(r) for r in own]))
         everywhere(
-            mechanics.mesh.comm, lambda: b.interpolate(lambda x: density(x.T).T, cells0=cells)
+            body_forms.mesh.comm, lambda: b.interpolate(lambda x: density(x.T).T, cells0=cells)
         )
-        dx = mechanics.cells()
-        return [(b, dx(mechanics.tagged.regions[r], degree=degree)) for r in own]
+        dx = body_forms.cells()
+        return [(b, dx(body_forms.tagged.regions[r], degree=degree)) for r in own]
 
 
 class BodyForms:

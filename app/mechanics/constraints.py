@@ -32,14 +32,14 @@ _HELD = 1e-9
 FOLLOWS = -2
 
 
-def _support_of_dofs(mechanics: BodyForms, stage: int, frames: Frames | None) -> Ints:
+def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -> Ints:
     """Support that holds each own component in a stage, -1 where none does (nodes, 3).
 
     Components are along the axes of the node. Where supports on several bodies hold a node, the
     body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
     """
-    scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
-    space, index_map = mechanics.space, mechanics.space.dofmap.index_map
+    scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
+    space, index_map = body_forms.space, body_forms.space.dofmap.index_map
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
     rows, places = frames.own(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
     own = support[rows]
@@ -108,19 +108,19 @@ class Constraints:
     """
 
     def __init__(
-        self, mechanics: BodyForms, stage: int, frames: Frames | None, followers: Followers | None
+        self, body_forms: BodyForms, stage: int, frames: Frames | None, followers: Followers | None
     ) -> None:
-        scene, space = mechanics.scene, mechanics.space
-        own = _support_of_dofs(mechanics, stage, frames)
+        scene, space = body_forms.scene, body_forms.space
+        own = _support_of_dofs(body_forms, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
         self._P0: PETSc.Mat | None = None
-        self._comm = mechanics.mesh.comm
+        self._comm = body_forms.mesh.comm
         self._followers = followers
         self.follows = bool(followers and followers.deformable)
         self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
-            self._transform(mechanics, own, frames)
+            self._transform(body_forms, own, frames)
             self._P0 = self._P
             self.follow()
             return
@@ -131,9 +131,9 @@ class Constraints:
         x = space.tabulate_dof_coordinates()[: len(own)]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
-    def _transform(self, mechanics: BodyForms, own: Ints, frames: Frames | None) -> None:
+    def _transform(self, body_forms: BodyForms, own: Ints, frames: Frames | None) -> None:
         """Build P, from the supports that hold own components (nodes, 3); collective."""
-        scene, tagged, space = mechanics.scene, mechanics.tagged, mechanics.space
+        scene, tagged, space = body_forms.scene, body_forms.tagged, body_forms.space
         comm, nodes = tagged.mesh.comm, len(own)
         x = space.tabulate_dof_coordinates()[:nodes]
         region = np.full(nodes, -1, dtype=np.int64)

@@ -200,20 +200,20 @@ class ContactInterfaces:
 
     def __init__(
         self,
-        mechanics: BodyForms,
+        body_forms: BodyForms,
         stiffness: Stiffness,
         augmentation_factor: float,
     ) -> None:
-        scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
-        self._mechanics, self._bodies = mechanics, len(bodies.names)
+        scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
+        self._body_forms, self._bodies = body_forms, len(bodies.names)
         self._supports, self._stiffness = scene.supports, stiffness
-        self.comm = mechanics.mesh.comm
-        space, parts = mechanics.space, len(scene.contacts)
+        self.comm = body_forms.mesh.comm
+        space, parts = body_forms.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
         if scene.rigid:
             every = stiffness.constraints_of_stages()
-            holds = with_rigid_regions(mechanics, every, self.facets, holds, axes)
+            holds = with_rigid_regions(body_forms, every, self.facets, holds, axes)
             refuse_loose_regions(scene, bodies, holds, self.facets, axes)
         self.points, entries = contact_points(
             self.facets, holds, [c.name for c in scene.contacts], axes
@@ -231,12 +231,12 @@ class ContactInterfaces:
         self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
         self._by_supports = self._jumps_by_supports()
         held = stiffness.constraints
-        self.coupling = JumpCoupling(mechanics, held, entries, self._number, len(rows))
+        self.coupling = JumpCoupling(body_forms, held, entries, self._number, len(rows))
         self.finite_sliding: FiniteSliding | None = None
         if stiffness.followers:
             dof = self.points.dof[rows]
-            self.finite_sliding = FiniteSliding(mechanics, self.local, dof, stiffness.followers)
-        self.law = PointLaw(self.comm, self.local, mechanics.timing)
+            self.finite_sliding = FiniteSliding(body_forms, self.local, dof, stiffness.followers)
+        self.law = PointLaw(self.comm, self.local, body_forms.timing)
         self.begin(scene, augmentation_factor)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -450,7 +450,7 @@ class ContactInterfaces:
         resistance = self.comm.allreduce(local)
         total = float(self.points.weight.sum())
         if self._held is None:
-            self._held = held_motions(self._mechanics, self._stiffness, *self.frame)
+            self._held = held_motions(self._body_forms, self._stiffness, *self.frame)
         for body, held in self._held.items():
             of_body = slice(6 * body, 6 * body + 6)
             resistance[of_body, of_body] += total * held

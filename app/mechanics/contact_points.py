@@ -140,7 +140,7 @@ def prescribed_jump(
 
 
 def with_rigid_regions(
-    mechanics: BodyForms,
+    body_forms: BodyForms,
     constraints: Sequence[Constraints],
     facets: InterfaceFacets,
     holds: Holds,
@@ -151,14 +151,14 @@ def with_rigid_regions(
     A rigid region is held at a vertex if its supports, wherever they are, prescribe the motion of
     the vertex under all constraints.
     """
-    scene, bodies, space = mechanics.scene, mechanics.bodies, mechanics.space
-    tags, low = cell_tags(mechanics.tagged), space.dofmap.index_map.local_range[0]
+    scene, bodies, space = body_forms.scene, body_forms.bodies, body_forms.space
+    tags, low = cell_tags(body_forms.tagged), space.dofmap.index_map.local_range[0]
     dof, first = np.unique(facets.dofs[:, :3], return_index=True)
     vertex = facets.vertices.ravel()[first]
     parts = [(holds.vertex, holds.body, holds.support, holds.rigid)]
     for rigid in scene.rigid:
         region = rigid.region
-        mine = np.flatnonzero(touched_nodes(space, tags == mechanics.tagged.regions[region]))
+        mine = np.flatnonzero(touched_nodes(space, tags == body_forms.tagged.regions[region]))
         here = np.flatnonzero(np.isin(dof, mine + low))
         of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[here]]).reshape(-1, 3, 3)
         given = np.ones((len(here), 3), dtype=bool)
@@ -167,7 +167,7 @@ def with_rigid_regions(
         body = np.full(len(here), bodies.of_region[region])
         support = np.where(given, RIGIDLY, -1)
         rows = vertex[here], body, support, np.ones(len(here), dtype=bool)
-        vertices, of_bodies, supports, at_rigid = gather(mechanics.mesh.comm, *rows)
+        vertices, of_bodies, supports, at_rigid = gather(body_forms.mesh.comm, *rows)
         parts.append((vertices, of_bodies, supports, at_rigid))
     # A rigid region replaces supports of its body at the same vertex.
     columns = [np.concatenate(column) for column in zip(*reversed(parts), strict=True)]

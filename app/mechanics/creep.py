@@ -69,16 +69,16 @@ class CreepState:
     row_keys: Ints
 
     def __init__(
-        self, mechanics: BodyForms, rows: Mapping[str, Ints], points: Floats, weights: Floats
+        self, body_forms: BodyForms, rows: Mapping[str, Ints], points: Floats, weights: Floats
     ) -> None:
-        self._mechanics, self._comm = mechanics, mechanics.mesh.comm
-        laws, elastic = mechanics.scene.creeps, {e.region: e for e in mechanics.scene.elastic}
+        self._body_forms, self._comm = body_forms, body_forms.mesh.comm
+        laws, elastic = body_forms.scene.creeps, {e.region: e for e in body_forms.scene.elastic}
         self.measure, self.unit = ("cycles", "-") if laws[0].per is None else ("time", "s")
         self.rows = np.concatenate([rows[c.region].ravel() for c in laws])
         sizes = [rows[c.region].size for c in laws]
         ends = np.cumsum([0, *sizes])
         self.of = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(laws)}
-        volumes = [mechanics.places(c.region, points, weights)[1].ravel() for c in laws]
+        volumes = [body_forms.places(c.region, points, weights)[1].ravel() for c in laws]
         self._volumes = np.concatenate(volumes)
         self._shape = hats(points)
         values = {k: [getattr(c, k) for c in laws] for k in ("A", "p", "m0", "m1")}
@@ -114,9 +114,9 @@ class CreepState:
         """Three times the shear modulus at the current cure (n,) [MPa]."""
         found = self._stiff.copy()
         for region, here in self.of.items():
-            g = self._mechanics.growth.get(region)
+            g = self._body_forms.growth.get(region)
             if g is not None:
-                cells = self._mechanics.region_cells(region)
+                cells = self._body_forms.region_cells(region)
                 at = g.function_space.dofmap.list[cells]
                 found[here] *= (g.x.array[at] @ self._shape.T).ravel()
         return found

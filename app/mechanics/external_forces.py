@@ -42,15 +42,15 @@ class Forces:
     def __init__(
         self,
         scene: Scene,
-        mechanics: BodyForms,
+        body_forms: BodyForms,
         contact: ContactInterfaces | None,
         known: Forces | None = None,
     ) -> None:
-        self._mechanics, self._bodies, self._contact = mechanics, mechanics.bodies, contact
-        self.comm, self._given = mechanics.mesh.comm, scene.loads
+        self._body_forms, self._bodies, self._contact = body_forms, body_forms.bodies, contact
+        self.comm, self._given = body_forms.mesh.comm, scene.loads
         found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
-            at_full(s): found.get(at_full(s)) or self.action(nodal_forces(s, mechanics).items())
+            at_full(s): found.get(at_full(s)) or self.action(nodal_forces(s, body_forms).items())
             for s in scene.loads
         }
         self._loads = [(load, self._full[at_full(load)]) for load in scene.loads]
@@ -63,11 +63,11 @@ class Forces:
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """Nodal forces of an eigenstrain at full amplitude."""
-        mechanics, v = self._mechanics, ufl.TestFunction(self._mechanics.space)
-        mechanics.set_amplitudes({(e.region, k): 1.0})
+        body_forms, v = self._body_forms, ufl.TestFunction(self._body_forms.space)
+        body_forms.set_amplitudes({(e.region, k): 1.0})
         body = self._bodies.of_region[e.region]
-        energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
-        part = assembled_vector(mechanics.form(ufl.derivative(energy, mechanics.u, v)))
+        energy = body_forms.body_energy(body, body_forms.u, body_forms.cells())
+        part = assembled_vector(body_forms.form(ufl.derivative(energy, body_forms.u, v)))
         part.scale(-1)
         return self.action([(body, part)])
 
@@ -86,7 +86,7 @@ class Forces:
 
     def _sum(self, acting: Iterable[tuple[float, Action]]) -> Action:
         points = len(self._contact.local) if self._contact else 0
-        nodes = self._mechanics.space.dofmap.index_map.size_local
+        nodes = self._body_forms.space.dofmap.index_map.size_local
         total = Action(np.zeros(3 * nodes), np.zeros(3 * points))
         for factor, action in acting:
             total.nodal[:] += factor * action.nodal
@@ -120,7 +120,7 @@ class Forces:
         work = np.zeros((len(self._bodies.names), motions.shape[2]))
         flat = motions.reshape(-1, motions.shape[2])
         for load in self._given:
-            for body, nodal in nodal_forces(at_full(load), self._mechanics).items():
+            for body, nodal in nodal_forces(at_full(load), self._body_forms).items():
                 work[body] += load.amplitude(time) * (nodal.array_r[: len(flat)] @ flat)
         return np.asarray(self.comm.allreduce(work))
 
@@ -132,7 +132,7 @@ class Forces:
         """
         work = 0.0
         for load in self._given:
-            for body, nodal in nodal_forces(at_full(load), self._mechanics).items():
+            for body, nodal in nodal_forces(at_full(load), self._body_forms).items():
                 force = nodal.array_r[: motion[body].size].reshape(-1, 3)
                 size = np.linalg.norm(force, axis=1) @ np.linalg.norm(motion[body], axis=1)
                 work += abs(load.amplitude(time)) * size
@@ -149,11 +149,11 @@ class Forces:
         return float(np.abs(self.comm.allreduce(np.array(works), MPI.SUM)).sum())
 
 
-def nodal_forces(load: Load, mechanics: BodyForms) -> dict[int, PETSc.Vec]:
+def nodal_forces(load: Load, body_forms: BodyForms) -> dict[int, PETSc.Vec]:
     """Forces of a load at full amplitude on the nodes of each body by number [N]; collective."""
-    v = ufl.TestFunction(mechanics.space)
-    works = {b: load.work(v, OnBody(mechanics, b)) for b in range(len(mechanics.bodies.names))}
-    forms = {b: mechanics.form(w) for b, w in works.items() if w != 0}
+    v = ufl.TestFunction(body_forms.space)
+    works = {b: load.work(v, OnBody(body_forms, b)) for b in range(len(body_forms.bodies.names))}
+    forms = {b: body_forms.form(w) for b, w in works.items() if w != 0}
     return {b: assembled_vector(form) for b, form in forms.items()}
 
 

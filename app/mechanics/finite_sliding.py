@@ -70,15 +70,15 @@ class FiniteSliding:
     """
 
     def __init__(
-        self, mechanics: BodyForms, points: LocalPoints, dof: Ints, followers: Followers
+        self, body_forms: BodyForms, points: LocalPoints, dof: Ints, followers: Followers
     ) -> None:
         self.followers = followers
         self._interfaces = list(followers.sides)
         self.rows: Ints = np.flatnonzero(np.isin(points.interface, self._interfaces))
-        self.nodes: Ints = dof[self.rows] - mechanics.space.dofmap.index_map.local_range[0]
+        self.nodes: Ints = dof[self.rows] - body_forms.space.dofmap.index_map.local_range[0]
         self.of = points.interface[self.rows]
-        self._points, self._comm = points, mechanics.mesh.comm
-        self.begin(mechanics.scene)
+        self._points, self._comm = points, body_forms.mesh.comm
+        self.begin(body_forms.scene)
 
     @property
     def on_deformable(self) -> Bools:

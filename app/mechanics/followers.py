@@ -42,13 +42,13 @@ def finitely_sliding(scene: Scene) -> dict[int, Interface]:
     return {i: c for i, c in enumerate(scene.contacts) if c.between}
 
 
-def refuse_motions(mechanics: BodyForms) -> None:
+def refuse_motions(body_forms: BodyForms) -> None:
     """Refuse motions of elastic regions that nothing follows, and loads that would rotate.
 
     Raises:
         InputError: There is one; collective.
     """
-    scene, bodies = mechanics.scene, mechanics.bodies
+    scene, bodies = body_forms.scene, body_forms.bodies
     for m in scene.driven:
         if not any(m.region in c.master for c in finitely_sliding(scene).values()):
             raise InputError(
@@ -62,7 +62,7 @@ def refuse_motions(mechanics: BodyForms) -> None:
                 on |= {bodies.of_region[r] for r in load.volume_regions or bodies.of_region}
             for boundary in load.boundaries:
                 if boundary != m.boundary:
-                    on |= set(facets_by_body(mechanics.tagged, bodies, boundary))
+                    on |= set(facets_by_body(body_forms.tagged, bodies, boundary))
             if load.fixed_in_space and body in on:
                 raise InputError(
                     f"loads.{load.name}: acts on {m.region}, which turns; expected forces on "
@@ -88,9 +88,9 @@ class Followers:
         changed: True if G has changed since `matrix`.
     """
 
-    def __init__(self, mechanics: BodyForms) -> None:
-        scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
-        space, interfaces = mechanics.space, finitely_sliding(scene)
+    def __init__(self, body_forms: BodyForms) -> None:
+        scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
+        space, interfaces = body_forms.space, finitely_sliding(scene)
         rigid = {r.region for r in scene.rigid}
         self.deformable = [i for i, c in interfaces.items() if not rigid.intersection(c.master)]
         self._scene, nodes = scene, space.dofmap.index_map.size_local

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def held_motions(
-    mechanics: BodyForms, stiffness: Stiffness, centre: Floats, size: float
+    body_forms: BodyForms, stiffness: Stiffness, centre: Floats, size: float
 ) -> dict[int, Floats]:
     """Resistance of active supports to rigid motions, by body (6, 6) [-]; collective.
 
@@ -27,13 +27,13 @@ def held_motions(
     translation if that is held.
 
     Args:
-        mechanics: Supports, foundations and bodies.
+        body_forms: Supports, foundations and bodies.
         stiffness: Its stage decides which supports are active.
         centre: Point about which bodies rotate (3,) [mm].
         size: Length by which rotations are divided [mm].
     """
-    scene, bodies, space = mechanics.scene, mechanics.bodies, mechanics.space
-    frames, comm, x = stiffness.frames, mechanics.mesh.comm, space.tabulate_dof_coordinates()
+    scene, bodies, space = body_forms.scene, body_forms.bodies, body_forms.space
+    frames, comm, x = stiffness.frames, body_forms.mesh.comm, space.tabulate_dof_coordinates()
     conditions = [
         (s.boundary, np.diag(s.components).astype(float), k)
         for k, s in enumerate(scene.supports)
@@ -44,7 +44,7 @@ def held_motions(
     ]
     held: dict[int, Floats] = {}
     for boundary, directions, k in conditions:
-        for body, facets in facets_by_body(mechanics.tagged, bodies, boundary).items():
+        for body, facets in facets_by_body(body_forms.tagged, bodies, boundary).items():
             nodes = np.asarray(fem.locate_dofs_topological(space, 2, facets), dtype=np.int64)
             P = np.tile(directions, (len(nodes), 1, 1))
             if k >= 0 and frames is not None:

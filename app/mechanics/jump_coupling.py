@@ -31,13 +31,13 @@ class JumpCoupling:
 
     def __init__(
         self,
-        mechanics: BodyForms,
+        body_forms: BodyForms,
         constraints: Constraints,
         entries: Entries,
         number: Ints,
         own: int,
     ) -> None:
-        comm, index_map = mechanics.mesh.comm, mechanics.space.dofmap.index_map
+        comm, index_map = body_forms.mesh.comm, body_forms.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         self.jump_to_displacement: dict[int, PETSc.Mat] = {}
         self._strips: dict[int, fem.Form] = {}
@@ -53,7 +53,7 @@ class JumpCoupling:
                 np.concatenate([np.arange(start // 3, end // 3), index_map.ghosts]),
                 np.unique(row // 3),
             )
-            self._strips[body] = mechanics.strip_stiffness(body, moved)
+            self._strips[body] = body_forms.strip_stiffness(body, moved)
         self._KB: dict[int, PETSc.Mat] = {}
         self.C, self.D, self.Ct = self._assembled(constraints)
         self._work = self.Ct.createVecLeft()

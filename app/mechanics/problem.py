@@ -79,7 +79,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "mechanics", "contact", "stress_history", "sliding")
+    saved = ("time", "stiffness", "u", "body_forms", "contact", "stress_history", "sliding")
 
     def __init__(
         self,
@@ -97,17 +97,17 @@ class Problem:
         high = self.comm.allreduce(points.max(axis=0, initial=-np.inf), np.maximum)
         self.size = float(np.linalg.norm(high - low))
         self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
-        self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
-        self.space = self.mechanics.space
-        self.u = self.mechanics.u
+        self.body_forms = BodyForms(scene, tagged, self.bodies, timing)
+        self.space = self.body_forms.space
+        self.u = self.body_forms.u
         self.stress_history = (
-            StressHistory(self.mechanics) if self.mechanics.path_dependent_regions else None
+            StressHistory(self.body_forms) if self.body_forms.path_dependent_regions else None
         )
-        refuse_motions(self.mechanics)
-        self.followers = Followers(self.mechanics) if finitely_sliding(scene) else None
+        refuse_motions(self.body_forms)
+        self.followers = Followers(self.body_forms) if finitely_sliding(scene) else None
         shared = like.stiffness if like else None
-        self.stiffness: Stiffness = Stiffness(self.mechanics, shared, self.followers)
-        parts = self.mechanics, self.stiffness
+        self.stiffness: Stiffness = Stiffness(self.body_forms, shared, self.followers)
+        parts = self.body_forms, self.stiffness
         self.contact = ContactInterfaces(*parts, augmentation_factor) if scene.contacts else None
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
@@ -117,8 +117,8 @@ class Problem:
         on_surfaces = self.contact.finite_sliding if self.contact else None
         if self.contact and on_surfaces:
             self.sliding = SlidingBodies(*parts, self.contact, on_surfaces, self.moved)
-        self.forces = Forces(scene, self.mechanics, self.contact)
-        self.thermal_strain = ThermalStrain(self.mechanics) if self.mechanics.swelling else None
+        self.forces = Forces(scene, self.body_forms, self.contact)
+        self.thermal_strain = ThermalStrain(self.body_forms) if self.body_forms.swelling else None
         self.set_time(0.0)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -130,7 +130,7 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
-        for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
+        for state in (self.u, *self.moved.values(), *self.body_forms.swelling.values()):
             state.x.array[:] = 0
         if self.stress_history:
             self.stress_history.begin()
@@ -138,7 +138,7 @@ class Problem:
             self.sliding.begin(scene)
         if self.contact:
             self.contact.begin(scene, augmentation_factor)
-        self.forces = Forces(scene, self.mechanics, self.contact, self.forces)
+        self.forces = Forces(scene, self.body_forms, self.contact, self.forces)
         self.set_time(0.0)
 
     def _renew(self) -> None:
@@ -155,13 +155,13 @@ class Problem:
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of nodes."""
-        return {"u": node_keys(self.space), "mechanics": node_keys(self.mechanics.scalars)}
+        return {"u": node_keys(self.space), "body_forms": node_keys(self.body_forms.scalars)}
 
     def restored(self) -> None:
         """Update supports and stiffness to the restored stage and cure; collective."""
         stage, self.stiffness.stage = self.stiffness.stage, 0
         self.set_stage(stage, self.stiffness.K.createVecRight())
-        if self.mechanics.growth:
+        if self.body_forms.growth:
             self._renew()
         self.follow_density()
         self.set_time(self.time)
@@ -215,7 +215,7 @@ class Problem:
         self.load_size = float(self.f.norm())
         amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
         self.prescribed = self.stiffness.prescribed(self.f, amplitudes)
-        self.mechanics.set_amplitudes(
+        self.body_forms.set_amplitudes(
             {
                 (e.region, k): amplitude(s.history, time)
                 for e in self.scene.elastic
@@ -232,7 +232,7 @@ class Problem:
         if self.thermal_strain:
             self.forces.set_eigenforces("heat", self.thermal_strain.set(temperatures))
             if self.stress_history:
-                self.stress_history.swell(self.mechanics.swelling)
+                self.stress_history.swell(self.body_forms.swelling)
         self.set_time(self.time)
 
     def update_stiffness(self) -> None:
@@ -249,8 +249,8 @@ class Problem:
 
     def follow_density(self) -> None:
         """Update moduli and matrices where densities change; collective."""
-        if self.mechanics.by_density:
-            self.mechanics.follow_density()
+        if self.body_forms.by_density:
+            self.body_forms.follow_density()
             if self.thermal_strain:
                 self.thermal_strain.assemble()
                 self.forces.set_eigenforces("heat", self.thermal_strain.forces())

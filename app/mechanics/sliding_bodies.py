@@ -40,16 +40,16 @@ class SlidingBodies:
 
     def __init__(
         self,
-        mechanics: BodyForms,
+        body_forms: BodyForms,
         stiffness: Stiffness,
         contact: ContactInterfaces,
         points: FiniteSliding,
         moved: Mapping[int, fem.Function],
     ) -> None:
-        self._mechanics, self._stiffness, self._contact = mechanics, stiffness, contact
+        self._body_forms, self._stiffness, self._contact = body_forms, stiffness, contact
         self._points, self._moved = points, moved
         self._followers: Followers = points.followers
-        self.begin(mechanics.scene)
+        self.begin(body_forms.scene)
 
     def begin(self, scene: Scene) -> None:
         """Begin a run at rest; collective."""
@@ -60,8 +60,8 @@ class SlidingBodies:
     @property
     def _nodal(self) -> Floats:
         """Displacement of owned nodes (n, 3) [mm]."""
-        nodes = self._mechanics.space.dofmap.index_map.size_local
-        return np.asarray(self._mechanics.u.x.array[: 3 * nodes].reshape(-1, 3))
+        nodes = self._body_forms.space.dofmap.index_map.size_local
+        return np.asarray(self._body_forms.u.x.array[: 3 * nodes].reshape(-1, 3))
 
     def _by_body(self) -> Moved:
         """Displacement of owned nodes, those of slaves with their jumps; collective."""
@@ -128,6 +128,6 @@ class SlidingBodies:
         self.begin_at(trial)
         (f1, F1), (u1, t1) = self._pressed, self._committed
         work = float(((f0 + f1) * (u1 - u0)).sum())
-        if self._mechanics.mesh.comm.rank == 0:
+        if self._body_forms.mesh.comm.rank == 0:
             work += sum(float((F0[k] + F1[k]) @ (t1[k] - t0[k])) for k in F1)
         self.work -= work / 2

@@ -47,16 +47,16 @@ class Stiffness:
 
     def __init__(
         self,
-        mechanics: BodyForms,
+        body_forms: BodyForms,
         reuse: Stiffness | None,
         followers: Followers | None,
     ) -> None:
-        scene, space = mechanics.scene, mechanics.space
-        self._mechanics, self.stage, self.version, self.pairings = mechanics, 0, 0, 0
-        self.frames = frames_of(scene, mechanics.tagged, mechanics.bodies, space)
-        self._form = mechanics.stiffness()
+        scene, space = body_forms.scene, body_forms.space
+        self._body_forms, self.stage, self.version, self.pairings = body_forms, 0, 0, 0
+        self.frames = frames_of(scene, body_forms.tagged, body_forms.bodies, space)
+        self._form = body_forms.stiffness()
         self.followers = followers
-        self.constraints = Constraints(mechanics, self.stage, self.frames, followers)
+        self.constraints = Constraints(body_forms, self.stage, self.frames, followers)
         self.K = self._constrained()
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
@@ -71,7 +71,7 @@ class Stiffness:
 
     def constraints_of_stages(self) -> list[Constraints]:
         """Constraints of all stages whose supports differ; collective."""
-        m, scene = self._mechanics, self._mechanics.scene
+        m, scene = self._body_forms, self._body_forms.scene
         stages: dict[tuple[bool, ...], int] = {}
         for k in range(len(scene.stages)):
             stages.setdefault(tuple(scene.holds(s, k) for s in scene.supports), k)
@@ -111,11 +111,11 @@ class Stiffness:
         The displacement of the unknowns u is kept.
         """
         before, self.stage = self.stage, stage
-        scene = self._mechanics.scene
+        scene = self._body_forms.scene
         if all(scene.holds(s, before) == scene.holds(s, stage) for s in scene.supports):
             return False
         old = self.constraints
-        self.constraints = Constraints(self._mechanics, stage, self.frames, self.followers)
+        self.constraints = Constraints(self._body_forms, stage, self.frames, self.followers)
         self.constraints.carry(u, old)
         self.update()
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))

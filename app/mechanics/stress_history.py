@@ -64,10 +64,10 @@ class StressHistory:
 
     saved = ("stress_at_points", "creep")
 
-    def __init__(self, mechanics: BodyForms) -> None:
-        self._mechanics, scene = mechanics, mechanics.scene
-        regions = sorted(mechanics.path_dependent_regions)
-        self._body = {r: mechanics.bodies.of_region[r] for r in regions}
+    def __init__(self, body_forms: BodyForms) -> None:
+        self._body_forms, scene = body_forms, body_forms.scene
+        regions = sorted(body_forms.path_dependent_regions)
+        self._body = {r: body_forms.bodies.of_region[r] for r in regions}
         self.bodies = sorted(set(self._body.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():
@@ -76,43 +76,43 @@ class StressHistory:
                     f"regions.{e.region}.eigenstrains: none in a region that sets or creeps; "
                     "allowed: shrinkage and thermal expansion"
                 )
-        degree = mechanics.path_dependent_degree
+        degree = body_forms.path_dependent_degree
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a, dtype=np.float64) for a in quadrature)
         self.points, self.weights = points, weights
         element = basix.ufl.quadrature_element("tetrahedron", value_shape=(6,), degree=degree)
-        space = fem.functionspace(mechanics.mesh, element)
+        space = fem.functionspace(body_forms.mesh, element)
         self.stress_at_points = fem.Function(space)
         # The stress that the step begins with: less, by what creep takes in it.
         self._left = fem.Function(space) if scene.creeps else self.stress_at_points
-        self._before = {b: fem.Function(mechanics.space) for b in self.bodies}
-        self._step = {b: fem.Function(mechanics.space) for b in self.bodies}
-        free = {*mechanics.growth, *mechanics.swelling}
-        self._rise = {r: fem.Function(mechanics.scalars) for r in regions if r in free}
+        self._before = {b: fem.Function(body_forms.space) for b in self.bodies}
+        self._step = {b: fem.Function(body_forms.space) for b in self.bodies}
+        free = {*body_forms.growth, *body_forms.swelling}
+        self._rise = {r: fem.Function(body_forms.scalars) for r in regions if r in free}
         # Growth and free strain of the last converged state, and those to come.
         nodes = len(next(iter(self._rise.values())).x.array) if self._rise else 0
-        with mechanics.timing.phase("compile", "cure"):
-            self._growth = {c.region: _growth(mechanics.mesh.comm, c, nodes) for c in scene.cures}
+        with body_forms.timing.phase("compile", "cure"):
+            self._growth = {c.region: _growth(body_forms.mesh.comm, c, nodes) for c in scene.cures}
         self._old = {r: (np.ones(nodes), np.zeros(nodes)) for r in self._rise} | {
             c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
             for c in scene.cures
         }
         self._new = dict(self._old)
         self.stiffen()
-        self._cells = {r: mechanics.region_cells(r) for r in regions}
+        self._cells = {r: body_forms.region_cells(r) for r in regions}
         rows = {r: space.dofmap.list[cells] for r, cells in self._cells.items()}
-        self.creep = CreepState(mechanics, rows, points, weights) if scene.creeps else None
+        self.creep = CreepState(body_forms, rows, points, weights) if scene.creeps else None
         if self.creep:
             self.creep.row_keys = self.row_keys[self.creep.rows]
-        v = ufl.TestFunction(mechanics.space)
-        self._measure = mechanics.cells()
-        self._forces = {b: mechanics.form(self._prestress(b, v)) for b in self.bodies}
-        with mechanics.timing.phase("compile", "stress of cure"):
+        v = ufl.TestFunction(body_forms.space)
+        self._measure = body_forms.cells()
+        self._forces = {b: body_forms.form(self._prestress(b, v)) for b in self.bodies}
+        with body_forms.timing.phase("compile", "stress of cure"):
             self._increments = {
                 r: fem.Expression(
                     self._stress_of(e, elasticity.strain(self._step[self._body[r]]), -1),
                     points,
-                    comm=mechanics.mesh.comm,
+                    comm=body_forms.mesh.comm,
                 )
                 for r, e in self._elastic.items()
             }
@@ -122,14 +122,14 @@ class StressHistory:
         """Stress of a strain, with the step's free strain added or subtracted."""
         if e.region in self._rise:
             ε = ε + sign * elasticity.swelling(self._rise[e.region])
-        return self._mechanics.growth.get(e.region, 1) * elasticity.stress(
-            lambda x: self._mechanics.energy_density(e, x), ε
+        return self._body_forms.growth.get(e.region, 1) * elasticity.stress(
+            lambda x: self._body_forms.energy_density(e, x), ε
         )
 
     def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
-        degree = self._mechanics.path_dependent_degree
+        degree = self._body_forms.path_dependent_degree
         return [
-            (e, self._measure(self._mechanics.tagged.regions[r], degree=degree))
+            (e, self._measure(self._body_forms.tagged.regions[r], degree=degree))
             for r, e in self._elastic.items()
             if self._body[r] == body
         ]
@@ -143,10 +143,10 @@ class StressHistory:
 
     def complementary_energy(self) -> Any:
         """Energy that the stress would have in elastic regions of the current moduli [N mm]."""
-        mechanics, σ = self._mechanics, elasticity.symmetric(list(self.stress_at_points))
+        body_forms, σ = self._body_forms, elasticity.symmetric(list(self.stress_at_points))
         return sum(
             ufl.inner(σ, σ)
-            / (2 * mechanics.growth.get(e.region, 1) * mechanics.constant(max(e.moduli)))
+            / (2 * body_forms.growth.get(e.region, 1) * body_forms.constant(max(e.moduli)))
             * dx
             for b in self.bodies
             for e, dx in self._regions(b)
@@ -184,12 +184,12 @@ class StressHistory:
         for r, rise in self._rise.items():
             (g0, e0), (g1, e1) = self._old[r], self._new[r]
             rise.x.array[:] = e1 - e0
-            function = self._mechanics.growth.get(r)
+            function = self._body_forms.growth.get(r)
             if function is not None:
                 mean = (g0 + g1) / 2
                 change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
                 function.x.array[:] = mean
-        return bool(self._mechanics.mesh.comm.allreduce(change, MPI.MAX) > SAME)
+        return bool(self._body_forms.mesh.comm.allreduce(change, MPI.MAX) > SAME)
 
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces of the prestress on each body at the start of the step [N]; collective."""
@@ -207,7 +207,7 @@ class StressHistory:
     def row_keys(self) -> Ints:
         """Keys of the quadrature points of own cells."""
         dofs = self.stress_at_points.function_space.dofmap.list
-        number = self._mechanics.mesh.topology.original_cell_index
+        number = self._body_forms.mesh.topology.original_cell_index
         keys = np.full(len(self.stress_at_points.x.array) // 6, LEFT_OUT, dtype=np.int64)
         for cells in self._cells.values():
             keys[dofs[cells]] = number[cells, None] * dofs.shape[1] + np.arange(dofs.shape[1])
@@ -250,7 +250,7 @@ class StressHistory:
         for region, expression in self._increments.items():
             cells = self._cells[region]
             if len(cells):
-                values = expression.eval(self._mechanics.mesh, cells)
+                values = expression.eval(self._body_forms.mesh, cells)
                 values = values.reshape(len(cells), len(self.weights), 3, 3)
                 dofs = self.stress_at_points.function_space.dofmap.list[cells]
                 added[dofs] = values[..., ROWS, COLUMNS]

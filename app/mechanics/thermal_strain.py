@@ -25,10 +25,10 @@ from app.mechanics.stiffness import Stiffness
 class ThermalStrain:
     """Thermal expansion of the elastic regions of a scene."""
 
-    def __init__(self, mechanics: BodyForms) -> None:
-        self._mechanics, scene = mechanics, mechanics.scene
-        self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
-        self.body = {x.region: mechanics.bodies.of_region[x.region] for x in self._terms}
+    def __init__(self, body_forms: BodyForms) -> None:
+        self._body_forms, scene = body_forms, body_forms.scene
+        self._terms = [x for x in scene.expansions if x.region in body_forms.swelling]
+        self.body = {x.region: body_forms.bodies.of_region[x.region] for x in self._terms}
         self._elastic = {e.region: e for e in scene.elastic}
         self.assemble()
 
@@ -36,9 +36,9 @@ class ThermalStrain:
         """Assemble the forces of unit strain at the present moduli; collective."""
         # In path-dependent regions free strain is a part of the stress history.
         self._forces = {
-            x.region: _forces(self._mechanics, self._elastic[x.region])
+            x.region: _forces(self._body_forms, self._elastic[x.region])
             for x in self._terms
-            if x.region not in self._mechanics.path_dependent_regions
+            if x.region not in self._body_forms.path_dependent_regions
         }
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
@@ -48,7 +48,7 @@ class ThermalStrain:
             temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
         for x in self._terms:
-            e = self._mechanics.swelling[x.region]
+            e = self._body_forms.swelling[x.region]
             e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
         return self.forces()
 
@@ -56,7 +56,7 @@ class ThermalStrain:
         """Nodal forces of the present thermal strain on each body [N]."""
         parts: dict[int, PETSc.Vec] = {}
         for region, G in self._forces.items():
-            e, body = self._mechanics.swelling[region], self.body[region]
+            e, body = self._body_forms.swelling[region], self.body[region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
             parts.setdefault(body, G.createVecLeft())
@@ -95,14 +95,14 @@ class ThermalStrain:
         return [list(row) for row in zip(*columns, strict=True)]
 
 
-def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
+def _forces(body_forms: BodyForms, e: Elastic) -> PETSc.Mat:
     """Nodal forces of the bodies by the nodal thermal strain of a region, both of this rank."""
-    v, free = ufl.TestFunction(mechanics.space), ufl.TrialFunction(mechanics.scalars)
+    v, free = ufl.TestFunction(body_forms.space), ufl.TrialFunction(body_forms.scalars)
     # One constant for any region: all isotropic ones share a compiled form.
-    cells = [(1, mechanics.region_cells(e.region))]
-    dx = ufl.Measure("dx", domain=mechanics.mesh, subdomain_data=cells)
-    strain = mechanics.elastic_strain(e, mechanics.u)
-    energy = mechanics.energy_density(e, strain) * mechanics.over(e, dx, 1)
-    forces = -ufl.derivative(energy, mechanics.u, v)
-    form = ufl.derivative(forces, mechanics.swelling[e.region], free)
-    return assembled_matrix(mechanics.form(form))
+    cells = [(1, body_forms.region_cells(e.region))]
+    dx = ufl.Measure("dx", domain=body_forms.mesh, subdomain_data=cells)
+    strain = body_forms.elastic_strain(e, body_forms.u)
+    energy = body_forms.energy_density(e, strain) * body_forms.over(e, dx, 1)
+    forces = -ufl.derivative(energy, body_forms.u, v)
+    form = ufl.derivative(forces, body_forms.swelling[e.region], free)
+    return assembled_matrix(body_forms.form(form))

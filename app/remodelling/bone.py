@@ -36,7 +36,7 @@ class BoneMass(Record):
 
     def __init__(self, mechanics: Followed) -> None:
         self.problem = mechanics.problem
-        self.forms = mechanics.problem.mechanics
+        self.forms = mechanics.problem.body_forms
         self.stresses = mechanics.stresses
         self._zones = mechanics.zones
         self.volume = self.integrals(lambda region: 1.0)

@@ -88,47 +88,47 @@ class Balance:
 
     def __init__(self, problem: Problem, about: Floats) -> None:
         self._problem = problem
-        mechanics, scene = problem.mechanics, problem.scene
-        dx = mechanics.cells()
+        body_forms, scene = problem.body_forms, problem.scene
+        dx = body_forms.cells()
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
-        energies = [mechanics.body_energy(b, U, dx) for b, U in enumerate(displacements)]
+        energies = [body_forms.body_energy(b, U, dx) for b, U in enumerate(displacements)]
         energy = {b: e for b, e in enumerate(energies) if e != 0}
         # Energy of all bodies, and its derivatives by body; a rigid body has none. Without free
         # strains it is half the work of the derivatives.
-        free = mechanics.swelling or any(e.eigenstrains for e in scene.elastic)
-        self._elastic = mechanics.form(sum(energy.values())) if energy and free else None
+        free = body_forms.swelling or any(e.eigenstrains for e in scene.elastic)
+        self._elastic = body_forms.form(sum(energy.values())) if energy and free else None
         self._internal = [
-            (b, mechanics.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
+            (b, body_forms.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
         ]
         self._strain_work = [
-            (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.strain))))
+            (s.history, body_forms.form(self._work_of(e, elasticity.symmetric(s.strain))))
             for e in scene.elastic
             for s in e.eigenstrains
         ]
         elastic = {e.region: e for e in scene.elastic}
-        swelling = elasticity.swelling(ufl.TestFunction(mechanics.scalars))
+        swelling = elasticity.swelling(ufl.TestFunction(body_forms.scalars))
         self._swelling = [
-            (free, mechanics.form(self._work_of(elastic[region], swelling)))
-            for region, free in mechanics.swelling.items()
-            if region not in mechanics.path_dependent_regions
+            (free, body_forms.form(self._work_of(elastic[region], swelling)))
+            for region, free in body_forms.swelling.items()
+            if region not in body_forms.path_dependent_regions
         ]
-        if mechanics.by_density:
+        if body_forms.by_density:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
         s = problem.stress_history
         if s:
-            self._set = mechanics.form(s.complementary_energy())
-            self._setting = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
+            self._set = body_forms.form(s.complementary_energy())
+            self._setting = [(b, body_forms.form(s.internal_work(b, v))) for b in s.bodies]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
             sum(k[i] * U[i] * v[i] for i in range(3)) * ds
-            for f, k in zip(scene.foundations, mechanics.springs, strict=True)
+            for f, k in zip(scene.foundations, body_forms.springs, strict=True)
             for b, U in enumerate(displacements)
-            if (ds := mechanics.ds(f.boundary, b)) is not None
+            if (ds := body_forms.ds(f.boundary, b)) is not None
         ]
-        self._springs = mechanics.form(sum(beds)) if beds else None
+        self._springs = body_forms.form(sum(beds)) if beds else None
         nodes = problem.space.tabulate_dof_coordinates()[
             : len(problem.stiffness.constraints.reacting) // 3
         ]
@@ -147,12 +147,12 @@ class Balance:
         self._last = self._measure(u, trial)
 
     def _work_of(self, e: Elastic, strain: Expr) -> Any:
-        mechanics, problem = self._problem.mechanics, self._problem
+        body_forms, problem = self._problem.body_forms, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(
-            lambda ε: mechanics.energy_density(e, ε), mechanics.elastic_strain(e, U)
+            lambda ε: body_forms.energy_density(e, ε), body_forms.elastic_strain(e, U)
         )
-        return -loads.mechanical_work(σ, strain) * mechanics.over(e, mechanics.cells())
+        return -loads.mechanical_work(σ, strain) * body_forms.over(e, body_forms.cells())
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
         problem, constraints = self._problem, self._problem.stiffness.constraints
@@ -165,7 +165,7 @@ class Balance:
             moved = ((f.array_r, displacements[b].x.array) for b, f in elastic)
             energy = sum(float(f @ v[: len(f)]) for f, v in moved) / 2
         inner = problem.forces.action([*elastic, *setting])
-        if problem.mechanics.by_density:
+        if problem.body_forms.by_density:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)

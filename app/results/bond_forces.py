@@ -55,8 +55,8 @@ def _strength(bond: Interface) -> InterfaceStrength:
 class _OnPiece(OnBody):
     """A part of a body between interfaces; loads act on its boundaries alone."""
 
-    def __init__(self, mechanics: BodyForms, piece: int, surface: SurfaceMeasure) -> None:
-        super().__init__(mechanics, piece)
+    def __init__(self, body_forms: BodyForms, piece: int, surface: SurfaceMeasure) -> None:
+        super().__init__(body_forms, piece)
         self._surface = surface
 
     def ds(self, boundary: str) -> ufl.Measure | None:
@@ -249,12 +249,12 @@ class BondForces:
         """Forces of elastic foundations by piece; ``body`` is the body of each piece."""
         p, found = self._problem, list[tuple[int, fem.Form]]()
         U, v = p.displacements(), ufl.TestFunction(p.space)
-        for f, k in zip(p.scene.foundations, p.mechanics.springs, strict=True):
+        for f, k in zip(p.scene.foundations, p.body_forms.springs, strict=True):
             for piece, b in enumerate(body):
                 ds = near.on(f.boundary, piece)
                 if ds is not None:
                     work = sum(k[i] * U[b][i] * v[i] for i in range(3)) * ds
-                    found.append((piece, p.mechanics.form(work)))
+                    found.append((piece, p.body_forms.form(work)))
         return found
 
     def _forces(self, load: Load) -> Floats:
@@ -265,9 +265,9 @@ class BondForces:
             v = ufl.TestFunction(p.space)
             forces = self._at_full[key] = np.zeros((len(place.pieces.names), len(place.nodes), 3))
             for piece in range(len(forces)):
-                work = key.work(v, _OnPiece(p.mechanics, piece, place.near))
+                work = key.work(v, _OnPiece(p.body_forms, piece, place.near))
                 if work != 0:
-                    vector = assembled_vector(p.mechanics.form(work))
+                    vector = assembled_vector(p.body_forms.form(work))
                     forces[piece] = self._at_nodes(vector)
         return self._at_full[key]
 

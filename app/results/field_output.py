@@ -250,7 +250,7 @@ class MechanicalFields:
 
     def _cell(self, σ: Floats) -> dict[str, Floats]:
         """Mean stress, Young's modulus where it varies [MPa], changing density, and of records."""
-        cells, s, m = len(σ), self._stresses, self._problem.mechanics
+        cells, s, m = len(σ), self._stresses, self._problem.body_forms
         density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.by_density}
         fields = _named(σ)
         for record in self._records:

@@ -115,7 +115,7 @@ def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
 def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, Ints]]:
     """Lowest and highest nodes: body and node of this rank's, and which of all ranks' count."""
     comm = problem.comm
-    cells = {r: problem.mechanics.region_cells(r) for r in implant}
+    cells = {r: problem.body_forms.region_cells(r) for r in implant}
     dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}
     dofs = np.concatenate(list(dofs_of.values()))
     of = problem.bodies.of_region
@@ -214,7 +214,7 @@ def by_zone(
         Parts that a zone lacks have no entry.
     """
     # A rigid region has no strain energy; that of a path-dependent region is not known.
-    elastic = {e.region for e in problem.scene.elastic} - problem.mechanics.path_dependent_regions
+    elastic = {e.region for e in problem.scene.elastic} - problem.body_forms.path_dependent_regions
     regions = [r for r in zones.regions if r in elastic]
     sums = {
         r: zone_integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0)

@@ -54,14 +54,14 @@ class Stresses:
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, FINE if fine else usual)
         self._points, weights = (np.asarray(a) for a in quadrature)
         elastic = [e for e in problem.scene.elastic if e.region in fine or not fine]
-        mechanics = problem.mechanics
-        self.cells = {e.region: mechanics.region_cells(e.region) for e in elastic}
+        body_forms = problem.body_forms
+        self.cells = {e.region: body_forms.region_cells(e.region) for e in elastic}
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress of path-dependent regions is known at the points of its history.
         self._stress_histories = {
             r: problem.stress_history
-            for r in mechanics.path_dependent_regions
+            for r in body_forms.path_dependent_regions
             if problem.stress_history
         }
         for region, stress_history in self._stress_histories.items() if not fine else ():
@@ -76,21 +76,21 @@ class Stresses:
         self._moved = fem.Function(problem.space)
         self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
-            if e.region not in mechanics.path_dependent_regions and (
-                e.eigenstrains or e.region in mechanics.swelling
+            if e.region not in body_forms.path_dependent_regions and (
+                e.eigenstrains or e.region in body_forms.swelling
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-                self._own[e.region] = self._expression(mechanics.elastic_strain(e, displacement))
+                self._own[e.region] = self._expression(body_forms.elastic_strain(e, displacement))
 
     def follow_density(self, every: bool = False) -> None:
         """Update the stiffness that follows a density, or of `every` region where it varies."""
         for e in self._problem.scene.elastic:
             if e.varies and (every or e._density):
                 points = self.points[e.region]
-                self._relative[e.region] = self._problem.mechanics.relative_stiffness(e, points)
+                self._relative[e.region] = self._problem.body_forms.relative_stiffness(e, points)
 
     def _expression(self, ε: Expr) -> fem.Expression:
-        with self._problem.mechanics.timing.phase("compile", "stress"):
+        with self._problem.body_forms.timing.phase("compile", "stress"):
             return fem.Expression(ε, self._points, comm=self._problem.comm)
 
     def _elastic_strain(self, region: str) -> Floats:
@@ -139,8 +139,8 @@ class Stresses:
     def places(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
         if region not in self._places:  # all states and variations share them
-            mechanics = self._problem.mechanics
-            x, volumes = mechanics.places(region, self.points[region], self.shares[region])
+            body_forms = self._problem.body_forms
+            x, volumes = body_forms.places(region, self.points[region], self.shares[region])
             self._places[region] = x.reshape(-1, 3), volumes
         return self._places[region]
 

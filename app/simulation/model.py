@@ -169,10 +169,10 @@ class Model:
             self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
-            self.analysis, self.mechanics = self._assemble()
+            self.analysis, self.mechanical_path = self._assemble()
             self.records: dict[str, Record] = {}
-            if self.mechanics:
-                self.records = records(case, self.mechanics)
+            if self.mechanical_path:
+                self.records = records(case, self.mechanical_path)
             self.thermal: ThermalModel | None = None
             if self.analysis.heating:
                 self.thermal = ThermalModel(case, self.analysis.heating, self.analysis.problem)
@@ -201,8 +201,8 @@ class Model:
         case, like = self.case, None
         earlier: Model | None = None
         for model in self._others if not self.scene.stiffens else ():
-            m = model.mechanics
-            if m is None or m.problem.mechanics.by_density:
+            m = model.mechanical_path
+            if m is None or m.problem.body_forms.by_density:
                 continue
             if model.deforms_like(case):
                 earlier = model
@@ -222,10 +222,10 @@ class Model:
             stop=self.stop,
         )
         where = self.scene, self.tagged, settings, self._timing
-        if earlier is not None and earlier.mechanics is not None:
+        if earlier is not None and earlier.mechanical_path is not None:
             analysis = assemble(*where, reuse=earlier.analysis)
-            earlier.mechanics.begin(case)
-            return analysis, earlier.mechanics
+            earlier.mechanical_path.begin(case)
+            return analysis, earlier.mechanical_path
         analysis = assemble(*where, like=like)
         if analysis.problem is None or analysis.solver is None:
             return analysis, None
@@ -234,12 +234,12 @@ class Model:
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
         sizes = dict(self.thermal.heating.solver.block_sizes) if self.thermal else {}
-        return sizes | (self.mechanics.solver.block_sizes if self.mechanics else {})
+        return sizes | (self.mechanical_path.solver.block_sizes if self.mechanical_path else {})
 
     def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
-        m = self.mechanics
+        m = self.mechanical_path
         if m:
             groups.append(
                 MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds, m.bearings)
@@ -285,7 +285,7 @@ class Model:
                 t.update(accepted)
             on_heat(step, accepted)
 
-        m, stages = self.mechanics, self.scene.stages
+        m, stages = self.mechanical_path, self.scene.stages
         predictors = self._predictors(m) if m else ()
         self._steppers = self.analysis.steppers(on_step, on_accepted, on_trouble, predictors)
         if self._steppers.load:
@@ -295,7 +295,7 @@ class Model:
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
         parts = dict(self.records) | {
-            "mechanics": self.mechanics,
+            "mechanics": self.mechanical_path,
             "thermal": self.thermal,
             "heat_stepper": self._steppers.heat,
             "load_stepper": self._steppers.load,
@@ -319,8 +319,8 @@ class Model:
 
     def _cheaper(self, case: Case) -> LoadStepper:
         other = self._other(case, self._timing.of("cheaper model"))
-        assert other.mechanics is not None
-        predictors = other._predictors(other.mechanics)
+        assert other.mechanical_path is not None
+        predictors = other._predictors(other.mechanical_path)
         stepper = other.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
         assert stepper is not None
         return stepper
@@ -334,7 +334,7 @@ class Model:
     def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
         """All published numbers; collective."""
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
-        m = self.mechanics
+        m = self.mechanical_path
         if m:
             elastic = m.problem.scene.elastic
             if samples is not None:
@@ -367,7 +367,7 @@ class Model:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
-        m = self.mechanics
+        m = self.mechanical_path
         if m and m.zones:
             found["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
         return found
@@ -376,7 +376,7 @@ class Model:
         """Solve a companion case; returns its numbers; collective."""
         other = self._other(case, Timing("estimating errors"))
         last: TrialState | None = None
-        m = other.mechanics
+        m = other.mechanical_path
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last

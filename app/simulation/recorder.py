@@ -102,7 +102,7 @@ class Recorder:
         self.balance: Balance | None = None
         self._critical: dict[str, Any] = {}
         self._probes: Probes | None = None
-        m = model.mechanics
+        m = model.mechanical_path
         if m:
             with timing.phase("assemble"):
                 self.balance = m.balance(about)
@@ -125,14 +125,14 @@ class Recorder:
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of owned contact points."""
-        m = self._model.mechanics
+        m = self._model.mechanical_path
         contact = m.problem.contact if m else None
         return dict.fromkeys(("contact_state", "valley"), contact.row_keys) if contact else {}
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
         # Until the mechanics have been solved the balance is at rest, without given temperatures.
-        m = self._model.mechanics
+        m = self._model.mechanical_path
         if self.mechanical_row and m and self.balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
@@ -159,7 +159,7 @@ class Recorder:
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
-            m, balance = self._model.mechanics, self.balance
+            m, balance = self._model.mechanical_path, self.balance
             assert m is not None and balance is not None
             balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
@@ -219,7 +219,7 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
-        m = self._model.mechanics
+        m = self._model.mechanical_path
         creep = m.problem.creep if m else None
         if creep:
             row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
@@ -258,7 +258,7 @@ class Recorder:
 
     def _displacements(self) -> dict[str, list[float]]:
         """Displacement of each probe [mm]; collective."""
-        m = self._model.mechanics
+        m = self._model.mechanical_path
         if self._probes is None or m is None:
             return {}
         values = self._probes.values(m.problem.displacements())
@@ -281,7 +281,7 @@ class Recorder:
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self.total
-        m = model.mechanics
+        m = model.mechanical_path
         contact = m and m.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
         b, t = self.balance, model.thermal
@@ -338,7 +338,7 @@ class Recorder:
 
     def close(self, status: str, why: Sequence[Verdict]) -> None:
         """Leave the last converged state, and why, on disk, as far as it allows; collective."""
-        m = self._model.mechanics
+        m = self._model.mechanical_path
         if m:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)

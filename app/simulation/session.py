@@ -312,8 +312,8 @@ class _CaseRun:
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE
         setup.note(notes)
-        if case.output.condition and model.mechanics:
-            A = model.mechanics.solver.snes.getJacobian()[0]
+        if case.output.condition and model.mechanical_path:
+            A = model.mechanical_path.solver.snes.getJacobian()[0]
             summary["solver"]["condition"] = condition_number(A)
         companions = error_estimate.companions(case)
         if companions:

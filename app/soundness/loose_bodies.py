@@ -549,7 +549,7 @@ def supported(problem: Problem) -> dict[int, Floats]:
     from app.mechanics.held_bodies import held_motions  # brings dolfinx
 
     assert problem.contact is not None
-    return held_motions(problem.mechanics, problem.stiffness, *problem.contact.frame)
+    return held_motions(problem.body_forms, problem.stiffness, *problem.contact.frame)
 
 
 def turning(problem: Problem) -> list[int]:

@@ -31,14 +31,16 @@ class HeatStepper:
     """Time stepping of heat with error control.
 
     Args:
-        mechanics: The mechanics beside it, if any.
+        mechanical_path: The mechanics solved with it, if any.
         on_heat: Called after each committed step, once the mechanics have followed.
     """
 
     saved = ("under_way", "stage_start", "steps_done", "controller", "mechanics")
 
-    def __init__(self, heating: HeatState, mechanics: Mechanics | None, on_heat: OnHeat) -> None:
-        self.heating, self.mechanics, self._on_heat = heating, mechanics, on_heat
+    def __init__(
+        self, heating: HeatState, mechanical_path: Mechanics | None, on_heat: OnHeat
+    ) -> None:
+        self.heating, self.mechanical_path, self._on_heat = heating, mechanical_path, on_heat
         self.under_way, self.stage_start, self.steps_done = False, 0.0, 0
         self.controller = Controller(heating.method)
 
@@ -51,8 +53,8 @@ class HeatStepper:
         """Run a stage that takes time, or find a steady state."""
         if not self.under_way:
             self.stage_start, self.steps_done = self.heating.seconds, 0
-        if self.mechanics is not None:
-            self.mechanics.begin(k, stage, not self.under_way)
+        if self.mechanical_path is not None:
+            self.mechanical_path.begin(k, stage, not self.under_way)
         self.under_way = True
         self._k, self._stage = k, stage
         advance(self, self._control_of(stage), checkpoint_point)
@@ -119,8 +121,8 @@ class HeatStepper:
             accepted = self.heating.accept(*self._solved, step.length)
         assert accepted is not None
         time = self._k + (1.0 if step.end > 1 - SHORTEST else step.end)
-        if self.mechanics is not None:
-            self.mechanics.follow(time, step.whole)
+        if self.mechanical_path is not None:
+            self.mechanical_path.follow(time, step.whole)
         outcome, seconds = accepted.outcome, clock.perf_counter() - started
         load_step = LoadStep(self.total.steps, self._stage.name, time, outcome, seconds, step.whole)
         self._on_heat(load_step, accepted)

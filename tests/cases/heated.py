@@ -87,7 +87,7 @@ class Heated:
 
     def scalar(self, field: float | Field) -> fem.Function:
         """A field at the vertices."""
-        T = fem.Function(self.problem.mechanics.scalars)
+        T = fem.Function(self.problem.body_forms.scalars)
         T.interpolate(lambda x: field(x) if callable(field) else np.full(x.shape[1], field))
         return T
 

@@ -60,11 +60,11 @@ class Runs:
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             iterations.append(step.outcome.iterations)
             if trial is not None:
-                last[:] = [ContactSamples(model.mechanics.problem, trial)]
+                last[:] = [ContactSamples(model.mechanical_path.problem, trial)]
                 stage = model.scene.stages[math.ceil(step.time) - 1]
-                for bearing in model.mechanics.bearings.values():
+                for bearing in model.mechanical_path.bearings.values():
                     bearing.update(last[0], stage, step.time, step.whole)
 
         model.go(keep, on_trouble=print)
-        moved = model.mechanics.problem.displacements()
+        moved = model.mechanical_path.problem.displacements()
         return [u.x.array.copy() for u in moved], iterations, model.numbers(last[0])

@@ -24,7 +24,7 @@ r = 500.0  # N/mm, any
 def compliance() -> tuple[Floats, Floats]:
     """Displacement of the bearing by forces on it (n, 3, n, 3) [mm/N], and its points (n, 3)."""
     problem, _ = support.assemble(support.case(CUP), cup())
-    rows, columns, values = assembled_matrix(problem.mechanics.stiffness()).getValuesCSR()
+    rows, columns, values = assembled_matrix(problem.body_forms.stiffness()).getValuesCSR()
     K = csr_matrix((values, columns, rows))
     x = problem.space.tabulate_dof_coordinates()
     size = np.linalg.norm(x, axis=1)

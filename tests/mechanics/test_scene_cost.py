@@ -88,7 +88,7 @@ def made(text: str, *overrides: str) -> Bill:
                 patch.setattr(model, name, refuse)
         this = model.Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
     counts["forms"] -= counts["heat_forms"]
-    problem = this.mechanics.problem if this.mechanics else None
+    problem = this.mechanical_path.problem if this.mechanical_path else None
     return Bill(this.sizes(), systems, sorted(laws), **counts, problem=problem)
 
 

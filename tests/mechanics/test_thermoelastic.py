@@ -67,7 +67,7 @@ def test_thermal_strain_stiffness_is_the_derivative_of_forces() -> None:
     A temperature jump that lifts the cement alone is that temperature of the cement alone.
     """
     cold = Heated.make(CYLINDERS, expanding(cement=80e-6, bone=1e-5), *UNILATERAL)
-    problem, scalars = cold.problem, cold.problem.mechanics.scalars
+    problem, scalars = cold.problem, cold.problem.body_forms.scalars
     f, f_q = problem.f.copy(), problem.f_q.copy()
     free = ~problem.stiffness.constraints.constrained
 

@@ -134,9 +134,9 @@ def test_gruen_strain_energy_is_half_the_work_of_loads() -> None:
         density = stresses.energy_density(region)
         assert (density > 0).all()
         total += float((density * dx).sum())
-    mechanics, (load,) = solved.problem.mechanics, solved.problem.scene.loads
-    v = ufl.TestFunction(mechanics.space)
-    f = assembled_vector(mechanics.form(load.work(v, OnBody(mechanics, 0))))
+    body_forms, (load,) = solved.problem.body_forms, solved.problem.scene.loads
+    v = ufl.TestFunction(body_forms.space)
+    f = assembled_vector(body_forms.form(load.work(v, OnBody(body_forms, 0))))
     u = solved.problem.displacements()[0].x.array[: f.getLocalSize()]
     assert total == pytest.approx(0.5 * float(f.array @ u), rel=1e-9)
 

@@ -21,7 +21,7 @@ if __name__ == "__main__":
     for settings in ({}, nested_stem.ALWAYS):
         with patch.multiple(models, **settings) if settings else nullcontext():
             model, steps = nested_stem.go()
-        j = model.mechanics.problem.contact
+        j = model.mechanical_path.problem.contact
         own = np.hstack([j.state.jump, j.state.force])
         found.append((j.whole(own), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = found

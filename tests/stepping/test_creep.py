@@ -141,7 +141,7 @@ def test_creep_law_alone_costs_nothing() -> None:
     assert (
         problem.scene.creeps == ()
         and problem.stress_history is None
-        and not problem.mechanics.path_dependent_regions
+        and not problem.body_forms.path_dependent_regions
     )
 
 

@@ -48,7 +48,7 @@ def test_loads_force_at_a_point_has_resultant_and_moment(order: int) -> None:
 def test_loads_even_force_acts_at_the_centroid() -> None:
     """Without a point the traction is uniform: no moment about the centroid of the patch."""
     problem = assembled(CYLINDERS, "interfaces={}")
-    moment = nodal_moment(problem, tuple(problem.mechanics.patch("stem_top").centroid))
+    moment = nodal_moment(problem, tuple(problem.body_forms.patch("stem_top").centroid))
     assert np.abs(moment).max() < 1e-12 * 900 * 30
 
 
