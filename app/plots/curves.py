@@ -8,10 +8,11 @@ A `Panel` says what is drawn. `draw` makes files of it by matplotlib. `drawing` 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -37,6 +38,8 @@ APART = 0.012
 TICKS = 8
 # Letters of legend entries that fit below a panel.
 LETTERS = 47
+# Letters of a line of a title in a page.
+TITLE = 46
 # Points of a line in a page.
 MOST = 400
 # Resolution of a picture [dots per inch].
@@ -88,7 +91,8 @@ class Panel:
         lines: The curves.
         x: Label of the abscissa.
         log: Logarithmic axes; ``auto`` makes the ordinate so if the values span a decade.
-        ticks: Values of x with a name of their own, in place of numbers.
+        ticks: Values of x with a name, in place of numbers.
+        from_rest: True if the abscissa begins at zero.
     """
 
     title: str
@@ -97,6 +101,7 @@ class Panel:
     x: str = ""
     log: Log = "auto"
     ticks: Mapping[float, str] | None = None
+    from_rest: bool = False
 
 
 def draw(
@@ -140,6 +145,8 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
         shift = apart * (styles.index(line.style) - 0.5 * (len(styles) - 1))
         draw_line(axes, line, shift)
     _scale(axes, panel)
+    if panel.from_rest:
+        axes.set_xlim(left=0.0)
     if panel.ticks:
         axes.set_xticks(list(panel.ticks), list(panel.ticks.values()), fontsize=8)
     elif not xs:
@@ -191,16 +198,53 @@ def _scale(axes: Axes, panel: Panel) -> None:
 # Inside a page
 
 
-def drawing(panel: Panel, from_zero: bool = False) -> dict[str, Any]:
-    """Return a panel as `page.html` draws it: ticks, points, bars as fractions of the axes."""
+class DrawnLine(NamedTuple):
+    """A line of a drawing.
+
+    Attributes:
+        label: Its entry in the legend; empty for none.
+        colour: Its colour.
+        points: Abscissa, ordinate, and both ends of the error bar, as fractions of the axes.
+    """
+
+    label: str
+    colour: str
+    points: Sequence[tuple[float, float, float, float]]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A panel as `page.html` draws it.
+
+    Attributes:
+        title: Lines of its title.
+        x: Label of the abscissa.
+        columns: Columns of the legend.
+        lines: The curves.
+        across: Ticks of the abscissa: fraction of the axis and text.
+        up: Ticks of the ordinate.
+    """
+
+    title: Sequence[str]
+    x: str
+    columns: int
+    lines: Sequence[DrawnLine]
+    across: Sequence[tuple[float, str]]
+    up: Sequence[tuple[float, str]]
+
+
+def drawing(panel: Panel) -> Drawing:
+    """Return a panel for a page; ordinates begin at zero, except temperatures in degrees."""
     xs = [x for line in panel.lines for x in line.x]
     ys = []
     for line in panel.lines:
         ys += [y + sign * e for _, y, e in _points(line) for sign in (-1, 1)]
-    far = from_zero or min(ys) < 0 or max(ys) > 2 * min(ys)
-    zero = [0.0] if far and panel.y != CELSIUS else []
+    if panel.y != CELSIUS:
+        ys.append(0.0)
+    if panel.from_rest:
+        xs.append(0.0)
     across = ticks(min(xs), max(xs))
-    up = ticks(min(ys + zero), max(ys + zero))
+    up = ticks(min(ys), max(ys))
 
     def part(v: float, of: Sequence[float]) -> float:
         return (v - of[0]) / (of[-1] - of[0])
@@ -211,15 +255,15 @@ def drawing(panel: Panel, from_zero: bool = False) -> dict[str, Any]:
             (part(x, across), part(y, up), part(y - e, up), part(y + e, up))
             for x, y, e in sparse(_points(line))
         ]
-        lines.append((line.label, figures.colour(line.style), places))
-    return {
-        "title": f"{panel.title} ({panel.y})" if panel.y else panel.title,
-        "x": panel.x,
-        "columns": 2 if max(len(line.label) for line in panel.lines) < 18 else 1,
-        "lines": lines,
-        "across": [(part(v, across), f"{v:g}") for v in across],
-        "up": [(part(v, up), f"{v:g}") for v in up],
-    }
+        lines.append(DrawnLine(line.label, figures.colour(line.style), places))
+    return Drawing(
+        title=textwrap.wrap(f"{panel.title} ({panel.y})" if panel.y else panel.title, TITLE),
+        x=panel.x,
+        columns=2 if max(len(line.label) for line in panel.lines) < 18 else 1,
+        lines=lines,
+        across=[(part(v, across), f"{v:g}") for v in across],
+        up=[(part(v, up), f"{v:g}") for v in up],
+    )
 
 
 def _points(line: Line) -> list[tuple[float, float, float]]:

@@ -46,6 +46,8 @@ FRONT_AND_SIDE = ("anterior", "medial")
 LIGHT = np.array([-0.5, 0.4, 0.77])
 # Brightness of a facet that faces away from the light.
 DARKEST = 0.7
+# Width of the outline of a region in a section [points].
+OUTLINE = 0.9
 # Colour of a stem's surface.
 METAL = "#b8c0cc"
 # Colour of the cement below the tip.
@@ -147,7 +149,7 @@ def sections(data: MeshData, path: Path) -> None:
 
 
 def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
-    """Draw a section: filled cells, and their outlines."""
+    """Draw a section: filled cells, their edges, and the outlines of the regions."""
     u, v = (i for i in range(3) if i != axis)
     polygons, edges, _ = section(data, axis, at)
     for name, colour in colours_of(data.regions).items():
@@ -155,6 +157,8 @@ def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
         area = PathCollection([joined(own)], color=colour, linewidths=0)
         ax.add_collection(area, autolim=False)
     ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
+    around, _ = outlines([(x, data.cell_tags[cell]) for x, cell in polygons])
+    ax.add_collection(LineCollection(list(around[..., [u, v]]), colors="#1d2429", lw=OUTLINE))
     ax.autoscale_view()
 
 

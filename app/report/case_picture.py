@@ -38,22 +38,31 @@ BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9
 # Largest height and width of the body [inch].
 TALL = 5.0
 WIDE = 3.4
-# Room beside, above and below the body [inch]; the last two hold a title and legend of two lines.
-SIDE = 2.3
+# Room on each side of the body [inch].
+SIDE = 2.2
+# Room above the body, with a title of two lines [inch].
 TOP = 2.2
+# Room below the body, with a legend of two lines [inch].
 BOTTOM = 1.45
 # Height of a further line of the title or legend [inch].
 LINE = 0.23
 # Letters of a title per inch.
 LETTERS = 9.5
 # Entries of the legend per line.
-ENTRIES = 5
+ENTRIES = 2
+# Font size of labels and legends: legible where a view is as wide as a phone.
+WORDS = 10
+# Letters of a line of a label.
+LETTER_ROW = 16
 # Length of the longest and the shortest arrow [inch].
 LONGEST = 0.95
 SHORTEST = 0.35
-# Distance of labels from each other, and from the body [inch].
-LABEL = 0.3
-GAP = 0.65
+# Height of a line of a label [inch].
+LABEL = 0.17
+# Distance between labels [inch].
+APART = 0.08
+# Distance of labels from the body [inch].
+GAP = 0.55
 # Number of arrows of a pressure.
 SEVERAL = 5
 # Text, places (n, 3) [mm], and the force of each arrow (n, 3) [N].
@@ -81,24 +90,25 @@ class View:
 
 
 def draw(case: Case, data: MeshData, path: Path) -> None:
-    """Write the PNG of a case on its mesh."""
+    """Write the PNG of a case on its mesh: two views of equal width, each with its legend."""
     low, high = data.points.min(axis=0), data.points.max(axis=0)
     size, clinical = high - low, case.geometry.has_gruen_zones
     inch = max(size[2] / TALL, size[:2].max() / WIDE)
-    wide, forces, left = size[:2] / inch + 2 * SIDE, [*_forces(case, data)], 0.0
-    title = textwrap.wrap(case.title or path.stem, int(LETTERS * wide.sum()))
-    entries = len(data.regions) + len(case.interfaces)
-    entries += sum(map(bool, (case.supports, case.heat, forces)))
-    more = LINE * max(0, len(title) - 1), LINE * max(0, math.ceil(entries / ENTRIES) - 2)
-    top, bottom = TOP + more[0], BOTTOM + more[1]
+    wide = size[:2].max() / inch + 2 * SIDE
+    forces = [*_forces(case, data)]
+    title = textwrap.wrap(case.title or path.stem, int(LETTERS * wide))
+    further = (bool(case.supports), bool(case.heat), bool(forces))
+    entries = max(len(data.regions), len(case.interfaces) + sum(further))
+    more_title = LINE * max(0, len(title) - 1)
+    top = TOP + more_title
+    bottom = BOTTOM + LINE * max(0, math.ceil(entries / ENTRIES) - 2)
     tall = size[2] / inch + top + bottom
-    figure = figures.new(wide.sum(), tall)
+    figure = figures.new(2 * wide, tall)
     figure.set_layout_engine("none")
     outside = exterior_facets(data.cells)
-    for name in sections.FRONT_AND_SIDE:
+    for k, name in enumerate(sections.FRONT_AND_SIDE):
         across, leftward, toward = sections.VIEWS[name]
-        ax = figure.add_axes((left / wide.sum(), 0.0, wide[across] / wide.sum(), 1.0))
-        left += wide[across]
+        ax = figure.add_axes((0.5 * k, 0.0, 0.5, 1.0))
         at = sections.middle_plane(low[toward], high[toward])
         if case.geometry.is_around_z and low[toward] > -1e-6 * size[toward]:
             at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
@@ -110,18 +120,36 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         _scale(view, WAYS if clinical else [("", axis) for axis in AXES])
         where = f"from {name if clinical else f'+{AXES[toward]}'}"
         where += f", section {AXES[toward]} = {round(at, 3):g} mm"
-        ax.text((low + high)[across] / 2, high[2] + (TOP - 1.0) * inch, where, ha="center")
-        ends = [low[across] - SIDE * inch, high[across] + SIDE * inch][:: -1 if leftward else 1]
+        middle = (low + high)[across] / 2
+        ax.text(middle, high[2] + (TOP - 1.0) * inch, where, ha="center", fontsize=WORDS)
+        half = 0.5 * wide * inch
+        ends = [middle - half, middle + half][:: -1 if leftward else 1]
         ax.set(xlim=ends, ylim=(low[2] - bottom * inch, high[2] + top * inch))
         ax.set_axis_off()
-    words = "\n".join([*title, f"{len(data.cells):,} cells"])
     place: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
-    figure.text(0.5, 1 - 0.1 / tall, words, fontsize=12, **place)
-    words = f"{len(forces)} loads, {next(preview.resultant(case), '')}" if len(forces) > 1 else ""
-    figure.text(0.5, 1 - (0.62 + more[0]) / tall, words, color=LOAD, **place)
-    legend = handles(figure.axes)
-    figure.legend(legend.values(), legend, loc="lower center", ncols=ENTRIES, frameon=False)
+    words = "\n".join([*title, f"{len(data.cells):,} cells"])
+    figure.text(0.25, 1 - 0.1 / tall, words, fontsize=12, **place)
+    if len(forces) > 1:
+        words = f"{len(forces)} loads, {next(preview.resultant(case), '')}"
+        style = {"color": LOAD, "fontsize": WORDS, **place}
+        figure.text(0.25, 1 - (0.62 + more_title) / tall, words, **style)
+    named = handles(figure.axes)
+    bodies = {label: named.pop(label) for label in _region_labels(data)}
+    for middle, group in ((0.25, bodies), (0.75, named)):
+        figure.legend(
+            group.values(),
+            group,
+            loc="lower center",
+            bbox_to_anchor=(middle, 0.0),
+            ncols=ENTRIES,
+            frameon=False,
+            fontsize=WORDS,
+        )
     figures.save(figure, path, 110, PNG)
+
+
+def _region_labels(data: MeshData) -> list[str]:
+    return [region.replace("_", " ") for region in data.regions]
 
 
 def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:
@@ -151,10 +179,10 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
         facets = _boundary(data, getattr(part, "boundary", ""))
         middles = view.lines(facets, colors=colour, lw=4.0, alpha=0.8, label=word)
         keys = part.model_dump(mode="json", exclude_none=True)
-        own = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
+        held = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
         if len(middles):
             away = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
-            text = f"{name.replace('_', ' ')}\n{', '.join([part.kind, *own])}"
+            text = f"{name.replace('_', ' ')}\n{', '.join([part.kind, *held])}"
             view.labels.append((text, colour, middles[away.argmax()]))
 
 
@@ -178,9 +206,9 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
         force = load.resultant
         if load.volume_regions is not None:
             regions = load.volume_regions or data.regions
-            own = np.isin(data.cell_tags, [data.regions[r] for r in regions])
-            places = data.points[data.cells[own, :4]].mean(axis=1)
-            size = cell_volumes(data.points, data.cells[own])[:, None]
+            cells = data.cells[np.isin(data.cell_tags, [data.regions[r] for r in regions])]
+            places = data.points[cells[:, :4]].mean(axis=1)
+            size = cell_volumes(data.points, cells)[:, None]
             force = (size * load.density_at(places)).sum(axis=0)
         if force is not None and np.any(force):
             place = load.point or (size * places).sum(axis=0) / size.sum()
@@ -210,27 +238,39 @@ def _labels(view: View) -> None:
     """Write labels in a column on either side, one above the other, with lines to their places."""
     middle = (view.low + view.high)[view.across] / 2
     for side, end in ((-1, view.low), (1, view.high)):
-        every = sorted(view.labels, key=lambda m: float(m[2][1]))
-        own = [m for m in every if (m[2][0] > middle) == (side > 0)]
-        n, x = len(own), end[view.across] + side * GAP * view.inch
-        steps = LABEL * view.inch * np.arange(n)
+        by_height = sorted(view.labels, key=lambda m: float(m[2][1]))
+        labels = [m for m in by_height if (m[2][0] > middle) == (side > 0)]
+        texts = [_wrapped(text) for text, *_ in labels]
+        n, x = len(labels), end[view.across] + side * GAP * view.inch
+        tall = np.array([LABEL * (1 + text.count("\n")) + APART for text in texts])
+        # Heights of the middles of labels that touch, from the first one.
+        steps = view.inch * (np.cumsum(tall) - tall / 2)
         # As near to their places as the gaps allow: isotonic regression.
-        y = np.array([place[1] for *_, place in own]) - steps
+        y = np.array([place[1] for *_, place in labels]) - steps
         least = [[y[j:k].mean() for k in range(j + 1, n + 1)] for j in range(n)]
         spread = [max(min(least[j][i - j :]) for j in range(i + 1)) for i in range(n)] + steps
+        if n:
+            # Below the title of the view.
+            highest = view.high[2] + (TOP - 1.0 - APART) * view.inch
+            spread = spread - max(0.0, spread[-1] + 0.5 * tall[-1] * view.inch - highest)
         right = (side < 0) == view.ax.xaxis_inverted()
-        for (text, colour, place), height in zip(own, spread, strict=True):
+        for text, (_, colour, place), height in zip(texts, labels, spread, strict=True):
             line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - right, 0.5)}
             view.ax.annotate(
                 text,
                 (place[0], place[1]),
                 (x, height),
-                fontsize=8,
+                fontsize=WORDS,
                 arrowprops=line,
                 va="center",
                 ha="left" if right else "right",
                 color=colour,
             )
+
+
+def _wrapped(label: str) -> str:
+    """Break the lines of a label."""
+    return "\n".join(part for line in label.split("\n") for part in textwrap.wrap(line, LETTER_ROW))
 
 
 def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
@@ -241,7 +281,9 @@ def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
     x, z = (view.low + view.high)[view.across] / 2, view.low[2] - 0.3 * view.inch
     view.ax.plot([x - long / 2, x + long / 2], [z, z], "k", lw=3, solid_capstyle="butt")
     ends = names[view.across]
-    way = " ← ".join(ends[::-1]) if view.ax.xaxis_inverted() else " → ".join(ends)
-    view.ax.text(x, z - 0.1 * view.inch, f"{long:g} mm\n{way}", ha="center", va="top")
+    direction = " ← ".join(ends[::-1]) if view.ax.xaxis_inverted() else " → ".join(ends)
+    view.ax.text(
+        x, z - 0.1 * view.inch, f"{long:g} mm\n{direction}", ha="center", va="top", fontsize=WORDS
+    )
     at = view.low[view.across] - 0.4 * view.inch, view.low[2] + 0.9 * view.inch
-    view.ax.text(*at, " → ".join(names[2]), ha="center", va="center", rotation=90)
+    view.ax.text(*at, " → ".join(names[2]), ha="center", va="center", rotation=90, fontsize=WORDS)

@@ -1,7 +1,6 @@
 """Evidence for a referee or an authority: credibility factors of ASME V&V 40-2018, and methods.
 
-Each factor is filled from what runs computed; what no program can know is left to the applicant, in
-these words.
+Results of runs fill each factor. The applicant writes what a program cannot know.
 """
 
 from __future__ import annotations
@@ -18,11 +17,13 @@ from app.case.quantities import TABLE
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, recorded
 from app.report import page
+from app.report.page import Section
 from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.system.folders import read_json, write_json, write_text
 from app.system.layout import plain
 
+# Text of a factor without evidence.
 APPLICANT = "the applicant writes this"
 LEFT = (APPLICANT,)
 # Names of the factors, in their order, and what they belong to.
@@ -53,30 +54,32 @@ def write(folders: Sequence[Path]) -> list[Path]:
     """Write ``evidence.html`` and ``evidence.json`` into the folder of the run.
 
     Args:
-        folders: That of the run first; then of ``mantle verify``, also of its validation problems.
+        folders: The folder of the run, then folders of ``mantle verify`` with verification and
+            validation problems.
 
     Raises:
-        InputError: The first folder has no finished run, or another one no outcomes.
+        InputError: The first folder has no finished run, or another one has no outcomes.
     """
     run = _finished(folders[0])
     checks = [check for folder in folders[1:] for check in _checks(folder)]
     case = load(run.folder / "case.yaml").config
-    found = factors(case, run.summary, read_json(run.folder / "provenance.json"), checks)
+    credibility = factors(case, run.summary, read_json(run.folder / "provenance.json"), checks)
+    filled = sum(factor.evidence != LEFT for factor in credibility)
     head = {key: getattr(case, key) or APPLICANT for key in ("question", "context_of_use")}
-    content = head | {"standard": "ASME V&V 40-2018", "factors": [f._asdict() for f in found]}
+    content = head | {"standard": "ASME V&V 40-2018", "factors": [f._asdict() for f in credibility]}
     write_json(run.folder / "evidence.json", content)
-    rows = [[str(f.number), f.part, f.name, list(f.evidence)] for f in found]
+    rows = [[str(f.number), f.part, f.name, list(f.evidence)] for f in credibility]
     table = page.table(["", "part", "factor", "evidence"], rows)
     html = page.page(
         f"Evidence: {case.title or run.folder.name}",
         [
-            ("question", "Question", page.bullets([head["question"]])),
-            ("context", "Context of use", page.bullets([head["context_of_use"]])),
-            ("factors", "Credibility factors of ASME V&V 40-2018", table),
+            Section("question", "Question", page.bullets([head["question"]])),
+            Section("context", "Context of use", page.bullets([head["context_of_use"]])),
+            Section("factors", "Credibility factors of ASME V&V 40-2018", table),
         ],
+        page.bullets([f"{filled} of {len(credibility)} factors have evidence"]),
         facts=f"from {run.folder}",
-        lead="What was computed for each factor; the rest is for the applicant.",
-        summary=[f"{sum(f.evidence != LEFT for f in found)} of {len(found)} have evidence"],
+        lead="Computed evidence for each factor. The applicant adds the rest.",
     )
     write_text(run.folder / "evidence.html", html)
     return [run.folder / "evidence.html", run.folder / "evidence.json"]
@@ -85,7 +88,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
 def factors(
     case: Case, summary: Mapping[str, Any], record: Mapping[str, Any], checks: Sequence[Any]
 ) -> list[CredibilityFactor]:
-    """The factors of a run, with outcomes of verification and validation problems."""
+    """Return the factors of a run, with outcomes of verification and validation problems."""
     validated = [c for c in checks if c["group"] == "validation"]
     verified = [c for c in checks if c["group"] != "validation"]
     measured = tuple(_outcome(c) for c in validated)
@@ -183,7 +186,7 @@ def _inputs(case: Case) -> Iterator[str]:
         for name, part in parts.items():
             source = f", {part.source}" if part.source else ""
             yield f"{section}.{name}: {part.status or 'without status'}{source}"
-    yield "spread over inputs: mantle report --spread shows it beside the error"
+    yield "spread over inputs: mantle report --spread shows it next to the error"
 
 
 # Methods

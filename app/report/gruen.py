@@ -9,14 +9,15 @@ from typing import Any
 from app.case.quantities import TABLE
 from app.plots import figures
 from app.report import page
-from app.report.page import Blocks, Figure
+from app.report.page import Block, Figure
 from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
 
-FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
+# Number of zones of the frontal view; the others are of the lateral one.
+FRONTAL = 7
+# Names of the kinds of bone.
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
-KJ = 1e3  # kJ/m3 of a MPa
-
-Table = tuple[list[str], list[list[str]]]
+# kJ/m3 of a MPa.
+KJ = 1e3
 
 
 def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
@@ -24,39 +25,59 @@ def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
     return case.summary.get("gruen") or {}
 
 
-def blocks(cases: Iterable[tuple[str, SweptCase]]) -> Blocks:
-    """A table below its title for each case that has zones."""
-    tables = (page.titled(title, page.table(*table(case))) for title, case in cases)
-    return [block for own in tables for block in own]
+def blocks(cases: Iterable[tuple[str, SweptCase]]) -> list[Block]:
+    """Return the tables of each case that has zones, below its title."""
+    content = []
+    for title, case in cases:
+        own: list[Block] = []
+        for heading, head, rows in tables(case):
+            own += page.titled(heading, page.table(head, rows))
+        content += page.titled(title, own)
+    return content
 
 
-def table(case: SweptCase) -> Table:
-    """Cement thickness, peaks of both interfaces, strain energy of the bone by zone, if any."""
-    own, cement = zones(case), (case.summary.get("mantle") or {}).get("gruen", {})
-    places = [p for p in INTERFACES if any(p in z["interfaces"] for z in own.values())]
-    bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in own.values())]
-    head = ["zone", *(["cement, min / mean / max (mm)"] if cement else [])]
-    head += [f"{WORDS[p]} {WORDS[q]} ({u})" for p in places for q, (u, _) in QUANTITIES.items()]
+def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Return tables by zone: of cement and bone, and of each interface.
+
+    Each has a title, a head and rows. Tables without numbers are left out.
+    """
+    by_zone = zones(case)
+    cement = (case.summary.get("mantle") or {}).get("gruen", {})
+    places = [p for p in INTERFACES if any(p in z["interfaces"] for z in by_zone.values())]
+    bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in by_zone.values())]
+    head = ["zone", *(["cement thickness, minimum / mean / maximum (mm)"] if cement else [])]
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
     rows = []
-    for z, zone in own.items():
-        row = [f"{z} ({'frontal' if int(z) <= FRONTAL else 'lateral'})"]
+    for z, zone in by_zone.items():
+        row = [_zone(z)]
         if cement:
             row.append(" / ".join(f"{v:.2g}" for v in cement.get(z, {}).values()) or "-")
-        for place in places:
-            numbers = zone["interfaces"].get(place, {})
-            for name in QUANTITIES:
-                most, mean = (TABLE["interfaces"][f"{name}_{how}"] for how in ("max", "mean"))
-                row.append(f"{most.text(numbers)} / {mean.text(numbers)}")
         density, errors = zone["strain_energy_density"], zone.get("strain_energy_density_error", {})
-        row += [
-            str(Number(KJ * density[b], KJ * errors[b]))
-            if b in errors
-            else _shown(density.get(b), KJ)
-            for b in bones
-        ]
+        for bone in bones:
+            if bone in errors:
+                row.append(str(Number(KJ * density[bone], KJ * errors[bone])))
+            else:
+                row.append(_shown(density.get(bone), KJ))
         rows.append(row)
-    return head, rows
+    parts = [("Cement and bone", head, rows)] if len(head) > 1 else []
+    for place in places:
+        head = ["zone", *(f"{WORDS[q]} ({unit})" for q, (unit, _) in QUANTITIES.items())]
+        rows = []
+        for z, zone in by_zone.items():
+            numbers = zone["interfaces"].get(place, {})
+            rows.append([_zone(z), *(_largest_and_mean(name, numbers) for name in QUANTITIES)])
+        parts.append((f"{WORDS[place]} interface", head, rows))
+    return parts
+
+
+def _zone(number: str) -> str:
+    view = "frontal" if int(number) <= FRONTAL else "lateral"
+    return f"{number} ({view})"
+
+
+def _largest_and_mean(quantity: str, numbers: Mapping[str, Any]) -> str:
+    largest, mean = (TABLE["interfaces"][f"{quantity}_{how}"] for how in ("max", "mean"))
+    return f"{largest.text(numbers)} / {mean.text(numbers)}"
 
 
 def _shown(value: float | None, factor: float = 1.0) -> str:
@@ -69,15 +90,18 @@ def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
 
 
 def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]]:
-    """Relative change of the energy density against the intact femur, by kind of bone and zone."""
-    found: dict[str, dict[str, float]] = {}
+    """Return the relative change of the energy density against the intact femur.
+
+    By kind of bone and by zone.
+    """
+    changes: dict[str, dict[str, float]] = {}
     before = zones(without)
     for name, zone in zones(case).items():
         for bone, b in zone["strain_energy_density"].items():
             a = before.get(name, {}).get("strain_energy_density", {}).get(bone)
             if bone in BONES and a:
-                found.setdefault(bone, {})[name] = b / a - 1
-    return found
+                changes.setdefault(bone, {})[name] = b / a - 1
+    return changes
 
 
 def shielding_picture(
@@ -115,22 +139,23 @@ def shielding_picture(
         "the stem takes load from the bone."
     )
     text = ". ".join(
-        f"{stem}, {BONES[bone]}: " + ", ".join(f"zone {z} {100 * v:.0f} %" for z, v in own.items())
+        f"{stem}, {BONES[bone]}: "
+        + ", ".join(f"zone {z} {100 * v:.0f} %" for z, v in by_zone.items())
         for stem, by_bone in changes.items()
-        for bone, own in by_bone.items()
+        for bone, by_zone in by_bone.items()
     )
     return [Figure("shielding.png", "Stress shielding", caption, text)]
 
 
-def mantles(cases: Sequence[SweptCase]) -> Table:
-    """Thickness and volume of each mantle, and the least cortex around it, where recorded."""
+def mantles(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows: thickness and volume of each cement mantle, and the least cortex."""
     keys = ("min", "p5", "median", "mean", "p95", "max")
     head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]
     head += ["clipped by the canal", "cement (cm³)", "least cortex (mm)"]
-    found: dict[tuple[str, ...], float] = {}
+    nominal: dict[tuple[str, ...], float] = {}
     for case in cases:
-        own = case.summary.get("mantle") or {}
-        thickness = own.get("thickness", {})
+        mantle = case.summary.get("mantle") or {}
+        thickness = mantle.get("thickness", {})
         if "nominal" not in thickness:
             continue
         clipped = thickness["clipped_fraction"]
@@ -141,8 +166,8 @@ def mantles(cases: Sequence[SweptCase]) -> Table:
             f"{thickness['nominal']:g}",
             *(_shown(thickness.get(k)) for k in keys),
             f"{100 * clipped:.0f} %",
-            _shown(own.get("volume"), 1e-3),
-            _shown(own.get("cortex_min")),
+            _shown(mantle.get("volume"), 1e-3),
+            _shown(mantle.get("cortex_min")),
         )
-        found[row] = thickness["nominal"]
-    return head, [list(row) for row in sorted(found, key=lambda r: (*r[:2], found[r]))]
+        nominal[row] = thickness["nominal"]
+    return head, [list(row) for row in sorted(nominal, key=lambda r: (*r[:2], nominal[r]))]

@@ -8,42 +8,187 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar, NamedTuple
 
+from app.plots.curves import Drawing
 from app.plots.figures import SUFFIXES
+from app.system.layout import plain
 
-# Parts of a section: kind, as the template names it, and content.
-Blocks = list[tuple[str, dict[str, Any]]]
+# Class of a word at the beginning of a text, which colours it.
 CLASSES = {
-    **{"converged": "good", "stopped": "open", "note": "open"},
-    **dict.fromkeys(("failed", "not converged", "do not use"), "bad"),
+    "converged": "good",
+    "stopped": "open",
+    "note": "open",
+    "failed": "bad",
+    "not converged": "bad",
+    "do not use": "bad",
 }
+# Names of percentiles and maxima in labels of numbers, and as titles have them.
+SPELLED = {r"\bp(\d\d)\b": r"\1th percentile", r"\bmax\b": "maximum", r"\bmin\b": "minimum"}
+
+
+class Link(NamedTuple):
+    """Text that leads to a page, if there is one."""
+
+    text: str
+    to: str
+
+
+# Content of a table's cell: a text, a list of texts, or a link.
+Cell = str | Sequence[str] | Link
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the report: file, title, caption and alternative text."""
+    """A figure of the report: file, title, caption and alternative text.
+
+    ``halves`` is true if it may be divided in the middle, one half below the other, on a narrow
+    screen.
+    """
 
     name: str
     title: str
     caption: str
     text: str
+    halves: bool = False
 
 
-def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -> str:
-    """The page of sections (anchor, title and content); empty ones are left out.
+@dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
 
-    Below its title stand facts, a leading sentence, summary, a note and a view (markup).
+    kind: ClassVar = "heading"
+    text: str
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list of texts."""
+
+    kind: ClassVar = "bullets"
+    texts: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: titles of the columns, and rows of as many cells."""
+
+    kind: ClassVar = "table"
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its PNG in base 64, and its width and height [pixels]."""
+
+    kind: ClassVar = "figure"
+    figure: Figure
+    data: str
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Drawings:
+    """Panels of curves, drawn as SVG."""
+
+    kind: ClassVar = "drawings"
+    drawings: Sequence[Drawing]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Verbatim:
+    """Text with its line breaks and spaces."""
+
+    kind: ClassVar = "verbatim"
+    text: str
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Blocks that open on a click; in print they are open."""
+
+    kind: ClassVar = "folded"
+    title: str
+    blocks: Blocks
+
+
+Block = Heading | Bullets | Table | Picture | Drawings | Verbatim | Folded
+Blocks = Sequence[Block]
+
+
+@dataclass(frozen=True)
+class LargeNumber:
+    """A large number of a page.
+
+    Attributes:
+        value: The number as text, without its error.
+        unit: Its unit as printed.
+        caption: A title in words.
+        error: Its error, with ``±`` and unit; empty if it was not estimated.
+        detail: A sentence on its meaning.
     """
-    shown = [s for s in sections if s[2]]
-    return render("page.html", title=title, sections=shown, classes=CLASSES, **head)
+
+    value: str
+    unit: str
+    caption: str
+    error: str = ""
+    detail: str = ""
 
 
-def render(name: str, **values: Any) -> str:
-    """A template of this folder with values, whose text it escapes."""
+class Section(NamedTuple):
+    """A section of a page: its anchor, its title and its content."""
+
+    anchor: str
+    title: str
+    blocks: Blocks
+
+
+def page(
+    title: str,
+    sections: Sequence[Section],
+    summary: Blocks,
+    *,
+    facts: str = "",
+    lead: str = "",
+    large: Sequence[LargeNumber] = (),
+    view: str = "",
+    note: str = "",
+) -> str:
+    """Return the page of sections; empty ones are left out.
+
+    Args:
+        title: Title of the page.
+        sections: Sections in their order.
+        summary: Content of the box below the lead: status, warnings, notes.
+        facts: Line below the title: name, time, version.
+        lead: Sentences above the large numbers.
+        large: Large numbers with captions.
+        view: Markup of the view in three dimensions.
+        note: Sentence below the view.
+    """
+    return render(
+        "page.html",
+        {
+            "title": title,
+            "sections": [section for section in sections if section.blocks],
+            "summary": summary,
+            "facts": facts,
+            "lead": lead,
+            "large": large,
+            "view": view,
+            "note": note,
+            "classes": CLASSES,
+        },
+    )
+
+
+def render(name: str, values: Mapping[str, object]) -> str:
+    """Fill in a template of this folder with values, whose text it escapes."""
     from jinja2 import Environment, FileSystemLoader
 
     folder = FileSystemLoader(Path(__file__).parent)
@@ -54,33 +199,55 @@ def render(name: str, **values: Any) -> str:
     return environment.get_template(name).render(values)
 
 
-def titled(title: str, content: Blocks) -> Blocks:
-    """Blocks below a heading, if it has words; nothing if there are none."""
-    return [("heading", {"text": title}), *content] if title and content else content
+def spelled_out(label: str) -> str:
+    """Return the label of a number as a title: ``slip, 99th percentile`` for ``slip, p99``."""
+    for pattern, words in SPELLED.items():
+        label = re.sub(pattern, words, label)
+    return label
 
 
-def bullets(texts: Sequence[str]) -> Blocks:
-    """A list; nothing if it is empty."""
-    return [("bullets", {"texts": texts})] if texts else []
+def titled(title: str, content: Blocks) -> list[Block]:
+    """Return blocks below a heading, if it has words; nothing if there are no blocks."""
+    return [Heading(title), *content] if title and content else [*content]
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Blocks:
-    """A table of texts, lists and links; nothing if there are no rows."""
-    return [("table", {"head": head, "rows": rows})] if rows else []
+def bullets(texts: Sequence[str]) -> list[Block]:
+    """Return a list; nothing if it is empty."""
+    return [Bullets(texts)] if texts else []
 
 
-def figures(found: Sequence[Figure], folder: Path) -> Blocks:
-    """Pictures of a folder with their captions, inside the page."""
-    return [("figure", {"figure": f, "data": _smaller(folder / f.name)}) for f in found]
+def table(head: Sequence[str], rows: Sequence[Sequence[Cell]]) -> list[Block]:
+    """Return a table of texts, lists and links; nothing if there are no rows."""
+    return [Table(head, rows)] if rows else []
 
 
-def files(found: Sequence[Figure], folder: Path) -> list[Path]:
-    """The files of pictures in a folder, in all formats that were written."""
-    every = ((folder / f.name).with_suffix(suffix) for f in found for suffix in SUFFIXES)
+def pairs(values: Mapping[str, object]) -> list[Block]:
+    """Return a table of names and values."""
+    return table(["", ""], [[str(k).replace("_", " "), plain(v)] for k, v in values.items()])
+
+
+def drawings(panels: Sequence[Drawing], caption: str = "") -> list[Block]:
+    """Return panels of curves; nothing if there are none."""
+    return [Drawings(panels, caption)] if panels else []
+
+
+def folded(title: str, content: Blocks) -> list[Block]:
+    """Return blocks that open on a click; nothing if there are none."""
+    return [Folded(title, content)] if content else []
+
+
+def figures(pictures: Sequence[Figure], folder: Path) -> list[Block]:
+    """Return pictures of a folder with their captions, inside the page."""
+    return [_picture(figure, folder / figure.name) for figure in pictures]
+
+
+def files(pictures: Sequence[Figure], folder: Path) -> list[Path]:
+    """Return the files of pictures in a folder, in all formats that were written."""
+    every = ((folder / f.name).with_suffix(suffix) for f in pictures for suffix in SUFFIXES)
     return [file for file in every if file.exists()]
 
 
-def _smaller(path: Path) -> str:
+def _picture(figure: Figure, path: Path) -> Picture:
     """Reduce a picture to 256 colours: a third of the bytes, hardly a visible change."""
     from PIL import Image  # comes with matplotlib
 
@@ -88,9 +255,4 @@ def _smaller(path: Path) -> str:
     with Image.open(path) as picture:
         few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
         few.save(into, "PNG")
-    return base64.b64encode(into.getvalue()).decode("ascii")
-
-
-def folded(title: str, content: Blocks) -> Blocks:
-    """Blocks that open on a click; nothing if there are none."""
-    return [("folded", {"title": title, "blocks": content})] if content else []
+    return Picture(figure, base64.b64encode(into.getvalue()).decode("ascii"), few.size)

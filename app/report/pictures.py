@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,11 +28,11 @@ from app.plots import figures
 from app.plots import maps as plane
 from app.plots.figures import HEAT, LOADED, SEQUENTIAL
 from app.plots.sections import VIEWS, surface
-from app.report import sentence
+from app.report import lead
 from app.report.page import Figure
 from app.report.sweep_figures import headlines
 from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
-from app.report.viewer import INTERFACE, cells_of, lengths, outsides, quartered
+from app.report.viewer import INTERFACE, cells_of, lengths, outsides, quartered, side_of
 from app.results.reading import Run
 from meshes.data import FACES
 
@@ -82,14 +82,14 @@ def ends(sweep: SweepResults) -> Chosen:
     """The cases with the least and the most of the first number that varies."""
     done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
     first_and_last = [(0.0, c) for c in (*done[:1], *done[1:][-1:])]
-    _, shown = next(sentence.ranges(done, headlines(done)), ("", first_and_last))
+    _, shown = next(lead.ranges(done, headlines(done)), ("", first_and_last))
     return [(c.name, c) for _, c in shown]
 
 
 def maps(
     chosen: Chosen, folder: Path, suffixes: Sequence[str] = figures.SUFFIXES
 ) -> tuple[list[Figure], list[str]]:
-    """Draw the maps of cases, a picture for each interface; tell why cases have none."""
+    """Draw the maps of cases, a picture for each interface; return why others have none."""
     drawn: list[Figure] = []
     missing: list[str] = []
     opened = []
@@ -105,9 +105,9 @@ def maps(
         columns = []
         for title, run, g in opened:
             if name in g.interface_sides:
-                own = sheet(run, g.is_around_z, g.interface_sides[name], g.region_names, name)
-                if own:
-                    columns.append((title, run, own))
+                flat = sheet(run, g.is_around_z, g.interface_sides[name], g.region_names, name)
+                if flat:
+                    columns.append((title, run, flat))
         if not columns:
             missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
@@ -134,7 +134,7 @@ def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
     titles = [title for title, _, _ in columns if title]
     common = "are common to all cases and " if len(columns) > 1 else ""
-    caption = f"The colours of a row {common}end at the 99.5th percentile. "
+    caption = f"The colours of a row {common}end at the {CLIP:g}th percentile. "
     if all(s.round for _, _, s in columns):
         caption += (
             "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
@@ -199,7 +199,7 @@ def sheet(
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
     triangles = facets(run, second, first)
     if not len(triangles):
-        apart = _side(run, name, outsides(run, curved=False)) if name else None
+        apart = side_of(run, name, outsides(run, curved=False)) if name else None
         if not apart:
             return None
         triangles = apart[1]
@@ -324,8 +324,8 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     slip = [
         name for name in sorted(run.contacts, reverse=True) if f"{name}_slip" in run.point_fields
     ]
-    found = {name: _side(run, name, bodies) for name in slip}
-    shown = {name: side for name, side in found.items() if side is not None}
+    inner = {name: side_of(run, name, bodies) for name in slip}
+    shown = {name: side for name, side in inner.items() if side is not None}
     if not shown:
         return []
     figure = figures.new(11.0, 4.2 * len(shown))
@@ -335,27 +335,22 @@ def sides(run: Run, folder: Path) -> list[Figure]:
         for quantity, colours in ON_SIDES.items():
             label, unit, factor = INTERFACE[quantity]
             values = factor * lengths(run, f"{name}_{quantity}")
-            scale = ScalarMappable(Normalize(0.0, float(values.max()) or 1.0), colours)
+            most = float(np.percentile(values[triangles], CLIP)) or 1.0
+            scale = ScalarMappable(Normalize(0.0, most), colours)
             colour = scale.to_rgba(values[triangles].mean(axis=1))[:, :3]
             x, near = run.points[triangles], [next(panels) for _ in VIEWS]
             for ax, view in zip(near, VIEWS, strict=True):
                 surface(ax, x, x, colour, None, view)
                 ax.set_title(view, fontsize=8)
                 ax.set_axis_off()
-            bar = figure.colorbar(scale, ax=near, orientation="horizontal", pad=0.02)
-            bar.set_label(f"{label} on the {body.replace('_', ' ')} ({unit})")
+            extend = "max" if values.max() > most * (1 + 1e-6) else "neither"
+            bar = figure.colorbar(scale, ax=near, orientation="horizontal", pad=0.02, extend=extend)
+            bar.set_label(f"{label} on the {named(body)} ({unit}), largest {values.max():.3g}")
     figures.save(figure, folder / f"{SIDES}.png", 130)
     names = " and ".join(name.replace("_", "-") for name in shown)
-    caption = "Slip, opening and contact pressure at the end, on the inner body of each interface."
+    caption = (
+        "Slip, gap and contact pressure at the end, on the inner body of each interface. Colours "
+        f"end at the {CLIP:g}th percentile; the labels have the largest values."
+    )
     text = f"Slip, gap and pressure of {names}, drawn on the surface from three sides."
-    return [Figure(f"{SIDES}.png", "The interfaces from three sides", caption, text)]
-
-
-def _side(run: Run, contact: str, bodies: Mapping[str, Ints]) -> tuple[str, Ints] | None:
-    """The first body with facets on an interface, and these facets (t, 3)."""
-    on = run.at_interface(contact, "status") >= 0
-    for body, triangles in bodies.items():
-        here = triangles[on[triangles].all(axis=1)]
-        if len(here):
-            return body, here
-    return None
+    return [Figure(f"{SIDES}.png", "", caption, text)]

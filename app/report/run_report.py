@@ -9,7 +9,7 @@ import json
 import logging
 import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,23 +28,23 @@ from app.plots import curves, figures
 from app.report import (
     case_picture,
     gruen,
+    lead,
     page,
     pictures,
-    sentence,
     step_curves,
     sweep_figures,
     viewer,
 )
 from app.report.input_spread import HEAD, InputSpread, of_run
-from app.report.page import Blocks, Figure, bullets, table
-from app.report.sweep_results import CONVERGED, SweptCase
+from app.report.page import Block, Figure, Section, Verbatim, bullets, table
+from app.report.sweep_results import CONVERGED, SweptCase, named
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
 from app.results.verdicts import UNUSABLE
 from app.system import folders
 from app.system.folders import CASE_PICTURE, write_text
-from app.system.layout import noted, plain
+from app.system.layout import noted
 from app.system.ranks import rank
 
 # Name of the page in the folder of a run.
@@ -68,7 +68,7 @@ TITLES = {
     "stem": "Motion of the stem against the bone",
     "femur": "Motion of the head, strain of the cortex",
 }
-# Quantities that the closing table of a run has no room for.
+# Further quantities, which do not fit into the closing table of the terminal.
 MORE = {
     "interfaces": (
         *("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um"),
@@ -76,15 +76,21 @@ MORE = {
         *("wear_volume_million", "wear_depth_p99_million", "wear_depth_p99_master_million"),
     )
 }
-# What a run that was killed has not written.
+# Values for a run that was killed before it wrote its summary.
 UNFINISHED = {
     "status": "not finished",
     "time": 0.0,
     "timing": {"total": 0.0},
     "interfaces": {},
 }
-NO_NUMBERS = "There are no numbers: no step has converged, or the run did not come to its end."
+NOT_FINISHED = "There are no results: the run did not finish."
+# Notes on the input that are written out; more of them fold into one line.
+MOST_NOTES = 3
+# Rows of a table that are written out; more of them fold into one line.
+MOST_ROWS = 12
 log = logging.getLogger("mantle")
+# Content of summary.json or a part of it.
+Summary = Mapping[str, Any]
 
 
 def after_run(folder: Path, comm: MPI.Comm | None) -> None:
@@ -101,7 +107,7 @@ def after_run(folder: Path, comm: MPI.Comm | None) -> None:
     node = every.Split_type(MPI.COMM_TYPE_SHARED)
     try:
         if node.bcast(every.rank) == 0:
-            with mpl.rc_context():  # those of the process that we are a guest of
+            with mpl.rc_context():  # leaves the rcParams of the caller untouched
                 write(folder, SHARE if comm else 0.0, comm=node)
     except Exception as error:  # the results are there, whatever the page lacks
         if node.rank == 0:
@@ -111,7 +117,7 @@ def after_run(folder: Path, comm: MPI.Comm | None) -> None:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a run or variations have written into a folder, finished or not."""
+    """Return True if a run or variations have written into a folder, finished or not."""
     return any((folder / name).exists() for name in ("case.yaml", "variations.json"))
 
 
@@ -177,70 +183,88 @@ def _run(
     parts = dealt(comm, tasks)
     if comm.rank:
         return []
-    (view, lacking), model, (sides, maps, files) = parts
+    (view, no_view), model, (sides, maps, files) = parts
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     over = of_run(spread, case) if spread else None
-    panels = step_curves.over_time(case.step_record)
+    panels = step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
     drawn = [curves.drawing(panel) for panel in panels]
     stressed = [curves.drawing(panel) for panel in step_curves.tension(summary)]
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
     case_file = _text(folder / "case.yaml")
-    verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
-    curves_over_time: Blocks = [("drawings", {"drawings": drawn})] if panels else []
-    under_tension: Blocks = [("drawings", {"drawings": stressed})] if stressed else []
+    verbatim = [Verbatim(case_file)] if case_file else []
+    every_number = _tables(summary, every=True)
     sections = [
-        ("model", "Bodies, supports and loads", model),
-        ("numbers", "Numbers", _numbers(summary, over)),
-        ("sides", "From three sides", sides),
-        ("curves", "Over time", curves_over_time),
-        ("tension", "Cement under tension", under_tension),
-        ("maps", "Maps of the interfaces", maps),
-        ("gruen", "Gruen zones", gruen.blocks([("", case)])),
-        ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
-        (
-            "all",
-            "All numbers",
-            page.folded("every quantity, with its error where known", _tables(summary, every=True)),
+        Section("model", "Bodies, supports and loads", model),
+        Section("numbers", "Numbers", _numbers(summary, over)),
+        Section("sides", "The interfaces from three sides", sides),
+        Section("curves", "Over time", page.drawings(drawn)),
+        Section("tension", "Cement under tension", page.drawings(stressed)),
+        Section("maps", "Maps of the interfaces", maps),
+        Section("gruen", "Gruen zones", gruen.blocks([("", case)])),
+        Section("mantle", "Cement mantle", table(*gruen.mantles([case]))),
+        Section("all", "All numbers", page.folded("every number with its error", every_number)),
+        Section("solver", "Convergence of the solver", _solver(case, summary)),
+        Section("case", "Input", page.folded("the case with all defaults", verbatim)),
+        Section(
+            "provenance",
+            "Provenance",
+            page.folded("program, machine, digests", page.pairs(record)),
         ),
-        ("solver", "Convergence of the solver", _solver(case, summary)),
-        ("case", "Input", page.folded("the case with all defaults", verbatim)),
-        ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
     ]
-    lead = sentence.sentence(summary, case) if summary["time"] else NO_NUMBERS
+    solved = bool(summary["time"])
+    sentences = [lead.loads(case, summary) if solved else _no_results(summary)]
+    if over:
+        sentences.append(over.sentence(case))
     html = page.page(
         case.data.get("title") or folder.name,
         sections,
+        [*_status(summary), *bullets(no_view)],
         facts=_facts(folder, record),
-        lead=f"{lead} {over.sentence(case)}" if over else lead,
-        summary=[*_verdict(summary), *lacking],
+        lead=" ".join(filter(None, sentences)),
+        large=lead.large_numbers(summary) if solved else [],
         view=view,
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
 
 
-def _model(folder: Path) -> Blocks:
-    """The picture of the case, which is drawn once; without it, why."""
-    words = "Pale: the outside. Arrows are the longer the larger the force, as its square root."
+def _starts_at_rest(case: SweptCase) -> bool:
+    """Return True if all loads grow from zero: none follows a time course."""
+    loads = case.data.get("loads", {}).values()
+    return bool(case.data) and not any(load.get("cycle_table") for load in loads)
+
+
+def _model(folder: Path) -> list[Block]:
+    """Return the picture of the case, which is drawn once, or the reason why there is none."""
+    words = (
+        "Pale: the outside. Black lines: outlines of the bodies in the section. The length of an "
+        "arrow is proportional to the square root of the force."
+    )
     try:
         if not (folder / CASE_PICTURE).exists():
             case = load(folder / "case.yaml").config
             data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
             case_picture.draw(case, data, folder / CASE_PICTURE)
-        return page.figures([Figure(CASE_PICTURE, "", words, "The case in two views")], folder)
-    except Exception as error:  # a mesh that is not there any more must not cost the page
+        figure = Figure(CASE_PICTURE, "", words, "The case in two views", halves=True)
+        return page.figures([figure], folder)
+    except Exception as error:  # a mesh that was removed must not cost the page
         return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
 
 
-def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:
-    """Interfaces from three sides, and their maps; the files, if time is not limited."""
+def _pictures(case: SweptCase, spent: float) -> tuple[list[Block], list[Block], list[Path]]:
+    """Return the interfaces from three sides, their maps, and the files that were written.
+
+    Args:
+        case: The run.
+        spent: Time that may be spent [s]; files are written if it is infinite.
+    """
     if not (case.folder / "fields.vtkhdf").exists():
         return [], [], []
     if spent < MAPS:
-        later = f"mantle report {case.folder} draws them: after a short run they take too long"
+        later = f"Not drawn for short runs. `mantle report {case.folder}` adds them (30 s)."
         return [], bullets([later]), []
     whole = spent == math.inf
     with tempfile.TemporaryDirectory() as scratch:
@@ -253,15 +277,15 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
             maps, missing = [], [f"fields that cannot be read: {error}"]
         sides = pictures.sides(Run(case.folder), folder) if whole else []
         files = page.files((*sides, *maps), folder)
-        blocks = [page.figures(found, folder) for found in (sides, maps)]
-    return blocks[0], blocks[1] + bullets(missing), files if whole else []
+        from_sides, on_maps = page.figures(sides, folder), page.figures(maps, folder)
+    return from_sides, on_maps + bullets(missing), files if whole else []
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:
-    """The view in three dimensions, or why there is none: its failure must not cost the page."""
+    """Return the view in three dimensions, and the reason if there is none."""
     try:
         return viewer.viewer({"": folder}), []
-    except Exception as error:  # whatever is wrong with the fields
+    except Exception as error:  # wrong fields must not cost the page
         return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
 
@@ -271,58 +295,91 @@ def _facts(folder: Path, record: dict[str, Any]) -> str:
     return " · ".join(filter(None, (folder.resolve().name, when and f"{when} UTC", program)))
 
 
-def _verdict(summary: dict[str, Any]) -> list[str]:
-    """The verdicts on a run: reasons not to use its numbers first, notes last."""
+def _no_results(summary: Summary) -> str:
+    """Return the cause of a failure and its remedy, in sentences."""
+    verdicts = recorded(summary)
+    if not verdicts:
+        return NOT_FINISHED
+    first = verdicts[0]
+    words = f"{first.where}: {first.what}." if first.where else f"{first.what}."
+    if first.cure:
+        words += f" What to change: {first.cure}."
+    return in_print(f"{words[0].upper()}{words[1:]}")
+
+
+def _status(summary: Summary) -> list[Block]:
+    """Return the verdicts on a run: errors and warnings first, then checks, then notes."""
     status = summary["status"]
     verdicts = recorded(summary)
-    if status in (CONVERGED, UNUSABLE):
-        lines = [f"{UNUSABLE}: {v}" for v in verdicts if v.severity is Severity.ERROR]
-        lines += [str(v) for v in verdicts if v.severity is not Severity.ERROR]
+    notes = [in_print(str(v)) for v in verdicts if v.severity is Severity.NOTE]
+    others = [v for v in verdicts if v.severity is not Severity.NOTE]
+    solved = status in (CONVERGED, UNUSABLE)
+    if solved:
+        lines = [f"{UNUSABLE}: {v}" for v in others if v.severity is Severity.ERROR]
+        lines += [str(v) for v in others if v.severity is not Severity.ERROR]
+    elif summary["time"]:
+        time = f"{summary['time']:.4g}"
+        lines = [f"{status}: the numbers are those of the last converged state, at time {time}"]
+        lines += map(str, others)
     else:
-        last = ""
-        if summary["time"]:
-            time = f"at time {summary['time']:.4g}"
-            last = f": the numbers are those of the last converged state, {time}"
-        lines = [f"{status}{last}", *map(str, verdicts)]
-    return [in_print(line) for line in lines]
+        # The lead has the cause.
+        lines = [status, *map(str, others[1:])]
+    content = bullets([in_print(line) for line in lines])
+    return content + _notes(notes)
 
 
-def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
-    """The numbers of the closing table, a column for each interface, region and so on."""
-    found = _tables(summary, every=False, spread=spread)
-    for stage, own in summary.get("cycles", {}).items():
+def _notes(notes: Sequence[str]) -> list[Block]:
+    """Return notes on the input; many of them fold into one line."""
+    if len(notes) <= MOST_NOTES:
+        return bullets(notes)
+    return page.folded(f"{len(notes)} notes on the input", bullets(notes))
+
+
+def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
+    """Return the numbers of the closing table, a column for each interface, region and so on."""
+    blocks = _tables(summary, every=False, spread=spread)
+    for stage, numbers in summary.get("cycles", {}).items():
         head = ["", "permanent", "inducible"]
-        rows = [[in_print(name), *both] for name, *both in cycles.rows(own)]
-        found += page.titled(f"Cycles of {stage}", table(head, rows))
-        found += bullets([*cycles.friction(own)])
-    found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
+        rows = [[in_print(name), *both] for name, *both in cycles.rows(numbers)]
+        blocks += page.titled(f"Cycles of {stage}", table(head, rows))
+        blocks += bullets([*cycles.friction(numbers)])
+    head, peaks = _unsettled(summary)
+    changing: list[Block] = table(head, peaks)
+    if len(peaks) > MOST_ROWS:
+        changing = page.folded(f"{len(peaks)} peaks by mesh", changing)
+    blocks += page.titled("Peaks that still change with the mesh", changing)
     note = summary.get("thermal", {}).get("note")
     if note:
-        found += bullets([note])
-    return found
+        blocks += bullets([note])
+    return blocks
 
 
-def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = None) -> Blocks:
-    """Tables of the numbers by section, of all of them or of the main ones with their spread."""
-    sections: dict[str, dict[str, dict[str, Any]]] = {}
+def _tables(summary: Summary, every: bool, spread: InputSpread | None = None) -> list[Block]:
+    """Return tables by section: of all numbers, or of the main ones with their spread."""
+    sections: dict[str, dict[str, Summary]] = {}
     for section, name, numbers in quantities.numbers_of(summary, parts=every):
         sections.setdefault(section, {})[name] = numbers
-    found: Blocks = []
+    blocks: list[Block] = []
     titles = TITLES | {section.name: section.title for section in quantities.ADDED.values()}
     for section in (s for s in titles if s in sections):
-        own, named = TABLE[section], sections[section]
-        added = [k for k, q in own.items() if q.compute]
+        known, by_owner = TABLE[section], sections[section]
+        added = [k for k, q in known.items() if q.compute]
         keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
-        keys += [k for k in own if spread and k.startswith("necrosis")]
-        shown = [own[k] for k in keys or own if not own[k].vector]
-        rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in shown]
+        keys += [k for k in known if spread and k.startswith("necrosis")]
+        shown = [known[k] for k in keys or known if not known[k].vector]
+        rows = [[_label(q), *(q.text(numbers) for numbers in by_owner.values())] for q in shown]
         if spread:
-            rows = [spread.cells(f"{o}.{q.key}", q, n) for q in shown for o, n in named.items()]
+            rows = [
+                spread.cells(f"{owner}.{q.key}", q, numbers)
+                for q in shown
+                for owner, numbers in by_owner.items()
+            ]
         rows = [row for row in rows if set(row[1:]) != {"-"}]
-        found += page.titled(titles[section], table(HEAD if spread else ["", *named], rows))
+        head = HEAD if spread else ["", *map(named, by_owner)]
+        blocks += page.titled(titles[section], table(head, rows))
         if section == "thermal.regions" and not every and not spread:
-            found += page.titled("Dead bone", _necrosis(named))
-    return found
+            blocks += page.titled("Dead bone", _necrosis(by_owner))
+    return blocks
 
 
 def _label(q: Quantity) -> str:
@@ -330,34 +387,32 @@ def _label(q: Quantity) -> str:
     return f"{q.label} ({unit})" if unit else q.label
 
 
-def _unsettled(summary: dict[str, Any]) -> Blocks:
-    """Peaks that do not converge, by mesh."""
-    found = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
-    sizes = sorted({size for values in found.values() for size in values})
-    rows = [
-        [quantities.titled(name), *(q.text({q.key: values.get(s)}) for s in sizes)]
-        for name, values in found.items()
-        if (q := quantities.get(name))
-    ]
-    return table(["", *(f"{s:g} mm" for s in sizes)], rows)
+def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of the peaks that do not converge, by mesh."""
+    peaks = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
+    sizes = sorted({size for values in peaks.values() for size in values})
+    rows = []
+    for name, values in peaks.items():
+        q = quantities.get(name)
+        if q:
+            texts = (q.text({q.key: values.get(size)}) for size in sizes)
+            rows.append([quantities.titled(name), *texts])
+    return ["", *(f"{s:g} mm" for s in sizes)], rows
 
 
-def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
+def _necrosis(regions: dict[str, Summary]) -> list[Block]:
     bones, rows = text.necrosis(regions)
-    head = ["", *(f"{name}, {what}" for name in bones for what in ("volume (mm³)", "depth (mm)"))]
+    measures = ("volume (mm³)", "depth (mm)")
+    head = ["", *(f"{named(bone)}, {measure}" for bone in bones for measure in measures)]
     return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
 
 
-def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
-    """Iterations and balances of each step, and seconds by phase."""
+def _solver(case: SweptCase, summary: Summary) -> list[Block]:
+    """Return iterations and balances of each step, and seconds by phase."""
     parts = step_curves.steps(case.step_record)
-    parts += page.titled("Sizes", _pairs(summary.get("solver", {})))
-    parts += page.titled("Seconds", _pairs(summary.get("timing", {})))
+    parts += page.titled("Sizes", page.pairs(summary.get("solver", {})))
+    parts += page.titled("Seconds", page.pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)
-
-
-def _pairs(values: dict[str, Any]) -> Blocks:
-    return table(["", ""], [[str(k).replace("_", " "), plain(v)] for k, v in values.items()])
 
 
 def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
@@ -380,17 +435,19 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
         drawings.mkdir(exist_ok=True)
     drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
     sections = [
-        ("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
-        ("curves", "What varies", drawn),
-        ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
+        Section("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
+        Section("curves", "Curves over the varied keys", drawn),
+        Section("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
     done = sum(c.done for c in cases)
     bad = [f"{c.status}: {c.name}" for c in cases if not c.done]
+    titles = [c.data["title"] for c in cases if c.data.get("title") and "title" not in c.overrides]
+    title = titles[0].partition("; changed: ")[0] if titles else folder.resolve().name
     html = page.page(
-        f"Variations: {folder.resolve().name}",
+        f"Variations: {title}",
         sections,
-        lead=sentence.spread(cases, names, "variations"),
-        summary=[f"{done} of {len(cases)} variations converged", *bad],
+        bullets([f"{done} of {len(cases)} variations converged", *bad]),
+        large=lead.spread(cases, names),
     )
     write_text(folder / PAGE, html)
     return pages + files

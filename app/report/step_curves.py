@@ -11,7 +11,8 @@ from app.case.quantities import FACTORS, STRESSED, TABLE, printed
 from app.foundation.arrays import Floats
 from app.plots.curves import Line, Panel, sparse
 from app.report import page
-from app.report.page import Blocks
+from app.report.page import Block
+from app.report.sweep_results import named
 from app.system.layout import plain
 
 # Quantities drawn, by key in history.csv: title, unit for people.
@@ -38,15 +39,22 @@ SECONDS = "seconds [s]"
 TIME = "time [-]"
 # Beginnings of the columns that belong to the solver.
 SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
+# Units of quantities that vanish without loads.
+VANISHING = ("um", "mm", "deg", "N", "N mm", "MPa")
 # Values below which a quantity is zero, in its unit for people.
 ROUNDING = 1e-9
 StepRecord = Mapping[str, Floats]
 
 
-def over_time(step_record: StepRecord) -> list[Panel]:
+def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
     """Return panels of the quantities that change.
 
-    In stages of heat loads have no time of their own: then the axis is the number of the stage.
+    Args:
+        step_record: Columns of history.csv by their titles.
+        at_rest: True if all loads are zero at time 0. Curves of lengths, angles, forces and
+            stresses over the stages then begin at zero there.
+
+    Loads change at no time of a history of heat. Such records are drawn over the stages.
     """
     seconds = step_record.get(SECONDS, np.empty(0))
     timed = 0 < len(seconds) == len(np.unique(seconds))
@@ -62,23 +70,26 @@ def over_time(step_record: StepRecord) -> list[Panel]:
         scaled = FACTORS.get(shown, 1.0) * values
         known = np.isfinite(values)
         if np.abs(scaled[known]).max(initial=0.0) > ROUNDING:
-            points = times[known].tolist(), scaled[known].tolist()
-            lines.setdefault(key, {})[place] = points
+            x, y = times[known].tolist(), scaled[known].tolist()
+            if at_rest and not timed and shown in VANISHING:
+                x, y = [0.0, *x], [0.0, *y]
+            lines.setdefault(key, {})[place] = x, y
     places = list(dict.fromkeys(place for by_place in lines.values() for place in by_place))
-    x = "time (s)" if timed else "time (each stage takes 1)"
     panels = []
     for key, (title, unit) in SHOWN.items():
         if key in lines:
             curves = [
-                Line(place.replace("_", " "), places.index(place), *points)
+                Line(named(place), places.index(place), *points)
                 for place, points in lines[key].items()
             ]
-            panels.append(Panel(title, printed(unit), curves, x))
+            x_title = "time (s)" if timed else "time (each stage takes 1)"
+            words = page.spelled_out(title)
+            panels.append(Panel(words, printed(unit), curves, x_title, from_rest=True))
     return panels
 
 
 def tension(summary: Mapping[str, Any]) -> list[Panel]:
-    """Return the panel of the volume of cement over levels of tension, if any exceeds the first."""
+    """Return the panel of the volume of cement over levels of tension; none below the first."""
     lines: list[Line] = []
     levels = [float(level) for level in STRESSED]
     keys = [f"volume_over_{level}_MPa" for level in STRESSED]
@@ -86,21 +97,22 @@ def tension(summary: Mapping[str, Any]) -> list[Panel]:
         if q.get(keys[0]):
             volumes = [q[key] for key in keys]
             errors = [q.get(f"{key}_error") or 0.0 for key in keys]
-            lines.append(Line(region, len(lines), levels, volumes, errors))
+            lines.append(Line(named(region), len(lines), levels, volumes, errors))
     if not lines:
         return []
-    return [Panel("volume over a tension", printed("mm^3"), lines, "tension (MPa)")]
+    title = "volume under more than a tension"
+    return [Panel(title, printed("mm^3"), lines, "tension (MPa)", from_rest=True)]
 
 
 def _parts(column: str) -> tuple[str, str, str]:
-    """Place, key and unit of a column; no place for numbers of the whole run."""
+    """Place, key and unit of a column; the place is empty for numbers of the whole run."""
     head, _, unit = column.removesuffix("]").partition(" [")
     place, _, key = head.partition(" ")
     whole = column.startswith(SOLVER) or key == "balance"
     return ("" if whole else place), key, unit
 
 
-def steps(step_record: StepRecord) -> Blocks:
+def steps(step_record: StepRecord) -> list[Block]:
     """Return a table of the solver's columns, by step."""
     columns = {c: v for c, v in step_record.items() if not _parts(c)[0] and np.isfinite(v).any()}
     rows = sparse([*zip(*columns.values(), strict=True)])

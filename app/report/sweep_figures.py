@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from app.campaigns.uncertainty import correlation
 from app.case import keys, quantities
 from app.plots.curves import ROUNDED, Line, Panel, draw, drawing
 from app.report import page
-from app.report.page import Blocks
+from app.report.page import Block, Cell, Link
 from app.report.sweep_results import PERCENTILES, Number, SweptCase, by_part, magnitude, named
 from app.schema.units import NUMBER, conversion
 from app.system import layout
@@ -31,28 +30,30 @@ MOST_LEVELS = 8
 ACHIEVED = "geometry.achieved_mean_thickness"
 # Key of the thickness of the mantle.
 THICKNESS = "geometry.cement_thickness"
+# Texts of cells without content.
+EMPTY = {"-", "", "1"}
 # Cases below which rank correlations say little.
 FEWEST = 6
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
     """Names of the numbers to show of cases, most important first."""
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     for case in cases:
         for section in quantities.ADDED.values():
             leading = [q.key for q in quantities.TABLE[section.name].values() if q.headline]
             owners = case.summary.get(section.name, {}) if section.leads else ()
-            found |= {f"{owner}.{key}": None for owner in owners for key in leading}
+            names |= {f"{owner}.{key}": None for owner in owners for key in leading}
         for name in case.summary.get("interfaces", {}):
-            found |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
+            names |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:
         # Bone is what burns; cement may start hot.
         regions = case.summary.get("thermal", {}).get("regions", {})
         order = sorted(regions, key=lambda name: name not in case.bones)
-        found |= {f"{name}.temperature_max": None for name in order}
+        names |= {f"{name}.temperature_max": None for name in order}
     for case in cases:
-        found |= dict.fromkeys(case.numbers)
-    return [name for name in found if any(c.number(name) is not None for c in cases)]
+        names |= dict.fromkeys(case.numbers)
+    return [name for name in names if any(c.number(name) is not None for c in cases)]
 
 
 def title(key: str) -> str:
@@ -66,7 +67,7 @@ def title(key: str) -> str:
     return f"{' '.join(path[1:]) or path[0]} {last}"
 
 
-def value(level: Any) -> str:
+def value(level: object) -> str:
     """A level in words; a section by its kind."""
     if isinstance(level, dict):
         return str(level.get("kind") or ", ".join(map(str, level.values())))
@@ -75,12 +76,12 @@ def value(level: Any) -> str:
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     """Varied keys with all their levels, a sentence for each part."""
-    found = []
-    for part, own in by_part(cases).items():
+    sentences = []
+    for part, members in by_part(cases).items():
         varied = []
-        for key in dict.fromkeys(key for c in own for key in c.overrides):
-            unit, numbers = levels(own, key)
-            written = [c.overrides[key] for c in own if key in c.overrides]
+        for key in dict.fromkeys(key for c in members for key in c.overrides):
+            unit, numbers = levels(members, key)
+            written = [c.overrides[key] for c in members if key in c.overrides]
             known = [f"{x:g}" for x in numbers if x is not None]
             numeric = len(known) == len(written)
             words = [*dict.fromkeys(known if numeric else map(value, written))]
@@ -95,18 +96,18 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
             varied.append(f"{heading}: {', '.join(words)}")
         if varied:
             of_part = f"{part}: " if part else ""
-            found.append(f"{of_part}{'; '.join(varied)}.")
-    return found
+            sentences.append(f"{of_part}{'; '.join(varied)}.")
+    return sentences
 
 
-def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) -> Blocks:
-    """Cases with their outcome, the first of their numbers, and links to pages below a folder."""
+def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) -> list[Block]:
+    """Return cases with their outcome, their first numbers, and links to pages below a folder."""
     names, keys = names[:MOST_NUMBERS], varied(cases)
     head = ["case", "status", "changes", *map(quantities.titled, names)]
     head += ["unknowns", "ranks", "time", "message"]
-    rows = [
+    rows: list[list[Cell]] = [
         [
-            {"text": c.name, "to": _link(c.folder / "report.html", folder)},
+            Link(c.name, _link(c.folder / "report.html", folder)),
             c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
             [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items() if key in keys],
             *(cell(c, name) for name in names),
@@ -117,8 +118,9 @@ def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) 
         ]
         for c in cases
     ]
-    said = [k for k in range(len(head)) if k < 3 or {row[k] for row in rows} - {"-", "", "1"}]
-    return page.table([head[k] for k in said], [[row[k] for k in said] for row in rows])
+    # Columns without content are left out.
+    filled = [k for k in range(len(head)) if k < 3 or {str(row[k]) for row in rows} - EMPTY]
+    return page.table([head[k] for k in filled], [[row[k] for k in filled] for row in rows])
 
 
 def _link(path: Path, folder: Path) -> str:
@@ -133,9 +135,11 @@ def cell(case: SweptCase, name: str) -> str:
     return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
 
 
-def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, list[Path]]:
+def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Block], list[Path]]:
     """Draw each headline number over each numeric key that varies; also as files in a folder."""
-    done, found, files = [c for c in cases if c.done], Blocks(), list[Path]()
+    done = [c for c in cases if c.done]
+    blocks: list[Block] = []
+    files: list[Path] = []
     keys = varied(done)
     if THICKNESS in keys and any(_mantle(c).get("clipped_fraction") for c in done):
         keys = [ACHIEVED, *keys]
@@ -144,14 +148,14 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, 
         words, unit_of_x = title(key), levels(done, key)[0]
         x = f"{words} ({unit_of_x})" if unit_of_x else words
         panels = []
-        for name in headlines([c for _, own in groups for c in own.values()]):
+        for name in headlines([c for _, by_level in groups for c in by_level.values()]):
             text, unit = quantities.in_words(name)
             lines = []
-            for k, (common, own) in enumerate(groups[:MOST_SERIES]):
-                numbers = {at: c.number(name) for at, c in own.items()}
-                lines.append(line_of(common or "mantle", k, numbers))
+            for k, (common, by_level) in enumerate(groups[:MOST_SERIES]):
+                numbers = {at: c.number(name) for at, c in by_level.items()}
+                lines.append(line_of(common, k, numbers))
             if any(_varies(line.y) for line in lines):
-                panels.append(Panel(text, unit or "value", lines, x))
+                panels.append(Panel(page.spelled_out(text), unit or "value", lines, x))
         panels = panels[:MOST_PANELS]
         if all(len(line.x) < 2 for panel in panels for line in panel.lines):
             continue
@@ -161,9 +165,9 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, 
         left = len(groups) - MOST_SERIES
         more = f" {left} further curves are left out." if left > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{more}"
-        drawings = {"drawings": [drawing(p, from_zero=True) for p in panels], "caption": caption}
-        found += page.titled(f"Numbers over {words}", [("drawings", drawings)])
-    return found, files
+        drawings = page.drawings([drawing(panel) for panel in panels], caption)
+        blocks += page.titled(f"Numbers over {words}", drawings)
+    return blocks, files
 
 
 def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> Line:
@@ -174,22 +178,25 @@ def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> L
 
 
 def varied(cases: Sequence[SweptCase]) -> list[str]:
-    """Keys whose values are not the same in all cases of a part; of a single case all of them."""
+    """Keys whose values differ between the cases of a part; of a single case all its keys."""
     keys = dict.fromkeys(key for c in cases for key in c.overrides)
     parts = by_part(cases).values() if len(cases) > 1 else []
-    values = {key: [{str(c.overrides.get(key)) for c in own} for own in parts] for key in keys}
-    return [key for key, own in values.items() if not own or max(map(len, own)) > 1]
+    values = {
+        key: [{str(c.overrides.get(key)) for c in members} for members in parts] for key in keys
+    }
+    return [key for key, sets in values.items() if not sets or max(map(len, sets)) > 1]
 
 
 def _varies(values: Sequence[float]) -> bool:
-    """Whether numbers vary by more than rounding."""
+    """Return True if numbers vary by more than rounding."""
     return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
 def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None]]:
-    """Printed unit of a key's values, and its number in each case; None where it has none.
+    """Return the printed unit of a key's values, and its number in each case.
 
-    The unit is that of the file; that of the schema where there are several, or none.
+    A number is None where the value is not numeric. The unit is taken from the file. If the file
+    has several units or none, it is the unit of the schema.
     """
     if key == ACHIEVED:
         return "mm", [_mantle(c).get("mean") for c in cases]
@@ -212,33 +219,35 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
 
 def _mantle(case: SweptCase) -> dict[str, float]:
     """Thickness of a case's mantle [mm]; empty if it has none."""
-    found: dict[str, float] = (case.summary.get("mantle") or {}).get("thickness", {})
-    return found
+    thickness: dict[str, float] = (case.summary.get("mantle") or {}).get("thickness", {})
+    return thickness
 
 
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
-    """Cases that differ in a numeric key alone, by what they have in common."""
-    found: dict[str, dict[float, SweptCase]] = {}
+    """Cases that differ in a numeric key alone, by the words on their common keys."""
+    groups: dict[str, dict[float, SweptCase]] = {}
     others = set(varied(cases)) - {key}
     if key == ACHIEVED:
         others = {k for k in others if not k.startswith("geometry.")}
     for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
             rest = [f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in others]
-            found.setdefault(": ".join(filter(None, (c.part, ", ".join(rest)))), {})[x] = c
-    return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]
+            common = ": ".join(filter(None, (c.part, ", ".join(rest))))
+            groups.setdefault(common, {})[x] = c
+    return [(words, dict(sorted(g.items()))) for words, g in groups.items() if len(g) > 1]
 
 
-def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[Any]]]:
+def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, list[str]]]]:
     """Rank correlation of each headline number with each key: head and rows.
 
-    Parts with fewer than two varied keys have none, as a curve shows more.
+    Parts with fewer than two varied keys are left out, as a curve shows more.
     """
-    rows: list[list[Any]] = []
+    rows: list[tuple[str, list[str]]] = []
     for part, own in by_part([c for c in cases if c.done]).items():
-        found = {key: levels(own, key)[1] for key in own[0].overrides}
-        varied: dict[str, Sequence[Any]] = {
-            key: [c.overrides.get(key) for c in own] if None in x else x for key, x in found.items()
+        numeric = {key: levels(own, key)[1] for key in own[0].overrides}
+        varied: dict[str, Sequence[object]] = {
+            key: [c.overrides.get(key) for c in own] if None in x else x
+            for key, x in numeric.items()
         }
         varied = {key: x for key, x in varied.items() if len(set(map(str, x))) > 1}
         if len(varied) < 2 or len(own) < FEWEST:
@@ -253,5 +262,5 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[Any]]]
             known.sort(key=lambda pair: -abs(pair[0]))
             if known:
                 words = ": ".join(filter(None, (part, quantities.in_words(name)[0])))
-                rows.append([words, [f"{r:+.2f} {k}" for r, k in known]])
+                rows.append((words, [f"{r:+.2f} {k}" for r, k in known]))
     return ["number", "rank correlation with"], rows

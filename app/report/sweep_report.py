@@ -8,9 +8,8 @@ from pathlib import Path
 
 from app.campaigns import uncertainty
 from app.foundation.errors import StoppedError
-from app.report import gruen, page, pictures, sweep_figures
-from app.report.page import Blocks, bullets, table
-from app.report.sentence import spread
+from app.report import gruen, lead, page, pictures, sweep_figures
+from app.report.page import Block, Section, bullets, table
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, read
 from app.report.viewer import viewer
 from app.system.folders import remove, write_text
@@ -40,19 +39,35 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
         curves, drawn = sweep_figures.multiples(sweep.cases, drawings)
         mapped, unmapped = pictures.maps(chosen, drawings)
         shields = gruen.shielding_picture(dict(chosen), gruen.intact(sweep.cases), drawings)
+        notes = noted((c.name, c.notes) for c in sweep.cases)
         sections = [
-            ("varied", "What varies", curves),
-            ("sensitive", "What matters most", table(*sweep_figures.sensitivity(sweep.cases))),
-            ("uncertain", "What is not known well", _uncertain(sweep)),
-            ("cases", "All cases", _parts(sweep)),
-            ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
-            ("maps", "Maps of the interfaces", page.figures(mapped, drawings) + bullets(unmapped)),
-            ("gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)),
-            ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
+            Section("varied", "Curves over the varied keys", curves),
+            Section(
+                "sensitive",
+                "Strongest dependencies",
+                table(*sweep_figures.sensitivity(sweep.cases)),
+            ),
+            Section("uncertain", "Effect of uncertain inputs", _uncertain(sweep)),
+            Section("cases", "All cases", _parts(sweep)),
+            Section("notes", "Notes of the runs", bullets(notes)),
+            Section(
+                "maps",
+                "Maps of the interfaces",
+                page.figures(mapped, drawings) + bullets(unmapped),
+            ),
+            Section("gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)),
+            Section("mantle", "Cement mantles", table(*gruen.mantles(sweep.cases))),
         ]
-        head = {"facts": _facts(sweep), "lead": _lead(sweep.cases), "summary": _summary(sweep)}
-        head["view"] = viewer({name: case.folder for name, case in chosen[:2]})
-        write_text(folder / PAGE, page.page(sweep.title, sections, **head))
+        html = page.page(
+            sweep.title,
+            sections,
+            bullets(_summary(sweep)),
+            facts=_facts(sweep),
+            lead=_dependence(sweep.cases),
+            large=lead.spread(sweep.cases, sweep_figures.headlines(sweep.cases)),
+            view=viewer({name: case.folder for name, case in chosen[:2]}),
+        )
+        write_text(folder / PAGE, html)
     except OSError as error:
         text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
         raise StoppedError(text) from error
@@ -60,12 +75,12 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
     return [folder / PAGE, *figures, *drawn], sweep.cases
 
 
-def _uncertain(sweep: SweepResults) -> Blocks:
+def _uncertain(sweep: SweepResults) -> list[Block]:
     """Spread of numbers over samples of uncertain inputs."""
-    parts: Blocks = []
-    for part, of in sweep.uncertainty.items():
-        words = f"{of['samples']} samples{f' ({part})' if part else ''}"
-        parts += page.titled(words, table(uncertainty.HEAD, uncertainty.rows(of)))
+    parts: list[Block] = []
+    for part, samples in sweep.uncertainty.items():
+        words = f"{samples['samples']} samples{f' ({part})' if part else ''}"
+        parts += page.titled(words, table(uncertainty.HEAD, uncertainty.rows(samples)))
     return parts
 
 
@@ -82,25 +97,27 @@ def _summary(sweep: SweepResults) -> list[str]:
     lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_figures.axes_in_words(sweep.cases)]
     failed = [c.name for c in sweep.cases if not c.done]
     if failed:
-        lines.append(f"Without results: {', '.join(failed)}. Why stands in the table of all cases.")
+        lines.append(
+            f"Without results: {', '.join(failed)}. The table of all cases has the messages."
+        )
     warned = sum(bool(c.notes) for c in sweep.cases)
     if warned:
-        lines.append(f"Notes were made of {warned} cases; they stand below the table of all cases.")
+        lines.append(f"{warned} cases have notes. They are below the table of all cases.")
     return lines
 
 
-def _lead(cases: Sequence[SweptCase]) -> str:
-    """Range of the main numbers over all cases, and what the first depends on most."""
-    found = [spread(cases, sweep_figures.headlines(cases), "cases")]
+def _dependence(cases: Sequence[SweptCase]) -> str:
+    """Return the key that the first main number depends on most, in a sentence."""
     for words, (most, *_) in sweep_figures.sensitivity(cases)[1][:1]:
         rank, _, key = most.partition(" ")
-        found.append(f"By rank correlation ({rank}) {words} depends most on {key}.")
-    return " ".join(found)
+        return f"{words} depends most on {key} (rank correlation {rank})."
+    return ""
 
 
-def _parts(sweep: SweepResults) -> Blocks:
-    found: Blocks = []
-    for part, own in by_part(sweep.cases).items():
-        names = sweep_figures.headlines(own)
-        found += page.titled(part, sweep_figures.cases_table(own, names, sweep.folder))
-    return found
+def _parts(sweep: SweepResults) -> list[Block]:
+    """Return the table of cases of each part."""
+    tables: list[Block] = []
+    for part, cases in by_part(sweep.cases).items():
+        names = sweep_figures.headlines(cases)
+        tables += page.titled(part, sweep_figures.cases_table(cases, names, sweep.folder))
+    return tables

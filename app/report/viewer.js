@@ -1,7 +1,7 @@
 // The bodies of one run or of several, drawn with three.js from the numbers of `viewer.py`.
 (async function () {
   "use strict";
-  const NONE = 65535, LEVELS = 65534;
+  const NONE = 65535, LEVELS = 65534, CLIP = 0.995;
   const colours = list => list.map(h => new THREE.Color("#" + h));
   // Viridis, and blue to red for what has a sign: colour-blind people read both.
   const VIRIDIS = colours(["440154", "482475", "414487", "355f8d", "2a788e", "21918c", "22a884", "44bf70",
@@ -25,7 +25,8 @@
   const first = views[0].head, size = first.size, last = first.stages[first.stages.length - 1];
   const turns = first.turned.length > 0;
   const labels = new Map(views.flatMap(v => v.head.fields.map(f => [f.name, f.label]))), fields = [...labels.keys()];
-  const state = { field: fields[0], stage: last, scale: +turns, axis: -1, cut: 0.5, hidden: new Set() };
+  const opening = first.opening;
+  const state = { field: opening.field || fields[0], stage: last, scale: +turns, axis: opening.axis, cut: 0.5, hidden: new Set() };
   const bounds = views.reduce((b, v) => b.union(v.bounds), new THREE.Box3());
   const radius = bounds.getSize(new THREE.Vector3()).length() / 2;
   let seen = radius; // radius of what is visible
@@ -55,13 +56,12 @@
     views.forEach(v => v.deform());
     return "× " + state.scale;
   });
-  select("cut", ["nowhere", "across x", "across y", "across z"], k => { state.axis = k - 1; clip(); });
+  const cutSelect = select("cut", ["nowhere", "across x", "across y", "across z"], k => { state.axis = k - 1; clip(); });
+  cutSelect.value = state.axis + 1;
   slider("", 50, part => { state.cut = part; clip(); return ""; });
   const bodyBar = make("div", controls, { className: "bar" });
   const names = [...new Set(views.flatMap(v => v.meshes.map(m => m.name)))];
-  // A stem, or what turns, is looked at without what is around it.
-  const alone = names.includes("stem") ? ["stem"] : first.turned;
-  if (alone.length) names.filter(n => !alone.includes(n)).forEach(n => state.hidden.add(n));
+  names.filter(n => !opening.bodies.includes(n)).forEach(n => state.hidden.add(n));
   const checks = names.map(name => {
     const label = make("label", bodyBar, {});
     const own = make("input", label, { type: "checkbox", checked: !state.hidden.has(name) });
@@ -81,12 +81,12 @@
     views.forEach(v => v.choose());
     paint();
   }
-  // Colours span the values on visible bodies; what is compared has one range.
+  // Colours span percentiles of the values on visible bodies; compared runs have one range.
   function paint() {
     const ranges = views.map(v => v.range()), common = ranges.filter((r, k) => !views[k].head.signed);
     views.forEach((v, k) => {
-      const most = Math.max(...ranges[k].map(Math.abs));
-      v.paint(...(v.head.signed ? [-most, most] : [Math.min(...common.map(r => r[0])), Math.max(...common.map(r => r[1]))]));
+      const most = Math.max(...ranges[k].slice(0, 2).map(Math.abs));
+      v.paint(...(v.head.signed ? [-most, most] : [Math.min(...common.map(r => r[0])), Math.max(...common.map(r => r[1]))]), ranges[k]);
       v.deform();
     });
     clip();
@@ -125,7 +125,7 @@
   window.addEventListener("resize", () => views.forEach(v => v.resize()));
   window.mantleView = { views, state, show, look, clip, checks };
   show(state.field, state.stage);
-  look(0.6, 0.8, 0.25);
+  look(...(state.axis < 0 ? [0.6, 0.8, 0.25] : [0.3, 0.9, 0.15]));
   root.dataset.ready = "yes";
 
   // One run: the z axis of its model points up.
@@ -145,8 +145,9 @@
     stage.append(renderer.domElement);
     const legend = make("div", stage, { className: "legend" }), ramp = make("div", legend, { className: "ramp" });
     const highest = make("span", ramp, {}), lowest = make("span", ramp, {}), unit = make("div", legend, {});
+    const ends = make("div", stage, { className: "ends" });
     ramp.style.background = "linear-gradient(to top," + map.map(c => "#" + c.getHexString()).join(",") + ")";
-    const told = make("output", stage, { className: "told" });
+    const output = make("output", stage, { className: "output" });
     const scene = new THREE.Scene();
     scene.background = new THREE.Color("#ffffff");
     const camera = v.camera = new THREE.OrthographicCamera(-1, 1, 1, -1, far / 1e4, far);
@@ -165,11 +166,15 @@
       const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: THREE.VertexColors, side: THREE.DoubleSide }));
       const cells = new Uint32Array(data.slice(body.inside, body.inside + 16 * body.cells));
       // The section of its cells with the plane of the cut.
-      const section = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial({ vertexColors: THREE.VertexColors, side: THREE.DoubleSide }));
+      const section = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial({
+        vertexColors: THREE.VertexColors, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 4 }));
+      // Its outline, in front of the section.
+      const outline = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: "#1d2429" }));
       Object.assign(section, { name: body.name, frustumCulled: false });
+      outline.frustumCulled = false;
       const nodes = new Set([...geometry.index.array, ...cells]);
-      Object.assign(mesh, { name: body.name, tint: TINTS[k % TINTS.length], cells, nodes, section });
-      scene.add(mesh, section);
+      Object.assign(mesh, { name: body.name, tint: TINTS[k % TINTS.length], cells, nodes, section, outline });
+      scene.add(mesh, section, outline);
       return mesh;
     });
     const visible = () => v.meshes.filter(m => !state.hidden.has(m.name));
@@ -189,24 +194,26 @@
       values = v.step ? words(data, v.step.at, n) : new Uint16Array(n).fill(NONE);
       v.moves = at < 0 ? { u: new Uint16Array(3 * n), most: 0 } : { u: words(data, head.moves[at].at, 3 * n), most: head.moves[at].most };
     };
+    // Ends of the colours, then the least and the largest value. Without a unit values are states.
     v.range = () => {
-      let least = Infinity, most = -Infinity;
-      for (const mesh of visible()) for (const k of mesh.nodes) {
-        const value = worth(k);
-        if (value < least) least = value;
-        if (value > most) most = value;
-      }
-      return [least, most];
+      const every = new Set(visible().flatMap(mesh => [...mesh.nodes]));
+      const known = Float64Array.from([...every].map(worth).filter(value => !isNaN(value))).sort();
+      if (!known.length) return [Infinity, -Infinity, 0, 0];
+      const least = known[0], most = known[known.length - 1];
+      if (!v.field.unit) return [least, most, least, most];
+      const at = part => known[Math.round(part * (known.length - 1))];
+      const [low, high] = [at(1 - CLIP), at(CLIP)];
+      return high > low ? [low, high, least, most] : [least, most, least, most];
     };
     // The colour of a value; what has none keeps the tint of its body.
     function colour(value, tint, into) {
       const [least, most] = v.span;
       if (isNaN(value) || !(most > least && most < Infinity)) return into.copy(tint);
-      const part = (value - least) / (most - least) * (map.length - 1);
-      const low = Math.max(0, Math.min(Math.floor(part), map.length - 2));
+      const part = Math.max(0, Math.min(1, (value - least) / (most - least))) * (map.length - 1);
+      const low = Math.min(Math.floor(part), map.length - 2);
       return into.copy(map[low]).lerp(map[low + 1], part - low);
     }
-    v.paint = (least, most) => {
+    v.paint = (least, most, [, , smallest, largest]) => {
       v.span = [least, most];
       const c = new THREE.Color();
       for (const mesh of v.meshes) {
@@ -221,7 +228,11 @@
       highest.textContent = shown(most);
       lowest.textContent = shown(Math.abs(least) < 1e-9 * Math.abs(most) ? 0 : least);
       unit.textContent = v.step ? v.field.label + (v.field.unit ? " (" + v.field.unit + ")" : "") : "";
-      told.textContent = v.step ? "" : "not in this run";
+      const beyond = largest > most || smallest < least;
+      const start = shown(smallest) !== shown(least) ? "least " + shown(smallest) + ", " : "";
+      const values = start + "largest " + shown(largest);
+      ends.textContent = beyond ? "colours end at the " + 100 * CLIP + "th percentile; " + values : "";
+      output.textContent = v.step ? "" : "not in this run";
     };
     v.deform = () => {
       for (let k = 0; k < 3 * n; k++) position.array[k] = rest[k] + state.scale * (2 * v.moves.u[k] / LEVELS - 1) * v.moves.most;
@@ -233,15 +244,29 @@
       for (const mesh of v.meshes) {
         mesh.visible = !state.hidden.has(mesh.name);
         mesh.material.clippingPlanes = state.axis < 0 ? [] : [plane];
-        mesh.section.visible = mesh.visible && state.axis >= 0;
-        if (mesh.section.visible) fill(mesh);
+        mesh.section.visible = mesh.outline.visible = mesh.visible && state.axis >= 0;
+        if (mesh.section.visible) { fill(mesh); outlined(mesh); }
       }
       mark();
     };
+    function height(k) {
+      const p = position.array;
+      return plane.normal.x * p[3 * k] + plane.normal.y * p[3 * k + 1] + plane.normal.z * p[3 * k + 2] + plane.constant;
+    }
+    // Lines in which the plane meets the surface of a body.
+    function outlined(mesh) {
+      const places = [], p = position.array, corners = mesh.geometry.index.array;
+      for (let k = 0; k < corners.length; k += 3) for (let i = 0; i < 3; i++) {
+        const a = corners[k + i], b = corners[k + (i + 1) % 3];
+        if (height(a) > 0 === height(b) > 0) continue;
+        const t = height(a) / (height(a) - height(b));
+        for (let j = 0; j < 3; j++) places.push(p[3 * a + j] + t * (p[3 * b + j] - p[3 * a + j]));
+      }
+      mesh.outline.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(places), 3));
+    }
     // Triangles of a body's cells in the plane, with values: a cell is cut in three edges or four.
     function fill(mesh) {
       const places = [], colours = [], rests = [], values = [], c = new THREE.Color(), p = position.array;
-      const height = k => plane.normal.x * p[3 * k] + plane.normal.y * p[3 * k + 1] + plane.normal.z * p[3 * k + 2] + plane.constant;
       const add = (a, b) => {
         const t = height(a) / (height(a) - height(b)), value = worth(a) + t * (worth(b) - worth(a));
         for (let i = 0; i < 3; i++) {
@@ -280,7 +305,7 @@
       const k = mark();
       if (k < 0) return;
       const at = [0, 1, 2].map(i => shown(rest[3 * k + i]));
-      told.textContent = "largest: " + shown(worth(k)) + " " + v.field.unit + " at (" + at.join(", ") + ") mm";
+      output.textContent = "largest: " + shown(worth(k)) + " " + v.field.unit + " at (" + at.join(", ") + ") mm";
     };
     // The value under the pointer (x, y from -1 to 1), linear on its triangle.
     v.pick = (x, y) => {
@@ -298,7 +323,7 @@
     renderer.domElement.addEventListener("pointermove", event => {
       const r = renderer.domElement.getBoundingClientRect();
       const hit = v.pick(2 * (event.clientX - r.left) / r.width - 1, 1 - 2 * (event.clientY - r.top) / r.height);
-      told.textContent = hit ? said(hit.body) + (isNaN(hit.value) ? "" : ": " + shown(hit.value) + " " + v.field.unit) +
+      output.textContent = hit ? said(hit.body) + (isNaN(hit.value) ? "" : ": " + shown(hit.value) + " " + v.field.unit) +
         " at (" + hit.place.map(p => p.toFixed(1)).join(", ") + ") mm" : "";
     });
     v.resize = () => {

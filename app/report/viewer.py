@@ -18,7 +18,7 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ MOST = 3_000_000
 LEVEL = 4
 # Triangles of a facet with six nodes.
 QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+# Largest value of a field that is zero to rounding, in the unit of its file.
+ROUNDING = 1e-9
 # Moments of a cycle that are shown, where a body turns.
 MOMENTS = 12
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
@@ -49,13 +51,31 @@ INTERFACE = {
     "status": ("open 0, stick 1, slip 2", "", 1.0),
 }
 NODAL = {
-    "displacement": ("displacement", "mm", 1.0),
+    "temperature_peak": ("highest temperature so far", "°C", 1.0),
+    "temperature": ("temperature", "°C", 1.0),
     "von_mises": ("von Mises stress", "MPa", 1.0),
     "principal_max": ("largest principal stress", "MPa", 1.0),
     "principal_min": ("smallest principal stress", "MPa", 1.0),
-    "temperature_peak": ("highest temperature so far", "°C", 1.0),
-    "temperature": ("temperature", "°C", 1.0),
+    "displacement": ("displacement", "mm", 1.0),
 }
+
+
+class Kind(NamedTuple):
+    """A field to show.
+
+    Attributes:
+        name: Its name in the file.
+        contact: Its interface; empty for a field of all nodes.
+        label: Its name on the page.
+        unit: Its unit on the page; empty for a plain number.
+        factor: Factor on the values of the file.
+    """
+
+    name: str
+    contact: str
+    label: str
+    unit: str
+    factor: float
 
 
 def viewer(folders: Mapping[str, Path]) -> str:
@@ -70,14 +90,14 @@ def viewer(folders: Mapping[str, Path]) -> str:
         return ""
     (first, base), *others = runs.items()
     pairs: list[tuple[str, Run, Run | None]] = [(name, run, None) for name, run in runs.items()]
-    pairs += [(f"{name} less {first}", run, base) for name, run in others if same_mesh(run, base)]
+    pairs += [(f"{name} − {first}", run, base) for name, run in others if same_mesh(run, base)]
     views = []
     for name, run, minus in pairs:
         head, values = packed(run, minus, MOST // len(pairs))
         data = base64.b64encode(zlib.compress(values, LEVEL)).decode("ascii")
         views.append((name, json.dumps(head), data))
     texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
-    return page.render("viewer.html", runs=views, scripts=texts)
+    return page.render("viewer.html", {"runs": views, "scripts": texts})
 
 
 def distinct(folders: Sequence[Path]) -> list[str]:
@@ -113,7 +133,7 @@ def packed(
     ends, others = [*at], {} if minus is None else _moments(minus)
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in others]
-        kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
+        kinds = [kind for kind in kinds if kind.name in minus.point_fields]
     # Three for the places, three for the displacement that deforms.
     fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
@@ -144,13 +164,14 @@ def packed(
         "turned": [motion["region"] for motion in run.case.get("motions", {}).values()],
         "moves": [],
         "fields": [],
+        "opening": _opening(run, kinds, fine),
     }
     for stage in ends:
         u = run.displacement(at[stage])[nodes] if "displacement" in run.point_fields else 0 * x
         most = float(np.abs(u).max()) or 1.0
         head["moves"].append({"at": add(_levels((u / most + 1) / 2)), "most": most})
-    for name, where, label, unit, factor in kinds:
-        on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else True
+    for name, contact, label, unit, factor in kinds:
+        on = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
         steps = []
         for stage in ends:
             other = -1 if stage == ends[-1] else others.get(stage, -1)
@@ -160,6 +181,33 @@ def packed(
             steps.append({"at": add(parts), "min": least, "max": most})
         head["fields"].append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, bytes(numbers)
+
+
+def _opening(run: Run, kinds: Sequence[Kind], surfaces: Mapping[str, Ints]) -> dict[str, object]:
+    """Return the field, the bodies and the axis of the cut that a view shows at first.
+
+    The first field of an interface that is not zero is shown on its inner body without a cut (axis
+    -1). Without one, the first field of the nodes is shown on a section of all bodies across y.
+    """
+    for kind in kinds:
+        side = side_of(run, kind.contact, surfaces) if kind.contact else None
+        if side and kind.unit:
+            body, triangles = side
+            if np.abs(lengths(run, kind.name)[triangles]).max() > ROUNDING:
+                return {"field": kind.name, "bodies": [body], "axis": -1}
+    nodal = [kind.name for kind in kinds if not kind.contact]
+    field = nodal[0] if nodal else ""
+    return {"field": field, "bodies": list(surfaces), "axis": 1 if nodal else -1}
+
+
+def side_of(run: Run, contact: str, surfaces: Mapping[str, Ints]) -> tuple[str, Ints] | None:
+    """Return the first body with facets on an interface, and these facets (t, 3)."""
+    on = run.at_interface(contact, "status") >= 0
+    for body, triangles in surfaces.items():
+        here = triangles[on[triangles].all(axis=1)]
+        if len(here):
+            return body, here
+    return None
 
 
 def _moments(run: Run) -> dict[str, int | str]:
@@ -201,18 +249,18 @@ def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
     return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v
 
 
-def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
-    """Fields to show: name in the file, interface or nothing, label, unit and factor."""
-    found = [
-        (f"{contact}_{key}", contact, f"{contact.replace('_', '-')}: {label}", *how)
+def _kinds(run: Run) -> list[Kind]:
+    """Return the fields to show, the most interesting first."""
+    kinds = [
+        Kind(f"{contact}_{key}", contact, f"{contact.replace('_', '-')}: {label}", unit, factor)
         for contact in sorted(run.contacts, reverse=True)
-        for key, (label, *how) in INTERFACE.items()
+        for key, (label, unit, factor) in INTERFACE.items()
         if f"{contact}_{key}" in run.point_fields
     ]
-    found += [(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]
-    known = {name for name, *_ in found}
-    others = [n for n in run.point_fields if "cure" in n and n not in known]
-    return found + [(n, "", n.replace("_", " "), "", 1.0) for n in others]
+    kinds += [Kind(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]
+    known = {kind.name for kind in kinds}
+    others = [name for name in run.point_fields if "cure" in name and name not in known]
+    return kinds + [Kind(name, "", name.replace("_", " "), "", 1.0) for name in others]
 
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:

@@ -35,7 +35,7 @@ def test_compare_page_lists_differences(stems: tuple[Run, Run], tmp_path: Path) 
     assert float(row[3].split()[0]) == pytest.approx(slips[1] - slips[0], rel=1e-3)
     assert html.count('class="one"') == 3  # two runs and their difference
     # No errors were estimated: none is claimed to be known, in sentence, table or verdict.
-    assert "errors were not estimated (mantle run --error)" in html and row[3].endswith("unknown")
+    assert "Run with --error to see whether" in html and row[3].endswith("unknown")
     assert "by more than their errors" not in html and "within the errors" not in html
     assert html.count("converged</span>: smooth; errors not estimated") == 1
     for run in stems:  # as if they had been: 1 % of the smooth run, all of the other
@@ -47,7 +47,7 @@ def test_compare_page_lists_differences(stems: tuple[Run, Run], tmp_path: Path) 
         (copy / "summary.json").write_text(json.dumps(numbers))
     html = compare.write([tmp_path / r.folder.name for r in stems], tmp_path / "b.html").read_text()
     assert re.search(r"\d of 4 main numbers differ from those of smooth by more than", html)
-    assert re.search(r"Of \d+ main numbers errors were not estimated", html)
+    assert re.search(r"\d of \d main numbers without errors differ from those of smooth\.", html)
     scripts = re.sub(r"<script>.*?</script>", "", html, flags=re.S)
     assert not re.search(r"(src|href)=\"(?!#|data:)", scripts)
 
@@ -55,7 +55,7 @@ def test_compare_page_lists_differences(stems: tuple[Run, Run], tmp_path: Path) 
 def test_compare_equal_runs_have_no_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """Neither in input nor in numbers."""
     html = compare.write([stems[0].folder] * 2, tmp_path / "same.html").read_text("utf-8")
-    assert "none differ from those of" in html
+    assert re.search(r"0 of \d+ main numbers without errors differ", html)
     assert "runs of the same case" in html
     assert {row[3] for row in cells(html, "differences")} == {"0"}
 

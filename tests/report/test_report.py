@@ -52,8 +52,11 @@ def test_gruen_stress_shielding_is_relative_to_the_intact_femur(
     change = gruen.shielding(found.cases[1], without)
     assert set(change) == {"cortical_bone"}
     assert list(change["cortical_bone"].values()) == pytest.approx([-0.25] * 14)
-    head, rows = gruen.table(found.cases[0])
-    assert len(rows) == 14 and len(head) == len(rows[0]) == 1 + 10 + 1
+    tables = {title: (head, rows) for title, head, rows in gruen.tables(found.cases[0])}
+    assert [*tables] == ["Cement and bone", "cement-bone interface", "stem-cement interface"]
+    assert tables["Cement and bone"][1][6] == ["7 (frontal)", "21"]
+    head, rows = tables["stem-cement interface"]
+    assert len(rows) == 14 and len(head) == len(rows[0]) == 1 + 5
     assert rows[6][:2] == ["7 (frontal)", "20.0 / 10.0"] and rows[7][0] == "8 (lateral)"
     monkeypatch.setattr(pictures, "ends", lambda s: [(c.name, c) for c in s.cases[1::2]])
     page = sweep_report.run(maker.folder)[0][0].read_text()
@@ -123,14 +126,14 @@ def test_sweep_report_curves_over_varying_keys(maker: Maker) -> None:
     files, _ = sweep_report.run(maker.write())
     assert [f.name for f in files] == ["report.html", "over_geometry_taper.png"]
     page = files[0].read_text()
-    assert "Numbers over taper" in page and "cement-bone slip, p99" in page
+    assert "Numbers over taper" in page and "cement-bone slip, 99th percentile" in page
     assert "taper (°): 1, 2, 3." in page and "mesh.size" not in page  # the same in all
     assert page.count('role="img"') == 10 and "data:image" not in page
     run = rs.read(maker.folder).cases[1].folder
     (run / "report.html").touch()
     sweep_report.run(maker.folder)
     assert f'<a href="runs/{run.name}/report.html">taper 2</a>' in files[0].read_text()
-    assert page.index("What varies") < page.index("All cases")
+    assert page.index("Curves over the varied keys") < page.index("All cases")
     for name in ("over_old.png", "mine.png"):
         (maker.folder / "report" / name).write_text("")
     sweep_report.run(maker.folder)
@@ -215,8 +218,8 @@ def test_sweep_report_rank_correlations(maker: Maker) -> None:
     # The page begins with the range of the first numbers and with what they depend on.
     page = sweep_report.run(maker.folder)[0][0].read_text()
     lead = page[page.index('"lead">') : page.index('class="summary"')]
-    assert "Over all cases: cement-bone debonding, p99 from 1 µm (1 20) to 27 µm (3 30); " in lead
-    assert "(+1.00) thickness: cement-bone debonding, p99 depends most on taper." in lead
+    assert "1 to 27 <small>µm</small>" in lead and "Least: 1 20. Most: 3 30." in lead
+    assert "cement-bone debonding, p99 depends most on taper (rank correlation +1.00)." in lead
 
 
 # What is no sweep

@@ -19,7 +19,7 @@ from app.case.quantities import TABLE
 from app.cli import main
 from app.foundation.verdict import Verdict, note
 from app.plots import curves
-from app.report import pictures, run_report, sentence, step_curves, viewer
+from app.report import lead, pictures, run_report, step_curves, viewer
 from app.report.input_spread import InputSpread
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import verdicts
@@ -74,17 +74,16 @@ def test_run_report_page_is_self_contained(done: Path) -> None:
 def test_run_report_numbers_equal_the_summary(done: Path) -> None:
     html, numbers = shown(page(done)), summary(done)
     slip = TABLE["interfaces"]["slip_p99"].text(numbers["interfaces"]["stem_cement"])
-    assert f"99 % of the stem's surface slides less than {slip} µm in its cement, and" in (
-        html.replace("&#39;", "'")
-    )
+    words = " ".join(html.split())
+    assert f"{slip} µm slip of the stem in its cement 99 % of the surface slips less." in words
     assert "mesh and step: error not estimated (--error does)" in html
     for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
         assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
     assert TABLE["regions"]["von_mises_p99"].text(numbers["regions"]["cement"]) in html
     assert "equilibrium: exact to rounding" in html and "youngs_modulus: 110000.0 MPa" in html
     assert "Gruen" not in html and "Temperatures" not in html and "Dead bone" not in html
-    drawings = re.findall(r"<svg.*?</svg>", page(done), re.S)
-    assert any("slip, p99 (µm)" in d and "stem cement" in d for d in drawings)
+    drawings = re.findall(r'<svg viewBox="0 0 340 .*?</svg>', page(done), re.S)
+    assert any("slip, 99th percentile (µm)" in d and "stem-cement" in d for d in drawings)
     assert all("xmlns" not in d and " id=" not in d for d in drawings)
 
 
@@ -182,6 +181,49 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
     return folder
 
 
+def test_run_report_folds_many_notes(done: Path, tmp_path: Path) -> None:
+    numbers = summary(done)
+    verdicts.record(numbers, [note(f"number {k}") for k in range(4)])
+    html = changed(done, tmp_path / "four", numbers)
+    folded = re.search(
+        r"<details><summary>4 notes on the input</summary>(.*?)</details>", html, re.S
+    )
+    assert folded and folded[1].count("number") == 4
+    verdicts.record(numbers, [note("number 1")])
+    assert "notes on the input" not in changed(done, tmp_path / "one", numbers)
+
+
+def test_run_report_failure_begins_with_its_cause(done: Path, tmp_path: Path) -> None:
+    lost = Verdict("nothing holds body 'a'", "no convergence in stage 'b'", "hold it")
+    numbers = {"status": "not converged", "time": 0.0, "timing": {"total": 1.0}, "interfaces": {}}
+    numbers["verdicts"] = [lost.record(), Verdict("plain Newton only", "tried").record()]
+    html = changed(done, tmp_path / "failed", numbers).replace("&#39;", "'")
+    cause = "No convergence in stage 'b': nothing holds body 'a'. What to change: hold it."
+    assert f'<p class="lead">{cause}</p>' in html and html.count("nothing holds") == 1
+    assert '<span class="bad">not converged</span>' in html and "tried: plain Newton" in html
+
+
+def test_step_curves_begin_at_rest() -> None:
+    """Lengths vanish without loads; fractions and histories in seconds have no such point."""
+    titles = ("time [-]", "a slip_p99 [mm]", "a open_fraction [-]", "seconds [s]")
+    columns = {title: np.array([0.5, 1.0]) for title in titles[:3]}
+    panels = step_curves.over_time(columns, at_rest=True)
+    assert [panel.lines[0].x for panel in panels] == [[0.0, 0.5, 1.0], [0.5, 1.0]]
+    assert panels[0].lines[0].y == [0.0, 500.0, 1000.0]
+    assert curves.drawing(panels[1]).across[0] == (0.0, "0")
+    columns["seconds [s]"] = np.array([2.0, 3.0])
+    assert step_curves.over_time(columns, at_rest=True)[0].lines[0].x == [2.0, 3.0]
+
+
+def test_curves_drawing_wraps_title_and_starts_at_zero() -> None:
+    line = curves.Line("a", 0, [1.0, 2.0], [98.0, 99.0])
+    drawn = curves.drawing(curves.Panel("word " * 15, "MPa", [line]))
+    assert len(drawn.title) == 2 and max(map(len, drawn.title)) <= curves.TITLE
+    assert drawn.up[0] == (0.0, "0") and drawn.across[0] == (0.0, "1")
+    warm = curves.drawing(curves.Panel("temperature", "°C", [line]))
+    assert float(warm.up[0][1]) > 90
+
+
 def test_run_report_draws_all_cycles_after_cooling() -> None:
     written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
     columns = {key: np.array(own) for key, own in written.items()}
@@ -195,10 +237,10 @@ def test_run_report_necrosis_has_a_spread(tmp_path: Path) -> None:
     numbers = [{f"bone.{key}": 2.0 * k} for k in range(10)]
     samples = [SweptCase("", tmp_path, CONVERGED, numbers=own) for own in numbers]
     summary = {"thermal": {"regions": {"bone": {key: 2.0}}}}
-    found = run_report._tables(summary, every=False, spread=InputSpread(samples, 10, of))
+    blocks = run_report._tables(summary, every=False, spread=InputSpread(samples, 10, of))
     follows = f"cement kinetics ({(1 - 9 / 7 / (82.5 / 9)) ** 0.5:+.2f})"
     name = "bone dead by 47 °C for 1 min, volume (mm³)"
-    assert [name, "2.0", "-", "0.9 to 17.1", follows] in found[-1][1]["rows"]
+    assert [name, "2.0", "-", "0.9 to 17.1", follows] in blocks[-1].rows
 
 
 @pytest.mark.parametrize(
@@ -259,15 +301,18 @@ def test_run_report_loads_of_ended_runs(done: Path) -> None:
     case = run_report.opened(done)
     case.__dict__["data"] = {"loads": {"hip": {"force": ["0 N", "0 N", "-900 N"]}}}
     numbers = summary(done)
-    assert sentence.sentence(numbers, case).startswith("Under 900 N, 99 % of the stem's surface")
-    stopped = sentence.sentence(numbers | {"status": "stopped"}, case)
-    assert stopped.startswith("99 % of the stem's surface slides less than")
-    # Of several the largest, and what they are together.
+    assert lead.loads(case, numbers) == "Hip force: 900 N."
+    assert lead.loads(case, numbers | {"status": "stopped"}) == ""
+    # Of several the largest, and their sum.
     case.data["loads"]["glutei"] = {"force": ["300 N", "0 N", "500 N"]}
-    said = sentence.sentence(numbers, case)
-    assert said.startswith("Under 900 N (hip; the sum of all 2 loads is 500 N), 99 % of")
+    assert lead.loads(case, numbers) == "Hip force: 900 N. Sum of all 2 loads: 500 N."
     case.data["loads"]["push"] = {"kind": "pressure", "pressure": "1 MPa"}
-    assert sentence.sentence(numbers, case).startswith("Under 900 N (hip), 99 % of")
+    assert lead.loads(case, numbers) == "Hip force: 900 N."
+    case.data["loads"]["glutei"]["force"] = ["0 N", "0 N", "70 N"]
+    case.data["geometry"] = {"sector": "half"}
+    del case.data["loads"]["hip"]
+    words = "Largest load (glutei): 70 N on the half that is modelled."
+    assert lead.loads(case, numbers) == words
 
 
 def test_run_report_of_heat_and_mechanics(tmp_path: Path) -> None:
@@ -278,12 +323,49 @@ def test_run_report_of_heat_and_mechanics(tmp_path: Path) -> None:
     bone |= {"necrosis_47C_1min_volume": 2583.0, "necrosis_cem43_16_volume": 4000.0}
     numbers["thermal"]["regions"] = {"bone": bone}
     numbers["cure"] = {"cement": {"degree_min": 0.99996}}
-    case = run_report.opened(tmp_path)
-    assert sentence.sentence(numbers, case) == (
-        "Bone gets as hot as 54.2 ± 0.5 °C, for up to 174 s above 47 °C, 116 s above 50 °C; "
-        "2,583 mm³ of bone dies by the rule of 47 °C for 1 min, 0 to 4,000 mm³ by others; "
-        "cement has set to 99.9 % or more."
-    )
+    hot, dead, cured = lead.large_numbers(numbers)
+    assert (hot.value, hot.unit, hot.error) == ("54.2", "°C", "± 0.5 °C")
+    assert hot.detail == "For up to 174 s above 47 °C, 116 s above 50 °C."
+    assert (dead.value, dead.unit, dead.caption) == ("2,583", "mm³", "dead bone")
+    assert dead.detail == "By the rule of 47 °C for 1 min. By other rules 0 to 4,000 mm³."
+    assert (cured.value, cured.caption) == ("99.9", "least degree of cure of cement")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "value", "error", "detail"),
+    [
+        ({"slip_p99": 0.0271, "slip_p99_error": 0.03}, "27.1", "± 30.0 µm (not resolved)",
+         "99 % of the surface slips less. It stays closed."),
+        ({"slip_p99": 0.002, "gap_p99": 0.0082, "gap_p99_error": 0.0095, "rim": {}}, "2.0", "",
+         "99 % of the surface without rim and tip slips less. 99 % is open by less than "
+         "8.2 ± 9.5 µm (not resolved)."),
+        ({"slip_p99": 0.002, "area_gap_over_30um": 1200, "area": 3000}, "2.0", "",
+         "99 % of the surface slips less. 1,200 of 3,000 mm² are open by more than 30 µm."),
+        ({"slip_p99": 1e-6}, "0", "", ""),
+        ({"slip_p99": 0.1, "gap_p99": 0.2, "open_fraction": 1.0}, "200.0", "",
+         "99 % of the surface is closer. The sides touch nowhere."),
+    ],
+)  # fmt: skip
+def test_lead_has_slip_and_opening(
+    numbers: dict[str, Any], value: str, error: str, detail: str
+) -> None:
+    (number,) = lead.large_numbers({"interfaces": {"stem_cement": numbers}})
+    assert (number.value, number.error, number.detail) == (value, error, detail)
+
+
+def test_lead_takes_a_number_of_each_group() -> None:
+    """Of contact, stem and heat the first, in this order; a second one only if there is room."""
+    slip = {"slip_p99": 0.01}
+    numbers: dict[str, Any] = {
+        "interfaces": {"stem_cement": slip, "cement_bone": slip},
+        "stem": {"subsidence": 0.02},
+    }
+    captions = [number.caption for number in lead.large_numbers(numbers)]
+    both = ["slip of the stem in its cement", "slip of the cement on the bone"]
+    assert captions == [*both, "subsidence of the stem"]
+    numbers["thermal"] = {"regions": {"rod": {"temperature_max": 60.0}}}
+    captions = [number.caption for number in lead.large_numbers(numbers)]
+    assert captions == [both[0], "subsidence of the stem", "highest temperature of rod"]
 
 
 def test_run_report_of_heat_alone(tmp_path: Path) -> None:
@@ -292,7 +374,7 @@ def test_run_report_of_heat_alone(tmp_path: Path) -> None:
     mantle.run(rings, tmp_path / "out")
     html = page(tmp_path / "out")
     assert "highest temperature (°C)" in html and "Temperatures" in html and "Dead bone" in html
-    assert "one gets as hot as" in html and "time (s)" in html
+    assert "highest temperature of the bone" in html and "time (s)" in html
 
 
 def test_run_report_of_variations(

@@ -112,7 +112,7 @@ def test_bearing_fields_follow_the_rotated_ball(ball: Results) -> None:
     files = [path.name for path in run_report.write(ball.folder)]
     assert "map_bearing.png" in files
     page = (ball.folder / "report.html").read_text()
-    assert "friction on bearing resists the motion with up to" in page and "slides less" not in page
+    assert "largest friction torque of bearing" in page and "slips less" not in page
     assert "30 µm" not in page
     inner = x[np.linalg.norm(x, axis=1) > RADIUS - 1e-6]
     inner = inner[inner[:, 2] > 0][:99].reshape(-1, 3, 3)

@@ -135,9 +135,9 @@ def test_pictures_points_and_bars_stay_inside_the_frame() -> None:
     curves.draw_panel(axes, panel)
     low, high = axes.get_ylim()
     assert low == 0 and high > 1.04 * 100.8
-    drawn = curves.drawing(panel, from_zero=True)
-    assert drawn["up"][0] == (0.0, "0") and drawn["columns"] == 2
-    for _, middle, least, most in drawn["lines"][0][2]:
+    drawn = curves.drawing(panel)
+    assert drawn.up[0] == (0.0, "0") and drawn.columns == 2
+    for _, middle, least, most in drawn.lines[0].points:
         assert 0 < least < middle < most <= 1 and middle == pytest.approx((least + most) / 2)
 
 

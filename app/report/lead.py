@@ -1,0 +1,225 @@
+"""The lead of a page: its loads in a sentence, and up to three large numbers with captions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, zip_longest
+from typing import Any
+
+from app.case.quantities import NECROSIS, TABLE, in_print, in_words, printed
+from app.report.page import LargeNumber, spelled_out
+from app.report.sweep_results import SweptCase, magnitude, named
+
+# Bodies on both sides of an interface: the one that moves, the other, and the preposition.
+PAIRS = {
+    "stem_cement": ("the stem", "its cement", "in"),
+    "cement_bone": ("the cement", "the bone", "on"),
+}
+# Slip and gaps below this count as zero [um].
+NOTHING = 0.05
+# Open fraction of the area above which the sides do not touch.
+APART = 0.995
+# Dead bone below this volume counts as none [mm3].
+NO_BONE = 0.5
+# Large numbers of a page.
+MOST = 3
+# Words for a model of a sector of the body.
+SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
+
+Numbers = Mapping[str, Any]
+
+
+def large_numbers(summary: Numbers) -> list[LargeNumber]:
+    """Return the most important numbers of ``summary.json``, at most `MOST`.
+
+    The groups contact, stem, heat and cure each give their first number, then their second one.
+    """
+    groups = [
+        list(_contacts(summary)),
+        list(_stem(summary)),
+        list(_heat(summary)),
+        list(_cure(summary)),
+    ]
+    by_rank = [n for rank in zip_longest(*groups) for n in rank if n is not None]
+    chosen = by_rank[:MOST]
+    numbers = [n for n in chain.from_iterable(groups) if n in chosen]
+    return numbers or list(_stresses(summary))[:MOST]
+
+
+def loads(case: SweptCase, summary: Numbers) -> str:
+    """Return the largest force of a case and the sum of all forces, in sentences.
+
+    Empty if a run stopped before its last load, if no part of the case is loaded, and if no load
+    has a single size.
+    """
+    ended = summary["status"] not in ("stopped", "not converged")
+    if not ended or not (summary["interfaces"] or summary.get("stem")):
+        return ""
+    forces: dict[str, list[float]] = {}
+    every = case.data.get("loads", {})
+    for name, load in every.items():
+        if load.get("cycle_table"):
+            continue  # it has no one size
+        parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
+        last = (load.get("history") or [1.0])[-1]
+        if len(parts) == 3 and isinstance(last, int | float):
+            forces[name] = [last * part for part in parts]
+    if not forces:
+        return ""
+    largest = max(forces, key=lambda name: math.hypot(*forces[name]))
+    sector = SECTORS.get(case.data.get("geometry", {}).get("sector", ""), "")
+    words = "Load" if len(every) == 1 else f"Largest load ({largest.replace('_', ' ')})"
+    if largest == "hip":
+        words = "Hip force"
+    text = f"{words}: {math.hypot(*forces[largest]):,.0f} N{sector}."
+    if 1 < len(every) == len(forces):
+        total = math.hypot(*map(sum, zip(*forces.values(), strict=True)))
+        text += f" Sum of all {len(every)} loads: {total:,.0f} N."
+    return text
+
+
+def _number(
+    section: str, key: str, numbers: Numbers, caption: str, detail: str = ""
+) -> LargeNumber:
+    """Return a number of a section as a large number."""
+    text = _with_unit(section, key, numbers)
+    value, sign, error = text.partition(" ± ")
+    unit = printed(TABLE[section][key].shown)
+    if not sign:
+        value = value.removesuffix(f" {unit}")
+    return LargeNumber(value, unit, caption, f"± {error}" if sign else "", detail)
+
+
+def _with_unit(section: str, key: str, numbers: Numbers) -> str:
+    """Return a number as text with its unit: ``8.2 ± 9.5 µm (not resolved)``."""
+    q = TABLE[section][key]
+    value, bracket, remark = q.text(numbers).partition(" (")
+    return f"{value} {printed(q.shown)}{bracket}{remark}"
+
+
+def _contacts(summary: Numbers) -> Iterator[LargeNumber]:
+    """Slip and opening of the interfaces; friction and wear where the sides slide far."""
+    for name, q in summary["interfaces"].items():
+        if "dissipation_cycle" in q:
+            yield from _friction(name.replace("_", " "), q)
+        if "slip_p99" not in q:
+            continue
+        one, other, on = PAIRS.get(name, ("the sides", named(name), "of"))
+        surface = "surface without rim and tip" if "rim" in q else "surface"
+        if q.get("open_fraction", 0.0) > APART:
+            caption = f"gap between {one} and {other}"
+            if name not in PAIRS:
+                caption = f"gap of {named(name)}"
+            detail = f"99 % of the {surface} is closer. The sides touch nowhere."
+            yield _number("interfaces", "gap_p99", q, caption, detail)
+            continue
+        detail = f"99 % of the {surface} slips less."
+        area = q.get("area_gap_over_30um", 0.0)
+        if area > NO_BONE:
+            detail += f" {area:,.0f} of {q['area']:,.0f} mm² are open by more than 30 µm."
+        elif 1e3 * q.get("gap_p99", 0.0) > NOTHING:
+            gap = _with_unit("interfaces", "gap_p99", q)
+            detail += f" 99 % is open by less than {gap}."
+        else:
+            detail += " It stays closed."
+        caption = f"slip of {one} {on} {other}"
+        if 1e3 * q["slip_p99"] > NOTHING:
+            yield _number("interfaces", "slip_p99", q, caption, detail)
+        else:
+            yield LargeNumber("0", printed(TABLE["interfaces"]["slip_p99"].shown), caption)
+
+
+def _friction(name: str, q: Numbers) -> Iterator[LargeNumber]:
+    """Friction and wear of an interface with finite sliding."""
+    if "torque_max" in q:
+        caption = f"largest friction torque of {name}"
+        yield _number("interfaces", "torque_max", q, caption)
+    caption = f"friction energy of {name} in a cycle"
+    yield _number("interfaces", "dissipation_cycle", q, caption)
+    if "wear_volume" in q:
+        depth = _with_unit("interfaces", "wear_depth_p99_million", q)
+        caption = f"wear of {name} in a million cycles"
+        detail = f"99 % of the surface wears by less than {depth}."
+        yield _number("interfaces", "wear_volume_million", q, caption, detail)
+
+
+def _stem(summary: Numbers) -> Iterator[LargeNumber]:
+    """Subsidence of the stem."""
+    stem = summary.get("stem", {})
+    if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
+        detail = "Motion of the stem against the bone along the shaft."
+        yield _number("stem", "subsidence", stem, "subsidence of the stem", detail)
+
+
+def _heat(summary: Numbers) -> Iterator[LargeNumber]:
+    """Peak temperature of the bone with its duration, and the volume of dead bone."""
+    regions = summary.get("thermal", {}).get("regions", {})
+    bone = [q for q in regions.values() if "necrosis_47C_1min_volume" in q]  # heat can kill it
+    if not regions:
+        return
+    if not bone:
+        name, q = max(regions.items(), key=lambda item: item[1]["temperature_max"])
+        caption = f"highest temperature of {named(name)}"
+        yield _number("thermal.regions", "temperature_max", q, caption)
+        return
+    worst = max(bone, key=lambda q: q["temperature_max"])
+    spans = {level: max(q[f"seconds_over_{level}"] for q in bone) for level in (47, 50, 56)}
+    over = [f"{s:,.0f} s above {level} °C" for level, s in spans.items() if s > 0]
+    detail = f"For up to {', '.join(over)}." if over else "Never above 47 °C."
+    caption = "highest temperature of the bone"
+    yield _number("thermal.regions", "temperature_max", worst, caption, detail)
+    dead = {r: sum(q.get(f"necrosis_{r}_volume") or 0.0 for q in bone) for r in NECROSIS}
+    rule = "47C_1min"
+    others = [v for k, v in dead.items() if k != rule]
+    detail = f"By the rule of {in_print(NECROSIS[rule])}. By other rules "
+    detail += f"{min(others):,.0f} to {max(others):,.0f} mm³."
+    if max(dead.values()) < NO_BONE:
+        detail = "No bone dies by any rule."
+    yield LargeNumber(f"{dead[rule]:,.0f}", "mm³", "dead bone", detail=detail)
+
+
+def _cure(summary: Numbers) -> Iterator[LargeNumber]:
+    """Least degree of cure."""
+    for name, q in summary.get("cure", {}).items():
+        # Rounded down: incomplete cure never reads as 100 %.
+        degree = math.floor(1e3 * q["degree_min"]) / 10
+        caption = f"least degree of cure of {named(name)}"
+        yield LargeNumber(f"{degree:g}", "%", caption, detail="Everywhere at least this much.")
+
+
+def _stresses(summary: Numbers) -> Iterator[LargeNumber]:
+    """Stress of the regions, for cases without contact and heat."""
+    for name, q in summary.get("regions", {}).items():
+        caption = f"von Mises stress of {named(name)}"
+        detail = "99 % of the volume is below this."
+        yield _number("regions", "von_mises_p99", q, caption, detail)
+
+
+# Many runs
+
+
+def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber]:
+    """Return the ranges of slip, gap and temperature over several runs, at most `MOST`."""
+    numbers = []
+    for name, ends in ranges(cases, names):
+        words, unit = in_words(name)
+        least, most = (f"{v if abs(v) > NOTHING else 0.0:.3g}" for v, _ in ends)
+        if least == most:
+            continue
+        first, last = (c.name.replace("_", " ") for _, c in ends)
+        detail = f"Least: {first}. Most: {last}."
+        numbers.append(LargeNumber(f"{least} to {most}", unit, spelled_out(words), detail=detail))
+    return numbers[:MOST]
+
+
+def ranges(
+    cases: Sequence[SweptCase], names: Sequence[str]
+) -> Iterator[tuple[str, list[tuple[float, SweptCase]]]]:
+    """Slip, gap and temperature that vary: name, the least and its case, the most and its case."""
+    for name in names:
+        values = [(n.value, k) for k, c in enumerate(cases) if (n := c.number(name))]
+        if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
+            ends = min(values), max(values)
+            if ends[1][0] > NOTHING and ends[0] != ends[1]:
+                yield name, [(value, cases[k]) for value, k in ends]
