@@ -157,7 +157,8 @@ def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
         area = PathCollection([joined(own)], color=colour, linewidths=0)
         ax.add_collection(area, autolim=False)
     ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
-    around, _ = outlines([(x, data.cell_tags[cell]) for x, cell in polygons])
+    tags = data.cell_tags.astype(np.int64)
+    around, _ = outlines([(x, tags[cell]) for x, cell in polygons])
     ax.add_collection(LineCollection(list(around[..., [u, v]]), colors="#1d2429", lw=OUTLINE))
     ax.autoscale_view()
 

@@ -11,7 +11,7 @@ from app.case import quantities
 from app.foundation.errors import InputError, StoppedError
 from app.foundation.verdict import Severity, recorded
 from app.report import lead, page, run_report, sweep_figures, viewer
-from app.report.page import Block, LargeNumber, Section, bullets, table
+from app.report.page import Block, LargeNumber, PageSection, bullets, table
 from app.report.sweep_results import Number, SweptCase
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
@@ -69,8 +69,8 @@ def _page(folders: Sequence[Path]) -> str:
     return page.page(
         "Comparison of runs",
         [
-            Section("differences", "Numbers", _numbers(names, cases, keys)),
-            Section("input", "Input that differs", _input(names, cases)),
+            PageSection("differences", "Numbers", _numbers(names, cases, keys)),
+            PageSection("input", "Input that differs", _input(names, cases)),
         ],
         bullets(status) + page.folded(f"{len(notes)} notes on the input", bullets(notes)),
         facts=" · ".join(names),

@@ -17,7 +17,7 @@ from app.case.quantities import TABLE
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, recorded
 from app.report import page
-from app.report.page import Section
+from app.report.page import PageSection
 from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.system.folders import read_json, write_json, write_text
@@ -73,9 +73,9 @@ def write(folders: Sequence[Path]) -> list[Path]:
     html = page.page(
         f"Evidence: {case.title or run.folder.name}",
         [
-            Section("question", "Question", page.bullets([head["question"]])),
-            Section("context", "Context of use", page.bullets([head["context_of_use"]])),
-            Section("factors", "Credibility factors of ASME V&V 40-2018", table),
+            PageSection("question", "Question", page.bullets([head["question"]])),
+            PageSection("context", "Context of use", page.bullets([head["context_of_use"]])),
+            PageSection("factors", "Credibility factors of ASME V&V 40-2018", table),
         ],
         page.bullets([f"{filled} of {len(credibility)} factors have evidence"]),
         facts=f"from {run.folder}",

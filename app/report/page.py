@@ -140,7 +140,7 @@ class LargeNumber:
     detail: str = ""
 
 
-class Section(NamedTuple):
+class PageSection(NamedTuple):
     """A section of a page: its anchor, its title and its content."""
 
     anchor: str
@@ -150,7 +150,7 @@ class Section(NamedTuple):
 
 def page(
     title: str,
-    sections: Sequence[Section],
+    sections: Sequence[PageSection],
     summary: Blocks,
     *,
     facts: str = "",

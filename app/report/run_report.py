@@ -36,7 +36,7 @@ from app.report import (
     viewer,
 )
 from app.report.input_spread import HEAD, InputSpread, of_run
-from app.report.page import Block, Figure, Section, Verbatim, bullets, table
+from app.report.page import Block, Figure, PageSection, Verbatim, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase, named
 from app.results import closing_lines as text
 from app.results import cycles
@@ -197,18 +197,18 @@ def _run(
     verbatim = [Verbatim(case_file)] if case_file else []
     every_number = _tables(summary, every=True)
     sections = [
-        Section("model", "Bodies, supports and loads", model),
-        Section("numbers", "Numbers", _numbers(summary, over)),
-        Section("sides", "The interfaces from three sides", sides),
-        Section("curves", "Over time", page.drawings(drawn)),
-        Section("tension", "Cement under tension", page.drawings(stressed)),
-        Section("maps", "Maps of the interfaces", maps),
-        Section("gruen", "Gruen zones", gruen.blocks([("", case)])),
-        Section("mantle", "Cement mantle", table(*gruen.mantles([case]))),
-        Section("all", "All numbers", page.folded("every number with its error", every_number)),
-        Section("solver", "Convergence of the solver", _solver(case, summary)),
-        Section("case", "Input", page.folded("the case with all defaults", verbatim)),
-        Section(
+        PageSection("model", "Bodies, supports and loads", model),
+        PageSection("numbers", "Numbers", _numbers(summary, over)),
+        PageSection("sides", "The interfaces from three sides", sides),
+        PageSection("curves", "Over time", page.drawings(drawn)),
+        PageSection("tension", "Cement under tension", page.drawings(stressed)),
+        PageSection("maps", "Maps of the interfaces", maps),
+        PageSection("gruen", "Gruen zones", gruen.blocks([("", case)])),
+        PageSection("mantle", "Cement mantle", table(*gruen.mantles([case]))),
+        PageSection("all", "All numbers", page.folded("every number with its error", every_number)),
+        PageSection("solver", "Convergence of the solver", _solver(case, summary)),
+        PageSection("case", "Input", page.folded("the case with all defaults", verbatim)),
+        PageSection(
             "provenance",
             "Provenance",
             page.folded("program, machine, digests", page.pairs(record)),
@@ -435,9 +435,9 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
         drawings.mkdir(exist_ok=True)
     drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
     sections = [
-        Section("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
-        Section("curves", "Curves over the varied keys", drawn),
-        Section("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
+        PageSection("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
+        PageSection("curves", "Curves over the varied keys", drawn),
+        PageSection("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
     done = sum(c.done for c in cases)
     bad = [f"{c.status}: {c.name}" for c in cases if not c.done]

@@ -9,7 +9,7 @@ from pathlib import Path
 from app.campaigns import uncertainty
 from app.foundation.errors import StoppedError
 from app.report import gruen, lead, page, pictures, sweep_figures
-from app.report.page import Block, Section, bullets, table
+from app.report.page import Block, PageSection, bullets, table
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, read
 from app.report.viewer import viewer
 from app.system.folders import remove, write_text
@@ -41,22 +41,24 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
         shields = gruen.shielding_picture(dict(chosen), gruen.intact(sweep.cases), drawings)
         notes = noted((c.name, c.notes) for c in sweep.cases)
         sections = [
-            Section("varied", "Curves over the varied keys", curves),
-            Section(
+            PageSection("varied", "Curves over the varied keys", curves),
+            PageSection(
                 "sensitive",
                 "Strongest dependencies",
                 table(*sweep_figures.sensitivity(sweep.cases)),
             ),
-            Section("uncertain", "Effect of uncertain inputs", _uncertain(sweep)),
-            Section("cases", "All cases", _parts(sweep)),
-            Section("notes", "Notes of the runs", bullets(notes)),
-            Section(
+            PageSection("uncertain", "Effect of uncertain inputs", _uncertain(sweep)),
+            PageSection("cases", "All cases", _parts(sweep)),
+            PageSection("notes", "Notes of the runs", bullets(notes)),
+            PageSection(
                 "maps",
                 "Maps of the interfaces",
                 page.figures(mapped, drawings) + bullets(unmapped),
             ),
-            Section("gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)),
-            Section("mantle", "Cement mantles", table(*gruen.mantles(sweep.cases))),
+            PageSection(
+                "gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)
+            ),
+            PageSection("mantle", "Cement mantles", table(*gruen.mantles(sweep.cases))),
         ]
         html = page.page(
             sweep.title,
@@ -102,7 +104,9 @@ def _summary(sweep: SweepResults) -> list[str]:
         )
     warned = sum(bool(c.notes) for c in sweep.cases)
     if warned:
-        lines.append(f"{warned} cases have notes. They are below the table of all cases.")
+        lines.append(
+            f"{warned} of {len(sweep.cases)} cases have notes: see below the table of all cases."
+        )
     return lines
 
 

@@ -60,7 +60,7 @@ NODAL = {
 }
 
 
-class Kind(NamedTuple):
+class ShownField(NamedTuple):
     """A field to show.
 
     Attributes:
@@ -183,7 +183,9 @@ def packed(
     return head, bytes(numbers)
 
 
-def _opening(run: Run, kinds: Sequence[Kind], surfaces: Mapping[str, Ints]) -> dict[str, object]:
+def _opening(
+    run: Run, kinds: Sequence[ShownField], surfaces: Mapping[str, Ints]
+) -> dict[str, object]:
     """Return the field, the bodies and the axis of the cut that a view shows at first.
 
     The first field of an interface that is not zero is shown on its inner body without a cut (axis
@@ -249,18 +251,20 @@ def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
     return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v
 
 
-def _kinds(run: Run) -> list[Kind]:
+def _kinds(run: Run) -> list[ShownField]:
     """Return the fields to show, the most interesting first."""
     kinds = [
-        Kind(f"{contact}_{key}", contact, f"{contact.replace('_', '-')}: {label}", unit, factor)
+        ShownField(
+            f"{contact}_{key}", contact, f"{contact.replace('_', '-')}: {label}", unit, factor
+        )
         for contact in sorted(run.contacts, reverse=True)
         for key, (label, unit, factor) in INTERFACE.items()
         if f"{contact}_{key}" in run.point_fields
     ]
-    kinds += [Kind(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]
+    kinds += [ShownField(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]
     known = {kind.name for kind in kinds}
     others = [name for name in run.point_fields if "cure" in name and name not in known]
-    return kinds + [Kind(name, "", name.replace("_", " "), "", 1.0) for name in others]
+    return kinds + [ShownField(name, "", name.replace("_", " "), "", 1.0) for name in others]
 
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:

@@ -87,4 +87,4 @@ def test_bending_note_is_in_summary_table_and_page(
     assert [row["notes"] for row in rows] == [note, ""]
     assert main(["report", str(folder)]) == 0
     page = html.unescape((folder / "report.html").read_text())
-    assert f"{note} ({linear['name']})" in page and "Notes were made of 1 cases" in page
+    assert f"{note} ({linear['name']})" in page and "1 of 2 cases have notes" in page
