@@ -295,7 +295,7 @@ class Model:
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
         parts = dict(self.records) | {
-            "mechanics": self.mechanical_path,
+            "mechanical_path": self.mechanical_path,
             "thermal": self.thermal,
             "heat_stepper": self._steppers.heat,
             "load_stepper": self._steppers.load,

@@ -35,7 +35,7 @@ class HeatStepper:
         on_heat: Called after each committed step, once the mechanics have followed.
     """
 
-    saved = ("under_way", "stage_start", "steps_done", "controller", "mechanics")
+    saved = ("under_way", "stage_start", "steps_done", "controller", "mechanical_path")
 
     def __init__(
         self, heating: HeatState, mechanical_path: Mechanics | None, on_heat: OnHeat
