@@ -121,10 +121,13 @@ def symmetric(components: Sequence[Any]) -> Expr:
     return as_matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def swelling(e: Any) -> Expr:
-    r"""Strain :math:`e\,I` (3, 3) of a body that changes its size alike in all directions [-].
+def isotropic_strain(e: Any) -> Expr:
+    r"""Strain :math:`e\,I` (3, 3) that is equal in all directions [-].
 
-    The thermal strain that eq. 51 leaves out is :math:`e = α (θ - θ_{ref})`; the elastic strain is
-    what a strain exceeds it by.
+    Thermal strain has :math:`e = α (θ - θ_{ref})`. Equation 51 leaves it out: the elastic strain is
+    the total strain minus :math:`e\,I`.
+
+    Args:
+        e: Linear strain [-].
     """
     return e * Identity(3)

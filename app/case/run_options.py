@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
-from app.laws.interface_laws import USUAL_AUGMENTATION
+from app.laws.interface_laws import DEFAULT_AUGMENTATION
 from app.laws.loads import Point
 from app.schema import units
 from app.schema.section import MAPPING, Name, Section, Truth, add_key, fail, show
@@ -195,7 +195,7 @@ class SolverOptions(Section):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: units.PositiveNumber = USUAL_AUGMENTATION
+    augmentation_factor: units.PositiveNumber = DEFAULT_AUGMENTATION
     """Augmentation r over the local stiffness per area at a point, where r is not given."""
 
 

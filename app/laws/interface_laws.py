@@ -49,7 +49,7 @@ MORTAR_POINTS = 12
 FINITE = ("between", "quadrature", "wear_coefficient")
 SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
 # Default ratio of the augmentation to the stiffness against a jump.
-USUAL_AUGMENTATION = 0.2
+DEFAULT_AUGMENTATION = 0.2
 
 
 class InterfaceStrength(Section):
@@ -208,8 +208,8 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def beside(self) -> Coulomb | None:
-        """Contact on the share of the area that the law leaves; None without."""
+    def debonded_contact(self) -> Coulomb | None:
+        """Contact law of the debonded area; None if the law has none."""
         return None
 
     @property
@@ -220,14 +220,16 @@ class InterfaceLaw(Extensible):
     @property
     def values(self) -> Mapping[str, float | str | Patches]:
         """Numbers of the law, or expressions; they may differ between laws of one form."""
-        return {name: v for name, v in self._own().items() if self._varies(name, v)}
+        return {name: v for name, v in self._added_fields().items() if self._varies(name, v)}
 
     @property
     def form(self) -> Hashable:
         """Key of compiled code shared by laws: the class, and fields that are no numbers."""
-        return type(self), *((n, v) for n, v in self._own().items() if not self._varies(n, v))
+        return type(self), *(
+            (n, v) for n, v in self._added_fields().items() if not self._varies(n, v)
+        )
 
-    def _own(self) -> dict[str, Any]:
+    def _added_fields(self) -> dict[str, Any]:
         """Fields added by the subclass."""
         names = type(self).model_fields.keys() - InterfaceLaw.model_fields
         return {name: getattr(self, name) for name in sorted(names)}
@@ -254,14 +256,14 @@ class InterfaceLaw(Extensible):
         """Force and derivative of the law."""
         raise NotImplementedError
 
-    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+    def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """Stiffness r of the trial force (n,) [MPa/mm].
 
         Args:
-            met: Stiffness per area against the jump of each point (n,) [MPa/mm].
-            factor: Default ratio of the augmentation to that.
+            local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
+            factor: Default ratio of the augmentation to the local stiffness [-].
         """
-        return factor * met
+        return factor * local_stiffness
 
 
 class Bonded(InterfaceLaw):
@@ -405,9 +407,9 @@ class Coulomb(Unilateral):
             return None
         return self.compliance.normal, self.compliance.tangential
 
-    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+    def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""
-        return factor * met if self.augmentation is None else self.augmentation
+        return self.augmentation or factor * local_stiffness
 
 
 class Penalty(Unilateral):
@@ -479,7 +481,7 @@ class Traction(InterfaceLaw):
         return STICK * as_ufl(1.0)
 
     @property
-    def beside(self) -> Coulomb | None:
+    def debonded_contact(self) -> Coulomb | None:
         """Contact, if the subclass defines `broken`."""
         if type(self).broken is Traction.broken:
             return None

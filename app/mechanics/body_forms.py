@@ -131,7 +131,7 @@ class BodyForms:
         space: Displacement space.
         u: The continuous displacement.
         springs: Stiffness of each elastic foundation.
-        swelling: Thermal strain of each expanding elastic region, at the vertices [-].
+        free_strain: Thermal strain of each expanding elastic region, at the vertices [-].
         growth: Modulus of each curing region over its final one, at the vertices [-].
         by_density: Regions whose stiffness follows a density that changes.
         density, density_at_start: That density at all vertices of this rank, ghosts too
@@ -177,7 +177,7 @@ class BodyForms:
         }
         self.growth = {c.region: fem.Function(self.scalars) for c in scene.cures}
         self.path_dependent_regions = {c.region for c in (*scene.cures, *scene.creeps)}
-        self.swelling = {
+        self.free_strain = {
             x.region: fem.Function(self.scalars)
             for x in scene.expansions
             if x.region not in self.growth
@@ -310,12 +310,12 @@ class BodyForms:
         return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
-        """Strain of a displacement minus the region's eigenstrains and its swelling."""
+        """Strain of a displacement minus the region's eigenstrains and thermal strain."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
             ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.strain)
-        if e.region in self.swelling:
-            ε = ε - elasticity.swelling(self.swelling[e.region])
+        if e.region in self.free_strain:
+            ε = ε - elasticity.isotropic_strain(self.free_strain[e.region])
         return ε
 
     def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:

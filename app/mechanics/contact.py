@@ -321,7 +321,9 @@ class ContactInterfaces:
             return False
         rows = self.finite_sliding.rows
         pressure = trial.law.pressures[rows, 0]
-        wrong = self.law.met[rows] * self.finite_sliding.error(self._paired_at, trial.jump)
+        wrong = self.law.local_stiffness[rows] * self.finite_sliding.error(
+            self._paired_at, trial.jump
+        )
         local = pressure.max(initial=0.0), wrong[pressure > 0].max(initial=0.0)
         largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
         if by <= ACCURACY * largest:
@@ -354,17 +356,17 @@ class ContactInterfaces:
             found[rows] = np.einsum("pi,pi->p", found[rows], n)[:, None] * n
         return found
 
-    def tie(self, on: bool) -> bool:
-        """Tie interfaces that have to close before a body is held, or release all; collective.
+    def constrain(self, on: bool) -> bool:
+        """Constrain interfaces that have to close to hold a body, or release all; collective.
 
         Such an interface was open everywhere so far. Or it is open in part and joins a body that
-        neither supports nor its touching points hold. The sides of a tied interface touch and
-        stick: they bring the body to the one against which it is pushed.
+        neither supports nor its touching points hold. The sides of a constrained
+        interface touch and stick: this brings the body to the one against which it is pushed.
 
         Returns:
-            True if interfaces are tied.
+            True if interfaces are constrained.
         """
-        tied = self.law.tied = np.zeros(len(self.local), dtype=bool)
+        constrained = self.law.constrained = np.zeros(len(self.local), dtype=bool)
         if not on:
             return False
         apart = self._clearance.copy()
@@ -385,8 +387,8 @@ class ContactInterfaces:
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
                 if bodies.isdisjoint(floating):
                     continue
-            tied |= here
-        return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
+            constrained |= here
+        return bool(self.comm.allreduce(bool(constrained.any()), MPI.LOR))
 
     def _floating(self, touched: Bools) -> set[int]:
         """Bodies with a rigid motion that neither supports nor touching points hold; collective.
@@ -425,13 +427,13 @@ class ContactInterfaces:
         return without(loose, self.free_motions(status))
 
     def _touching(self, status: Ints) -> Bools:
-        """Mask of points that touch in a state, or are tied (n,)."""
-        return (status != OPEN) | self.law.tied
+        """Mask of points that touch in a state, or are constrained (n,)."""
+        return (status != OPEN) | self.law.constrained
 
     @property
     def _sticks(self) -> Bools:
         """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
-        return self.law.frictional | ~self.law.slides | self.law.tied
+        return self.law.frictional | ~self.law.slides | self.law.constrained
 
     def _unresisted(self, stick: Bools, slide: Bools, part: float) -> Floats:
         """Rigid motions resisted by less than a part of the largest (6 bodies, k); collective.
@@ -482,16 +484,16 @@ class ContactInterfaces:
         touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
-    def release(self, on: bool) -> bool:
-        """Open all interfaces that can open, or end that; collective.
+    def open(self, on: bool) -> bool:
+        """Open all interfaces that can open, or let them close again; collective.
 
-        Layers and bonds keep their forces.
+        Elastic layers and cohesion keep their forces.
 
         Returns:
             True if interfaces are opened.
         """
-        self.law.released = self.law.has_contact & self.law.can_open & on
-        return bool(self.comm.allreduce(bool(self.law.released.any()), MPI.LOR))
+        self.law.opened = self.law.has_contact & self.law.can_open & on
+        return bool(self.comm.allreduce(bool(self.law.opened.any()), MPI.LOR))
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Bring bodies that touch nothing to where forces f [N] push them; collective.
@@ -518,22 +520,6 @@ class ContactInterfaces:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
         values = self.law.augmentation()
         return {self._contacts[i].name: value for i, value in values.items()}
-
-    def freeze(self, on: bool) -> bool:
-        """Hold the internal variables of the laws at the last state, or release them.
-
-        Return True if a law has any.
-        """
-        self.law.frozen = on and bool(self.law.internal_variables)
-        return bool(self.law.internal_variables)
-
-    def usual_augmentation(self) -> float:
-        """Default augmentation over the one in the case, in the mean; collective."""
-        return self.law.usual_augmentation()
-
-    def scale_augmentation(self, factor: float) -> None:
-        """Multiply the default augmentation by a factor, until the next call."""
-        self.law.scale_augmentation(factor)
 
     def whole(self, values: Floats) -> Floats:
         """Values at all points, from those at local ones (n, ...); collective."""

@@ -20,7 +20,7 @@ from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats, Ints
 from app.laws import interface_laws
-from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw
+from app.laws.interface_laws import DEFAULT_AUGMENTATION, AtPoint, InterfaceLaw
 from app.mechanics.contact_points import ContactState, LocalPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
@@ -105,9 +105,9 @@ class PointLaw:
         can_open, frictional, has_contact, dissipates: Whether the law of each point can open, has
             friction, is contact or has contact beside it, declares what it dissipates (n,).
         internal_variables: Shapes of the internal variables of the laws, by name.
-        tied: Points that stick whatever their law (n,).
-        released: Points that are open whatever their law, but for the force of a bond (n,).
-        met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
+        constrained: Points that stick, whatever their law (n,).
+        opened: Points without contact force, whatever their law (n,). Layers and cohesion act.
+        local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
         compliance: That of the elastic layer in series (n, 3, 3) [mm/MPa].
@@ -153,13 +153,13 @@ class PointLaw:
         self.can_open = np.array([law.can_open for law in laws])[points.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[points.interface]
         self.slides = np.array([law.is_contact for law in laws])[points.interface]
-        touch = [law.is_contact or law.beside is not None for law in laws]
+        touch = [law.is_contact or law.debonded_contact is not None for law in laws]
         self.has_contact = np.array(touch)[points.interface]
         self.dissipates = np.array([law.dissipates for law in laws])[points.interface]
         # Of laws that have contact beside them.
         self._friction = values.get("friction_coefficient", np.zeros(len(points)))
-        self.tied = np.zeros(len(points), dtype=bool)
-        self.released = np.zeros(len(points), dtype=bool)
+        self.constrained = np.zeros(len(points), dtype=bool)
+        self.opened = np.zeros(len(points), dtype=bool)
         self._scale = 1.0
         self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[points.interface]
         self.compliance = np.zeros((len(points), 3, 3))
@@ -180,8 +180,12 @@ class PointLaw:
             law = next(law for law in laws if law.form == forms[k])
             normals = points.normals[rows, :m]
             compiled = _compile(self._comm, normals, law)
-            beside = None if law.beside is None else _compile(self._comm, normals, law.beside)
-            groups.append((rows, law, compiled, beside))
+            debonded = (
+                None
+                if law.debonded_contact is None
+                else _compile(self._comm, normals, law.debonded_contact)
+            )
+            groups.append((rows, law, compiled, debonded))
         return groups
 
     def set_normals(self, points: Ints) -> None:
@@ -193,22 +197,27 @@ class PointLaw:
 
     # Stiffness of the trial force
 
-    def update_stiffness(self, local_stiffness: Floats) -> None:
+    def update_stiffness(self, stiffness: Floats) -> None:
         """Set the default stiffness of the trial force.
 
         By default it is a factor times the local stiffness per area in its softest direction: it
         follows materials, cure, mesh and order.
 
         Args:
-            local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
+            stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
-        self.met = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._points.weight
+        self.local_stiffness = np.linalg.eigvalsh(stiffness)[:, 0] / self._points.weight
         self.default_stiffness = self._softest.copy()
         for law, here in self._laws:
             # Above the stiffness of a layer the multiplier would enter with a negative sign.
-            r = law.trial_stiffness(self.met[here], self._factor)
+            r = law.trial_stiffness(self.local_stiffness[here], self._factor)
             self.default_stiffness[here] = np.minimum(r, self._softest[here])
         self.scale_augmentation(self._scale)
+
+    def freeze(self, on: bool) -> bool:
+        """Freeze the internal variables, or let them change; return True if there are any."""
+        self.frozen = on and bool(self.internal_variables)
+        return bool(self.internal_variables)
 
     def scale_augmentation(self, factor: float) -> None:
         """Multiply the default augmentation by a factor, until the next call."""
@@ -217,10 +226,10 @@ class PointLaw:
         layers = self.stiffness[:, None, None] * self.compliance
         self.multiplier_share = np.eye(3) - layers
 
-    def usual_augmentation(self) -> float:
-        """Default augmentation over the one in the case, in the mean; collective."""
+    def default_augmentation_ratio(self) -> float:
+        """Geometric mean of the default augmentation over the one of the case [-]; collective."""
         here = np.array([law.augmented for law, _ in self._laws])[self._points.interface]
-        usual = np.minimum(USUAL_AUGMENTATION * self.met, self._softest)[here]
+        usual = np.minimum(DEFAULT_AUGMENTATION * self.local_stiffness, self._softest)[here]
         default = np.array_equal(usual, self.default_stiffness[here])
         if self._comm.allreduce(default, MPI.LAND):
             return 1.0
@@ -265,7 +274,7 @@ class PointLaw:
             rubbed=np.zeros(n),
             outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
         )
-        for rows, law, compiled, beside in self._groups:
+        for rows, law, compiled, debonded in self._groups:
             known = inputs | {
                 name: state.internal_variables[name] for name in law.internal_variables
             }
@@ -282,12 +291,12 @@ class PointLaw:
                 out.internal_variables[name][rows] = response[f"new {name}"]
             for name in OUTPUTS.keys() & response.keys():
                 out.outputs[name][rows] = response[name]
-            if beside is not None:
+            if debonded is not None:
                 some = {name: known[name] for name in inputs}
-                self._touch(rows, law, beside, some, state, out)
-        if self.tied.any():
-            self._tie(out, force, jump + gap, state.jump)
-        open_ = self.released & self.slides
+                self._touch(rows, law, debonded, some, state, out)
+        if self.constrained.any():
+            self._constrain(out, force, jump + gap, state.jump)
+        open_ = self.opened & self.slides
         if open_.any():
             for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
                 values[open_] = 0.0
@@ -359,7 +368,7 @@ class PointLaw:
         """
         points, r = self._points, inputs["r"]
         share = out.outputs["broken"][rows]
-        on = (share > 0) & ~self.released[rows]
+        on = (share > 0) & ~self.opened[rows]
         T, T_by_jump = out.force[rows], out.by_jump[rows]
         free = np.eye(3) - points.along[rows]
         inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, T)
@@ -389,14 +398,14 @@ class PointLaw:
         closed = here[status[on] != OPEN]
         out.outputs["slip"][closed] = slip[closed]
 
-    def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
-        points, tied = self._points, self.tied
+    def _constrain(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
+        points, constrained = self._points, self.constrained
         slid = points.tangential(old, np.ones((len(points), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - slid)
-        out.force[tied] = points.project_free(trial)[tied]
-        out.by_multiplier[tied] = np.eye(3)
-        out.by_jump[tied] = (self.stiffness[:, None, None] * np.eye(3))[tied]
-        out.status[tied] = STICK
+        out.force[constrained] = points.project_free(trial)[constrained]
+        out.by_multiplier[constrained] = np.eye(3)
+        out.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
+        out.status[constrained] = STICK
 
 
 def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:

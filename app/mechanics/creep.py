@@ -184,6 +184,6 @@ class CreepState:
         """What is committed."""
         return self.strain, self.elapsed, self.dissipated
 
-    def go_back(self, state: tuple[Floats, float, float]) -> None:
+    def return_to(self, state: tuple[Floats, float, float]) -> None:
         """Return to an earlier state."""
         self.strain, self.elapsed, self.dissipated = state

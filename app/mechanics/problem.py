@@ -118,7 +118,9 @@ class Problem:
         if self.contact and on_surfaces:
             self.sliding = SlidingBodies(*parts, self.contact, on_surfaces, self.moved)
         self.forces = Forces(scene, self.body_forms, self.contact)
-        self.thermal_strain = ThermalStrain(self.body_forms) if self.body_forms.swelling else None
+        self.thermal_strain = (
+            ThermalStrain(self.body_forms) if self.body_forms.free_strain else None
+        )
         self.set_time(0.0)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -130,7 +132,7 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
-        for state in (self.u, *self.moved.values(), *self.body_forms.swelling.values()):
+        for state in (self.u, *self.moved.values(), *self.body_forms.free_strain.values()):
             state.x.array[:] = 0
         if self.stress_history:
             self.stress_history.begin()
@@ -232,7 +234,7 @@ class Problem:
         if self.thermal_strain:
             self.forces.set_eigenforces("heat", self.thermal_strain.set(temperatures))
             if self.stress_history:
-                self.stress_history.swell(self.body_forms.swelling)
+                self.stress_history.set_free_strain(self.body_forms.free_strain)
         self.set_time(self.time)
 
     def update_stiffness(self) -> None:

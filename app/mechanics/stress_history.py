@@ -87,7 +87,7 @@ class StressHistory:
         self._left = fem.Function(space) if scene.creeps else self.stress_at_points
         self._before = {b: fem.Function(body_forms.space) for b in self.bodies}
         self._step = {b: fem.Function(body_forms.space) for b in self.bodies}
-        free = {*body_forms.growth, *body_forms.swelling}
+        free = {*body_forms.growth, *body_forms.free_strain}
         self._rise = {r: fem.Function(body_forms.scalars) for r in regions if r in free}
         # Growth and free strain of the last converged state, and those to come.
         nodes = len(next(iter(self._rise.values())).x.array) if self._rise else 0
@@ -121,7 +121,7 @@ class StressHistory:
     def _stress_of(self, e: Elastic, ε: Any, sign: int) -> Any:
         """Stress of a strain, with the step's free strain added or subtracted."""
         if e.region in self._rise:
-            ε = ε + sign * elasticity.swelling(self._rise[e.region])
+            ε = ε + sign * elasticity.isotropic_strain(self._rise[e.region])
         return self._body_forms.growth.get(e.region, 1) * elasticity.stress(
             lambda x: self._body_forms.energy_density(e, x), ε
         )
@@ -172,7 +172,7 @@ class StressHistory:
             for r, growth in self._growth.items()
         }
 
-    def swell(self, strains: Mapping[str, fem.Function]) -> None:
+    def set_free_strain(self, strains: Mapping[str, fem.Function]) -> None:
         """Set the free strains of regions that do not set, at the vertices [-]."""
         for r, strain in strains.items():
             if r in self._rise:
@@ -275,23 +275,23 @@ class StressHistory:
         """Return to rest, where nothing sets."""
         self._old = {r: (g, np.zeros_like(e)) for r, (g, e) in self._old.items()}
         self._new = dict(self._old)
-        self.go_back(self._rest)
+        self.return_to(self._rest)
         c = self.creep
         if c:
             self.relax(np.zeros_like(c.taken), 0.0)
 
     def state(self) -> tuple[Any, ...]:
-        """The committed state, for `go_back`."""
+        """The committed state, for `return_to`."""
         own = self.stress_at_points, *self._before.values()
         return [f.x.array.copy() for f in own], self.creep and self.creep.state()
 
-    def go_back(self, state: tuple[Any, ...]) -> None:
+    def return_to(self, state: tuple[Any, ...]) -> None:
         """Return to an earlier state, with the same cure."""
         functions = self.stress_at_points, *self._before.values()
         for f, values in zip(functions, state[0], strict=True):
             f.x.array[:] = values
         if self.creep:
-            self.creep.go_back(state[1])
+            self.creep.return_to(state[1])
 
 
 def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:

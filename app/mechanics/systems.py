@@ -247,7 +247,7 @@ class ContactSystem(BondedSystem):
         """Number of changes of the stiffness by new pairs of surfaces alone."""
         return self._problem.stiffness.pairings
 
-    def ties(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
+    def pair_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
         """Displacement of points by the unknowns they follow now, of masters by all such ones."""
         sliding = self.contact.finite_sliding
         if sliding is None or not sliding.followers.deformable:

@@ -27,7 +27,7 @@ class ThermalStrain:
 
     def __init__(self, body_forms: BodyForms) -> None:
         self._body_forms, scene = body_forms, body_forms.scene
-        self._terms = [x for x in scene.expansions if x.region in body_forms.swelling]
+        self._terms = [x for x in scene.expansions if x.region in body_forms.free_strain]
         self.body = {x.region: body_forms.bodies.of_region[x.region] for x in self._terms}
         self._elastic = {e.region: e for e in scene.elastic}
         self.assemble()
@@ -48,7 +48,7 @@ class ThermalStrain:
             temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
         for x in self._terms:
-            e = self._body_forms.swelling[x.region]
+            e = self._body_forms.free_strain[x.region]
             e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
         return self.forces()
 
@@ -56,7 +56,7 @@ class ThermalStrain:
         """Nodal forces of the present thermal strain on each body [N]."""
         parts: dict[int, PETSc.Vec] = {}
         for region, G in self._forces.items():
-            e, body = self._body_forms.swelling[region], self.body[region]
+            e, body = self._body_forms.free_strain[region], self.body[region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
             parts.setdefault(body, G.createVecLeft())
@@ -104,5 +104,5 @@ def _forces(body_forms: BodyForms, e: Elastic) -> PETSc.Mat:
     strain = body_forms.elastic_strain(e, body_forms.u)
     energy = body_forms.energy_density(e, strain) * body_forms.over(e, dx, 1)
     forces = -ufl.derivative(energy, body_forms.u, v)
-    form = ufl.derivative(forces, body_forms.swelling[e.region], free)
+    form = ufl.derivative(forces, body_forms.free_strain[e.region], free)
     return assembled_matrix(body_forms.form(form))

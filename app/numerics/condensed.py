@@ -25,7 +25,7 @@ Rigid motions that nothing resists, columns of Z, need other springs: a friction
 about its axis. With springs along these motions only, T S + B + s Z Z^T, the step is exact, because
 balanced forces cause no such motion.
 Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
-(`numerics.untied`).
+(`numerics.paired_compliance`).
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import on_root
 from app.numerics.factor import library
 from app.numerics.lifetime import python_mat
+from app.numerics.paired_compliance import PairedCompliance
 from app.numerics.root_work import blas_threads, cores, wait
 from app.numerics.substructures import Substructures, own_rows, unknowns_of
 from app.numerics.system import MatrixFree, Measure, Reduced
-from app.numerics.untied import Untied
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
 NOTHING = 1e-10
@@ -85,7 +85,7 @@ class Condensable(Protocol):
     def pairings(self) -> int:
         """Number of these by new pairs alone."""
 
-    def ties(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
+    def pair_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
         """Displacement of points by unknowns they follow, and a matrix with all such columns."""
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
@@ -125,7 +125,7 @@ class Condensed:
         self._kept = self._followed()
         self._bodies = Substructures(matrices, self._kept)
         self._current = self._factored = -1
-        self._untied: Untied | None = None
+        self._paired: PairedCompliance | None = None
 
     @property
     def entries(self) -> float:
@@ -136,15 +136,15 @@ class Condensed:
 
     def _followed(self) -> Ints:
         """Nodes that points may follow, sorted, on all ranks; collective."""
-        ties = self._contact.ties()
+        ties = self._contact.pair_matrices()
         if ties is None:
             return np.zeros(0, dtype=np.int64)
         columns = np.unique(ties[1].getValuesCSR()[1] // 3)
         return np.unique(np.concatenate(self._comm.allgather(columns)))
 
-    def _ties(self) -> csr_array | None:
+    def _pair_matrix(self) -> csr_array | None:
         """Displacement of points by the nodes that they follow, on rank 0; collective."""
-        ties = self._contact.ties()
+        ties = self._contact.pair_matrices()
         if ties is None:
             return None
         every = self._comm.gather(own_rows(ties[0]))
@@ -156,16 +156,16 @@ class Condensed:
         if self._current == now:
             return
         bodies = now - self._contact.pairings
-        ties = self._ties()
+        pairs = self._pair_matrix()
         if self._factored != bodies:
             if self._factored >= 0:
                 self._bodies.renew(self._contact.parts())
             S = self._bodies.factorize()
             if S is not None:
                 self._S = S
-                self._untied = None if ties is None else Untied(S, ties)
-        if self._untied is not None:
-            self._S = self._untied.tie(ties)
+                self._paired = None if pairs is None else PairedCompliance(S, pairs)
+        if self._paired is not None:
+            self._S = self._paired.constrain(pairs)
         if self._comm.rank == 0:
             self._single = self._S.astype(np.float32)
         self._current, self._factored = now, bodies
@@ -268,18 +268,18 @@ class Condensed:
         self._given = self._bodies.reduce(ru)
         if self._given is None:
             return self._scattered(None)
-        if self._untied is None:
+        if self._paired is None:
             return self._scattered(-self._given)
-        return self._scattered(self._untied.solve(self._given, np.zeros(self._jumps))[0])
+        return self._scattered(self._paired.solve(self._given, np.zeros(self._jumps))[0])
 
     def moved(self, dq: Floats) -> Floats:
         """The displacement K^-1 (r_u - C dq), r_u as last given to `pulled`; collective."""
         every = self._gathered(dq)
         if self._given is None:
             return self._bodies.expand(None)
-        if self._untied is None:
+        if self._paired is None:
             return self._bodies.expand(every)
-        return self._bodies.expand(self._untied.solve(self._given, every)[1])
+        return self._bodies.expand(self._paired.solve(self._given, every)[1])
 
     # On rank 0
 

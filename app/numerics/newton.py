@@ -279,7 +279,7 @@ class Solver:
     def restored(self) -> None:
         """Apply the restored augmentation; the preconditioners are rebuilt."""
         if self.system.contact:
-            self.system.contact.scale_augmentation(self.augmentation)
+            self.system.contact.law.scale_augmentation(self.augmentation)
         self.linear.renew()
 
     # Residual

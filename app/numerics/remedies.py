@@ -18,7 +18,7 @@ log = logging.getLogger("mantle")
 # from the start: mostly the augmentation is too large. None: the line search is switched.
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
-USUAL = (1.0, 0.1, 0.01)
+DEFAULT_FACTORS = (1.0, 0.1, 0.01)
 # Part of the default augmentation below which a solution is refined with the default.
 SMALL = 0.05
 
@@ -29,12 +29,12 @@ def solve(solver: Solver) -> NewtonResult:
     solver.system.impose(solver.blocks())
     solver.residuals, solver.changes = [], []
     if contact:
-        contact.scale_augmentation(solver.augmentation)
+        contact.law.scale_augmentation(solver.augmentation)
     runs: list[tuple[int, int]] = []
     start = solver.x.copy() if contact else solver.x
-    if contact and contact.freeze(True):
+    if contact and contact.law.freeze(True):
         runs.append(solver.run())
-        contact.freeze(False)
+        contact.law.freeze(False)
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
@@ -45,7 +45,11 @@ def solve(solver: Solver) -> NewtonResult:
         runs.append(solver.run())
         tried.append((text, solver.residuals[-1]))
     augmentation = solver.augmentation
-    if contact and solver.converged and augmentation < SMALL * contact.usual_augmentation():
+    if (
+        contact
+        and solver.converged
+        and augmentation < SMALL * contact.law.default_augmentation_ratio()
+    ):
         augmentation, spent = _refine(solver, contact)
         runs.append(spent)
     if solver.converged and solver.system.settle(solver.blocks()):
@@ -80,14 +84,14 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
         The augmentation of the solution; Newton and Krylov iterations.
     """
     found, reached = solver.x.copy(), len(solver.residuals)
-    usual = contact.usual_augmentation()
-    contact.scale_augmentation(usual)
-    log.info("     converged: refining with augmentation %.3g r, the default", usual)
+    default = contact.law.default_augmentation_ratio()
+    contact.law.scale_augmentation(default)
+    log.info("     converged: refining with augmentation %.3g r, the default", default)
     spent = solver.run()
     if solver.converged:
-        return usual, spent
+        return default, spent
     found.copy(solver.x)
-    contact.scale_augmentation(solver.augmentation)
+    contact.law.scale_augmentation(solver.augmentation)
     del solver.residuals[reached:], solver.changes[reached:]
     solver.converged = True
     return solver.augmentation, spent
@@ -96,22 +100,24 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
-    Interfaces that have to close before a body is held are tied and released: a body free by a
-    clearance, or that touches along an edge only, comes into contact. All interfaces are opened,
-    then closed where the bodies overlap: in plain Newton the border of a zone that opens moves by
-    one row of facets in each iteration. The contact block is factorized, as SOR may yield poor
-    directions. The augmentation is scaled: a large one makes contact points change state back and
-    forth, and Newton continues from the current state with a smaller one. The line search is
-    switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
-    converge. Last, an augmentation set by the case, which may be off by powers of ten, is replaced
-    by the default.
+    1. Interfaces that have to close before a body is held are constrained, then released. A body
+       with clearance, or one that touches along an edge only, thus comes into contact.
+    2. All interfaces are opened, then closed where the bodies overlap. In plain Newton the border
+       of an opening zone moves by one row of facets in each iteration.
+    3. The contact block is factorized, as SOR may yield poor directions.
+    4. The augmentation is scaled. A large one makes contact points change state back and forth;
+       Newton continues from the current state with a smaller one.
+    5. The line search is switched on or off. At a kink of the contact law it may shorten steps to
+       almost zero, although full steps converge.
+    6. An augmentation set by the case, which may be wrong by powers of ten, is replaced by the
+       default.
     """
     contact = solver.system.contact
     if contact:
-        tied = "closing and tying open interfaces of bodies that nothing else holds"
-        yield from _switched(solver, start, contact.tie, tied, "releasing the tied interfaces")
+        closed = "constraining open interfaces of bodies that nothing else holds"
+        yield from _switched(solver, start, contact.constrain, closed, "releasing these interfaces")
         overlap = "closing interfaces where the open bodies overlap"
-        yield from _switched(solver, start, contact.release, "opening all interfaces", overlap)
+        yield from _switched(solver, start, contact.open, "opening all interfaces", overlap)
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
         yield "factorizing the contact block"
@@ -131,19 +137,19 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         if continues and hopeless(solver):
             continue
         if factor != solver.augmentation:
-            contact.scale_augmentation(factor)
+            contact.law.scale_augmentation(factor)
             if not continues:
                 start.copy(solver.x)
             solver.augmentation = factor
             yield f"augmentation {factor:g} r{_values(contact)}"
-    if solver.converged or (usual := contact.usual_augmentation()) == 1.0:
+    if solver.converged or (default := contact.law.default_augmentation_ratio()) == 1.0:
         return
     start.copy(solver.x)
-    for share in USUAL:
+    for share in DEFAULT_FACTORS:
         if hopeless(solver):
             return
-        solver.augmentation = share * usual
-        contact.scale_augmentation(solver.augmentation)
+        solver.augmentation = share * default
+        contact.law.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
         yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(contact)}"
 
@@ -156,7 +162,7 @@ def _switched(
     Args:
         solver: The solver. If a body has run away, its state is the start again.
         start: The state from which to start.
-        switch: Ties or opens interfaces, or ends that; returns True if there are any.
+        switch: Constrains or opens interfaces, or ends that; returns True if there are any.
         first: Name of the remedy with switched interfaces.
         then: Name of the remedy after that.
     """

@@ -44,26 +44,42 @@ class Measure:
         return max(tolerance * self.scale, self.rounding)
 
 
+class ContactLaw(Protocol):
+    """Interface between the nonlinear solver and the laws of all contact points."""
+
+    def scale_augmentation(self, factor: float) -> None:
+        """Set the augmentation to a multiple of the case's [-]."""
+
+    def default_augmentation_ratio(self) -> float:
+        """Geometric mean of the default augmentation over the one of the case [-]; collective."""
+
+    def freeze(self, on: bool) -> bool:
+        """Freeze the internal variables, or let them change; return True if there are any."""
+
+
 class Contact(Protocol):
     """Interface between the nonlinear solver and the contact of a system."""
 
-    def scale_augmentation(self, factor: float) -> None:
-        """Set the multiple of the case's augmentation."""
+    @property
+    def law(self) -> ContactLaw:
+        """Laws of the contact points."""
 
     def augmentation(self) -> dict[str, float]:
-        """Augmentation in force on each interface [MPa/mm]; collective."""
+        """Current augmentation of each interface [MPa/mm]; collective."""
 
-    def freeze(self, on: bool) -> bool:
-        """Freeze the internal variables of laws, or release them. Return True if there are any."""
+    def constrain(self, on: bool) -> bool:
+        """Constrain interfaces that have to close before a body is held, or release them.
 
-    def usual_augmentation(self) -> float:
-        """Default augmentation over the one in the case; collective."""
+        Returns:
+            True if interfaces are constrained.
+        """
 
-    def tie(self, on: bool) -> bool:
-        """Tie interfaces that have to close before a body is held; return True if there are any."""
+    def open(self, on: bool) -> bool:
+        """Open all interfaces that can open, or let them close again.
 
-    def release(self, on: bool) -> bool:
-        """Open all interfaces that can open, or end that; return True if there are any."""
+        Returns:
+            True if there are such interfaces.
+        """
 
 
 class System(Protocol):

@@ -96,7 +96,7 @@ class Balance:
         energy = {b: e for b, e in enumerate(energies) if e != 0}
         # Energy of all bodies, and its derivatives by body; a rigid body has none. Without free
         # strains it is half the work of the derivatives.
-        free = body_forms.swelling or any(e.eigenstrains for e in scene.elastic)
+        free = body_forms.free_strain or any(e.eigenstrains for e in scene.elastic)
         self._elastic = body_forms.form(sum(energy.values())) if energy and free else None
         self._internal = [
             (b, body_forms.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
@@ -107,10 +107,10 @@ class Balance:
             for s in e.eigenstrains
         ]
         elastic = {e.region: e for e in scene.elastic}
-        swelling = elasticity.swelling(ufl.TestFunction(body_forms.scalars))
+        swelling = elasticity.isotropic_strain(ufl.TestFunction(body_forms.scalars))
         self._swelling = [
             (free, body_forms.form(self._work_of(elastic[region], swelling)))
-            for region, free in body_forms.swelling.items()
+            for region, free in body_forms.free_strain.items()
             if region not in body_forms.path_dependent_regions
         ]
         if body_forms.by_density:

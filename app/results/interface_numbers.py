@@ -158,7 +158,7 @@ class ContactSamples:
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # With a normal that is off by an angle, slip times this angle presses on the surface.
         pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[local.rows]
-        self.by_facets = contact.whole(contact.law.met * pressed)
+        self.by_facets = contact.whole(contact.law.local_stiffness * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
         self._pressures = whole(trial.law.pressures)

@@ -77,7 +77,7 @@ class Stresses:
         self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
             if e.region not in body_forms.path_dependent_regions and (
-                e.eigenstrains or e.region in body_forms.swelling
+                e.eigenstrains or e.region in body_forms.free_strain
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
                 self._own[e.region] = self._expression(body_forms.elastic_strain(e, displacement))

@@ -50,7 +50,7 @@ class ContactHeat:
 
     def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
         self._problem, self._operators = problem, operators
-        self.expands = set(problem.body_forms.swelling)
+        self.expands = set(problem.body_forms.free_strain)
         assert problem.contact is not None
         contact = self._contact = problem.contact
         comm, points = problem.comm, contact.points

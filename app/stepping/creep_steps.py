@@ -108,7 +108,7 @@ class CreepStepper:
         scale = stage.creep_tolerance * self._creep.elastic_strain(self._stress())
 
         def back() -> None:
-            self._stress_history.go_back(state)
+            self._stress_history.return_to(state)
             if contact and points:
                 contact.state, contact.carried = points, points.jump
 

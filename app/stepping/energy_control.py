@@ -82,11 +82,11 @@ def overshoot(
         Part of the path of that state, or None if there is no more damage; collective.
     """
     contact, start = problem.contact, solver.x.copy()
-    if contact is None or not contact.freeze(True):
+    if contact is None or not contact.law.freeze(True):
         return None
     set_load(path[1])
     solver.run()
-    contact.freeze(False)
+    contact.law.freeze(False)
     end = solver.x.copy()
 
     def spent_at(part: float) -> float:
@@ -162,7 +162,7 @@ class EnergyControl(MatrixFree):
         solver.residuals, solver.changes = [], []
         solver.scales = [*given.scales, 0.0] if given.scales else []
         if given.system.contact:
-            given.system.contact.scale_augmentation(given.augmentation)
+            given.system.contact.law.scale_augmentation(given.augmentation)
         *x, load = solver.blocks()
         for values, start in zip(x, given.blocks(), strict=True):
             start.copy(values)

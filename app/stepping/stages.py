@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
-from app.laws.interface_laws import USUAL_AUGMENTATION
+from app.laws.interface_laws import DEFAULT_AUGMENTATION
 from app.mechanics.predictors import Predictor
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
@@ -190,7 +190,7 @@ class SolverSettings:
     max_iterations: int = 40
     linear: str = "auto"
     petsc: Options = field(default_factory=dict)
-    augmentation_factor: float = USUAL_AUGMENTATION
+    augmentation_factor: float = DEFAULT_AUGMENTATION
     solves: float = 1.0
     memory: float = math.inf
     stop: Callable[[], str] = str

@@ -112,7 +112,7 @@ def test_augmentation_default_is_found_from_any_given_value() -> None:
         (springs, 1.0),
     ):
         _, solver = support.assemble(support.case(STEM, *overrides))
-        assert solver.system.contact.usual_augmentation() == pytest.approx(multiple)
+        assert solver.system.contact.law.default_augmentation_ratio() == pytest.approx(multiple)
 
 
 def test_augmentation_does_not_change_a_penalty() -> None:

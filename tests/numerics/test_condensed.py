@@ -13,7 +13,7 @@ from app.numerics import substructures
 from app.numerics.choice import SolverChoice
 from app.numerics.condensed import Condensed
 from app.numerics.mumps import Mumps
-from app.numerics.untied import Untied
+from app.numerics.paired_compliance import PairedCompliance
 from tests import support
 
 CONDENSED = "solver.linear=condensed"
@@ -29,11 +29,11 @@ def test_condensed_bodies_with_new_pairs_reuse_factors() -> None:
     Q1, Q2 = random.normal(size=(2, 9, 9))
     tied = [np.block([[loose + Q.T @ held @ Q, Q.T @ held], [held @ Q, held]]) for Q in (Q1, Q2)]
     K, C = tied[1][:9, :9], tied[1][:9, 9:]
-    untied = Untied(tied[0].copy(), csr_array(Q1))
+    compliance = PairedCompliance(tied[0].copy(), csr_array(Q1))
     S = held - C.T @ np.linalg.solve(K, C)
-    np.testing.assert_allclose(untied.tie(csr_array(Q2)), S, atol=1e-9)
+    np.testing.assert_allclose(compliance.constrain(csr_array(Q2)), S, atol=1e-9)
     g, q = random.normal(size=18), random.normal(size=9)
-    forces, v = untied.solve(g, q)
+    forces, v = compliance.solve(g, q)
     # Forces g and motions are those of the first ties: g on m also acts through the points.
     m = np.linalg.solve(K, g[:9] + (Q2 - Q1).T @ g[9:] - C @ q)
     np.testing.assert_allclose(v, np.concatenate([m, q + (Q2 - Q1) @ m]), atol=1e-9)

@@ -162,7 +162,10 @@ PARTS: dict[str, tuple[Callable[[], Heated], Callable[[Any], Any]]] = {
     "motion": (pushed, lambda m: m.problem.displacements()[1].x.array),
     "contact": (pushed, lambda m: m.problem.contact.state.work),
     "modulus": (pushed, lambda m: m.problem.body_forms._constants["rod"][0][0].value),
-    "heat": (lambda: heated((CLAMPS,), 40), lambda m: m.problem.body_forms.swelling["one"].x.array),
+    "heat": (
+        lambda: heated((CLAMPS,), 40),
+        lambda m: m.problem.body_forms.free_strain["one"].x.array,
+    ),
     "stress": (lambda: ring(SMOOTH), lambda m: m.problem.stress_history.stress_at_points.x.array),
     "rough-stress": (
         lambda: ring(ROUGH),

@@ -203,5 +203,5 @@ def test_interface_pressure_by_facets(doubt: float, decides: bool) -> None:
     assert ("pressure_by_facets" in numbers) == decides
     if decides:
         here = contact.local.interface == 0
-        pressed = contact.law.met * np.linalg.norm(contact.state.slip, axis=1) * doubt
+        pressed = contact.law.local_stiffness * np.linalg.norm(contact.state.slip, axis=1) * doubt
         assert numbers["pressure_by_facets"] == pytest.approx(pressed[here].max(), rel=1e-6)

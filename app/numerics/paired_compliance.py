@@ -1,12 +1,13 @@
-r"""Bodies that follow each other, condensed once whatever pairs they are in; on one rank.
+r"""Condensed stiffness of bodies that follow each other, for any pairs of their surfaces.
 
-Some points follow unknowns m of other bodies by :math:`w = Q m + q`, Q changing as surfaces slide.
-Their places w and m themselves, the ties cut, have a stiffness that does not change. With its
-inverse A the jumps that forces λ on them cause are
+Some points follow unknowns m of other bodies, :math:`w = Q m + q`. Q changes as surfaces slide.
+If the points are released, the stiffness of w and m does not change. Let A be its inverse. Forces λ
+on the jumps cause the jumps
 
 .. math:: q = M λ, \qquad M = F A F^T, \quad F = (-Q, I), \qquad S = M^{-1}.
 
-Bodies that nothing else holds get springs, of which forces a at their places E free them again.
+Bodies that nothing else holds get springs. The method removes the forces of the springs again.
+All arrays are on one rank.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from app.foundation.arrays import Floats
 LOOSE = 1e-9
 
 
-class Untied:
-    """Flexibility of unknowns m and points, all ties cut.
+class PairedCompliance:
+    """Compliance of the unknowns m and of the points, all points released.
 
     Args:
-        S: Stiffness of m and the jumps; overwritten.
-        Q: Displacement of the points by m, as of that stiffness.
+        S: Stiffness of m and the jumps (n + p, n + p) [N/mm]; overwritten.
+        Q: Displacement of the points by m in this stiffness (p, n).
     """
 
     def __init__(self, S: Floats, Q: csr_array) -> None:
@@ -41,8 +42,8 @@ class Untied:
         held = self._A[np.ix_(self._loose, self._loose)]
         self._freed = np.eye(len(held)) / spring - held
 
-    def tie(self, Q: csr_array) -> Floats:
-        """Stiffness S of the jumps in pairs Q."""
+    def constrain(self, Q: csr_array) -> Floats:
+        """Return the stiffness S of the jumps for other pairs Q (p, p) [N/mm]."""
         self._Q, n, used = Q, Q.shape[1], np.unique(Q.indices)
         V = Q[:, used] @ self._A[np.ix_(used, used)]
         half = Q[:, used] @ V.T / 2 - Q @ self._A[:n, n:]
@@ -54,14 +55,14 @@ class Untied:
         return self._S
 
     def _apart(self, v: Floats) -> Floats:
-        """F v: how points move over what they follow."""
+        """Return F v: jumps of the points by motions v of the unknowns."""
         n = self._Q.shape[1]
         return np.asarray(v[n:] - self._Q @ v[:n])
 
     def solve(self, g: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Forces that hold jumps q while forces g act, and how m and the jumps move.
+        """Return the forces that hold jumps q under forces g, and the motions of m and the jumps.
 
-        Forces g and motions of jumps are those in the first pairs.
+        Forces g and the motions of the jumps refer to the first pairs.
         """
         n, loose = self._Q.shape[1], self._loose
         free = self._A @ np.concatenate([g[:n] - self._first.T @ g[n:], g[n:]])
