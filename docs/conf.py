@@ -28,6 +28,7 @@ tutorial
 howto/README
 reference/README
 gallery
+demos
 faq
 theory
 verification
@@ -68,10 +69,11 @@ python
 
 
 ROOT = Path(__file__).resolve().parents[1]
+DEMOS = ROOT / "docs" / "demos"
 
 
 def _read(app: Any, page: str, source: list[str]) -> None:
-    """Put the README before the index, and give a page its part of the table of contents."""
+    """Put the README before the index, demos on their page, and add its contents to a page."""
     if page == "index":
         readme = re.sub(r"\]\((?!docs/|#)", "](../", (ROOT / "README.md").read_text("utf-8"))
         source[0] = readme.replace("](docs/", "](") + source[0].partition("\n")[2]
@@ -82,6 +84,10 @@ def _read(app: Any, page: str, source: list[str]) -> None:
         source[0],
     )
     source[0] = re.sub(r"\]\(([./]*)\.\./README\.md", r"](\1index.md", text)
+    if page == "demos":
+        for path in sorted(DEMOS.glob("*.py")):
+            title = path.stem.replace("_", " ").capitalize()
+            source[0] += f"\n## {title}\n\n```{{literalinclude}} demos/{path.name}\n```\n"
     if page in CONTENTS:
         source[0] += f"\n```{{toctree}}\n:hidden:\n{CONTENTS[page]}```\n"
 

@@ -1,0 +1,99 @@
+"""The demos of the manual: each runs on import, and one of its numbers follows from a formula."""
+
+from __future__ import annotations
+
+import math
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests import support
+
+DEMOS = support.ROOT / "docs" / "demos"
+LINES = 80
+
+
+def numbers(name: str) -> dict[str, Any]:
+    """Names and values of a demo after it has run."""
+    return runpy.run_path(str(DEMOS / f"{name}.py"))
+
+
+@pytest.mark.parametrize("path", sorted(DEMOS.glob("*.py")), ids=lambda path: path.stem)
+def test_demos_are_short_and_tested(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LINES
+    assert f"test_demos_{path.stem}" in globals()
+
+
+def test_demos_patch_test() -> None:
+    """Uniform pressure, and the shortening of two columns: 3 MPa (2 mm/1 GPa + 2 mm/2 GPa)."""
+    found = numbers("patch_test")
+    assert found["pressure"] == pytest.approx(3.0, rel=1e-9)
+    assert found["shortening"] == pytest.approx(0.009, rel=1e-9)
+
+
+def test_demos_hertz() -> None:
+    """p_0 = sqrt(F E* / (pi R)); near the contact cells have 0.1 to 0.3 of its half-width."""
+    found = numbers("hertz")
+    exact = math.sqrt(found["F"] * 1000 / (2 * 0.91) / (math.pi * 50))
+    assert found["peak"] == pytest.approx(exact, rel=0.02)
+
+
+def test_demos_incline() -> None:
+    """T / N = tan 12 deg at rest; nothing holds a block on 20 deg, beyond arctan 0.3."""
+    found = numbers("incline")
+    assert found["at_rest"] == pytest.approx(math.tan(math.radians(12)), rel=1e-8)
+    assert "nothing holds body 'block'" in found["sliding"]
+
+
+def test_demos_press_fit() -> None:
+    """Lame's pressure of tubes with the radii 3, 5 and 7 mm; facets are flat."""
+    exact = 0.01 / 5 / ((74 / 24 + 0.3) / 17e3 + (34 / 16 - 0.3) / 110e3)
+    assert numbers("press_fit")["pressure"] == pytest.approx(exact, rel=2e-3)
+
+
+def test_demos_friction_heat() -> None:
+    """dT = mu p v L / k of 0.3, 2 MPa, 0.02 mm/s, 2 mm and 0.2 mW/(mm K)."""
+    exact = 0.3 * 2 * 0.02 * 2 / 0.2
+    assert numbers("friction_heat")["rise"] == pytest.approx(exact, rel=5e-3)
+
+
+def test_demos_setting_cement() -> None:
+    """The degree after the time by quadrature, and T_0 + (Q / C) (a - a_0)."""
+    found = numbers("setting_cement")
+    assert found["degree"] == pytest.approx(0.9, abs=1e-4)
+    assert found["temperature"] == pytest.approx(296 + 155 / 1.752 * 0.89, abs=0.01)
+
+
+def test_demos_double_cantilever() -> None:
+    """J is the fracture energy 0.25 N/mm, but for the discrete growth by facets of 1 mm."""
+    assert numbers("double_cantilever")["J"] == pytest.approx(0.25, rel=0.03)
+
+
+def test_demos_ball_in_cup() -> None:
+    """M = mu sum p s dA: every point slides."""
+    found = numbers("ball_in_cup")
+    samples = found["samples"]
+    arms = np.hypot(samples.arm[:, 0], samples.arm[:, 1])
+    exact = 0.06 * float(samples.weight @ (samples.pressure * arms))
+    assert found["torque"] == pytest.approx(exact, rel=1e-6)
+    # The pressure bears the load: 1000 N along z, shared by friction about z.
+    assert abs(samples.weight @ samples.force[:, 2]) == pytest.approx(1000, rel=1e-8)
+
+
+def test_demos_stem_in_cylinder() -> None:
+    """F = mu p 2 pi b L after sticking, with Lame's p; facets are flat."""
+    p = 0.01 / 5 / (125 / 75 / 17e3 + 26 / 24 / 110e3)
+    forces = numbers("stem_in_cylinder")["forces"]
+    assert forces[-1] == pytest.approx(0.3 * p * 2 * math.pi * 5 * 10, rel=0.01)
+    assert forces[-1] == pytest.approx(forces[-2], rel=1e-3)
+    assert forces[1] < 0.5 * forces[-1]
+
+
+def test_demos_own_law() -> None:
+    """Springs in series; in a process of its own, because the law stays registered."""
+    said = support.python(DEMOS / "own_law.py", PYTHONPATH=str(support.ROOT)).stdout
+    exact = 3 * (2 / 2000 + 1 / 50 + 2 / 1000)
+    assert float(said.split()[1]) == pytest.approx(exact, rel=1e-8)

@@ -1,0 +1,38 @@
+"""Names for the tags of a dolfinx mesh."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx import mesh
+
+from app.foundation.errors import InputError
+from meshes.distribute import TaggedMesh
+
+
+def box(kind: mesh.CellType = mesh.CellType.tetrahedron) -> mesh.Mesh:
+    return mesh.create_box(MPI.COMM_SELF, [[0, 0, 0], [2, 2, 2]], [2, 2, 2], kind)
+
+
+def test_distribute_names_parts_by_their_place() -> None:
+    """Half of 48 cells below; 8 triangles on each face; a boundary inside is none."""
+    tagged = TaggedMesh.from_markers(
+        box(),
+        {"lower": lambda x: x[2] <= 1, "upper": lambda x: x[2] >= 1},
+        {"bottom": lambda x: np.isclose(x[2], 0), "middle": lambda x: np.isclose(x[2], 1)},
+    )
+    assert [len(tagged.cell_tags.find(k)) for k in tagged.regions.values()] == [24, 24]
+    assert len(tagged.facet_tags.find(*tagged.boundaries["bottom"])) == 8
+    assert len(tagged.facet_tags.find(*tagged.boundaries["middle"])) == 0
+
+
+def test_distribute_needs_a_region_for_every_cell() -> None:
+    with pytest.raises(InputError, match="cells without a region"):
+        TaggedMesh.from_markers(box(), {"lower": lambda x: x[2] <= 1}, {})
+
+
+def test_distribute_needs_tetrahedra() -> None:
+    with pytest.raises(InputError, match="type hexahedron, not tetrahedron"):
+        TaggedMesh.from_markers(box(mesh.CellType.hexahedron), {"all": lambda x: x[2] >= 0}, {})
