@@ -83,7 +83,7 @@ FITTED: dict[str, dict[str, Any]] = {
         "loads": {"library": "walking"},
     },
     "thin": {
-        "geometry": {"cement_thickness": "2.5 mm", "stem_corner_radius": "2.5 mm"},
+        "geometry": {"cement_thickness": "2.5 mm", "stem": {"corner_radius": "2.5 mm"}},
         "regions": {"cement": {"youngs_modulus": "3 GPa"}},
         "interfaces": friction(0.3, 0.8),
         "loads": {"library": "one_leg_stance"},
@@ -107,8 +107,7 @@ TESTED: dict[str, dict[str, Any]] = {
         "geometry": {
             "cement_thickness": "5 mm",
             "canal_widening": "2 mm",
-            "stem_half_width": "9.5 mm",
-            "head_offset": "48 mm",
+            "stem": {"half_width": "9.5 mm", "head_offset": "48 mm"},
         },
         "interfaces": friction(0.35, 0.9),
         "loads": {"library": "stairs_up"},

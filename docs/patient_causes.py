@@ -41,10 +41,9 @@ def patient(bone: Path, azimuth: str | None, varus: float = 0.0, **keys: Any) ->
 
 def parametric(version: float, tip: float) -> dict[str, Any]:
     """The parametric hip with the same stem, its tip at a level [mm]."""
-    levels = {"stem_tip_z": tip, "stem_section_z": tip + LENGTH - 14, "distal_cut_z": CUT}
-    levels |= {"head_height": tip + LENGTH + 25, "stem_length": LENGTH, "resection_height": 8.0}
-    turned = {"kind": "femur", "anteversion": f"{version} deg"}
-    return turned | {k: v if isinstance(v, str) else f"{v} mm" for k, v in levels.items()}
+    levels = {"tip_z": f"{tip} mm", "distal_cut_z": CUT, "resection_height": "8 mm"}
+    rotated = {"kind": "femur", "anteversion": f"{version} deg"}
+    return rotated | levels | {"stem": {"length": f"{LENGTH} mm"}}
 
 
 def main(bone: Path, canal: Path, folder: Path) -> None:

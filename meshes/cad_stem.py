@@ -249,8 +249,8 @@ class CadStem:
             raise GeometryError(
                 f"geometry.stem: around {where}, the section of the stem is met more than once from"
                 " there: a collar, or a neck that leaves the body below the neck cut? Move it"
-                " proximally (stem_tip_z, insertion.depth), cut lower (resection_height,"
-                " resection.height), or leave the collar out"
+                " proximally (geometry.tip_z, geometry.insertion.depth), cut lower"
+                " (geometry.resection_height, geometry.resection.height), or leave the collar out"
             ) from None
 
     def _lines(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:

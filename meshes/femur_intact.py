@@ -45,12 +45,12 @@ class Intact(LayeredSurfaces):
 
     def _continue(self, implant: Any) -> None:
         geometry, placed = self._geometry, self._placed
-        sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
+        sine, cosine = math.sin(implant.neck_angle), -math.cos(implant.neck_angle)
         self._radius = geometry.head_radius
         self._axis = np.array([sine, 0.0, cosine])
         self._medial = np.array([cosine, 0.0, -sine])
-        self._centre = np.array([geometry.head_offset, 0.0, geometry.head_height])
-        self._length = geometry.head_offset / sine
+        self._centre = np.array([implant.head_offset, 0.0, implant.head_height])
+        self._length = implant.head_offset / sine
         # The neck's cone meets the sphere at this distance from its centre.
         ring = NECK[1] * self._radius
         self._meet = math.sqrt(self._radius**2 - ring**2)

@@ -12,12 +12,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
+from app.foundation.implant import Implant
 
 ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
 FULL = 3.0  # lines on a piece of a quarter over those by its length, at most
@@ -32,32 +33,6 @@ OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of 
 ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
 LEAST_ARM = 0.5  # mm before and after it
 SHOULDER = 6.0  # mm that the shoulder may be above the cut without standing out
-
-
-class StemNumbers(Protocol):
-    """Numbers of a stem in axes of its own (`app.case.stems.Implant`) [mm, rad]."""
-
-    tip_z: float
-    length: float
-    section_z: float
-    half_width: float
-    half_depth: float
-    corner_radius: float
-    tip_half_width: float
-    tip_half_depth: float
-    tip_corner_radius: float
-    neck_diameter: float
-    neck_fillet: float
-    trunnion_diameter: float
-    head_offset: float
-    head_height: float
-    neck_angle: float
-    plug_length: float
-    tip_void: float
-    shoulder: float
-    plug: float
-    tip_height: float
-    stem: Any
 
 
 def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
@@ -199,7 +174,7 @@ class Body:
         return np.asarray(r - np.hypot(x[:, 0], x[:, 1]))
 
 
-def body(implant: StemNumbers) -> Body:
+def body(implant: Implant) -> Body:
     """The stem's body from its sections at the tip and at ``section_z``."""
     low, high = implant.tip_z, implant.section_z
     tips = implant.tip_half_width, implant.tip_half_depth, implant.tip_corner_radius
@@ -209,10 +184,10 @@ def body(implant: StemNumbers) -> Body:
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
 
 
-def edge(implant: StemNumbers, slope: float) -> float:
+def edge(implant: Implant, slope: float) -> float:
     """Height at the axis of a section with a slope through the shoulder's lateral edge [mm]."""
-    if implant.stem:
-        return float(implant.shoulder - slope * implant.stem.found["lateral"])
+    if implant.cad is not None:
+        return float(implant.shoulder - slope * implant.cad["lateral"])
     return float(implant.shoulder - slope * body(implant).section(implant.shoulder)[0])
 
 
@@ -338,8 +313,8 @@ class Upper:
         room = ROOM * math.sqrt(min((way**2).sum(axis=1).min() for way in (first, second)))
         if arm > room:
             raise GeometryError(
-                f"geometry.neck_fillet: {radius:g} mm have no room between the neck cut and the"
-                f" head; expected at most {radius * room / arm:.3g} mm"
+                f"geometry.stem.neck_fillet: {radius:g} mm have no room between the neck cut and"
+                f" the head; expected at most {radius * room / arm:.3g} mm"
             )
         return replace(self, arm=max(arm, LEAST_ARM))
 
@@ -349,9 +324,7 @@ def unit(x: Floats) -> Floats:
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 
 
-def upper(
-    implant: StemNumbers, body: Body, mesh: Any, low: float, top: float, steep: float
-) -> Upper:
+def upper(implant: Implant, body: Body, mesh: Any, low: float, top: float, steep: float) -> Upper:
     """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
 
     Below it, the shoulder's lateral edge is in a parallel plane at the height `low` <= `top`.

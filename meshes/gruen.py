@@ -79,7 +79,7 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
-        if g.implant.stem or not g.femur.is_radial:
+        if g.implant.cad is not None or not g.femur.is_radial:
             # The bone around such a stem is what the operation leaves.
             return np.ones(len(x), dtype=bool)
         canal = g.femur.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])

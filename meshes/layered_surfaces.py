@@ -65,12 +65,12 @@ class CementedStem:
         self.plug = implant.plug
         edge = femur_stem.edge(implant, placed.slopes[0])
         self.shoulder = edge if edge < placed.top - DEEP else placed.top
-        self.is_cad = implant.stem is not None
+        self.is_cad = implant.cad is not None
         height = 0.0 if self.is_cad else implant.tip_height
         self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
         if self.is_cad:
             ends = implant.tip_z, self.shoulder
-            body: Any = CadStem(implant.stem.found, ends, placed, mesh)
+            body: Any = CadStem(implant.cad, ends, placed, mesh)
         else:
             body = replace(femur_stem.body(implant), lean=placed.slopes[1])
         self.middle = 0.25 * implant.tip_z + 0.75 * placed.top

@@ -3,38 +3,85 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from importlib import import_module
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import model_validator
+from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from app.case.hips import INSIDE, MUSCLES, OF_BONE, Hip, Insertion, OperatedHip, Resection
 from app.case.shapes import MeshOptions, Point3, spread
-from app.case.stems import (
-    HeadOffset,
-    Implant,
-    NeckDiameter,
-    NeckFillet,
-    Stem,
-    StemFile,
-    TipRounding,
-    TrunnionDiameter,
-    length,
-)
-from app.schema.section import fail
-from app.schema.units import Angle, Dimension, Length, PositiveLength
+from app.case.stems import Stem, StemFile, length
+from app.foundation.implant import Implant
+from app.schema.section import Kinds, fail
+from app.schema.units import Angle, Dimension, Length
 
-# Beginnings of keys that a stem from a file replaces, all but `stem_tip_z`.
-OF_STEM = ("stem_", "tip_rounding", "neck_", "trunnion_", "head_")
 MEDIAL = 24.747  # mm from the shaft's axis to the medial cortex, where the cut usually leaves it
-# The stem by default: mantle's own, whose shoulder is at z = 29 mm.
-STEM: dict[str, Any] = {name: field.default for name, field in Stem.model_fields.items()}
+HEAD = (20.0, 100.0)  # mm: levels of the head's centre
+# Keys of a stem in earlier versions, by that below `stem` which has replaced each.
+OLD_KEYS = {
+    "stem_length": "length",
+    "stem_half_width": "half_width",
+    "stem_half_depth": "half_depth",
+    "stem_corner_radius": "corner_radius",
+    "stem_tip_half_width": "tip_half_width",
+    "stem_tip_half_depth": "tip_half_depth",
+    "stem_tip_corner_radius": "tip_corner_radius",
+    "tip_rounding": "tip_rounding",
+    "neck_diameter": "neck_diameter",
+    "neck_fillet": "neck_fillet",
+    "trunnion_diameter": "trunnion_diameter",
+    "head_offset": "head_offset",
+    "neck_angle": "neck_angle",
+    "stem_section_z": "section_depth",
+    "head_height": "head_height",
+}
+# Levels in earlier versions without a key (mm).
+OLD_TIP = -118.0
+OLD_SECTION = 15.0
+OLD_HEAD = 54.0
+STEM_LENGTH: float = Stem.model_fields["length"].default
+_LEVEL = Dimension("mm", "a length", "4 mm")
 
 
-def _key(field: str) -> str:
-    """Key of a field of `Implant`."""
-    return field if field in _Femur.model_fields or field == "stem" else f"stem_{field}"
+def _with_new_keys(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Keys of a femur in place of those of earlier versions, and the old ones by their new names.
+
+    Levels of section and head were those of the model. They are now depth below the shoulder and
+    height above it.
+    """
+    replaced = {old: f"stem.{key}" for old, key in OLD_KEYS.items() if old in given}
+    if "stem_tip_z" in given:
+        replaced["stem_tip_z"] = "tip_z"
+    if not replaced:
+        return given, {}
+    keys = {key: value for key, value in given.items() if key not in replaced}
+    if "stem_tip_z" in given:
+        if "tip_z" in given:
+            fail("is the old name of tip_z; expected only one of them", at=("stem_tip_z",))
+        keys["tip_z"] = given["stem_tip_z"]
+    numbers = {key: given[old] for old, key in OLD_KEYS.items() if old in given}
+    stem = given.get("stem")
+    if numbers and stem is not None:
+        old = next(key for key in replaced if key != "stem_tip_z")
+        is_file = isinstance(stem, StemFile) or (isinstance(stem, dict) and "step" in stem)
+        text = f"is the old name of {replaced[old]}; expected it below `stem`"
+        if is_file:
+            text = "is the file's, where `stem` is one; expected no such key"
+        fail(text, at=(old,))
+    if stem is None and (numbers or "stem_tip_z" in given):
+        shoulder = _LEVEL.read(keys.get("tip_z", f"{OLD_TIP} mm"))
+        shoulder += _LEVEL.read(numbers.get("length", f"{STEM_LENGTH} mm"))
+        section = _LEVEL.read(given.get("stem_section_z", f"{OLD_SECTION} mm"))
+        head = _LEVEL.read(given.get("head_height", f"{OLD_HEAD} mm"))
+        if not section < shoulder < head:
+            text = f"puts the shoulder at z = {shoulder:g} mm; expected it between the proximal"
+            text += f" section at {section:g} mm and the head's centre at {head:g} mm, or the new"
+            old = next(iter(replaced))
+            fail(f"{text} key {replaced[old]}", at=(old,))
+        numbers["section_depth"] = f"{shoulder - section!r} mm"
+        numbers["head_height"] = f"{head - shoulder!r} mm"
+        keys["stem"] = numbers
+    return keys, replaced
 
 
 class _Femur(Hip):
@@ -46,40 +93,10 @@ class _Femur(Hip):
     """Thickness of the cortex across the shaft's axis above z = -10 mm, reamed or not, 1.5 to 4 mm;
     down to -50 mm it goes over to that of the shaft. By default it is 3.5 to 7 mm there. In cells
     of 6 mm the worst shape (SICN) is 0.12 at 2 mm, 0.09 at 1.5 mm."""
-    stem_length: PositiveLength = STEM["length"]
-    """From the shoulder to the tip; two thirds of it at least are below the neck cut."""
-    stem_tip_z: Length = -118.0
-    """Level of the tip."""
-    stem_tip_half_width: PositiveLength = STEM["tip_half_width"]
-    """Half the medio-lateral width at the tip."""
-    stem_tip_half_depth: PositiveLength = STEM["tip_half_depth"]
-    """Half the antero-posterior depth at the tip."""
-    stem_tip_corner_radius: PositiveLength = STEM["tip_corner_radius"]
-    """Radius of the section's corners at the tip."""
-    tip_rounding: TipRounding = STEM["tip_rounding"]
-    """Height of the stem's rounded end, 1 to 20 mm; 0: it is flat, as it is over a void."""
-    stem_section_z: Length = 15.0
-    """Level of the proximal section that the next three describe."""
-    stem_half_width: PositiveLength = STEM["half_width"]
-    """Half the medio-lateral width there."""
-    stem_half_depth: PositiveLength = STEM["half_depth"]
-    """Half the antero-posterior depth there."""
-    stem_corner_radius: PositiveLength = STEM["corner_radius"]
-    """Radius of the section's corners there."""
-    neck_diameter: NeckDiameter = STEM["neck_diameter"]
-    """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
-    neck_fillet: NeckFillet = STEM["neck_fillet"]
-    """Radius where the stem turns into the neck, 2 to 10 mm; a blunt turn has a larger one."""
-    trunnion_diameter: TrunnionDiameter = STEM["trunnion_diameter"]
-    """Diameter of the neck's end, which carries the head, 5 to 22 mm."""
-    head_offset: HeadOffset = STEM["head_offset"]
-    """Medial distance of the head's centre from the shaft axis, 20 to 80 mm."""
-    head_height: Annotated[float, length("54 mm", at_least=20.0, at_most=100.0)] = 54.0
-    """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
-    body is higher. A low head bends the neck's root: in cells of 4 mm the worst shape (SICN) is
-    0.13 down to 45 mm, that of the bone, 0.11 at 40 mm and 0.05 at 32 mm."""
-    neck_angle: Annotated[float, Dimension("rad", "an angle", "130 deg")] = STEM["neck_angle"]
-    """Angle between neck and shaft (rad), 100 to 145 deg."""
+    stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
+    """The implant: mantle's own by its numbers, or one from a CAD file."""
+    tip_z: Length = OLD_TIP
+    """Level of the stem's tip."""
     anteversion: Angle = 0.0
     """Turn of stem, neck and neck cut about the shaft's axis, the head to anterior (rad)."""
     resection_height: Length = 5.0
@@ -89,57 +106,59 @@ class _Femur(Hip):
     distal_cut_z: Annotated[float, length("-200 mm", at_least=-350.0)] = -200.0
     """Level at which the shaft is cut and held: below the plug, at least -350 mm."""
 
+    # Keys of earlier versions that were given, with their new names.
+    _replaced: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _renamed(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        replaced: dict[str, str] = {}
+        if isinstance(value, dict):
+            value, replaced = _with_new_keys(value)
+        femur = handler(value)
+        if replaced:
+            femur._replaced = replaced
+        return femur
+
     @model_validator(mode="after")
     def _consistent(self) -> _Femur:
-        self._check_stem()
         implant = self.implant
+        for field, text in implant.faults(spread(self.cement_thickness)[0]):
+            fail(text, at=("stem", field))
         if self.distal_cut_z >= implant.plug:
             text = f"is not below the cement plug; expected below {implant.plug:g} mm"
             fail(text, at=("distal_cut_z",))
         self.check_end()
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
-        if self.cut_height >= self.head_height:
+        if not HEAD[0] <= implant.head_height <= HEAD[1]:
+            text = f"puts the head's centre at z = {implant.head_height:.3g} mm"
+            fail(f"{text}; expected {HEAD[0]:g} to {HEAD[1]:g} mm", at=("stem", "head_height"))
+        if self.cut_height >= implant.head_height:
             text = f"puts the neck cut at z = {self.cut_height:.3g} mm on the shaft's axis, above"
-            fail(f"{text} the head's centre at {self.head_height:g} mm", at=("resection_height",))
-        inside = (self.cut_height - self.stem_tip_z) / INSIDE
-        longest = self.head_height - self.stem_tip_z
-        if self.stem_length > min(inside, longest):
-            where = "out of the bone" if inside < longest else "above the head's centre"
-            text = f"{self.stem_length:g} mm puts the shoulder at z = {implant.shoulder:g} mm, too"
-            text += f" far {where}; expected at most {min(inside, longest):.3g} mm"
-            fail(text, at=("stem_length",))
+            text += f" the head's centre at {implant.head_height:g} mm"
+            fail(text, at=("resection_height",))
+        longest = (self.cut_height - self.tip_z) / INSIDE
+        if implant.length > longest:
+            text = f"{implant.length:g} mm puts the shoulder at z = {implant.shoulder:g} mm, too"
+            text += f" far out of the bone; expected at most {longest:.3g} mm"
+            fail(text, at=("stem", "length"))
         return self
 
-    def _check_stem(self) -> None:
-        """Refuse a stem that cannot be meshed."""
-        implant = self.implant
-        if not implant.stem and not implant.tip_z < implant.section_z < implant.shoulder:
-            self._refuse_section(implant.shoulder)
-        for field, text in implant.faults(spread(self.cement_thickness)[0]):
-            fail(text, at=(_key(field),))
+    @property
+    def replaced_keys(self) -> dict[str, str]:
+        """Keys of earlier versions that were given, with their new names."""
+        return {f"geometry.{old}": f"geometry.{new}" for old, new in self._replaced.items()}
 
-    def _refuse_section(self, shoulder: float) -> None:
-        """Fail at the key that puts the proximal section beside the stem."""
-        levels = ("stem_section_z", "stem_length", "stem_tip_z")
-        key = next((k for k in levels if k in self.model_fields_set), levels[0])
-        text = f"puts the stem between z = {self.stem_tip_z:g} and {shoulder:g} mm, without its"
-        text = f"{text} proximal section at {self.stem_section_z:g} mm (stem_section_z)"
-        if key == levels[0]:
-            text = f"is not between the stem's tip at z = {self.stem_tip_z:g} mm and its"
-            text = f"{text} shoulder at {shoulder:g} mm"
-        default = type(self).model_fields
-        usual = default["stem_tip_z"].default + default["stem_length"].default
-        tip = usual - self.stem_length
-        if key == "stem_length" and tip < self.stem_section_z < usual:
-            text = f"{text}; set stem_tip_z: {tip:g} mm too to cut the stem at its tip"
-        fail(text, at=(key,))
+    @property
+    def content(self) -> str:
+        """Hash of the stem's file; empty without."""
+        return self.stem.content
 
     @property
     def implant(self) -> Implant:
         """The stem in axes of its own, which have the model's levels."""
-        numbers = {field.name: getattr(self, _key(field.name)) for field in fields(Implant)}
-        return Implant(**numbers)
+        return self.stem.implant(self.tip_z, self.plug_length, self.tip_void)
 
     @property
     def femur(self) -> Any:
@@ -156,7 +175,7 @@ class _Femur(Hip):
     def more_room(self) -> tuple[str, str]:
         """The key that says where the stem is, and what to change where it has no room."""
         text = "widen the canal (canal_widening), narrow the stem or move it proximally"
-        return "geometry", f"{text} (stem_tip_z)"
+        return "geometry", f"{text} (tip_z)"
 
     def surfaces(self, mesh: MeshOptions) -> Any:
         """The nested surfaces that are meshed (`meshes.layered_surfaces.LayeredSurfaces`)."""
@@ -192,15 +211,12 @@ class Femur(_Femur, OperatedHip):
     """
 
     kind: Literal["femur"] = "femur"
-    stem: StemFile | None = None
-    """A stem from a file of CAD, placed by `stem_tip_z`. The other keys of stem, neck, trunnion and
-    head are left out then."""
     insertion: Insertion | None = None
     """Where the stem is put, other than along the shaft's axis, turned by `anteversion`."""
 
     @property
     def shoulder_depth(self) -> float | None:
-        """Depth of the stem's shoulder below the cut (mm); None: as `stem_tip_z` says."""
+        """Depth of the stem's shoulder below the cut (mm); None: as `tip_z` says."""
         return self.insertion.depth if self.insertion else None
 
     @property
@@ -212,34 +228,9 @@ class Femur(_Femur, OperatedHip):
         return "geometry.insertion", f"{text} stem"
 
     @property
-    def found(self) -> dict[str, Any]:
-        """Values that a stem's file answers, by key."""
-        if not self.stem:
-            return {}
-        return {_key(field): value for field, value in self.stem.values(self.stem_tip_z).items()}
-
-    @property
     def details(self) -> dict[str, str]:
         """Places of axis, head and neck of a stem in its file."""
-        return self.stem.details if self.stem else {}
-
-    @property
-    def content(self) -> str:
-        """Hash of the stem's file; empty without."""
-        return self.stem.content if self.stem else ""
-
-    def _check_stem(self) -> None:
-        """Take the numbers of a stem's file, and refuse a stem that cannot be meshed."""
-        if self.stem:
-            replaced = [k for k in Femur.model_fields if k.startswith(OF_STEM)]
-            for key in replaced:
-                if key == "stem_tip_z":
-                    continue
-                value = self.found.get(key)
-                if key in self.model_fields_set and getattr(self, key) != value:
-                    fail("is the file's, where `stem` is one; expected no such key", at=(key,))
-                self.__dict__[key] = value
-        super()._check_stem()
+        return self.stem.details
 
     @property
     def proud(self) -> float:
@@ -260,7 +251,9 @@ class IntactFemur(_Femur):
     boundary_names: ClassVar[tuple[str, ...]] = ("distal_cut", "bone_surface", "head", *MUSCLES)
 
     insertion: ClassVar[None] = None
-    stem: ClassVar[None] = None
+
+    stem: Stem = Field(default_factory=Stem)
+    """The planned implant by its numbers."""
 
     kind: Literal["intact_femur"] = "intact_femur"
     head_radius: Annotated[float, length("23 mm", at_least=18.0, at_most=30.0)] = 23.0
@@ -269,6 +262,7 @@ class IntactFemur(_Femur):
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 12 %."""
         cells, _, whole = self._cells(mesh)
-        length = self.head_offset / math.sin(self.neck_angle)
+        implant = self.implant
+        length = implant.head_offset / math.sin(implant.neck_angle)
         neck = mesh.steps(length - 1.07 * self.head_radius)
         return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.step_along)))

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, perimeter, spread
-from app.case.stems import FLAT, Implant
+from app.foundation.implant import FLAT, Implant
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
@@ -76,7 +76,7 @@ class Insertion(Section):
 
     depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
     """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement
-    above it. By default 0, and in mantle's own femur as `stem_tip_z` says."""
+    above it. By default 0, and in the parametric femur as `tip_z` says."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
     version: Version = Field(default_factory=Version)

@@ -209,6 +209,11 @@ class Shape(Extensible):
         return {}
 
     @property
+    def replaced_keys(self) -> dict[str, str]:
+        """Keys of earlier versions that were given, with their new names."""
+        return {}
+
+    @property
     def proud(self) -> float:
         """Height of a stem's shoulder above the neck cut, along the shaft's axis (mm)."""
         return 0.0

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.case.stems import Implant
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
+from app.foundation.implant import Implant
 from app.patient import bone_surface, landmarks
 from app.patient.bone_surface import BoneSurface
 from app.patient.landmarks import Frame

@@ -11,10 +11,11 @@ from pydantic import Field, model_validator
 
 from app.case.hips import INSIDE, MUSCLES, Insertion, OperatedHip, Resection, point
 from app.case.shapes import MeshOptions, Point3, spread
-from app.case.stems import Implant, Stem, StemFile
+from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
 from app.foundation.files import parts
+from app.foundation.implant import Implant
 from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Length, Number, Plain, PositiveLength
@@ -158,7 +159,7 @@ class Patient(OperatedHip):
     @property
     def implant(self) -> Implant:
         """The stem in axes of its own, with its shoulder at 0."""
-        return self.stem.implant(plug_length=self.plug_length, tip_void=self.tip_void)
+        return self.stem.implant(None, self.plug_length, self.tip_void)
 
     @cached_property
     def surface_content(self) -> str:

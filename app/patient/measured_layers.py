@@ -13,9 +13,9 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
-from app.case.stems import Implant
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
+from app.foundation.implant import Implant
 from app.patient.bone_surface import BoneSurface
 from meshes.bone_layers import StemShape
 from meshes.femur_bone import CORTEX, FemurBone

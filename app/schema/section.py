@@ -129,7 +129,9 @@ def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> st
 
 def _has(kind: Any, key: str | int) -> bool:
     """Return True if sections of a type, or of any in it, have a key."""
-    return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in get_args(kind))
+    kinds = kinds_of(kind) if isinstance(kind, type) and issubclass(kind, Extensible) else ()
+    within = (*get_args(kind), *kinds)
+    return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in within)
 
 
 def docstrings(model: type[BaseModel]) -> dict[str, str]:

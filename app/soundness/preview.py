@@ -232,7 +232,10 @@ def from_memory(place: str, source: str | None) -> list[Verdict]:
 
 def warnings(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input, for `mantle check` and the log."""
-    notes: list[Verdict] = []
+    notes = [
+        note("is an old name, which this version reads", old, f"write {new}")
+        for old, new in case.geometry.replaced_keys.items()
+    ]
     acts = [
         *(getattr(law, "gap", None) for law in case.interfaces.values()),
         *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),
@@ -324,7 +327,7 @@ def _proud(case: Case) -> Iterable[Verdict]:
     if out > MOST_PROUD and case.of_tissue("bone"):  # not in a pot of a test bench
         text = (
             f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most "
-            f"{MOST_PROUD:g} mm. Is stem_tip_z or stem_length wrong?"
+            f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.stem.length wrong?"
         )
         yield note(text, "geometry")
 

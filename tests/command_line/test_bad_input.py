@@ -98,12 +98,14 @@ def test_bad_input_found_by_the_mesher_has_its_place(
 ) -> None:
     """A stem that is too wide: where bone is, is known to the mesher."""
     text = TABLE["femur"]["case"]
-    path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem_half_width: 14 mm}"))
+    path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem: {half_width: 14 mm}}"))
     assert main(["check", str(path), "--mesh"]) == 3
     assert f"{path}:1:1: geometry: the stem cuts" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("wrong", ["stem_length: 250 mm", "stem_legth: 147 mm", "neck_angle: 2"])
+@pytest.mark.parametrize(
+    "wrong", ["stem: {length: 250 mm}", "stem: {legth: 147 mm}", "neck_angle: 2"]
+)
 def test_bad_input_wrong_geometry_is_the_only_error(wrong: str, path: Path) -> None:
     """Which points it would name is not known: that loads act there is no error."""
     text = (CONFIGS / "stance.yaml").read_text()

@@ -41,8 +41,9 @@ def test_check_imports_neither_solver_nor_mesher() -> None:
 STANCE = """
 Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
   cement_thickness: 3 mm  (0.3 cm)
-  stem_length: 147 mm  [default]
-  neck_angle: 130 deg  [default]
+  stem:
+    length: 147 mm  [default]
+    neck_angle: 130 deg  [default]
   stem: isotropic
     youngs_modulus: 110000 MPa  (110 GPa)
   cortical_bone: transversely_isotropic

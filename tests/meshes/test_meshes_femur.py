@@ -86,11 +86,11 @@ def test_femur_stem_overlap_is_never_reported_as_zero() -> None:
     [
         (9.85, "leaves 0.9[0-9] mm for cement, of 1 mm at least, .*; 0.0[1-9] mm more are needed"),
         (11.0, "leaves 0.3 mm for cement, of 1 mm at least, .*; 0.7 mm more are needed"),
-        (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(stem_tip_z\); 1.1 mm more are needed"),
+        (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(tip_z\); 1.1 mm more are needed"),
     ],
 )
 def test_femur_stem_without_room_is_refused_with_a_length(half_width: float, words: str) -> None:
     """At the last the cells between stem and cortex would have no volume."""
-    geometry = Femur.model_validate({"stem_half_width": f"{half_width} mm"})
+    geometry = Femur.model_validate({"stem": {"half_width": f"{half_width} mm"}})
     with pytest.raises(GeometryError, match=words):
         LayeredSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))

@@ -13,6 +13,7 @@ import pytest
 
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from app.case.hips import MUSCLES
+from app.case.stems import Stem
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from meshes import (
@@ -46,8 +47,10 @@ from tests.support import digest
 
 
 def hip(**values: float) -> Femur:
-    """A femur with some parameters in mm and radians."""
-    return Femur().model_copy(update=values)
+    """A femur with some parameters, of itself or of its stem, in mm and radians."""
+    numbers = {key: values.pop(key) for key in [*values] if key in Stem.model_fields}
+    stem = Stem().model_copy(update=numbers)
+    return Femur().model_copy(update=values | {"stem": stem})
 
 
 @cache
@@ -71,17 +74,17 @@ def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> No
     body = femur_stem.body(geometry.implant)
     facets, _, _ = interface_facets(data, "stem_cement")
     x, y, z = data.points[np.unique(facets)].T
-    flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
+    flank = z > geometry.tip_z + geometry.implant.tip_rounding + 1e-6
     on_body = np.hypot(x, y) - body.radius(np.arctan2(y, x), z)
     exact = np.abs(on_body[flank]) < 2e-6
     # Curved cells that bend too far are straightened: some nodes in a thousand.
     assert exact.mean() > (0.99 if curved else 1.0 - 1e-12)
     # Of the end, an ellipsoid for 30 degrees, then a bowl with 0.3 of its depth.
-    axis, end = geometry.tip_rounding / 0.65, ~flank
+    axis, end = geometry.implant.tip_rounding / 0.65, ~flank
     width = np.hypot(x, y)[end] / (np.hypot(x, y) - on_body)[end]
     depth = np.sqrt(np.maximum(1 - width**2, 0.0))
     depth = np.where(depth > 0.5, 0.5 + 0.3 * (depth - 0.5), depth)
-    off = z[end] - (geometry.stem_tip_z + geometry.tip_rounding - axis * depth)
+    off = z[end] - (geometry.tip_z + geometry.implant.tip_rounding - axis * depth)
     assert (
         np.quantile(np.abs(off), 0.95 if curved else 1.0) < 0.02
         and width.min() < 0.5
@@ -94,7 +97,7 @@ def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> No
         body.offset(thickness).radius(theta, z),
         geometry.femur.endosteum(theta, z),
     )
-    side = z > geometry.stem_tip_z - geometry.plug_length + 1e-6
+    side = z > geometry.tip_z - geometry.plug_length + 1e-6
     off = np.abs(r - mantle)[side]
     notes = data.notes["layers"]
     # Along the lines, which are not quite radial.
@@ -127,7 +130,7 @@ def test_swept_anteversion_rotates_stem_not_bone(build: Any) -> None:
         facets, _, _ = interface_facets(data, "stem_cement")
         x, y, z = turned(data.points[np.unique(facets)], -angle).T
         off = np.hypot(x, y) - femur_stem.body(geometry.implant).radius(np.arctan2(y, x), z)
-        flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
+        flank = z > geometry.tip_z + geometry.implant.tip_rounding + 1e-6
         assert np.abs(off[flank]).max() < 2e-6
 
 
@@ -212,7 +215,7 @@ def test_swept_lines_follow_the_ends_of_arcs(around: int, pieces: list[int]) -> 
 
 def test_swept_lines_leave_arcs_of_round_sections() -> None:
     """No edge at the end of such a stem is shorter than a sixth of the mean."""
-    surfaces = Surfaces(hip(stem_tip_corner_radius=2.99), sized(6.0))
+    surfaces = Surfaces(hip(tip_corner_radius=2.99), sized(6.0))
     phi = np.arange(surfaces.around) / surfaces.around
     x = surfaces.stem.body.point(phi, -118.0, 0.0)
     edges = np.linalg.norm(x - np.roll(x, 1, axis=0), axis=1)
@@ -325,10 +328,10 @@ def random_hip(rng: np.random.Generator) -> tuple[dict[str, float], float, bool]
     values = {
         "cement_thickness": rng.uniform(1.0, 8.0),
         "canal_widening": rng.uniform(0.0, 3.0),
-        "stem_length": length,
-        "stem_tip_z": 29.0 - length,
-        "stem_half_width": rng.uniform(7.0, 10.0),
-        "stem_half_depth": rng.uniform(4.2, 6.0),
+        "length": length,
+        "tip_z": 29.0 - length,
+        "half_width": rng.uniform(7.0, 10.0),
+        "half_depth": rng.uniform(4.2, 6.0),
     }
     values["distal_cut_z"] = min(-200.0, 29.0 - length - 10.0 - rng.uniform(20.0, 60.0))
     return values, float(rng.uniform(2.0, 8.0)), bool(rng.integers(2))
@@ -404,15 +407,16 @@ def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, float]
 
 def test_swept_stem_of_any_length_meshes() -> None:
     """172 mm, which had none, and one from the shelf that stands out of a low cut."""
-    assert built(6.0, stem_length=172.0, stem_tip_z=-143.0).cells.size
-    out = built(6.0, stem_length=165.0, resection_height=-10.0, resection_angle=0.3)
+    assert built(6.0, length=172.0, tip_z=-143.0).cells.size
+    levels = {"section_depth": 32.0, "head_height": 7.0}
+    out = built(6.0, length=165.0, resection_height=-10.0, resection_angle=0.3, **levels)
     assert quality.stubby(out.points, out.cells).min() > 0.08
 
 
 @pytest.mark.parametrize(("size", "curved"), [(6.0, False), (4.0, True)])
 def test_swept_low_head_neck_is_clear_of_bone(size: float, curved: bool) -> None:
     """At 45 mm, with all else as it is: the neck passes 2 mm above the bone, in good cells."""
-    data = built(size, curved, head_height=45.0)
+    data = built(size, curved, head_height=16.0)
     cut = data.points[np.unique(boundary_facets(data, "resection"))]
     middle = cut.mean(axis=0)
     normal = np.linalg.svd(cut - middle, full_matrices=False)[2][2]
@@ -439,13 +443,10 @@ def test_swept_curved_cells_have_positive_jacobian() -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"stem_half_width": 14.0}, "the stem cuts .* laterally at .*canal_widening"),
-        (
-            {"stem_tip_z": -138.0, "stem_section_z": -5.0, "head_height": 34.0},
-            "into the cortex medially at .*, 0 mm below the cut",
-        ),
-        ({"head_height": 0.0}, "the neck.*does not clear the neck cut"),
-        ({"neck_fillet": 8.0, "head_height": 36.0}, "geometry.neck_fillet: 8 mm .*at most 6"),
+        ({"half_width": 14.0}, "the stem cuts .* laterally at .*canal_widening"),
+        ({"tip_z": -138.0}, "into the cortex medially at .*, 0 mm below the cut"),
+        ({"head_height": -29.0}, "the neck.*does not clear the neck cut"),
+        ({"neck_fillet": 8.0, "head_height": 7.0}, "geometry.stem.neck_fillet: 8 mm .*at most 6"),
     ],
 )
 def test_swept_impossible_geometry_is_refused(values: dict[str, float], words: str) -> None:

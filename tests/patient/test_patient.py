@@ -312,7 +312,7 @@ def distance(geometry: Patient) -> float:
     placed, corners = geometry.placement, geometry.femur.surface.corners
     if isinstance(geometry.stem, StemFile):
         tip = [0.0, 0.0, geometry.implant.tip_z]
-        x = np.add(geometry.stem.found["x"].mean(axis=1), tip)
+        x = np.add(geometry.stem.shape["x"].mean(axis=1), tip)
     else:
         x = _own(geometry)
     x = placed.to_model(x)

@@ -23,6 +23,7 @@ from app.laws.loads import Force
 from app.laws.materials import Rigid
 from app.schema.expressions import evaluate
 from app.schema.section import Section
+from app.soundness import preview
 from tests import support
 from tests.support import CONFIGS
 
@@ -263,9 +264,11 @@ def test_section_with_cached_arrays_compares_by_fields() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"stem_length": "120 mm"}, "stem_length: .* set stem_tip_z: -91 mm too"),
-        ({"stem_section_z": "31 mm"}, "stem_section_z: is not between .* -118 mm and .* 29 mm"),
-        ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the stem between z = 16 and 163 mm"),
+        ({"stem_length": "120 mm"}, "stem_length: puts the shoulder at z = 2 mm; .* 15 mm and"),
+        ({"stem_section_z": "31 mm"}, "stem_section_z: puts the shoulder at z = 29 mm; .* 31 mm"),
+        ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the shoulder at z = 163 mm; .* 54 mm"),
+        ({"stem.section_depth": "147 mm"}, "stem.section_depth: is not above the tip"),
+        ({"tip_z": "16 mm"}, "stem.head_height: puts the head's centre at z = 188 mm"),
     ],
 )
 def test_case_stem_without_section_names_the_key(changes: dict[str, str], text: str) -> None:
@@ -276,8 +279,27 @@ def test_case_stem_without_section_names_the_key(changes: dict[str, str], text: 
 
 
 def test_case_shorter_stem_follows_the_message() -> None:
-    given = {"geometry.stem_length": "120 mm", "geometry.stem_tip_z": "-91 mm"}
+    given = {"geometry.stem.length": "120 mm", "geometry.tip_z": "-91 mm"}
     assert mantle.load(CONFIGS / "stance.yaml", **given).config.geometry.kind == "femur"
+
+
+def test_case_old_keys_of_a_stem_are_read_with_a_note() -> None:
+    """Levels of the model: 15 mm and 54 mm without a key, the shoulder at -101 + 130 = 29 mm."""
+    old = {"stem_length": "130 mm", "stem_tip_z": "-101 mm", "stem_section_z": "20 mm"}
+    old |= {"head_height": "60 mm", "neck_diameter": "12 mm"}
+    case = mantle.load(CONFIGS / "stance.yaml", **{f"geometry.{k}": v for k, v in old.items()})
+    femur = case.config.geometry
+    assert (femur.tip_z, femur.stem.length, femur.stem.section_depth) == (-101.0, 130.0, 9.0)
+    assert (femur.stem.head_height, femur.stem.neck_diameter) == (31.0, 12.0)
+    notes = [str(n) for n in preview.warnings(case.config) if "old name" in str(n)]
+    assert len(notes) == len(old)
+    assert any("geometry.stem_length" in n and "geometry.stem.length" in n for n in notes)
+
+
+def test_case_old_and_new_keys_of_a_stem_are_refused_together() -> None:
+    given = {"geometry.stem.length": "130 mm", "geometry.stem_half_width": "9 mm"}
+    with pytest.raises(InputError, match=r"stem_half_width: is the old name of stem\.half_width"):
+        mantle.load(CONFIGS / "stance.yaml", **given)
 
 
 def test_case_creep_exponent_requires_stresses() -> None:

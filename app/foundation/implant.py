@@ -1,0 +1,123 @@
+"""A stem with its plug by numbers, as the keys of a case give it and a mesher takes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+NECK_ANGLES = (100.0, 145.0)  # range of the angle between neck and shaft (deg)
+FLAT = 1.0  # mm: a rounded end or a void that is shorter has flat cells
+SECTION = ("half_width", "half_depth", "corner_radius")
+
+
+@dataclass(frozen=True, eq=False)  # arrays have no one truth
+class Implant:
+    """A stem with its plug, in axes of its own: z along it, x towards its head.
+
+    Sections are rounded rectangles, given at the tip and at `section_z`, and linear in z; of a stem
+    from a file they are None. Levels are in the stem's axes, lengths in mm.
+
+    Attributes:
+        tip_z: Level of the tip.
+        length: From the shoulder to the tip.
+        section_z: Level of the proximal section.
+        tip_rounding: Height of the rounded end, 0: flat.
+        plug_length: Length of cement below the tip.
+        tip_void: Length without cement below the tip; the end is flat then.
+        head_offset: Distance of the head's centre from the axis.
+        head_height: Level of the head's centre.
+        neck_angle: Angle between neck and stem [rad].
+        cad: Shape of a stem from a file, as `meshes.stem_file.read` returns it; None for mantle's
+            own.
+    """
+
+    tip_z: float
+    length: float
+    section_z: float
+    half_width: float
+    half_depth: float
+    corner_radius: float
+    tip_half_width: float
+    tip_half_depth: float
+    tip_corner_radius: float
+    neck_diameter: float
+    neck_fillet: float
+    trunnion_diameter: float
+    head_offset: float
+    head_height: float
+    neck_angle: float
+    tip_rounding: float
+    plug_length: float
+    tip_void: float
+    cad: Mapping[str, Any] | None = None
+
+    @property
+    def shoulder(self) -> float:
+        """Level of the shoulder."""
+        return self.tip_z + self.length
+
+    @property
+    def plug(self) -> float:
+        """Level of the end of the cement plug."""
+        return self.tip_z - self.plug_length
+
+    @property
+    def tip_height(self) -> float:
+        """Height of the rounded end; 0: it is flat."""
+        return 0.0 if self.tip_void else self.tip_rounding
+
+    def section(self, z: float) -> tuple[float, float, float]:
+        """Half-width, half-depth and corner radius at a level, of a file those of a square."""
+        if self.cad is not None:
+            half = float(self.cad["around"]) / 8
+            return half, half, 0.0
+        part = (z - self.tip_z) / (self.section_z - self.tip_z)
+        half, depth, corner = (
+            (1.0 - part) * getattr(self, f"tip_{name}") + part * getattr(self, name)
+            for name in SECTION
+        )
+        return half, depth, corner
+
+    def faults(self, cement: float) -> Iterator[tuple[str, str]]:
+        """Fields that cannot be meshed, with the reason; the section's level must be right.
+
+        Args:
+            cement: Least thickness of the mantle (mm).
+        """
+        if 0.0 < self.tip_rounding < FLAT:
+            yield "tip_rounding", "is neither 0 nor 1 mm at least"
+        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
+            yield "neck_angle", "is not between {:g} and {:g} deg".format(*NECK_ANGLES)
+        if self.cad is not None:
+            return
+        for end in ("", "tip_"):
+            half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
+            if getattr(self, f"{end}corner_radius") >= half:
+                text = f"is not below the half-width and half-depth, {half:g} mm"
+                yield f"{end}corner_radius", text
+        yield from self._degenerate(self.shoulder, "the shoulder", 0.0)
+        yield from self._degenerate(self.plug, "the end of the plug", cement)
+        width = 2.0 * self.section(self.shoulder)[0]
+        if self.neck_diameter > width:
+            text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
+            yield "neck_diameter", text
+
+    def _degenerate(self, z: float, where: str, offset: float) -> Iterator[tuple[str, str]]:
+        """Fields of a section, extrapolated to a level, that has no width or no flats there.
+
+        ``where`` is the level in words, ``offset`` the thickness added around the section (mm).
+        """
+        sizes = {}
+        for name, size in zip(SECTION, self.section(z), strict=True):
+            rise = getattr(self, name) - getattr(self, f"tip_{name}")
+            slope = rise / (self.section_z - self.tip_z)
+            across = 1.0 if name == "corner_radius" else math.hypot(1.0, slope)
+            sizes[name] = size + offset * across
+        radius = sizes["corner_radius"]
+        for name, size in sizes.items():
+            if size <= 0.0 or (name != "corner_radius" and size <= radius):
+                text = f"at {where}, z = {z:g} mm, it has become {size:.3g} mm"
+                least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
+                yield name, f"{text}; expected sections that stay {least} there"
