@@ -1,4 +1,7 @@
-"""Log of a run: messages on rank 0 through `logging`, lines per step, the closing tables."""
+"""Log of a run: lines of steps, the closing tables, the verdicts and the main results.
+
+Messages go through `logging`, on rank 0 alone.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from app.case.quantities import ADDED, NECROSIS, TABLE, numbers_of
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
-from app.results.verdicts import BALANCES
+from app.results.verdicts import ERRORS
 from app.system import layout
 
 if TYPE_CHECKING:
@@ -28,16 +31,21 @@ HEAT |= {"hottest": 10, "balance": 9, "wall": 8}
 
 
 def line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
-    """Texts in columns, to the right."""
+    """One line of right-aligned texts, one for each column."""
     return " ".join(f"{t:>{width}}" for t, width in zip(texts, columns.values(), strict=True))
 
 
 def step_line(
     step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, left: float
 ) -> str:
-    """One line for a converged step.
+    """Line of a converged step.
 
-    Open and slipping fraction of the contact area, largest penetration [mm], seconds so far, left.
+    Args:
+        step: The step.
+        fractions: Open and slipping fractions of the contact area [-].
+        penetration: Largest penetration [mm].
+        wall: Wall time since the run began [s].
+        left: Estimated time to the end [s].
     """
     o = step.outcome
     effort = (o.iterations, o.linear_iterations, f"{o.residuals[-1]:.1e}")
@@ -47,29 +55,64 @@ def step_line(
 
 
 def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
-    """One line for a heat step."""
+    """Line of an accepted heat step; ``wall`` is the time since the run began [s]."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
     o = accepted.outcome
     times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
-    found = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
-    return line(HEAT, (number, *times, o.iterations, o.linear_iterations, *found))
-
-
-def closing_table(summary: dict[str, Any]) -> str:
-    """Table of results at the end of a run, with balances."""
-    b = summary["balance"]
-    balances = ", ".join(f"{name} {b[name]:.1e}" for name in BALANCES if name in b)
-    return "\n".join([*lines(summary), f"balance of {balances}"])
+    state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
+    return line(HEAT, (number, *times, o.iterations, o.linear_iterations, *state))
 
 
 def report(summary: dict[str, Any], table: bool = True) -> None:
-    """Log the end of a run: its verdicts, below all its numbers if these are wanted."""
+    """Log the end of a run: its tables if wanted, its verdicts, and its main results last."""
     if table:
-        log.info("%s", closing_table(summary))
-    for verdict in recorded(summary):
-        # Notes are logged when they are found.
-        if verdict.severity is not Severity.NOTE:
+        log.info("%s", "\n".join(lines(summary)))
+    # Notes are logged before the run begins.
+    verdicts = [v for v in recorded(summary) if v.severity is not Severity.NOTE]
+    sureness = [v for v in verdicts if v.where in ERRORS]
+    for verdict in verdicts:
+        if verdict not in sureness:
             log.info("%s", verdict, extra={"tone": verdict.tone})
+    for text in headline(summary):
+        log.info("%s", text)
+    for verdict in sureness:
+        log.info("%s", verdict, extra={"tone": verdict.tone})
+
+
+# Main results
+
+
+def headline(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Main results: motion of interfaces and stem, tension in the cement, temperature of bone."""
+    rows: dict[str, dict[str, dict[str, Any]]] = {}
+    for section, name, numbers in numbers_of(summary):
+        rows.setdefault(section, {})[name] = numbers
+    interfaces = rows.get("interfaces", {})
+    moving = [(name, q) for name, q in interfaces.items() if "motion_p99" in q]
+    if moving:
+        parts = [f"{name} {_with_unit('interfaces', 'motion_p99', q)}" for name, q in moving]
+        yield f"motion of 99 % of the surface is below: {', '.join(parts)}"
+    pressed = [(name, q) for name, q in interfaces.items() if "torque_max" in q]
+    if pressed:
+        parts = [f"{name} {_with_unit('interfaces', 'pressure_max', q)}" for name, q in pressed]
+        yield f"largest contact pressure: {', '.join(parts)}"
+    yield from (_sentence("stem", *row) for row in rows.get("stem", {}).items())
+    for name, q in rows.get("regions", {}).items():
+        if CEMENT in q:
+            tension = _with_unit("regions", "principal_p99", q)
+            yield f"tension in 99 % of the {name} is below: {tension}"
+    bones = {n: q for n, q in rows.get("thermal.regions", {}).items() if "cem43_max" in q}
+    if bones:
+        name = max(bones, key=lambda bone: bones[bone]["temperature_max"])
+        hottest = _with_unit("thermal.regions", "temperature_max", bones[name])
+        yield f"hottest bone: {hottest} in {name}"
+
+
+def _with_unit(section: str, key: str, numbers: Mapping[str, Any]) -> str:
+    """Number with its error and unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
+    q = TABLE[section][key]
+    value, mark, _ = q.text(numbers).partition(NOT_RESOLVED)
+    return f"{value} {q.shown}".removesuffix(" -") + mark
 
 
 # Tables
@@ -110,24 +153,39 @@ TABLES: dict[str, dict[str, str]] = {
     },
 }
 FAILING = "failure_load_factor"
+# Number that cement alone has.
+CEMENT = "volume_over_3_MPa"
+# Mark of numbers whose error exceeds them; in tables a star, which keeps the columns narrow.
+NOT_RESOLVED = " (not resolved)"
+STAR = "*"
+LEGEND = "* not resolved: the error is larger than the number; refine the mesh"
 SENTENCES = {
-    "bonds": "{name}, bonded: {strength_fraction} of its area above its strength; "
-    "normal {normal_mean} (mean), shear {shear_mean}",
-    "torque_max": "{name}: friction torque {torque_max} at most in a cycle",
-    "dissipation_cycle": "{name}: {dissipation_cycle} dissipated and {slid_max} slid in a cycle",
-    "uncovered_fraction": "{name}: {uncovered_fraction} of the slave faced no master at some time",
-    "wear_volume": "{name}: {wear_volume_million} worn in a million cycles, "
-    "{wear_depth_max_million} at the deepest, {wear_depth_p99_million} (p99)",
-    "strength": "{name}: a hundredth of its area fails at {failure_load_factor} of this load; "
+    "bonds": "{name} is bonded: {strength_fraction} of its area is above its strength; "
+    "mean normal traction {normal_mean}, mean shear {shear_mean}",
+    "torque_max": "{name}: largest friction torque of a cycle {torque_max}",
+    "dissipation_cycle": "{name}: energy dissipated in a cycle {dissipation_cycle}, "
+    "largest sliding distance {slid_max}",
+    "uncovered_fraction": "{name}: {uncovered_fraction} of the slave surface left the master "
+    "at some time",
+    "wear_volume": "{name}: wear in a million cycles {wear_volume_million}, "
+    "depth {wear_depth_max_million} (max), {wear_depth_p99_million} (p99)",
+    "strength": "{name}: 1 % of the area fails at {failure_load_factor} times this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
-    "cure": "{name} has set to {degree_min} .. {degree_max}{reached}; fastest rate {rate_max}",
+    "cure": "{name}: degree of cure {degree_min} .. {degree_max}{reached}; largest rate {rate_max}",
     "stem": "stem against bone: subsidence {subsidence}, retroversion {retroversion}, "
     "varus {varus}",
 }
 
 
 def lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Interfaces, regions, bonds, temperatures, dead bone, cure, and motion of the stem."""
+    """Lines of the closing tables: interfaces, regions, bonds, temperatures, dead bone, cure."""
+    texts = [*_tables(summary)]
+    yield from texts
+    if any(STAR in text for text in texts):
+        yield LEGEND
+
+
+def _tables(summary: Mapping[str, Any]) -> Iterator[str]:
     rows: dict[str, dict[str, dict[str, Any]]] = {section: {} for section in TABLE}
     for section, name, numbers in numbers_of(summary):
         rows[section][name] = numbers
@@ -145,8 +203,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
     note = summary.get("thermal", {}).get("note")
     if note:
         yield note
-    for section in ("cure", "stem"):
-        yield from (_sentence(section, *row) for row in rows[section].items())
+    yield from (_sentence("cure", *row) for row in rows["cure"].items())
     yield from sentences(summary.get("cycles", {}))
 
 
@@ -167,7 +224,8 @@ def _table(section: str, rows: Rows) -> list[str]:
     templates = list(filter(None, columns.values()))
 
     def cell(template: str, numbers: Mapping[str, Any]) -> str:
-        return re.sub(r"\w+", lambda key: own[key[0]].text(numbers), template)
+        filled = re.sub(r"\w+", lambda key: own[key[0]].text(numbers), template)
+        return filled.replace(NOT_RESOLVED, STAR)
 
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
     units = ["", *(own[c.split()[0]].shown for c in templates)]
@@ -195,9 +253,9 @@ def _necrosis(regions: Rows) -> list[str]:
 
 def _sentence(section: str, name: str, numbers: Mapping[str, Any], text: str = "") -> str:
     own = [(key, q) for key, q in TABLE[section].items() if not q.vector]
-    texts = {key: f"{q.text(numbers)} {q.shown}".removesuffix(" -") for key, q in own}
+    texts = {key: _with_unit(section, key, numbers) for key, _ in own}
     reached = (
-        f", {part} % everywhere at {texts[f'time_{part}']}"
+        f", {part} % reached everywhere after {texts[f'time_{part}']}"
         for part in (50, 90)
         if numbers.get(f"time_{part}") is not None
     )

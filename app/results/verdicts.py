@@ -25,6 +25,8 @@ CONTACT = "contact"
 PEAKS = "peaks that still change with the mesh"
 # Sources of error where coarser meshes could be compared.
 BOTH = "mesh and step"
+# All sources of error that are estimated (`error_estimate.error_sources`).
+ERRORS = (BOTH, "time step", "load step")
 # Unsettled peaks that are listed.
 MOST = 3
 # A largest pressure above the largest mean at a point by this factor depends on the mesh.
@@ -99,15 +101,15 @@ def of_numbers(summary: Mapping[str, Any]) -> list[Verdict]:
     verdicts += [_crack(name, q) for name, q in interfaces.items() if "zone_length" in q]
     far = too_far(summary)
     if far:
-        text = f"on {' and '.join(far)} exceeds the size of its facets: beyond small displacements"
-        verdicts.append(Verdict(text, "slip", "`sliding: finite` follows it"))
+        text = f"larger than a facet on {' and '.join(far)}: small sliding does not hold"
+        verdicts.append(Verdict(text, "slip", "use `sliding: finite`"))
     for of_package in _JUDGES:
         verdicts += of_package(summary)
     verdicts += _physiology(summary)
     verdicts.append(_mesh_and_step(summary))
     failed = ", ".join(summary.get("error", {}).get("failed", []))
     if failed:
-        text = f"estimated without companions that failed: {failed}"
+        text = f"these coarser runs failed and are left out of the estimate: {failed}"
         verdicts.append(Verdict(text, "error", severity=Severity.WARNING))
     if "accuracy" in summary:
         verdicts.append(Verdict(summary["accuracy"], severity=Severity.PLAIN))
@@ -132,21 +134,25 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
 def _balances(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     """Balances of forces and of heat."""
     balance = summary["balance"]
-    lost = [
-        f"{name} {balance[name]:.1e}, not below {BALANCES[name]:g}" for name in unbalanced(summary)
-    ]
-    forces = [text for text in lost if not text.startswith("heat")]
-    heat = [text for text in lost if text.startswith("heat")]
+    defects = {name: f"{name} {balance[name]:.1e}" for name in BALANCES if name in balance}
+    excess = {
+        name: f"relative error of {defects[name]}; allowed {BALANCES[name]:g}"
+        for name in unbalanced(summary)
+    }
+    heat = excess.pop("heat", "")
     if "force" in balance:
-        if forces:
-            yield Verdict(f"NOT balanced ({'; '.join(forces)})", EQUILIBRIUM)
+        if excess:
+            yield Verdict(f"NOT satisfied: {'; '.join(excess.values())}", EQUILIBRIUM)
         else:
-            yield Verdict("exact to rounding", EQUILIBRIUM, severity=Severity.GOOD)
+            known = ", ".join(text for name, text in defects.items() if name != "heat")
+            text = f"satisfied to rounding (relative errors: {known})"
+            yield Verdict(text, EQUILIBRIUM, severity=Severity.GOOD)
     if "heat" in balance:
         if heat:
-            yield Verdict(f"NOT balanced ({heat[0]})", HEAT)
+            yield Verdict(f"NOT balanced: {heat}", HEAT)
         else:
-            yield Verdict("none is lost", HEAT, severity=Severity.GOOD)
+            text = f"balanced (relative error {balance['heat']:.1e})"
+            yield Verdict(text, HEAT, severity=Severity.GOOD)
 
 
 def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
@@ -162,10 +168,10 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     most = max(strains)
     clauses = []
     if head > MOTION:
-        clauses.append(f"the head moves {head:.1f} mm, above {MOTION:g}")
+        clauses.append(f"the head moves {head:.1f} mm; usual is at most {MOTION:g} mm")
     if not low <= least <= most <= high:
-        span = f"{least:.0f} to {most:.0f} um/m, not within {low:g} to {high:g}"
-        clauses.append(f"the cortex is strained by {span}")
+        usual = f"usual are {low:g} to {high:g} um/m"
+        clauses.append(f"the strain of the cortex is {least:.0f} to {most:.0f} um/m; {usual}")
     if clauses:
         yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
 
@@ -177,12 +183,12 @@ def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
     damaged, broken, never, zone, elements = (own[key].text(q) for key in keys)
     text = f"{name} is damaged on {damaged} mm^2, of which {broken} are broken"
     if q["unbonded_fraction"]:
-        text += f"; {never} % never held"
+        text += f"; {never} % was never bonded"
     if q["zone_length"]:
         text += f"; its process zone is {zone} mm long, {elements} elements"
     if 0 < q["zone_elements"] < RESOLVED:
-        text += f": not resolved, it takes {RESOLVED}"
-        return Verdict(in_print(text), "cohesion", "refine", Severity.WARNING)
+        text += f"; at least {RESOLVED} elements are needed"
+        return Verdict(in_print(text), "cohesion", "reduce mesh.size", Severity.WARNING)
     return Verdict(in_print(text), "cohesion", severity=Severity.GOOD)
 
 
@@ -196,15 +202,18 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
     keys = ("penetration_max", "penetration_sampled")
     most = {key: max(q.get(key, 0.0) for q in interfaces.values()) for key in keys}
     gap = TABLE["interfaces"]["gap_max"].text
-    rims = [f"{gap(own['rim'])} um ({name})" for name, own in interfaces.items() if "rim" in own]
-    apart = f"; numbers are without rim and tip, the rim opens by {', '.join(rims)}" if rims else ""
+    rims = [f"{gap(q['rim'])} um ({name})" for name, q in interfaces.items() if "rim" in q]
+    rim = ""
+    if rims:
+        rim = f". Rim and tip are excluded; the rim opens by {', '.join(rims)}"
     if most["penetration_max"] >= 1e-9:
         deep = length("penetration_max")
-        text = f"the bodies penetrate by {deep}{apart}"
+        text = f"bodies overlap by {deep} at nodes{rim}"
         return Verdict(text, CONTACT, severity=Severity.WARNING)
     between = most["penetration_sampled"] >= 1e-9
-    rest = f", within {length('penetration_sampled')} between them" if between else ""
-    return Verdict(f"exact to rounding at points{rest}{apart}", CONTACT, severity=Severity.GOOD)
+    rest = f", {length('penetration_sampled')} overlap between nodes" if between else ""
+    text = f"satisfied to rounding at nodes{rest}{rim}"
+    return Verdict(text, CONTACT, severity=Severity.GOOD)
 
 
 def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
@@ -212,10 +221,10 @@ def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
     most = TABLE["interfaces"]["pressure_max"].text(q)
     part = TABLE["interfaces"]["pressure_by_facets"].text(q)
     text = (
-        f"the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip over them "
-        f"makes up to {part} MPa"
+        f"the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip over their "
+        f"edges causes up to {part} MPa"
     )
-    cure = "less by curved cells of second order or smaller ones"
+    cure = "use curved cells of second order, or reduce mesh.size"
     return Verdict(text, "pressure", cure, Severity.WARNING)
 
 
@@ -227,8 +236,8 @@ def _steep(name: str, q: Mapping[str, Any]) -> Verdict:
     """The largest pressure of an interface, where it is far above the mean at its point."""
     most, mean = (TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max"))
     text = (
-        f"the maximum on {name}, {most} MPa, is at a ridge or an edge; the mean at one point is "
-        f"{mean} MPa at most"
+        f"the maximum on {name}, {most} MPa, is at a ridge or an edge; the largest mean at a point "
+        f"is {mean} MPa"
     )
     return Verdict(text, "pressure", severity=Severity.WARNING)
 
@@ -237,7 +246,8 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
     """Estimated error of mesh and step."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
-        return Verdict("error not estimated (--error does)", BOTH, severity=Severity.PLAIN)
+        text = "errors are not estimated; run with --error"
+        return Verdict(text, BOTH, severity=Severity.PLAIN)
     largest = largest_of_units(dict(summary))
     shares: dict[str, float] = {}
     zero: list[str] = []
@@ -251,20 +261,20 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
                     zero.append(f"{key} of {name}")
                 else:
                     shares[f"{key} of {name}"] = error / abs(q[key])
-    share, text = sorted(shares, key=shares.__getitem__), "± is their estimated error"
+    share, text = sorted(shares, key=shares.__getitem__), "± is the estimated error"
     if share:
         of_them = (share[len(share) // 2], share[-1])
         half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in of_them)
-        text = f"half of the percentiles within ± {half} %"
-        text += f", the least sure ({share[-1]}) within ± {worst} %"
+        text = f"half of the percentiles have errors below ± {half} %"
+        text += f"; the largest error is ± {worst} % ({share[-1]})"
         within = estimated.get("within")
         if within:
-            text += f"; about {100 * within:.0f} of 100 such numbers lie within their ±"
+            text += f"; about {100 * within:.0f} % of such numbers lie within their error"
     if zero:
-        text += f"; zero to rounding or beside others: {', '.join(zero)}"
+        text += f"; negligible: {', '.join(zero)}"
     source = estimated.get("of", BOTH)
     if source != BOTH:
-        text += "; error of the mesh not estimated"
+        text += "; the error of the mesh is not estimated"
     return Verdict(text, source, severity=Severity.PLAIN)
 
 

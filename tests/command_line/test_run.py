@@ -151,7 +151,7 @@ def test_run_has_a_row_per_step(
     steps = [line.split() for line in lines if line.lstrip()[:1] in "123" and line.endswith(" s")]
     assert {head.index("time") for head in heads} == {1}
     assert [float(step[1]) for step in steps] == [1.0, 1.5, 2.0]
-    assert "exact to rounding" in said and str(output) in lines[-1]
+    assert "satisfied to rounding" in said and str(output) in lines[-1]
     assert {p.name for p in output.iterdir()} == FILES
     record = json.loads((output / "provenance.json").read_text())
     assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]

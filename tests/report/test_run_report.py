@@ -76,11 +76,11 @@ def test_run_report_numbers_equal_the_summary(done: Path) -> None:
     slip = TABLE["interfaces"]["slip_p99"].text(numbers["interfaces"]["stem_cement"])
     words = " ".join(html.split())
     assert f"{slip} µm slip of the stem in its cement 99 % of the surface slips less." in words
-    assert "mesh and step: error not estimated (--error does)" in html
+    assert "mesh and step: errors are not estimated; run with --error" in html
     for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
         assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
     assert TABLE["regions"]["von_mises_p99"].text(numbers["regions"]["cement"]) in html
-    assert "equilibrium: exact to rounding" in html and "youngs_modulus: 110000.0 MPa" in html
+    assert "equilibrium: satisfied to rounding" in html and "youngs_modulus: 110000.0 MPa" in html
     assert "Gruen" not in html and "Temperatures" not in html and "Dead bone" not in html
     drawings = re.findall(r'<svg viewBox="0 0 340 .*?</svg>', page(done), re.S)
     assert any("slip, 99th percentile (µm)" in d and "stem-cement" in d for d in drawings)
@@ -125,8 +125,8 @@ def test_run_report_without_3d_view_gives_the_reason(
     monkeypatch.setattr(viewer, "viewer", broken)
     html = changed(done, tmp_path / "run", numbers)
     assert "no view in three dimensions: IndexError: no &lt;such&gt; cell" in html
-    assert 'id="view"' not in html and "equilibrium: exact to rounding" in html
-    assert "the bodies penetrate by 2 µm" in html and "a of 37 °C and 5 mm², um" in html
+    assert 'id="view"' not in html and "equilibrium: satisfied to rounding" in html
+    assert "bodies overlap by 2 µm at nodes" in html and "a of 37 °C and 5 mm², um" in html
 
 
 def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> None:
@@ -141,7 +141,9 @@ def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> No
     interfaces["cement_bone"]["pressure_p95_error"] = 10.0
     verdicts.record(numbers, [])
     html = shown(changed(done, tmp_path / "run", numbers))
-    assert "mesh and step: half of the percentiles within ± 2 %, the least sure" in html
+    assert (
+        "mesh and step: half of the percentiles have errors below ± 2 %; the largest error" in html
+    )
     line = "peaks that still change with the mesh: stem_cement.gap_max 12.3 µm at 4 mm, 9.0 at 8"
     assert line in html and " ± " in html
     # The table has all of them.
@@ -152,7 +154,7 @@ def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> No
     numbers["error"] = error | {"companions": ["mesh 4 mm, 0.5 times"], "of": "load step"}
     verdicts.record(numbers, [])
     html = shown(changed(done, tmp_path / "steps", numbers))
-    assert "load step: half" in html and "error of the mesh not estimated" in html
+    assert "load step: half" in html and "the error of the mesh is not estimated" in html
 
 
 MODULUS = "regions.bone.youngs_modulus"
@@ -288,12 +290,12 @@ def test_run_report_unusable_results_are_red(done: Path, tmp_path: Path) -> None
     stopped = {"status": "stopped", "verdicts": [Verdict("stopped by SIGTERM").record()]}
     html = changed(done, tmp_path / "stop", summary(done) | stopped)
     assert '<span class="open">stopped</span>: the numbers are those of the last' in html
-    assert "stopped by SIGTERM" in html and "equilibrium: exact" not in html
+    assert "stopped by SIGTERM" in html and "equilibrium: satisfied" not in html
     numbers = summary(done) | {"status": "do not use"}
     numbers["balance"]["force"] = 1.0
     verdicts.record(numbers, [])
     html = changed(done, tmp_path / "lost", numbers)
-    text = "equilibrium: NOT balanced (force 1.0e+00, not below 1e-08)"
+    text = "equilibrium: NOT satisfied: relative error of force 1.0e+00; allowed 1e-08"
     assert f'<span class="bad">do not use</span>: {text}' in html
 
 

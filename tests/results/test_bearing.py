@@ -82,7 +82,7 @@ def test_bearing_reports_the_share_facing_a_bore(tmp_path: Path) -> None:
     share = liner @ ((x < 0) & (np.hypot(y, z) < 6.5 / RADIUS * np.hypot(x, np.hypot(y, z))))
     told = found.summary["interfaces"]["bearing"]["uncovered_fraction"]
     assert told == pytest.approx(share / liner.sum(), rel=0.02) and told > 0.05
-    assert f"bearing: {100 * told:.1f} % of the slave faced" in "".join(
+    assert f"bearing: {100 * told:.1f} % of the slave surface left" in "".join(
         closing_lines.lines(found.summary)
     )
 

@@ -39,11 +39,47 @@ def test_closing_lines_have_every_number_of_heat() -> None:
     dead = next(line for line in lines if line.startswith("CEM43 of 16"))
     assert dead.split()[-2:] == ["43.8", "1.25"]
     assert lines[-1] == (
-        "cement has set to 0.6200 .. 0.9900, 50 % everywhere at 622.1 s; fastest rate 0.0941 1/s"
+        "cement: degree of cure 0.6200 .. 0.9900, 50 % reached everywhere after 622.1 s; "
+        "largest rate 0.0941 1/s"
     )
 
 
 def test_closing_lines_of_heat_alone_have_no_forces() -> None:
-    told = closing_lines.closing_table(heat())
-    assert "von Mises" not in told and "contact" not in told
-    assert told.endswith("balance of heat 3.0e-12")
+    text = "\n".join(closing_lines.lines(heat()))
+    assert "von Mises" not in text and "contact" not in text
+
+
+def moved() -> dict[str, Any]:
+    interface = {"motion_p99": 0.0346, "motion_p99_error": 0.0391, "gap_p99": 0.0103}
+    tension = {"principal_p99": 3.22, "principal_p99_error": 2.75, "volume_over_3_MPa": 1.0}
+    return {
+        "interfaces": {"stem_cement": interface, "cement_bone": {"motion_p99": 0.0175}},
+        "regions": {"cement": tension, "stem": {"principal_p99": 97.42}},
+        "stem": {"subsidence": 0.0164, "retroversion": 0.041, "varus": 0.009},
+    }
+
+
+def test_closing_lines_headline_says_what_moves_and_what_cement_carries() -> None:
+    assert list(closing_lines.headline(moved())) == [
+        "motion of 99 % of the surface is below: stem_cement 34.6 ± 39.1 um (not resolved), "
+        "cement_bone 17.5 um",
+        "stem against bone: subsidence 16.4 um, retroversion 0.041 deg, varus 0.009 deg",
+        "tension in 99 % of the cement is below: 3.22 ± 2.75 MPa",
+    ]
+    assert list(closing_lines.headline({"interfaces": {}, "regions": {}, "stem": {}})) == []
+
+
+def test_closing_lines_headline_has_the_hottest_bone() -> None:
+    hot = heat()
+    hot["thermal"]["regions"]["bone"]["cem43_max"] = 12.0
+    assert list(closing_lines.headline(hot)) == ["hottest bone: 54.9 ± 1.6 degC in bone"]
+
+
+def test_closing_lines_mark_numbers_that_are_not_resolved_with_a_star() -> None:
+    *table, legend = closing_lines.lines(moved())
+    row = next(line for line in table if line.startswith("stem_cement"))
+    assert "34.6 ± 39.1*" in row and "not resolved" not in row
+    assert legend == closing_lines.LEGEND
+    summary = moved()
+    del summary["interfaces"]["stem_cement"]["motion_p99_error"]
+    assert closing_lines.LEGEND not in closing_lines.lines(summary)

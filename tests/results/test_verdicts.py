@@ -33,9 +33,13 @@ def judged(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 def test_verdicts_on_good_results() -> None:
     assert judged(summary()) == {
-        "equilibrium": ("exact to rounding", "good"),
-        "contact": ("exact to rounding at points, within 4.1 um between them", "good"),
-        "mesh and step": ("error not estimated (--error does)", "plain"),
+        "equilibrium": (
+            "satisfied to rounding (relative errors: force 1.0e-12, moment 1.0e-12, "
+            "energy 1.0e-12)",
+            "good",
+        ),
+        "contact": ("satisfied to rounding at nodes, 4.1 um overlap between nodes", "good"),
+        "mesh and step": ("errors are not estimated; run with --error", "plain"),
     }
 
 
@@ -44,7 +48,7 @@ def test_verdicts_on_pressure_by_facets() -> None:
     found["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
     words, tone = judged(found)["pressure"]
     assert words.startswith("the maximum on stem_cement, 9.00 ± 9.00 MPa, depends on the facets")
-    assert "makes up to 4.00 MPa" in words and tone == "warning"
+    assert "causes up to 4.00 MPa" in words and tone == "warning"
 
 
 def test_verdicts_on_singular_pressure() -> None:
@@ -52,8 +56,8 @@ def test_verdicts_on_singular_pressure() -> None:
     found["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
     words, tone = judged(found)["pressure"]
     assert words == (
-        "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; the mean at one "
-        "point is 5.90 MPa at most"
+        "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; the largest "
+        "mean at a point is 5.90 MPa"
     )
     assert tone == "warning"
     found["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
@@ -64,11 +68,14 @@ def test_verdicts_on_bad_results() -> None:
     found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
     found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}
     lines = judged(found)
-    lost = "NOT balanced (force 1.0e-03, not below 1e-08)"
+    lost = "NOT satisfied: relative error of force 1.0e-03; allowed 1e-08"
     assert lines["equilibrium"] == (lost, "error")
-    assert lines["heat"] == ("NOT balanced (heat 1.0e-03, not below 1e-06)", "error")
-    assert lines["contact"] == ("the bodies penetrate by 2 um", "warning")
-    assert lines["slip"][0].endswith("`sliding: finite` follows it") and lines["slip"][1] == "error"
+    assert lines["heat"] == (
+        "NOT balanced: relative error of heat 1.0e-03; allowed 1e-06",
+        "error",
+    )
+    assert lines["contact"] == ("bodies overlap by 2 um at nodes", "warning")
+    assert lines["slip"][0].endswith("use `sliding: finite`") and lines["slip"][1] == "error"
 
 
 def test_verdicts_on_rim_and_tip() -> None:
@@ -76,9 +83,9 @@ def test_verdicts_on_rim_and_tip() -> None:
     found = summary()
     found["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
     lines = judged(found)
-    words = "; numbers are without rim and tip, the rim opens by 74.0 um (stem_cement)"
+    words = ". Rim and tip are excluded; the rim opens by 74.0 um (stem_cement)"
     assert lines["contact"][0].endswith(words)
-    assert lines["slip"][0].startswith("on stem_cement exceeds")
+    assert lines["slip"][0].startswith("larger than a facet on stem_cement")
 
 
 def test_verdicts_on_errors_exclude_maxima() -> None:
@@ -86,8 +93,8 @@ def test_verdicts_on_errors_exclude_maxima() -> None:
     error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}
     lines = judged(summary(error=error))
     words = (
-        "half of the percentiles within ± 5 %, the least sure (pressure_p95 of stem_cement) within "
-        "± 5 %; about 90 of 100 such numbers lie within their ±"
+        "half of the percentiles have errors below ± 5 %; the largest error is ± 5 % "
+        "(pressure_p95 of stem_cement); about 90 % of such numbers lie within their error"
     )
     assert lines["mesh and step"] == (words, "plain")
     assert "load step" not in lines
@@ -112,13 +119,13 @@ def test_verdicts_on_errors_of_steps_alone() -> None:
     error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
     lines = judged(summary(error=error))
     assert "mesh and step" not in lines and verdicts.PEAKS not in lines
-    assert lines["load step"][0].endswith("within ± 5 %; error of the mesh not estimated")
+    assert lines["load step"][0].endswith("; the error of the mesh is not estimated")
 
 
 def test_verdicts_on_heat_alone() -> None:
     """A balance of 2e-6 is above its limit."""
     found = summary(interfaces={}, balance={"heat": 3e-12, "heat_quadrature": 1e-3})
-    assert judged(found)["heat"] == ("none is lost", "good")
+    assert judged(found)["heat"] == ("balanced (relative error 3.0e-12)", "good")
     assert "equilibrium" not in judged(found) and "contact" not in judged(found)
     found["balance"]["heat"] = 2e-6
     assert judged(found)["heat"][1] == "error"
@@ -131,13 +138,13 @@ def test_verdicts_are_read_as_recorded() -> None:
     assert recorded(found) == [*verdicts.of_numbers(found), remark]
     assert verdicts.notes_of(found) == ["interfaces.a: is it in per cent?; expected 0 to 1.5"]
     assert verdicts.reasons_not_to_use(found) == [
-        "equilibrium: NOT balanced (force 1.0e-03, not below 1e-08)"
+        "equilibrium: NOT satisfied: relative error of force 1.0e-03; allowed 1e-08"
     ]
 
 
 def test_verdicts_name_failed_companions() -> None:
     found = summary(error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "within": 0.9})
-    words = "estimated without companions that failed: mesh 12 mm"
+    words = "these coarser runs failed and are left out of the estimate: mesh 12 mm"
     assert Verdict(words, "error", severity=Severity.WARNING) in verdicts.of_numbers(found)
 
 
@@ -149,7 +156,7 @@ def test_verdicts_on_physiology() -> None:
     femur |= {"head_displacement": [3.0, 0.0, -4.1], "strain_medial_80": -2.6e-3}
     assert "physiology" not in judged(summary(femur=femur, section_loads=[{"force": (0.0,) * 3}]))
     assert judged(summary(femur=femur, section_loads=loads))["physiology"] == (
-        "the head moves 5.1 mm, above 5; the cortex is strained by 1200 to 2600 um/m, not within "
-        "500 to 2500",
+        "the head moves 5.1 mm; usual is at most 5 mm; the strain of the cortex is 1200 to 2600 "
+        "um/m; usual are 500 to 2500 um/m",
         "warning",
     )
