@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         if rank() == 0:
             run = (sys.argv[1:] if arguments is None else [*arguments])[:1] == ["run"]
-            disk = ": no step had converged, nothing of this run is on disk" if run else ""
+            disk = ": no step had converged, so nothing was written" if run else ""
             print(f"stopped{disk}", file=sys.stderr, flush=True)
         _abort(STOPPED)
         return STOPPED

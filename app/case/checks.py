@@ -112,7 +112,7 @@ def _mesh(case: Any) -> Iterable[Fault]:
             yield Fault(("mesh",), text)
         if not case.geometry.spans and 0.0 < largest < case.mesh.size:
             text = (
-                f"{case.mesh.size:g} mm: no part holds such cells; expected at most {largest:g} mm"
+                f"{case.mesh.size:g} mm: is larger than every part; expected at most {largest:g} mm"
             )
             yield Fault(("mesh", "size"), text)
         for key in ("around", "along", "through_cement"):
@@ -123,7 +123,7 @@ def _mesh(case: Any) -> Iterable[Fault]:
     size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
-            text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
+            text = f"is too small for edges of {size:g} mm (mesh.size)"
             expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
             yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
 
@@ -140,7 +140,7 @@ def _lines(case: Any) -> Iterable[Fault]:
             yield Fault(("mesh", "around"), f"{text}; {expected}")
     along, most = case.mesh.along, case.geometry.coarsest_size
     if along and length and along > most:
-        text = f"{along:g} mm: no part holds such steps; expected at most {most:g} mm"
+        text = f"{along:g} mm: is longer than every part; expected at most {most:g} mm"
         yield Fault(("mesh", "along"), text)
 
 
@@ -158,7 +158,7 @@ def _stages(case: Any) -> Iterable[Fault]:
     if len(laws) == len(case.interfaces or ()) and not any(w.dissipates for w in laws):
         for i, stage in enumerate(case.stages):
             if stage.fracture_step:
-                text = "no interface can break; expected one of kind: cohesive"
+                text = "no interface can break; expected an interface of kind: cohesive"
                 yield Fault(("stages", i, "fracture_step"), text)
     load_histories: list[tuple[Path, Any]] = [
         ((section, name, key), getattr(entry, key))
@@ -190,7 +190,7 @@ def _accuracy(case: Any) -> Iterable[Fault]:
     given = case.geometry.kind == "file" or case.variations
     touches = any(law and law.can_part for law in case.interfaces.values())
     if case.output and case.output.accuracy and (given or not touches):
-        text = "no mesh can be chosen; expected contact, no variations and no mesh from a file"
+        text = "mesh size cannot be chosen; expected contact, no variations and no mesh from a file"
         yield Fault(("output", "accuracy"), text)
 
 
@@ -205,8 +205,8 @@ def _rigid(case: Any) -> Iterable[Fault]:
         sides = case.geometry.interface_sides.get(name)
         if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
-            text = f"contact between rigid regions ({regions})"
-            cure = "one side has to be elastic"
+            text = f"both sides are rigid ({regions})"
+            cure = "make one side elastic"
             path = ("interfaces", name)
             yield Fault(path, text, cure=cure, code=Reason.RIGID_CONTACT)
 
@@ -230,7 +230,7 @@ def _held(case: Any) -> Iterable[Fault]:
         free = [axis for axis in "xyz" if axis not in held]
         if free:
             along = "" if len(free) == 3 else f" along {' and '.join(free)}"
-            text = f"nothing holds the model{along}{when}"
+            text = f"no support holds the model{along}{when}"
             cure = "expected a support: fixed, roller, displacement or foundation"
             yield Fault(("supports",), text, cure=cure, code=Reason.LOOSE_BODY)
 
@@ -273,7 +273,8 @@ def _sliding(case: Any) -> Iterable[Fault]:
             far.add(name)
             faces = law.between or case.geometry.faces.get(name)
             if not faces:
-                text = "its sides share facets; expected bodies meshed apart, and `between` two of "
+                text = "its sides share facets of the mesh; expected separately meshed bodies, and "
+                text += "`between` with two of "
                 text += ", ".join(case.geometry.boundary_names)
                 yield Fault(("interfaces", name, "sliding"), text)
             whole += [(("interfaces", name, "between"), face) for face in faces or ()]
@@ -281,14 +282,14 @@ def _sliding(case: Any) -> Iterable[Fault]:
     for path, part in whole:
         other = taken.get((path[0], part))
         if other:
-            yield Fault(path, f"{part} is in {path[0]}.{other} already; expected another")
+            yield Fault(path, f"{part} is used by {path[0]}.{other} already; expected another")
         taken[path[0], part] = path[1]
     for _, name, motion in _entries(case, "motions"):
         region = (case.regions or {}).get(motion.region)
         if region is not None and region.moves_rigidly == bool(motion.boundary):
-            text = f"{motion.region} is elastic; expected `boundary`, the part that is driven"
+            text = f"{motion.region} is elastic; expected `boundary`, the part that moves"
             if motion.boundary:
-                text = f"{motion.region} is rigid, driven as a whole; expected no `boundary`"
+                text = f"{motion.region} is rigid and moves as a whole; leave `boundary` out"
             yield Fault(("motions", name, "region"), text)
     motions = tuple(case.motions or ())
     cyclic = any(motion.cycle_table for _, _, motion in _entries(case, "motions"))
@@ -320,15 +321,16 @@ def _sliding_heat(laws: Mapping[str, Any], far: set[str], cyclic: bool) -> Itera
         heats = getattr(law, "friction_heating", None) is not None
         path = ("interfaces", name, "friction_heating" if heats else "conductance")
         if name not in far and (heats or law.conductances[1] > 0):
-            text = f"heat that depends on contact cannot go with {', '.join(sorted(far))}, which "
-            yield Fault(path, f"{text}slides far; expected a constant conductance")
+            text = "heat that depends on contact cannot be combined with finite sliding "
+            text += f"({', '.join(sorted(far))}); expected a constant conductance"
+            yield Fault(path, text)
         elif name in far and heats and not cyclic:
             text = (
                 "friction heat is the mean over a cycle; expected a cycle_table of a motion or load"
             )
             yield Fault(path, text)
         if name in far and law.conductance is None:
-            text = "the two sides share no nodes; expected the conductance between them, large if "
+            text = "the two sides share no nodes; expected a conductance, a large one if "
             yield Fault(("interfaces", name, "conductance"), text + "it is perfect")
 
 
@@ -359,7 +361,7 @@ def _heat(case: Any) -> Iterable[Fault]:
         return
     for name in cold:
         others = " and ".join(n for n in regions if n not in cold)
-        text = f"'thermal' is missing; expected in every region or in none, like {others}"
+        text = f"'thermal' is missing; expected in every region or in none; it is in {others}"
         yield Fault(("regions", name), text)
     yield from _conductors(case, regions)
     yield from _flow(case, regions)
@@ -377,7 +379,7 @@ def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
     for i, stage in enumerate(case.stages or ()):
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
-            yield Fault(("stages", i, key), f"nothing takes time: {text}")
+            yield Fault(("stages", i, key), f"a stage takes time only for heat: {text}")
     for name, law in case.interfaces.items():
         for key in ("conductance", "friction_heating"):
             if getattr(law, key, None) is not None:
@@ -390,17 +392,20 @@ def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     if len(solid) == len(regions):
         return
     if solid:
-        text = f"a conductor beside solids ({', '.join(solid)}); expected conductors only, or none"
+        text = f"is of kind conductor, but others are solid ({', '.join(solid)}); expected only "
+        text += "conductors, or none"
         for name in regions:
             if name not in solid:
                 yield Fault(("regions", name), text)
         return
     for section in ("supports", "loads"):
         for name in getattr(case, section) or {}:
-            yield Fault((section, name), "every region is a conductor: nothing can move")
+            yield Fault(
+                (section, name), "every region is a conductor, which cannot move; leave it out"
+            )
     for name, law in case.interfaces.items():
         if law is not None and law.can_part:
-            text = "every region is a conductor: nothing can part; expected kind: bonded"
+            text = "every region is a conductor, which cannot separate; expected kind: bonded"
             yield Fault(("interfaces", name), text)
 
 
@@ -409,19 +414,19 @@ def _flow(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     if not case.stages:
         return
     if not any(stage.takes_time for stage in case.stages):
-        text = "heat has no time to flow; expected a duration, or steady: true, in some stage"
+        text = "no stage takes time for heat; expected a duration, or steady: true, in at least one"
         yield Fault(("stages",), text)
     elif all(region.only_conducts for region in regions.values()):
         for i, stage in enumerate(case.stages):
             if not stage.takes_time:
-                text = "nothing happens in it; expected a duration, or steady: true"
+                text = "heat does not change in this stage; expected a duration, or steady: true"
                 yield Fault(("stages", i), text)
     drained = any(c is None or c.role != "heats" for c in case.heat.values())
     setting = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
     for i, stage in enumerate(case.stages):
         if stage.steady and not drained:
-            text = "nothing settles the temperature; expected heat of kind temperature, convection"
-            yield Fault(("stages", i, "steady"), f"{text} or perfusion")
+            text = "no steady state: no temperature is prescribed; expected heat of kind "
+            yield Fault(("stages", i, "steady"), f"{text}temperature, convection or perfusion")
         if stage.steady and setting:
-            text = f"{', '.join(setting)} sets with time; expected a duration"
+            text = f"{', '.join(setting)} cures over time; expected a duration instead of steady"
             yield Fault(("stages", i, "steady"), text)

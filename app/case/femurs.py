@@ -66,7 +66,7 @@ def _with_new_keys(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str
         is_file = isinstance(stem, StemFile) or (isinstance(stem, dict) and "step" in stem)
         text = f"is the old name of {replaced[old]}; expected it below `stem`"
         if is_file:
-            text = "is the file's, where `stem` is one; expected no such key"
+            text = "is given by the file of the stem; leave it out"
         fail(text, at=(old,))
     if stem is None and (numbers or "stem_tip_z" in given):
         shoulder = _LEVEL.read(keys.get("tip_z", f"{OLD_TIP} mm"))

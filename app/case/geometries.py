@@ -63,13 +63,19 @@ class Blocks(Shape):
                 text = f"'{block.name}' is the name of an earlier block too"
                 fail(text, at=("blocks", i, "name"))
             if block.size[:2] != self.blocks[0].size[:2]:
-                fail("has other x and y edges than the first block", at=("blocks", i, "size"))
+                fail(
+                    "differs in x or y from the first block; all need the same cross-section",
+                    at=("blocks", i, "size"),
+                )
         if len({*self.region_names, *self.interface_sides}) < 2 * len(self.blocks) - 1:
             text = "two interfaces would have the same name, <block>_<block>; rename a block"
             fail(text, at=("blocks",))
         rise = 0.5 * self.blocks[0].size[0] * math.tan(abs(self.tilt))
         if abs(self.tilt) >= math.pi / 4 or rise >= 0.5 * min(b.size[2] for b in self.blocks):
-            fail("tilts an interface through its neighbour; expected a smaller angle", at=("tilt",))
+            fail(
+                "is too large: a tilted interface crosses its neighbour; expected a smaller angle",
+                at=("tilt",),
+            )
         return self
 
     @property

@@ -62,7 +62,10 @@ class HeadCup(Shape):
         radius = self.bore_diameter / 2
         if not radius < NEAR * self.head_radius:
             most = 2 * NEAR * self.head_radius
-            fail(f"leaves no head; expected less than {most:.3g} mm", at=("bore_diameter",))
+            fail(
+                f"leaves no material of the head; expected less than {most:.3g} mm",
+                at=("bore_diameter",),
+            )
         bottom = self.bore_depth - math.sqrt(self.head_radius**2 - radius**2)
         end = radius - self.bore_depth * math.tan(self.bore_taper)
         if abs(self.bore_taper) >= math.pi / 4 or end <= 0.1 * radius:

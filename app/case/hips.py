@@ -152,7 +152,7 @@ class Hip(Shape):
     def check_end(self) -> None:
         """Refuse a void below the stem that cannot be meshed."""
         if 0.0 < self.tip_void < FLAT:
-            fail("is neither 0 nor 1 mm at least", at=("tip_void",))
+            fail("must be 0 or at least 1 mm", at=("tip_void",))
         if self.tip_void and self.tip_void > self.plug_length - FLAT:
             fail(f"leaves less than 1 mm of {self.plug_length:g} mm of plug", at=("tip_void",))
 

@@ -46,7 +46,9 @@ def read(path: Path = SHIPPED) -> CaseFile:
         else:
             for name, entry in entries.items():
                 if not (isinstance(entry, dict) and isinstance(entry.get(SOURCE), str)):
-                    text = f"expected a mapping with '{SOURCE}', a text that tells where it is from"
+                    text = (
+                        f"expected a mapping with '{SOURCE}', a text with the origin of its values"
+                    )
                     faults.append(Fault((kind, name), text))
     file.raise_all(faults)
     return file

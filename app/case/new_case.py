@@ -37,7 +37,7 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
         InputError: The file exists or cannot be written; the kind has no stem.
     """
     if stem and kind not in ("femur", "cylinders"):
-        raise InputError(f"--stem {stem}: of kind {kind} there is no stem")
+        raise InputError(f"--stem {stem}: geometries of kind {kind} have no stem; leave --stem out")
     path = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
     if kind == "file":
         text = _own(path.with_suffix(".msh"), meeting)
@@ -48,7 +48,9 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
         with path.open("x", encoding="utf-8") as file:
             file.write(SCHEMA + text)
     except FileExistsError:
-        raise InputError(f"{path}: is there already; nothing is written") from None
+        raise InputError(
+            f"{path}: exists already and was not changed; choose another name"
+        ) from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         why = "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else why
@@ -67,7 +69,7 @@ def _own(mesh: Path, meeting: Meeting | None) -> str:
         except (OSError, ValueError) as error:
             raise InputError(f"{mesh}: {error}") from error
         if not regions:
-            raise InputError(f"{mesh}: names no region: no physical volume has a name")
+            raise InputError(f"{mesh}: has no named region; name its physical volumes in gmsh")
         names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
         about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
         inside: list[str] = []

@@ -112,7 +112,7 @@ def _chain(path: FilePath) -> list[CaseFile]:
     chain = [yaml_file.read(path)]
     for what, keys in (("sweep", AXES), ("study", {"study"})):
         if "base" in chain[0].data and keys & chain[0].data.keys():
-            text = f"this is a {what} of another case, not a case; use mantle {what} {path}"
+            text = f"is a {what} file, not a case; use mantle {what} {path}"
             chain[0].raise_all([Fault(("base",), text)])
     while chain[-1].data.get("base") is not None:
         below = _named_file(chain[-1], "base")
@@ -177,7 +177,7 @@ def _merged(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
         if key in known:
             continue
         if upper[key] is None and lower is not None:
-            text = f"there is nothing to remove{did_you_mean(key, list(known))}"
+            text = f"is not in the base, so null cannot remove it{did_you_mean(key, list(known))}"
             case.complaints.append(Fault((*path, key), text))
         else:
             result[key] = _merged(case, None, upper[key], (*path, key))
@@ -290,7 +290,7 @@ def _check_kind(
 ) -> None:
     """Complain of a kind that is neither that of the entry of the library nor one of others."""
     if upper.get("kind", kind) not in (kind, *others):
-        text = f"{name} is of kind {kind}; leave kind out"
+        text = f"{name} is of kind {kind}; leave `kind` out"
         case.complaints.append(Fault((*path, "kind"), text))
 
 
@@ -306,7 +306,11 @@ def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any
         length = hypot(*parts)
         if length > 0.0 and size >= 0.0:
             return None, [f"{part * size / length!r} N" for part in parts]
-        why = "a magnitude is not negative" if length else "a force of zero has no direction"
+        why = (
+            "a magnitude cannot be negative"
+            if length
+            else "a force of zero has no direction to scale"
+        )
         text = f"{show(upper)}: {why}; expected a vector"
     except PydanticCustomError as error:
         text = (error.context or {})["text"]
@@ -330,7 +334,7 @@ def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) ->
         if key in old and loads:
             _measure(case, key, keys[key])
         else:
-            text = f"there are no forces with a {key} here; it stands beside a library's set"
+            text = f"no forces here depend on {key}; expected `library: NAME` in the same section"
             case.complaints.append(Fault(("loads", key), text))
     new = case.measured
     factor = new["body_weight"] / old["body_weight"] if "body_weight" in old else 1.0
@@ -349,7 +353,7 @@ def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) ->
 def _with_history(case: CaseFile, loads: dict[str, Any], history: list[Any]) -> dict[str, Any]:
     """Return the loads of a base or a library, all with the same history."""
     if not loads:
-        text = "there are no loads of a library or a base here; set the history of each load"
+        text = "no loads of a library or a base are here; set the history of each load"
         case.complaints.append(Fault(("loads", "history"), text))
     return {
         name: load | {"history": list(history)} if isinstance(load, dict) else load
@@ -474,9 +478,9 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     if not equals or not all(items):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(items) > yaml_file.DEEPEST:
-        raise BadYaml(f"{len(items)} keys in each other; at most {yaml_file.DEEPEST}")
+        raise BadYaml(f"{len(items)} nested keys; at most {yaml_file.DEEPEST}")
     if items[0] in ("base", "library"):
-        raise BadYaml("stands in the file alone; --set cannot change it")
+        raise BadYaml("--set cannot change it; change it in the file")
     target: Any = case.data
     path: Path = ()
     for n, item in enumerate(items):

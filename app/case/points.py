@@ -71,7 +71,7 @@ def _distinct(values: list[Any]) -> list[Any]:
     names = _labels(values)
     for i, name in enumerate(names):
         if name in names[:i]:
-            fail(f"{name} stands here twice", at=(i,))
+            fail(f"{name} is listed twice", at=(i,))
     return values
 
 
@@ -107,11 +107,11 @@ class Range(Section):
     def _ordered(self) -> Range:
         (low, unit), (high, other) = _number(self.low), _number(self.high)
         if unit != other:
-            fail(f"'{unit}' and '{other}': both ends need the same unit")
+            fail(f"'{unit}' and '{other}': both ends of the range need the same unit")
         if not low < high:
             fail(f"{show(self.low)} is not below {show(self.high)}")
         if self.scale == "logarithmic" and low <= 0:
-            fail(f"{show(self.low)} has no logarithm", at=("low",))
+            fail(f"{show(self.low)} is not positive, so it has no logarithm", at=("low",))
         return self
 
     def at(self, share: float) -> str | float:
@@ -293,7 +293,7 @@ def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> lis
     """Errors for ``--set`` keys that the file varies too, each at the path of its list or value."""
     places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
     return [
-        Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
+        Fault(place, f"varies, but --set {given} fixes it for every case; leave one out")
         for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
         for place, key in places
         if all(a == b for a, b in zip(key_parts(given), key_parts(key), strict=False))

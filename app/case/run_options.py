@@ -67,18 +67,24 @@ class Stage(Section):
     @model_validator(mode="after")
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
-            fail("a steady stage takes no `duration`", at=("duration",))
+            fail("a steady stage has no duration; leave one of the two out", at=("duration",))
         if self.cycles > 1 and (self.takes_time or self.other):
-            fail("a stage that takes time has no cycles", at=("cycles",))
+            fail(
+                "a stage with a duration cannot have cycles; use a stage without duration",
+                at=("cycles",),
+            )
         if self.fracture_step and self.takes_time:
-            fail("loads of a stage that takes time follow it", at=("fracture_step",))
+            fail(
+                "a stage with a duration cannot control the fracture energy; leave one out",
+                at=("fracture_step",),
+            )
         if self.takes_time and self.other:
-            text = "takes the time of heat; expected no `duration`, no `steady`"
+            text = "takes its own time; leave `duration` and `steady` out"
             fail(text, at=(self.other.key,))
         if self.creep_cycles and self.creep_time:
-            fail("creep is in cycles or in time; leave one out", at=("creep_time",))
+            fail("creep is counted in cycles or in time; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
-            text = "the loads of a stage that creeps stay; expected no duration, steady or cycles"
+            text = "loads are constant in a stage with creep; leave duration, steady and cycles out"
             fail(text, at=(self.creep_key,))
         return self
 

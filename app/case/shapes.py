@@ -397,11 +397,13 @@ class MeshOptions(Section):
     def _possible(self) -> MeshOptions:
         if self.curved and self.order == 1:
             # Linear functions on curved cells do not contain the linear displacements.
-            fail("curved cells need second order; expected false, or `order: 2`", at=("curved",))
+            fail(
+                "curved cells need second order; set `curved: false` or `order: 2`", at=("curved",)
+            )
         if 0.0 < self.size < LEAST:
-            fail(f"{self.size:g} mm is less than an atom", at=("size",))
+            fail(f"{self.size:g} mm is smaller than an atom", at=("size",))
         if self.far < self.size:
-            fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))
+            fail(f"{self.far:g} mm is smaller than size, {self.size:g} mm", at=("far_size",))
         return self
 
 

@@ -34,7 +34,7 @@ def _values(value: object) -> object:
         fail(f"{show(value)} is not a mapping of quantities to values")
     for quantity, entry in value.items():
         if quantity in quantities.of_run():
-            fail("is not compared with anything", at=(quantity,))
+            fail("is compared with nothing; expected at least two lines", at=(quantity,))
         try:
             quantities.known_value(quantity, entry)
         except PydanticCustomError as error:
@@ -56,7 +56,7 @@ class Reference(Section):
         if (self.values is None) == (self.run is None):
             fail("expected either values or run")
         if any(isinstance(value, list) and len(value) < 2 for value in (self.run or {}).values()):
-            text = "has a single run; expected at least two, or its error is unknown; "
+            text = "has a single run, so its error is unknown; expected at least two; "
             fail(f"{text}without a list the run is the reference as it is", at=("run",))
         return self
 

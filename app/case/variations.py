@@ -46,7 +46,9 @@ def _section(value: dict[str, Any]) -> dict[str, Any]:
             if not MAY_VARY.fullmatch(key):
                 path = key.split(".")
                 known = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(path[0], ())
-                text = "may not vary in one run (it may change mesh or stiffness)"
+                text = (
+                    "cannot vary between runs that share a mesh (it may change mesh or stiffness)"
+                )
                 fail(f"{text}; {ALLOWED}{did_you_mean(path[-1], known)}", at=(name, key))
     return value
 

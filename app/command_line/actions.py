@@ -175,7 +175,9 @@ def read(folder: str | os.PathLike[str]) -> Results:
     """
     path = Path(folder)
     if not any((path / name).exists() for name in ("case.yaml", "variations.json")):
-        raise InputError(f"{path}: holds no results of a run")
+        raise InputError(
+            f"{path}: has no results of a run; expected a folder written by mantle run"
+        )
     with stack_needed():
         from app.results.reading import Results
     return Results(path)

@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
     walltime = stopping.seconds(options.walltime) if options.walltime else None
     if finished_runs.prepare(case, output, force=options.force, restart=options.restart):
         if rank() == 0:
-            print(f"{output} is finished already by this case and program (--force: again)")
+            print(f"{output} has the finished results of this case already; --force runs it again")
         return 0
     if size is None and count > 1:
         print(f"starting {count} ranks", flush=True)
@@ -79,7 +79,10 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
         pass_colours()
         return ranks.launch(count, [sys.executable, "-m", "mantle", *arguments])
     if size is not None and count not in (1, size) and rank() == 0:
-        print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
+        print(
+            f"mantle: -n {count} is ignored: mpirun has started {size or 'some'} ranks",
+            file=sys.stderr,
+        )
     actions.run(
         case,
         output,
@@ -215,7 +218,7 @@ def _report(options: argparse.Namespace) -> int:
 
     folder, *others = options.folders
     if options.spread and (others or not (folder / "case.yaml").exists()):
-        raise InputError("--spread: goes with one DIR, that of a run")
+        raise InputError("--spread: expected one DIR, the folder of a run")
     if options.evidence or options.methods:
         files = evidence.write(options.folders) if options.evidence else []
         files += [evidence.methods(folder)] if options.methods else []

@@ -108,5 +108,5 @@ def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> 
             text = f"{text} (R grows {grown}: it may have no limit)"
             severity = Severity.WARNING
         texts.append(text)
-    text = f"{name} breaks with a probability of {', '.join(texts)}"
+    text = f"{name} fails with a probability of {', '.join(texts)}"
     return Verdict(text, "strength", severity=severity)

@@ -110,7 +110,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
         if (error.name or "").partition(".")[0] in OWN:
             raise
         raise EnvironmentProblem(
-            f"the package {error.name} is missing; ./mantle doctor tells what is there"
+            f"the Python package {error.name} is missing; mantle doctor lists what is installed"
         ) from error
 
 

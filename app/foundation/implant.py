@@ -87,7 +87,7 @@ class Implant:
             cement: Least thickness of the mantle (mm).
         """
         if 0.0 < self.tip_rounding < FLAT:
-            yield "tip_rounding", "is neither 0 nor 1 mm at least"
+            yield "tip_rounding", "must be 0 or at least 1 mm"
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             yield "neck_angle", "is not between {:g} and {:g} deg".format(*NECK_ANGLES)
         if self.cad is not None:

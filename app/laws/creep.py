@@ -39,7 +39,8 @@ class Creep(OfRegion):
     def _hardens(self) -> Creep:
         if self.m1 and self.stresses is None:
             fail(
-                "'stresses' is missing, required with m1; expected the range that m was measured in"
+                "'stresses' is missing, required with m1; expected the range of stresses "
+                "in which m was measured"
             )
         for s in self.stresses or ():
             m = self.m0 + self.m1 * math.log10(s)

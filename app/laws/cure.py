@@ -50,7 +50,7 @@ class Prescribed(Section):
     @model_validator(mode="after")
     def _happens(self) -> Prescribed:
         if len(self.rate) < 2 or not any(rate for _, rate in self.rate):
-            fail("nothing happens; expected at least two pairs, one not 0", at=("rate",))
+            fail("has no cure; expected at least two pairs, one with a rate above 0", at=("rate",))
         return self
 
 
@@ -77,7 +77,10 @@ class Cure(OfRegion):
         kinetics = self.kinetics
         if isinstance(kinetics, Autocatalytic):
             if self.initial == 0.0 and kinetics.m > 0.0:
-                fail("never starts from 0 where m > 0; expected e.g. 1e-3", at=("initial",))
+                fail(
+                    "cure never starts at 0 where m > 0; expected a small degree, e.g. 1e-3",
+                    at=("initial",),
+                )
             largest = max((a for _, a in kinetics.limit or ()), default=1.0)
             for key in ("initial", "gel"):
                 if getattr(self, key) > largest:

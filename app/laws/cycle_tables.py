@@ -54,7 +54,7 @@ class CycleTable(Section):
             path = CSV.func(rows, info)
             rows, name = path.read_text(encoding="utf-8-sig").splitlines(), f"{path}: "
         if not isinstance(rows, list | tuple):
-            fail(f"{show(rows)} is not a cycle table; expected a CSV file or its lines in a list")
+            fail(f"{show(rows)} is not a cycle table; expected a CSV file or a list of its lines")
         lines = [", ".join(map(str, r)) if isinstance(r, list) else str(r) for r in rows]
         _columns(lines, name)
         return section | {"rows": [line for line in lines if line.strip()]}
@@ -91,7 +91,7 @@ def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]
 
     lines = [(i, row.split(",")) for i, row in enumerate(rows) if row.strip()]
     if len(lines) < 3:
-        fail(f"{name}has too few rows; expected at least 2 below a header")
+        fail(f"{name}has too few rows; expected at least two below the header")
     top, heads = lines[0]
     named = [m for m in map(HEADER.fullmatch, heads) if m and m[1] in COLUMNS]
     units = {m[1]: m[2] for m in named}

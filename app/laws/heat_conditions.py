@@ -65,7 +65,8 @@ class FixedTemperature(Named):
         values = field(key, self.temperature)(x)
         if np.any(values <= 0.0):
             raise InputError(
-                f"{key}: {self.temperature!r} is not above 0 K everywhere; it has to give K"
+                f"{key}: {self.temperature!r} is not above 0 K everywhere; "
+                "an expression gives kelvins"
             )
         return values
 

@@ -313,7 +313,9 @@ class Unilateral(Frictional):
     @model_validator(mode="after")
     def _rubs(self) -> Unilateral:
         if self.friction_heating is not None and self.friction_coefficient == 0.0:
-            fail("there is no friction", at=("friction_heating",))
+            fail(
+                "needs friction; expected a friction_coefficient above 0", at=("friction_heating",)
+            )
         return self
 
     @property
@@ -378,9 +380,12 @@ class Coulomb(Unilateral):
         finite, rubs = self.sliding == "finite", self.friction_coefficient > 0.0
         for key in FINITE:
             if getattr(self, key) is not None and not finite:
-                fail("needs `sliding: finite` beside it", at=(key,))
+                fail("needs `sliding: finite` in the same interface", at=(key,))
         if self.wear_coefficient is not None and not rubs:
-            fail("there is no friction to wear it", at=("wear_coefficient",))
+            fail(
+                "wear needs friction; expected a friction_coefficient above 0",
+                at=("wear_coefficient",),
+            )
         if self.compliance is not None and finite:
             fail(f"its slip {SMALL}", at=("compliance",))
         return self

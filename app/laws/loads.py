@@ -161,14 +161,16 @@ class Force(Load):
             self.cycle_table.columns.keys() & {*FORCES},
         )
         if self.history is not None:
-            fail("the force has a cycle table; leave one out", at=("history",))
+            fail("the force has a cycle_table; leave one of the two out", at=("history",))
         if one == bool(three):
             known = f"expected force, or some of {', '.join(FORCES)}"
             fail(f"has {', '.join(self.cycle_table.columns)}; {known}", at=("cycle_table",))
         size = math.hypot(*self.force)
         if abs(size - one) > 1e-3:
             wanted = (
-                "the direction, 1 N long" if one else "none: the cycle table has the components"
+                "the direction, 1 N long"
+                if one
+                else "no such key: the cycle table has the components"
             )
             fail(f"is {size:g} N long; expected {wanted}", at=("force",))
         return self

@@ -43,7 +43,9 @@ def _six(value: object) -> object:
 
 
 def _sloped(table: Table) -> Table:
-    return table if len(table) > 1 else fail("is one pair; expected at least two, or a value")
+    return (
+        table if len(table) > 1 else fail("has one pair; expected at least two pairs, or one value")
+    )
 
 
 def _form(E: object) -> str:
@@ -111,10 +113,12 @@ class Material(OfRegion):
         if self.thermal is None:
             return self
         if self.modulus_field and self.thermal.cure:
-            fail("a modulus that sets is a value", at=("youngs_modulus",))
+            fail("a modulus that changes with cure must be a single value", at=("youngs_modulus",))
         for key in self.refused:
             if getattr(self.thermal, key) is not None:
-                fail("nothing deforms; expected an elastic region", at=("thermal", key))
+                fail(
+                    "a rigid region has no strain; expected an elastic region", at=("thermal", key)
+                )
         return self
 
 
@@ -189,9 +193,11 @@ class Isotropic(Elastic):
     @model_validator(mode="after")
     def _creeps(self) -> Self:
         if self.creep and self.varies:
-            fail("a modulus that creeps is a value", at=("youngs_modulus",))
+            fail(
+                "the modulus of a region that creeps must be a single value", at=("youngs_modulus",)
+            )
         if self.creep and self.eigenstrains:
-            fail("none in a region that creeps", at=("eigenstrains",))
+            fail("a region that creeps cannot have it; leave one out", at=("eigenstrains",))
         return self
 
     @property
@@ -264,7 +270,7 @@ class TransverselyIsotropic(Elastic):
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
         if self.thermal is not None and self.thermal.fibre is not None:
-            fail("the region has a fibre of its own", at=("thermal", "fibre"))
+            fail("the region already has a fibre; leave one out", at=("thermal", "fibre"))
         if self.margin <= 0.0:
             fail(
                 "the stiffness is not positive definite; expected 1 - transverse_poisson_ratio - "
@@ -311,7 +317,7 @@ class TransverselyIsotropic(Elastic):
 
 def _true(value: object) -> object:
     if value is not True:
-        fail(f"{show(value)} is not true; an elastic region has moduli and no `rigid`")
+        fail(f"{show(value)} is not true; leave `rigid` out of an elastic region")
     return value
 
 

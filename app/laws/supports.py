@@ -87,7 +87,7 @@ class Roller(Support):
     def _one(self) -> Roller:
         either = "expected axis: x, y or z, or normal: [1, 1, 0] or face"
         if self.axis is not None and self.normal is not None:
-            fail(f"stands beside axis; {either}", at=("normal",))
+            fail(f"cannot be combined with axis; {either}", at=("normal",))
         if self.axis is None and self.normal is None:
             fail(f"has no direction; {either}")
         return self
@@ -122,7 +122,7 @@ class Displacement(Support):
     @model_validator(mode="after")
     def _some(self) -> Displacement:
         if not self.held_axes:
-            fail("prescribes nothing; expected at least one of x, y, z")
+            fail("prescribes no displacement; expected at least one of x, y, z")
         return self
 
     @property

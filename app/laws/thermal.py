@@ -48,15 +48,15 @@ class Thermal(OfRegion):
         given = [key for key in pair if getattr(self, key) is not None]
         either = "expected conductivity, or axial_conductivity and transverse_conductivity"
         if self.conductivity is not None and given:
-            fail(f"{given[0]} beside conductivity; {either}", at=(given[0],))
+            fail(f"{given[0]} cannot be combined with conductivity; {either}", at=(given[0],))
         if self.conductivity is None and len(given) < 2:
             missing = next(key for key in pair if key not in given) if given else "conductivity"
             fail(f"'{missing}' is missing; {either}")
         if self.fibre is not None and self.conductivity is not None:
-            fail("the conductivity is the same in all directions: no fibre", at=("fibre",))
+            fail("the conductivity is isotropic; leave the fibre out", at=("fibre",))
         if self.reference_temperature is not None:
             if not self.thermal_expansion:
-                fail("nothing expands; expected thermal_expansion", at=("reference_temperature",))
+                fail("needs thermal_expansion in the same section", at=("reference_temperature",))
             if self.cure is not None:
                 text = "strains of a region that cures count from where it sets: no reference"
                 fail(text, at=("reference_temperature",))

@@ -97,7 +97,7 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
         case "extra_forbidden":
             above = _above(path[-1], model, given)
             if above:
-                text = f"it belongs below '{above}', indented: is its indentation lost?"
+                text = f"it belongs below '{above}', indented: was its indentation lost?"
                 return path, f"unknown key; {text}"
             hint = did_you_mean(str(path[-1]), keys)
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"

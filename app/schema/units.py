@@ -181,7 +181,10 @@ class Dimension(_Bounded):
         if match is None:
             fail(f"{shown} is not {expected}")
         if re.match(r"\s*[+-]?\d+,\d", text):
-            fail(f"{shown} has a comma; decimals take a point, as '6.5 mm', thousands nothing")
+            fail(
+                f"{shown} has a comma; write decimals with a point, as '6.5 mm', "
+                "and thousands without a separator"
+            )
         number, unit = match.groups()
         if not unit:
             fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
@@ -279,7 +282,7 @@ class Part(Dimension):
         if isinstance(found, bool) or not (isinstance(found, int | float) or match):
             fail(f"{show(value)} is not {self.what} such as '{self.example}'")
         if match and match[2]:
-            fail(f"{show(value)}: a share has no unit but %")
+            fail(f"{show(value)}: a share has no unit except %")
         result = float(match[1]) if match else float(found)  # type: ignore[arg-type]
         self.check(result, show(value))
         return result

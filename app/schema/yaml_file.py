@@ -213,7 +213,7 @@ def read(path: FilePath) -> CaseFile:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
     if len(raw) > LARGEST:
-        raise InputError(f"{path}: is larger than {LARGEST >> 20} MB; no case is")
+        raise InputError(f"{path}: is larger than {LARGEST >> 20} MB, too large for a case file")
     case = CaseFile(str(path), digests={str(path): hashlib.sha256(raw).hexdigest()})
     try:
         node = compose(raw.decode("utf-8-sig", errors="surrogateescape"))
@@ -306,7 +306,7 @@ class Reader:
         if isinstance(node, ScalarNode):
             return _scalar(node)
         if str(node.tag) not in PLAIN_TAGS:
-            raise BadYaml(f"the tag {node.tag} has no meaning here", _start(node))
+            raise BadYaml(f"the YAML tag {node.tag} is not supported; leave it out", _start(node))
         if isinstance(node, SequenceNode):
             return [self.value(v, (*path, i), depth + 1) for i, v in enumerate(node.value)]
         data: dict[str, Any] = {}
@@ -319,7 +319,7 @@ class Reader:
             if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
                 merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
             elif key in data:
-                twice = "this key stands here twice; keep one"
+                twice = "this key is given twice; keep one"
                 self.file.complaints.append(Fault(inner, twice, place))
             else:
                 self.file.places.setdefault(inner, place)
@@ -339,7 +339,7 @@ def _scalar(node: ScalarNode) -> Any:
     if kind in ("str", "timestamp", "value"):
         return _text(node)
     if kind not in ("null", "bool", "int", "float"):
-        raise BadYaml(f"the tag {node.tag} has no meaning here", _start(node))
+        raise BadYaml(f"the YAML tag {node.tag} is not supported; leave it out", _start(node))
     try:
         return _SCALARS.construct_object(node)
     # A tag can mark any text as a number or a truth value.
@@ -357,7 +357,9 @@ def _text(node: ScalarNode) -> str:
     if len(text) > LONGEST:
         raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", _start(node))
     if any("\ud800" <= c <= "\udfff" for c in text):
-        raise BadYaml("a surrogate is no character", _start(node))
+        raise BadYaml(
+            "it contains a surrogate, which is no character; save the file as UTF-8", _start(node)
+        )
     return text
 
 

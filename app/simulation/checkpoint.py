@@ -125,7 +125,7 @@ def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> 
     accepts one of another configuration.
 
     Raises:
-        InputError: It is of another configuration, or the file cannot be read.
+        InputError: It is the checkpoint of another case, or the file cannot be read.
     """
 
     def choose() -> Path | None:
@@ -162,9 +162,9 @@ def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
         return
     if len(differ) > TOLD:
         differ = [*differ[:TOLD], f"  and {len(differ) - TOLD} more"]
-    other = f"{found.path} is of another configuration"
+    other = f"{found.path} is the checkpoint of another case"
     if not force:
-        raise InputError([f"--restart: {other} (--force: use it all the same)", *differ])
+        raise InputError([f"--restart: {other}; --force uses it nevertheless", *differ])
     log.warning("%s:\n%s", other, "\n".join(differ))
 
 

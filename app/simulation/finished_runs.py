@@ -52,7 +52,9 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
         UnusableError: All results are there, but not to be used.
     """
     if restart not in ("", "auto") and case.config.variations:
-        raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
+        raise InputError(
+            "--restart FILE: each variation has its own checkpoint; use --restart auto"
+        )
     memory.check(case.file, case.config)
     runs = case.runs(output)
     done = (

@@ -238,7 +238,7 @@ class _CaseRun:
         setup.note(self._notes)
         lost = unused(case.solver.petsc | setup.options)
         if lost:
-            setup.note([note(f"PETSc has no use for {', '.join(lost)} here: misspelt?")])
+            setup.note([note(f"PETSc did not use {', '.join(lost)}; is it misspelt?")])
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
             case.title or loaded.path.stem,
@@ -280,7 +280,7 @@ class _CaseRun:
                 raise ConvergenceError([*failure.verdicts, *lines]) from failure
             path = self._checkpoints.save()
             if path:
-                text = f"state saved in {path}: --restart auto goes on from there"
+                text = f"state saved in {path}; --restart auto continues from it"
                 lines.append(Verdict(text, severity=Severity.PLAIN))
             self._recorder.close("stopped", failure.verdicts)
             raise StoppedError([*failure.verdicts, *lines]) from failure

@@ -80,7 +80,7 @@ class Cover:
                     f"on interface '{c.name}' the point {where} of '{slave}' has left '{master}' "
                     f"and presses on nothing, {furthest:.3g} mm beyond its rim"
                 )
-                cure = f"a larger '{master}', a smaller '{slave}', or a shorter way"
+                cure = f"a larger '{master}', a smaller '{slave}', or less sliding"
                 return Verdict(text, cure=cure)
         return None
 

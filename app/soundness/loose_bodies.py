@@ -125,7 +125,7 @@ class BodiesOnMesh:
                 )
             cure = "the displacement may be arbitrary; add friction or a support"
             for text in self._words(free):
-                hardly = text.replace("nothing holds", "hardly anything holds")
+                hardly = text.replace("nothing holds", "friction hardly holds")
                 notes.append(note(f"{hardly}{self._when(k)}: {by}", cure=cure))
             start = {n: (gap, self._laws[n].initial_gap[1] or ()) for n, gap in gaps.items()}
             apart = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]

@@ -131,7 +131,7 @@ def check(file: CaseFile, case: Case) -> None:
     memory = available()
     if memory < BASE:
         raise EnvironmentProblem(
-            f"there is too little memory for any case: {_limits()}; mantle alone takes "
+            f"not enough memory for any case: {_limits()}; mantle alone takes "
             f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of addresses"
         )
     least = needed(case)

@@ -298,12 +298,12 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
         for boundary in load.boundaries:
             support = held.get(boundary)
             if support and not getattr(case.supports[support], "stages", None):
-                text = f"acts on {boundary}, which supports.{support} fixes: it moves nothing"
+                text = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
                 yield note(text, f"loads.{name}")
     for name, law in case.interfaces.items():
         friction = getattr(law, "friction_coefficient", 0.0)
         if friction > MOST_FRICTION:
-            text = f"is {friction:g}; for implants it is 0 to 1.5. Is it in per cent?"
+            text = f"is {friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
             yield note(f"interfaces.{name}.friction_coefficient {text}")
 
 

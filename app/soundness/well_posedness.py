@@ -142,7 +142,7 @@ def _contradictions_in(
                 continue
             where = f"supports.{two}"
             text = (
-                f"prescribes another displacement along {axis} than supports.{one} at "
+                f"prescribes a different displacement along {axis} than supports.{one} at "
                 f"{int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
             )
             if differ.sum() == min(len(holding[one]), len(holding[two])):
@@ -168,7 +168,7 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
             far = law.finite_sliding and region not in guided
             if far and case.regions[region].moves_rigidly:
-                text = f"nothing says how the rigid {region} turns"
+                text = f"the rotation of the rigid {region} is not given"
                 moved = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
                 cure = f"expected {moved}, or a fixed support"
                 errors.append(Verdict(text, f"interfaces.{name}", cure))
@@ -182,7 +182,7 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
             cure = "expected `translation: held` instead"
             errors.append(Verdict(text, f"motions.{name}.region", cure))
         if loads and motion.translation == "held":
-            text = f"{motion.region} does not give way to {loads}: its place is given"
+            text = f"{motion.region} does not move under {loads}: its motion is prescribed"
             notes.append(note(text, f"motions.{name}.translation"))
     return errors, notes
 
@@ -361,7 +361,7 @@ def _gaps(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
                 f"({thickness:.3g} mm): they cannot make room for it within small strains"
             )
-            errors.append(Verdict(text, where, "expected a smaller one (a wrong unit?)"))
+            errors.append(Verdict(text, where, "use a smaller interference; is the unit wrong?"))
         elif thickness and interference > SMALL * thickness:
             text = (
                 f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
@@ -457,7 +457,9 @@ def _size(case: Case, found: Parts) -> list[Verdict]:
     size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
     if not isinstance(case.geometry, MeshFile) or SIZES[0] <= size <= SIZES[1]:
         return []
-    text = f"the mesh is {size:.3g} mm from corner to corner: is its unit {case.geometry.unit}?"
+    text = (
+        f"the mesh is {size:.3g} mm from corner to corner: is its unit really {case.geometry.unit}?"
+    )
     return [note(text, "geometry")]
 
 

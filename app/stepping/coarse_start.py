@@ -63,7 +63,9 @@ class CoarseModelStart:
             raise
         except MantleError as error:
             self._failed = True
-            log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
+            log.info(
+                "     nested start failed; continuing without it: %s", str(error).splitlines()[0]
+            )
             return
         self._start(jump)
 

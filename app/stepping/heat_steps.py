@@ -107,7 +107,7 @@ class HeatStepper:
             raise ConvergenceError(
                 f"no steady state in stage '{stage.name}': "
                 "heat and the fields coupled to it did not converge\n"
-                "  what to change: give the stage a duration instead"
+                "  what to change: give the stage a duration instead of steady"
             )
         self.total.rejected += 1
         if not stage.adaptive or step.length < SHORTEST * stage.seconds:

@@ -131,7 +131,7 @@ def raise_if_taken(folder: Path) -> None:
     """
     taken = [folder / name for name in ("case.yaml", *RESULTS) if (folder / name).is_dir()]
     if taken:
-        text = "is a folder where results of a run are a file; move it, or choose another -o"
+        text = "is a folder, but a file of results has this name; move it, or choose another -o"
         raise InputError([f"{path}: {text}" for path in taken])
 
 
@@ -150,7 +150,7 @@ def claim(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            text = "another run is writing into it; wait for its end, or choose another folder"
+            text = "another run writes into it; wait until it ends, or choose another folder"
             raise InputError(f"-o {folder}: {text}") from None
         except OSError:
             pass  # a file system without locks

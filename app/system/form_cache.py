@@ -89,7 +89,7 @@ def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Compile a module, and note its size in the mark of completion."""
     name, folder = arguments[3], Path(arguments[5])
     if not _told:
-        log.info("     compiling forms, which later runs find")
+        log.info("     compiling forms; later runs reuse them")
         _told.append(name)
     with captured("compiler") as written:
         try:
@@ -130,6 +130,6 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
         free = f", with {shutil.disk_usage(folder).free / 1e6:.0f} MB free"
     return EnvironmentProblem(
         f"a form cannot be compiled: {reason}\n{said}"
-        f"mantle doctor tells whether there is a C compiler; compiled forms are kept in {folder}"
-        f"{free} (XDG_CACHE_HOME names another place; what is there can be deleted)"
+        f"mantle doctor checks the C compiler; compiled forms are kept in {folder}"
+        f"{free} (XDG_CACHE_HOME sets another folder; it can be deleted)"
     )

@@ -183,7 +183,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     if stop.received and (code < 0 or code == 1 or code > 128):
         # The ranks had no signal handlers yet (nothing to save), or a second signal killed them.
         once = len(stop.received) == 1
-        early = "stopped: no step had converged, nothing of this run is on disk"
+        early = "stopped: no step had converged, so nothing was written"
         tell(early if once else NOT_SAVED)
         return StoppedError.exit_code if once else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has reported.

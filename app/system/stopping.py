@@ -84,4 +84,4 @@ class WallTime:
             self._longest = max(self._longest, now - self._last)
         self._last = now
         late = now + self._longest >= self._end
-        return f"the end of its wall time of {self._limit:.0f} s" if late else ""
+        return f"its wall time of {self._limit:.0f} s" if late else ""

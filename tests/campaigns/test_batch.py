@@ -156,7 +156,7 @@ def test_batch_folder_has_one_batch_at_a_time(bench: Bench) -> None:
         bench.run(bench.job(1.0))
     bench.out.unlink()
     bench.out.mkdir()
-    with folders.claim(bench.out), pytest.raises(InputError, match="another run is writing"):
+    with folders.claim(bench.out), pytest.raises(InputError, match="another run writes"):
         bench.run(bench.job(1.0))
 
 

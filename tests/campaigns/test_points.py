@@ -144,7 +144,7 @@ BASE = "base: case.yaml\n"
 SWEEPS = [
     ("grid: {mesh.size: [1 mm]}", "base: missing"),
     (BASE + "grid: {mesh.size: 3 mm}", "2:8: grid.mesh.size: '3 mm' is not a list"),
-    (BASE + "grid: {mesh.size: [3 mm, 3 mm]}", "2:26: grid.mesh.size[1]: 3mm stands here twice"),
+    (BASE + "grid: {mesh.size: [3 mm, 3 mm]}", "2:26: grid.mesh.size[1]: 3mm is listed twice"),
     (BASE + "grid: {mesh.size: []}", "2:8: grid.mesh.size: a list: value should have at"),
     (BASE + "grid: {ranks: [0]}", "2:16: grid.ranks[0]: 0 is not a number of ranks"),
     (BASE + "set: {ranks: two}", "2:7: set.ranks: 'two' is not a number of ranks"),
@@ -152,7 +152,7 @@ SWEEPS = [
     (BASE + "lists: {mesh.size: 1 mm}", "2:1: lists: varies nothing"),
     (BASE + "table: {a: 3}", "2:9: table.a: 3 is not a mapping"),
     (BASE + "table: {2nd: {}}", "2:9: table.2nd: '2nd' is not a name"),
-    (BASE + "parts: {p: {}}\ngrid: {mesh.order: [1]}", "3:1: grid: stands beside parts"),
+    (BASE + "parts: {p: {}}\ngrid: {mesh.order: [1]}", "3:1: grid: cannot stand next to parts"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 1 mm, high: 2 m}}}", "both ends"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 2, high: 1}}}", "a: 2 is not below 1"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {values: [2, 2]}}}", "2:56: latin"),
@@ -173,7 +173,7 @@ def test_points_refuse_wrong_sweeps(text: str, message: str, path: Path) -> None
 # An edit of the study, and a complaint with its place.
 STUDIES = [
     ("case.yaml", "nix.yaml", "1:1: base: "),
-    ("case.yaml", "many.yaml", "1:1: base: this is a study of another case"),
+    ("case.yaml", "many.yaml", "1:1: base: is a study file"),
     ("base: case.yaml", "base: [a]", "1:1: base: a list is not text"),
     ("set: {", "sett: {", "2:1: sett: unknown key; allowed: base, set, study"),
     ("set: {output.condition: true}", "set:", "2:1: set: nothing is not a mapping"),

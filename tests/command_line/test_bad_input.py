@@ -234,7 +234,7 @@ def test_bad_input_folder_in_place_of_a_result_is_named(
     way.mkdir()
     case = str(CONFIGS / "blocks.yaml")
     assert main(["run", case, "-o", str(tmp_path), "--force"]) == 2
-    assert f"{way}: is a folder where results of a run are a file" in capsys.readouterr().err
+    assert f"{way}: is a folder, but a file of results has this name" in capsys.readouterr().err
     way.rmdir()
     (tmp_path / "a" / name).mkdir(parents=True)
     varied = "variations={a: {title: one}, b: {title: two}}"
@@ -282,8 +282,8 @@ def test_bad_input_too_long_file_is_not_read_to_its_end(
     path.write_text("a: [" + "1," * (yaml_file.MOST_NODES + 10))
     assert "too many or too deeply nested values" in complaints(path)[0]
     path.write_text("#" * yaml_file.LARGEST + "\n")
-    assert complaints(path) == [" is larger than 4 MB; no case is"]
-    assert complaints(Path("/dev/zero")) == [" is larger than 4 MB; no case is"]
+    assert complaints(path) == [" is larger than 4 MB, too large for a case file"]
+    assert complaints(Path("/dev/zero")) == [" is larger than 4 MB, too large for a case file"]
 
 
 def test_bad_input_too_many_combinations(tmp_path: Path) -> None:

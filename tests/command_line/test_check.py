@@ -303,7 +303,7 @@ def test_commands_cores_are_those_of_the_process(
     ("error", "code", "said"),
     [
         (ConvergenceError("stem_cement did not settle"), 4, "stem_cement did not settle"),
-        (KeyboardInterrupt(), 5, "stopped: no step had converged, nothing of this run is on disk"),
+        (KeyboardInterrupt(), 5, "stopped: no step had converged, so nothing was written"),
         (ZeroDivisionError("a bug"), 70, "ZeroDivisionError: a bug"),
     ],
 )

@@ -56,7 +56,10 @@ def test_init_writes_a_short_valid_case(
     assert main(["check", "first.yaml"]) == 0
     assert capsys.readouterr().err == ""
     assert main(["init", "first.yaml"]) == 2
-    assert capsys.readouterr().err == "first.yaml: is there already; nothing is written\n"
+    assert (
+        capsys.readouterr().err
+        == "first.yaml: exists already and was not changed; choose another name\n"
+    )
     assert (tmp_path / "first.yaml").read_text(encoding="utf-8").splitlines() == lines
 
 
@@ -78,7 +81,10 @@ def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--kind", "blocks", "--stem", "cocr"], "--stem cocr: of kind blocks there is no stem"),
+        (
+            ["--kind", "blocks", "--stem", "cocr"],
+            "--stem cocr: geometries of kind blocks have no stem",
+        ),
         (["--kind", "file"], "new.msh: not a gmsh .msh file"),
         (["--kind", "knee"], "mantle init: argument --kind: invalid choice: 'knee'"),
     ],

@@ -139,5 +139,5 @@ def test_fatigue_risk_that_grows_with_refinement_is_reported() -> None:
     expected = (
         "0.2 %, 3.1 % at its edge (R grows from 0.001 at 2 mm to 0.003: it may have no limit)"
     )
-    assert line.text.endswith(f"a breaks with a probability of {expected}")
+    assert line.text.endswith(f"a fails with a probability of {expected}")
     assert line.tone == "doubtful" and not findings._strength("a", q, {}).tone

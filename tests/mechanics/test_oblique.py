@@ -172,12 +172,12 @@ def test_oblique_rollers_shaft_rotates_in_its_bearing() -> None:
         ("x={kind: roller, boundary: x_min}", r"supports.x: has no direction; expected axis: x, y"),
         (
             "x={kind: roller, boundary: x_min, axis: x, normal: face}",
-            "supports.x.normal: stands beside axis; expected axis: x, y or z, or normal: ",
+            "supports.x.normal: cannot be combined with axis; expected axis: x, y or",
         ),
         ("x={kind: roller, boundary: x_min, normal: fcae}", r"expected a direction .* or face"),
         (
             "z={kind: roller, boundary: bottom, normal: [1, 1, 0]}",
-            "nothing holds the model along z",
+            "no support holds the model along z",
         ),
     ],
 )

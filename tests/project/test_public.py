@@ -227,7 +227,9 @@ def test_public_error_in_progress_ends_a_run(tmp_path: Path) -> None:
     assert len(mantle.read(tmp_path).step_record["step"]) == 1
     assert mantle.run(case, tmp_path, force=True).summary["status"] == "converged"
     assert signal.getsignal(signal.SIGINT) is before
-    with pytest.raises(InputError, match="holds no results of a run"):
+    with pytest.raises(
+        InputError, match="has no results of a run; expected a folder written by mantle run"
+    ):
         mantle.read(tmp_path / "none")
 
 

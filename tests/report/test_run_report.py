@@ -275,7 +275,7 @@ def test_run_report_inputs_next_to_mesh_errors(
         ((20, "3.0 mm"), "is of another case than RUN: geometry.cement_thickness is 3 mm there"),
         ((9,), "9 samples converged; the 5th and 95th percentile need 10"),
         ((2,), "expected one part with converged samples (latin_hypercube)"),
-        ((), "--spread: goes with one DIR, that of a run"),
+        ((), "--spread: expected one DIR, the folder of a run"),
     ],
 )
 def test_run_report_refuses_a_sweep_of_another_case(

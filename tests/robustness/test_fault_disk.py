@@ -99,7 +99,7 @@ def test_fault_disk_folder_belongs_to_one_run(tmp_path: Path) -> None:
         child = start(tmp_path)
         said = child.communicate(timeout=60)[1]
     assert child.returncode == 2
-    assert f"-o {tmp_path}: another run is writing into it" in said
+    assert f"-o {tmp_path}: another run writes into it" in said
     assert not list(tmp_path.iterdir())
     with folders.claim(tmp_path):
         pass

@@ -57,7 +57,7 @@ def test_fault_machine_too_little_memory_for_any_case(tmp_path: Path) -> None:
     env = support.environment()
     done = subprocess.run(limited, env=env, capture_output=True, text=True, timeout=60)
     assert done.returncode == 69
-    assert "there is too little memory for any case: a process may use 0.5 GB" in done.stderr
+    assert "not enough memory for any case: a process may use 0.5 GB" in done.stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -107,7 +107,7 @@ def test_fault_machine_compiler_that(how: str, ranks: int, tmp_path: Path) -> No
     assert "Traceback" not in done.stderr
     if text is None:
         assert str(compiler) in done.stderr
-        assert "mantle doctor tells whether there is a C compiler" in done.stderr
+        assert "mantle doctor checks the C compiler" in done.stderr
     support.python(*words, XDG_CACHE_HOME=cache)
 
 

@@ -72,18 +72,20 @@ def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
     places = ["fit.interfaces.stem_cement.gap"]
     places += [f"mu{m}_{f}.{MU}" for m in "24" for f in (900, 1200, 600)]
     for message, place in zip(caught.value.messages, places, strict=True):
-        told = f" variations.{place}: varies, but --set interfaces.stem_cement holds for every case"
+        told = (
+            f" variations.{place}: varies, but --set interfaces.stem_cement fixes it for every case"
+        )
         assert told in message
     assert load(path, [option, "variations={}"]).config
 
 
 # Each: the section, and what has to be said of it, with line and column below `variations`.
 WRONG = {
-    "mesh": ("  a: {mesh.size: 2 mm}", "2:7: variations.a.mesh.size: may not vary in one run"),
+    "mesh": ("  a: {mesh.size: 2 mm}", "2:7: variations.a.mesh.size: cannot vary between runs"),
     "material": ("  a: {regions.stem.youngs_modulus: 1 GPa}", "2:7: variations.a.regions.stem"),
     "support": ("  a: {supports.foot.kind: fixed}", "2:7: variations.a.supports.foot.kind"),
     "place of a load": ("  a: {loads.down.boundary: stem_top}", "2:7: variations.a.loads.down"),
-    "stages": ("  a: {stages.0.increments: 2}", "2:7: variations.a.stages.0.increments: may not"),
+    "stages": ("  a: {stages.0.increments: 2}", "2:7: variations.a.stages.0.increments: cannot"),
     "typing error": ("  a: {loads.down.hystory: [1, 1]}", "did you mean 'history'?"),
     "no such interface": (
         "  a: {interfaces.cement_stem.friction_coefficient: 1}",

@@ -60,7 +60,7 @@ def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.M
     [
         ("around=11 mm", "11 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
         ("around=0.04 mm", "0.04 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
-        ("along=21 mm", "21 mm: no part holds such steps; expected at most 20 mm"),
+        ("along=21 mm", "21 mm: is longer than every part; expected at most 20 mm"),
         ("around=1.4", "1.4 is not a whole number; a distance needs a unit, e.g. '1.4 mm'"),
         ("around=3", "3 must be at least 4"),
         ("around=28 kg", "'28 kg' is not a number of lines or a length such as '1.4 mm'"),

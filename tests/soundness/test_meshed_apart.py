@@ -83,7 +83,9 @@ def test_finite_sliding_holds_a_body_with_coincident_nodes() -> None:
 
 
 def test_finite_sliding_rigid_body_needs_a_motion() -> None:
-    with pytest.raises(InputError, match=r"^interfaces\.b: nothing says how the rigid plate turns"):
+    with pytest.raises(
+        InputError, match=r"^interfaces\.b: the rotation of the rigid plate is not given"
+    ):
         judged(BLOCK, "motions={}")
     held = "supports.top={kind: fixed, boundary: plate_top}"
     assert judged(BLOCK, "motions={}", held) == judged(BALL, SMOOTH, TURN) == []
