@@ -21,7 +21,6 @@ from app.laws.creep import Creep
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
 from app.laws.materials import Rigid
-from app.schema.expressions import evaluate
 from app.schema.section import Section
 from app.soundness import preview
 from tests import support
@@ -124,65 +123,7 @@ def test_overlay_overrides_reach_every_key() -> None:
     assert strains == [(-1e-3, -1e-3, -1e-3, 0, 0, 0), (0, 0, 1e-3, 0, 0, 0)]
 
 
-def test_yaml_file_is_of_version_1_2() -> None:
-    """``no`` is a word, ``1e-3`` a number, and a date text."""
-    case = support.case(MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
-    assert case.title == "no"
-    assert case.solver.tolerance == 1e-3
-    assert support.case(MINIMAL + "title: 2024-01-01\n").title == "2024-01-01"
-
-
 # ------------------------------------------------------------------------------ expressions
-
-POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
-
-
-@pytest.mark.parametrize(
-    ("expression", "expected"),
-    [
-        ("-0.02 * (1 - z / 50)", lambda x, y, z: -0.02 * (1 - z / 50)),
-        ("2", lambda x, y, z: 2 + 0 * x),
-        ("min(x, y, z)", lambda x, y, z: np.minimum(np.minimum(x, y), z)),
-        ("max(x, y)", lambda x, y, z: np.maximum(x, y)),
-        ("hypot(x, y) - 7", lambda x, y, z: np.hypot(x, y) - 7),
-        ("atan2(y, x)", lambda x, y, z: np.arctan2(y, x)),
-        ("-x**2 + +y", lambda x, y, z: -(x**2) + y),
-        ("0.01 * cos(2 * pi * z)", lambda x, y, z: 0.01 * np.cos(2 * np.pi * z)),
-        ("abs(log(x)) * exp(-y) / sqrt(z) + sin(x) * tan(y/9)",
-         lambda x, y, z: np.abs(np.log(x)) * np.exp(-y) / np.sqrt(z) + np.sin(x) * np.tan(y / 9)),
-    ],
-)  # fmt: skip
-def test_expressions_are_evaluated(expression: str, expected: object) -> None:
-    values = evaluate(expression, POINTS)
-    assert values.shape == (7,)
-    np.testing.assert_allclose(values, expected(*POINTS.T), rtol=1e-14)  # type: ignore[operator]
-
-
-@pytest.mark.parametrize(
-    ("expression", "reason"),
-    [
-        ("sqrt(x - 100)", "is not finite at"),
-        ("1 / (x - x)", "is not finite at"),
-        ("9**9**9**9", "is not finite at"),
-        ("__import__('os')", "'__import__' is not one of"),
-        ("(lambda: 1)()", "is not allowed"),
-        ("x < y", "is not allowed"),
-        ("x @ y", "is not allowed"),
-        ("min(x)", "min takes 2 to 9 arguments, got 1"),
-        (f"min({', '.join(['x'] * 10)})", "min takes 2 to 9 arguments, got 10"),
-        ("sqrt(x, y)", r"sqrt takes 1 argument\(s\), got 2"),
-        ("sin(x, out=y)", "is not allowed"),
-        ("1e999", "too large"),
-        ("True", "not numbers"),
-        ("'a'", "is not allowed"),
-        ("(" * 300 + "x" + ")" * 300, "is not an expression"),
-        ("x" + "+x" * 600, "characters"),
-        ("", "is not an expression"),
-    ],
-)
-def test_expressions_are_refused(expression: str, reason: str) -> None:
-    with pytest.raises(InputError, match=reason):
-        evaluate(expression, POINTS)
 
 
 @pytest.mark.parametrize(
@@ -191,12 +132,6 @@ def test_expressions_are_refused(expression: str, reason: str) -> None:
 def test_case_title_survives(title: str) -> None:
     case = support.case(MINIMAL).model_copy(update={"title": title})
     assert support.case(dump(case)) == case
-
-
-def test_yaml_file_with_byte_order_mark_and_windows_lines(tmp_path: Path) -> None:
-    path = tmp_path / "case.yaml"
-    path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
-    assert load(path).config == support.case(MINIMAL)
 
 
 # --------------------------------------------------------------------------------- titles
