@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.foundation.arrays import Field, Floats
@@ -36,6 +35,9 @@ from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
 from app.laws.values import amplitude, field
 from app.numerics.rigid_motions import rotation_vector
+
+if TYPE_CHECKING:  # a scene made in Python needs no cases
+    from app.case.case import Case
 
 # No laws of a kind.
 NONE: Mapping[str, Any] = MappingProxyType({})
@@ -180,7 +182,7 @@ class Scene:
         return k + (math.ceil((time - k) * ways - 1e-9) - 1) / ways
 
 
-Densities = Callable[[Case], Mapping[str, ChangingDensity]]
+Densities = Callable[["Case"], Mapping[str, ChangingDensity]]
 # What other packages change of densities of regions.
 _DENSITIES: list[Densities] = []
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.case.case import Case
 from app.foundation.arrays import Bools, Floats
 from app.foundation.verdict import Reason, Severity, Verdict, note
 from app.laws.values import gap_at
@@ -33,7 +32,8 @@ from meshes.contact_facets import spread_of_normals
 from meshes.pieces import Parts, Piece
 from meshes.smooth_normals import LIKELY
 
-if TYPE_CHECKING:  # dolfinx, which checks of a case do without
+if TYPE_CHECKING:  # checks of a case need no dolfinx, and the core needs no cases
+    from app.case.case import Case
     from app.mechanics.contact import ContactInterfaces, TrialState
     from app.mechanics.problem import Problem
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
 from app.laws.values import field
 from meshes.pieces import Parts
+
+if TYPE_CHECKING:
+    from app.case.case import Case
 
 
 def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str, Any]:

@@ -36,6 +36,16 @@ def test_public_import_starts_neither_mpi_nor_petsc() -> None:
     assert "mantle" in loaded and not stack & {name.partition(".")[0] for name in loaded}
 
 
+def test_public_core_needs_no_cases() -> None:
+    """What `docs/demos` import first solves without case files, mesher, results and reports."""
+    code = (
+        "import sys, app.stepping.stages, app.scene.scene, meshes.distribute; print(*sys.modules)"
+    )
+    loaded = set(python("-c", code).split())
+    assert {"app.mechanics.problem", "app.heat.operators"} <= loaded
+    assert not {"app.case.case", "app.results", "app.simulation", "app.report", "gmsh"} & loaded
+
+
 def test_public_package_is_the_command() -> None:
     assert python("-m", "mantle", "--help").startswith("usage: mantle ")
     assert python("-m", "mantle", "--version") == f"mantle {mantle.__version__}\n"

@@ -19,7 +19,7 @@ from meshes import distribute
 # What is called in a phase, and the call that fails.
 PHASES: dict[str, tuple[Any, str, int]] = {
     "mesh": (meshes, "build", 1),
-    "distribution": (distribute, "_cell_tags", 1),
+    "distribution": (distribute, "connect", 1),
     "assembly": (problem.Problem, "__init__", 1),
     "solve": (systems.ContactSystem, "residual", 2),
     "output": (Writer, "add_row", 1),
