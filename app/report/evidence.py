@@ -157,7 +157,7 @@ def _outcome(check: Mapping[str, Any]) -> str:
 
 def _discretization(summary: Mapping[str, Any]) -> Iterator[str]:
     if "error" not in summary:
-        yield f"not estimated (mantle run --error does): {APPLICANT}"
+        yield f"not estimated; run with --error: {APPLICANT}"
         return
     for section, name, numbers in quantities.numbers_of(summary):
         shown = [q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers]

@@ -184,4 +184,4 @@ def reached(chosen: str, summary: Mapping[str, Any]) -> str:
         return f"accuracy: {chosen}; what was reached is unknown"
     error, worst, _ = max(errors)
     keys = ", ".join(dict.fromkeys(name.partition(".")[2] for _, name, _ in errors))
-    return f"accuracy: {chosen}; {percent(error)} reached, by {worst}, the least sure of {keys}"
+    return f"accuracy: {chosen}; {percent(error)} reached ({worst} has the largest error of {keys})"

@@ -314,5 +314,5 @@ def _told(title: str, case: Case, size: _Size, available: float) -> str:
         f"{title}\n  {', '.join(parts)}\n"
         f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB{solver}\n"
         f"  about {duration(_duration(case, size))} on one core{every}; "
-        f"{compiling(case):.0f} s more where forms are compiled first"
+        f"{compiling(case):.0f} s more to compile forms at the first run"
     )

@@ -15,9 +15,9 @@ log = logging.getLogger("mantle")
 # Description of each phase.
 DOING = {
     "mesh": "meshing",
-    "assemble": "setting the equations up",
+    "assemble": "setting up the equations",
     "compile": "loading forms, or compiling them",
-    "factorize": "setting the preconditioner up",
+    "factorize": "setting up the preconditioner",
     "solve": "solving",
     "output": "computing and writing results",
     "error": "estimating errors",

@@ -319,8 +319,8 @@ def test_run_without_converged_step_leaves_a_diagnosis(tmp_path: Path) -> None:
     assert found["status"] == "not converged" and found["interfaces"] == {}
     for _ in range(2):  # after the run; and again as if it had been killed
         text = unescape((output / "report.html").read_text())
-        assert found["status"] in text and "There are no numbers" in text
-        assert all(verdict.text in text for verdict in recorded(found))
+        assert found["status"] in text
+        assert all(verdict.what.lower() in text.lower() for verdict in recorded(found))
         found = {"status": "not finished"}
         (output / "summary.json").unlink(missing_ok=True)
         run_report.write(output)

@@ -58,7 +58,7 @@ def test_accuracy_is_refused(tmp_path: Path) -> None:
         (contact, "kind: bonded"),
         ("output:", "variations: {a: {}}\noutput:"),
     ):
-        why = "'5 mm' is not a number" if "5 mm" in change else "no mesh can be chosen"
+        why = "'5 mm' is not a number" if "5 mm" in change else "mesh size cannot be chosen"
         (tmp_path / "case.yaml").write_text(ASKED.replace(*change))
         with pytest.raises(InputError, match=rf"case.yaml:\d+:\d+: output.accuracy: {why}"):
             load(tmp_path / "case.yaml")
@@ -75,7 +75,7 @@ def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     for keys in (("gap_p99", "slip_p99", "motion_p99"), ("pressure_p95", "shear_p95")):
         least = 0.1 * max(numbers[key] for key in keys)
         shares += [numbers[f"{key}_error"] / max(numbers[key], least) for key in keys]
-    assert f"{100 * max(shares):.2g} % reached, by lower_upper." in summary["accuracy"]
+    assert f"{100 * max(shares):.2g} % reached (lower_upper." in summary["accuracy"]
     mesh = load(out / "case.yaml").config.mesh
     assert f"40 % asked for: {mesh.size:g} mm at order {mesh.order} (" in summary["accuracy"]
     assert summary["accuracy"] in capsys.readouterr().out

@@ -40,7 +40,7 @@ def test_cost_times_are_within_a_factor_of_two(case: tuple[str, ...]) -> None:
 def test_cost_time_is_printed_by_check() -> None:
     told = cost.estimated_size(load(CONFIGS / "variations.yaml").config)
     assert " s on one core, " in told and "for all variations" in told
-    assert "5 s more where forms are compiled first" in told
+    assert "5 s more to compile forms at the first run" in told
     heat = load(CONFIGS / "thermal_rings.yaml").config
     stance = load(CONFIGS / "stance.yaml").config
     assert cost.compiling(heat) < 3.0 < 10.0 < cost.compiling(stance)

@@ -28,7 +28,7 @@ def test_timing_phase_is_printed_once_with_its_estimate(caplog: pytest.LogCaptur
             pass
     t.of("a part").about["mesh"] = 1.0
     assert not t.about
-    preconditioner = "setting the preconditioner up"
+    preconditioner = "setting up the preconditioner"
     compiling = "loading forms, or compiling them: stiffness, about 7 s"
     assert [(r.levelname, r.message.strip()) for r in caplog.records] == [
         ("INFO", f"{preconditioner}, about 6 s"),
