@@ -267,11 +267,9 @@ def _creep(case: Any) -> Iterable[Fault]:
 def _sliding(case: Any) -> Iterable[Fault]:
     """Finite sliding without boundaries, parts that move twice, cycle tables without a stage."""
     whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
-    laws, far = {name: law for _, name, law in _entries(case, "interfaces")}, set[str]()
-    for name, law in laws.items():
-        if getattr(law, "sliding", "small") == "finite":
-            far.add(name)
-            faces = law.between or case.geometry.faces.get(name)
+    for _, name, law in _entries(case, "interfaces"):
+        if law.finite_sliding:
+            faces = law.sliding_boundaries or case.geometry.faces.get(name)
             if not faces:
                 text = "its sides share facets of the mesh; expected separately meshed bodies, and "
                 text += "`between` with two of "
@@ -311,27 +309,6 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if getattr(stages[through], key):
             text = f"{why}, and cycle tables run through this stage, the last without duration"
             yield Fault(("stages", through, key), f"{text}; expected an earlier stage")
-    if far and any(region.thermal is not None for _, _, region in _entries(case, "regions")):
-        yield from _sliding_heat(laws, far, cyclic)
-
-
-def _sliding_heat(laws: Mapping[str, Any], far: set[str], cyclic: bool) -> Iterable[Fault]:
-    """Surfaces that slide far without a conductance or a cycle; heat that depends on others."""
-    for name, law in laws.items():
-        heats = getattr(law, "friction_heating", None) is not None
-        path = ("interfaces", name, "friction_heating" if heats else "conductance")
-        if name not in far and (heats or law.conductances[1] > 0):
-            text = "heat that depends on contact cannot be combined with finite sliding "
-            text += f"({', '.join(sorted(far))}); expected a constant conductance"
-            yield Fault(path, text)
-        elif name in far and heats and not cyclic:
-            text = (
-                "friction heat is the mean over a cycle; expected a cycle_table of a motion or load"
-            )
-            yield Fault(path, text)
-        if name in far and law.conductance is None:
-            text = "the two sides share no nodes; expected a conductance, a large one if "
-            yield Fault(("interfaces", name, "conductance"), text + "it is perfect")
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

@@ -94,6 +94,12 @@ class Quantity:
         vector: Whether it has three components, ``.x`` .. in a study.
         step_record: True if history.csv has it; of interfaces and the stem.
         headline: Whether sweeps and variations compare runs by it.
+        curve: True if the page of a run draws its step record, as it does of headlines.
+        on_page: True if the page of a run has it in a table, as it has the closing table.
+        sentence: Of an interface: sentence below the closing table. It names quantities of the
+            section in braces, and the interface as {name}.
+        caption: Of an interface: caption with {name} of a large number at the head of the page.
+        detail: Sentence below it, with quantities in braces.
         compute: Function of an added quantity, in `unit`. For an interface it takes the contact
             points (`ContactSamples`) and a mask of those of the interface (n,), and returns the
             same on every rank; for a region the stresses (`results.stresses.Stresses`) and the name
@@ -112,6 +118,11 @@ class Quantity:
     vector: bool = False
     step_record: bool = False
     headline: bool = False
+    curve: bool = False
+    on_page: bool = False
+    sentence: str = ""
+    caption: str = ""
+    detail: str = ""
     compute: Callable[[Any, Any], float] | None = None
 
     def __post_init__(self) -> None:
@@ -143,6 +154,41 @@ class Quantity:
         digits = max(self.digits, -math.floor(math.log10(error)))
         text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
         return text + (" (not resolved)" if error > self.factor * abs(value) else "")
+
+
+@dataclass(frozen=True)
+class InterfaceField:
+    """A field on interfaces that another package writes, as pages show it.
+
+    Attributes:
+        name: Its name in files, after that of the interface.
+        label: Its name for people.
+        unit: Its unit for people.
+        factor: Factor from the value in files to this unit.
+        loaded: True for the colours of tractions, False for those of motions.
+    """
+
+    name: str
+    label: str
+    unit: str
+    factor: float = 1.0
+    loaded: bool = False
+
+
+# Fields of other packages, by name.
+INTERFACE_FIELDS: dict[str, InterfaceField] = {}
+
+
+def add_interface_field(*fields: InterfaceField) -> None:
+    """Show fields on interfaces in pages and pictures.
+
+    Raises:
+        ValueError: The name is taken.
+    """
+    for field in fields:
+        if field.name in INTERFACE_FIELDS:
+            raise ValueError(f"there is a field '{field.name}' already")
+        INTERFACE_FIELDS[field.name] = field
 
 
 PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
@@ -293,92 +339,13 @@ add_quantity(
     _interface("open_fraction", "-", "%", 0, step_record=True, headline=True),
     _interface("stick_fraction", "-", "%", 0, step_record=True),
     _interface("slip_fraction", "-", "%", 0, step_record=True, headline=True),
-    _interface("area_gap_over_30um", "mm^2", label="area of debonding over 30 µm"),
-    _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm"),
-    _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm"),
+    _interface("area_gap_over_30um", "mm^2", label="area of debonding over 30 µm", on_page=True),
+    _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm", on_page=True),
+    _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm", on_page=True),
     _interface("force", "N", order=MOTION, vector=True),
-    _interface("dissipation", "N mm", order=SLIP, step_record=True),
+    _interface("dissipation", "N mm", order=SLIP, step_record=True, curve=True),
     _interface("dissipation_min", "N mm", step_record=True),
     _interface("contact_work", "N mm", step_record=True),
-    # Finite sliding, at the end and over a cycle.
-    _interface("torque", "N mm", order=MOTION, vector=True),
-    _interface("torque_size", "N mm", digits=1, label="torque", order=MOTION),
-    _interface("torque_along", "N mm", digits=1, label="torque along the motion", order=MOTION),
-    _interface("torque_max", "N mm", digits=1, label="torque, max", order=MOTION, headline=True),
-    _interface("centre", "mm", order=MOTION, vector=True),
-    _interface("eccentricity", "mm", "um", 1, order=MOTION),
-    _interface("pressure_max_at", "mm", exact=True, vector=True),
-    _interface("dissipation_cycle", "N mm", label="dissipation in a cycle", order=MOTION),
-    _interface("slid_max", "mm", label="slid in a cycle, max", order=MOTION),
-    _interface("slid_mean", "mm", label="slid in a cycle, mean", order=MOTION),
-    _interface("slid_max_master", "mm", label="slid in a cycle, max, master", order=MOTION),
-    # Wear by a cycle, and by a million of them.
-    _interface("wear_volume", "mm^3", digits=9, label="wear in a cycle, volume", order=MOTION),
-    _interface(
-        "wear_depth_max",
-        "mm",
-        digits=9,
-        label="wear in a cycle, depth, max",
-        order=TRACTION,
-        peak=True,
-    ),
-    _interface(
-        "wear_depth_p99", "mm", digits=9, label="wear in a cycle, depth, p99", order=TRACTION
-    ),
-    _interface(
-        "wear_depth_max_master",
-        "mm",
-        digits=9,
-        label="wear in a cycle, depth, max, master",
-        order=TRACTION,
-        peak=True,
-    ),
-    _interface(
-        "wear_depth_p99_master",
-        "mm",
-        digits=9,
-        label="wear in a cycle, depth, p99, master",
-        order=TRACTION,
-    ),
-    _interface(
-        "wear_volume_million",
-        "mm^3",
-        label="wear in a million cycles, volume",
-        order=MOTION,
-        headline=True,
-    ),
-    _interface(
-        "wear_depth_max_million",
-        "mm",
-        label="wear in a million cycles, depth, max",
-        order=TRACTION,
-        peak=True,
-    ),
-    _interface(
-        "wear_depth_p99_million",
-        "mm",
-        label="wear in a million cycles, depth, p99",
-        order=TRACTION,
-        headline=True,
-    ),
-    _interface(
-        "wear_depth_max_master_million",
-        "mm",
-        label="wear in a million cycles, depth, max, master",
-        order=TRACTION,
-        peak=True,
-    ),
-    _interface(
-        "wear_depth_p99_master_million",
-        "mm",
-        label="wear in a million cycles, depth, p99, master",
-        order=TRACTION,
-    ),
-    # Coverage and heat of finite sliding.
-    _interface("uncovered_fraction", "-", "%", 1, exact=True),
-    _interface("friction_power", "W", digits=3, order=MOTION),
-    _interface("temperature_swing", "K", label="swing of the temperature", order=TRACTION),
-    # Layers and cohesive interfaces.
     # Layers, and cohesive interfaces that break.
     _interface("stored_energy", "N mm", step_record=True),
     _interface("unbonded_fraction", "-", "%", 1, exact=True),

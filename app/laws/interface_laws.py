@@ -33,7 +33,6 @@ from app.schema.units import (
     NonNegativeNumber,
     PositiveStiffness,
     PositiveStress,
-    WearCoefficient,
 )
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
 # Points per facet of mortar rows where `quadrature` is not given.
 MORTAR_POINTS = 12
 # Keys of contact with finite sliding, and why other laws have none.
-FINITE = ("between", "quadrature", "wear_coefficient")
+FINITE = ("between", "quadrature")
 SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
 # Default ratio of the augmentation to the stiffness against a jump.
 DEFAULT_AUGMENTATION = 0.2
@@ -370,22 +369,15 @@ class Coulomb(Unilateral):
     quadrature: Literal[12, 48, 192] | None = None
     """Points per facet that hand forces from an elastic side to the other where `sliding` is
     finite; 12 by default, enough where the mesh of the softer side is the finer one."""
-    wear_coefficient: WearCoefficient | None = None
-    """Worn volume per force and slid distance (Archard), where `sliding` is finite."""
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
     @model_validator(mode="after")
     def _slides(self) -> Coulomb:
-        finite, rubs = self.sliding == "finite", self.friction_coefficient > 0.0
+        finite = self.sliding == "finite"
         for key in FINITE:
             if getattr(self, key) is not None and not finite:
                 fail("needs `sliding: finite` in the same interface", at=(key,))
-        if self.wear_coefficient is not None and not rubs:
-            fail(
-                "wear needs friction; expected a friction_coefficient above 0",
-                at=("wear_coefficient",),
-            )
         if self.compliance is not None and finite:
             fail(f"its slip {SMALL}", at=("compliance",))
         return self

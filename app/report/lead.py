@@ -99,10 +99,9 @@ def _with_unit(section: str, key: str, numbers: Numbers) -> str:
 
 
 def _contacts(summary: Numbers) -> Iterator[LargeNumber]:
-    """Slip and opening of the interfaces; friction and wear where the sides slide far."""
+    """Slip and opening of the interfaces, and what other packages lead with."""
     for name, q in summary["interfaces"].items():
-        if "dissipation_cycle" in q:
-            yield from _friction(name.replace("_", " "), q)
+        yield from _captioned(name.replace("_", " "), q)
         if "slip_p99" not in q:
             continue
         one, other, on = PAIRS.get(name, ("the sides", named(name), "of"))
@@ -130,18 +129,18 @@ def _contacts(summary: Numbers) -> Iterator[LargeNumber]:
             yield LargeNumber("0", printed(TABLE["interfaces"]["slip_p99"].shown), caption)
 
 
-def _friction(name: str, q: Numbers) -> Iterator[LargeNumber]:
-    """Friction and wear of an interface with finite sliding."""
-    if "torque_max" in q:
-        caption = f"largest friction torque of {name}"
-        yield _number("interfaces", "torque_max", q, caption)
-    caption = f"friction energy of {name} in a cycle"
-    yield _number("interfaces", "dissipation_cycle", q, caption)
-    if "wear_volume" in q:
-        depth = _with_unit("interfaces", "wear_depth_p99_million", q)
-        caption = f"wear of {name} in a million cycles"
-        detail = f"99 % of the surface wears by less than {depth}."
-        yield _number("interfaces", "wear_volume_million", q, caption, detail)
+def _captioned(name: str, numbers: Numbers) -> Iterator[LargeNumber]:
+    """Numbers of an interface with a caption of their own (`Quantity.caption`)."""
+    quantities = TABLE["interfaces"]
+    for key, quantity in quantities.items():
+        if not quantity.caption or key not in numbers:
+            continue
+        detail = quantity.detail
+        if detail:
+            scalars = [k for k, q in quantities.items() if not q.vector]
+            detail = detail.format(**{k: _with_unit("interfaces", k, numbers) for k in scalars})
+        caption = quantity.caption.format(name=name)
+        yield _number("interfaces", key, numbers, caption, detail)
 
 
 def _stem(summary: Numbers) -> Iterator[LargeNumber]:

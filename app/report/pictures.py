@@ -22,6 +22,7 @@ from matplotlib.colors import Normalize
 
 from app.case.case import read_geometry
 from app.case.geometries import Sides
+from app.case.quantities import INTERFACE_FIELDS
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError
 from app.plots import figures
@@ -32,7 +33,15 @@ from app.report import lead
 from app.report.page import Figure
 from app.report.sweep_figures import headlines
 from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
-from app.report.viewer import INTERFACE, cells_of, lengths, outsides, quartered, side_of
+from app.report.viewer import (
+    INTERFACE,
+    cells_of,
+    interface_fields,
+    lengths,
+    outsides,
+    quartered,
+    side_of,
+)
 from app.results.reading import Run
 from meshes.data import FACES
 
@@ -45,8 +54,6 @@ SHOWN = {
     "slip": SEQUENTIAL,
     "motion": SEQUENTIAL,
     "pressure": LOADED,
-    "slid": SEQUENTIAL,
-    "wear": LOADED,
 }
 PEAK = "temperature_peak"
 SIDES = "interfaces"  # name of the picture from three sides
@@ -120,8 +127,11 @@ def maps(
 
 def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
     rows: list[Row] = []
-    for quantity, colours in SHOWN.items():
-        (label, unit, factor), field = INTERFACE[quantity], f"{name}_{quantity}"
+    shown, labels = dict(SHOWN), interface_fields()
+    for added in INTERFACE_FIELDS.values():
+        shown[added.name] = LOADED if added.loaded else SEQUENTIAL
+    for quantity, colours in shown.items():
+        (label, unit, factor), field = labels[quantity], f"{name}_{quantity}"
         values = [
             factor * lengths(run, field) if field in run.point_fields else None
             for _, run, _ in columns

@@ -68,14 +68,6 @@ TITLES = {
     "stem": "Motion of the stem against the bone",
     "femur": "Motion of the head, strain of the cortex",
 }
-# Further quantities, which do not fit into the closing table of the terminal.
-MORE = {
-    "interfaces": (
-        *("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um"),
-        *("torque_max", "eccentricity", "dissipation_cycle", "slid_max", "friction_power"),
-        *("wear_volume_million", "wear_depth_p99_million", "wear_depth_p99_master_million"),
-    )
-}
 # Values for a run that was killed before it wrote its summary.
 UNFINISHED = {
     "status": "not finished",
@@ -364,7 +356,8 @@ def _tables(summary: Summary, every: bool, spread: InputSpread | None = None) ->
     for section in (s for s in titles if s in sections):
         known, by_owner = TABLE[section], sections[section]
         added = [k for k, q in known.items() if q.compute]
-        keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
+        more = [k for k, q in known.items() if q.on_page]
+        keys = [] if every else [*text.keys(section), *more, *added]
         keys += [k for k in known if spread and k.startswith("necrosis")]
         shown = [known[k] for k in keys or known if not known[k].vector]
         rows = [[_label(q), *(q.text(numbers) for numbers in by_owner.values())] for q in shown]

@@ -16,20 +16,14 @@ from app.report.sweep_results import named
 from app.system.layout import plain
 
 # Quantities drawn, by key in history.csv: title, unit for people.
-_INTERFACE = {
-    key: (q.label, q.shown)
-    for key, q in TABLE["interfaces"].items()
-    if q.step_record and ((q.headline and not q.exact) or key == "dissipation")
-}
-SHOWN = {
+BEFORE = {
     "temperature_max": ("highest temperature", "degC"),
     "temperature_max_second": ("highest temperature, second side", "degC"),
     "degree_min": ("least degree of cure", "%"),
     "": ("temperature at probes", "degC"),
-    **_INTERFACE,
-    "torque_along": ("friction torque along the motion", "N mm"),
+}
+AFTER = {
     **{f"force.{axis}": (f"force in {axis}", "N") for axis in "xyz"},
-    "eccentricity": ("shift of the centre", "um"),
     "subsidence": ("subsidence", "um"),
     "retroversion": ("retroversion", "deg"),
     **{f"displacement.{axis}": (f"displacement in {axis} at probes", "um") for axis in "xyz"},
@@ -46,6 +40,16 @@ ROUNDING = 1e-9
 StepRecord = Mapping[str, Floats]
 
 
+def curves_shown() -> dict[str, tuple[str, str]]:
+    """Quantities drawn, in their order: those of interfaces between those of heat and of loads."""
+    of_interfaces = {
+        key: (q.label, q.shown)
+        for key, q in TABLE["interfaces"].items()
+        if q.step_record and (q.curve or (q.headline and not q.exact))
+    }
+    return BEFORE | of_interfaces | AFTER
+
+
 def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
     """Return panels of the quantities that change.
 
@@ -56,6 +60,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
 
     Loads change at no time of a history of heat. Such records are drawn over the stages.
     """
+    drawn = curves_shown()
     seconds = step_record.get(SECONDS, np.empty(0))
     timed = 0 < len(seconds) == len(np.unique(seconds))
     times = step_record.get(SECONDS if timed else TIME, np.empty(0))
@@ -64,9 +69,9 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
     lines: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
     for column, values in step_record.items():
         place, key, unit = _parts(column)
-        if key not in SHOWN or not place or (not key and unit != "degC"):
+        if key not in drawn or not place or (not key and unit != "degC"):
             continue
-        shown = SHOWN[key][1]
+        shown = drawn[key][1]
         scaled = FACTORS.get(shown, 1.0) * values
         known = np.isfinite(values)
         if np.abs(scaled[known]).max(initial=0.0) > ROUNDING:
@@ -76,7 +81,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
             lines.setdefault(key, {})[place] = x, y
     places = list(dict.fromkeys(place for by_place in lines.values() for place in by_place))
     panels = []
-    for key, (title, unit) in SHOWN.items():
+    for key, (title, unit) in drawn.items():
         if key in lines:
             curves = [
                 Line(named(place), places.index(place), *points)

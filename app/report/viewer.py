@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from app.case.quantities import INTERFACE_FIELDS
 from app.foundation.arrays import Bools, Floats, Ints
 from app.report import page
 from app.report.sweep_results import QUANTITIES
@@ -44,9 +45,7 @@ ROUNDING = 1e-9
 # Moments of a cycle that are shown, where a body turns.
 MOMENTS = 12
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
-INTERFACE = {
-    "wear": ("wear in a million cycles", "mm", 1e6),
-    "slid": ("slid in a cycle", "mm", 1.0),
+INTERFACE: dict[str, tuple[str, str, float]] = {
     **{key: (key, *QUANTITIES[key]) for key in ("slip", "gap", "motion", "pressure", "shear")},
     "status": ("open 0, stick 1, slip 2", "", 1.0),
 }
@@ -251,6 +250,12 @@ def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
     return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v
 
 
+def interface_fields() -> dict[str, tuple[str, str, float]]:
+    """Label, unit and factor of the fields of interfaces, those of other packages first."""
+    added = {f.name: (f.label, f.unit, f.factor) for f in INTERFACE_FIELDS.values()}
+    return added | INTERFACE
+
+
 def _kinds(run: Run) -> list[ShownField]:
     """Return the fields to show, the most interesting first."""
     kinds = [
@@ -258,7 +263,7 @@ def _kinds(run: Run) -> list[ShownField]:
             f"{contact}_{key}", contact, f"{contact.replace('_', '-')}: {label}", unit, factor
         )
         for contact in sorted(run.contacts, reverse=True)
-        for key, (label, unit, factor) in INTERFACE.items()
+        for key, (label, unit, factor) in interface_fields().items()
         if f"{contact}_{key}" in run.point_fields
     ]
     kinds += [ShownField(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]

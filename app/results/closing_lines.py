@@ -162,13 +162,6 @@ LEGEND = "* not resolved: the error is larger than the number; refine the mesh"
 SENTENCES = {
     "bonds": "{name} is bonded: {strength_fraction} of its area is above its strength; "
     "mean normal traction {normal_mean}, mean shear {shear_mean}",
-    "torque_max": "{name}: largest friction torque of a cycle {torque_max}",
-    "dissipation_cycle": "{name}: energy dissipated in a cycle {dissipation_cycle}, "
-    "largest sliding distance {slid_max}",
-    "uncovered_fraction": "{name}: {uncovered_fraction} of the slave surface left the master "
-    "at some time",
-    "wear_volume": "{name}: wear in a million cycles {wear_volume_million}, "
-    "depth {wear_depth_max_million} (max), {wear_depth_p99_million} (p99)",
     "strength": "{name}: 1 % of the area fails at {failure_load_factor} times this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
     "cure": "{name}: degree of cure {degree_min} .. {degree_max}{reached}; largest rate {rate_max}",
@@ -191,9 +184,9 @@ def _tables(summary: Mapping[str, Any]) -> Iterator[str]:
         rows[section][name] = numbers
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
-    for key in ("torque_max", "dissipation_cycle", "wear_volume", "uncovered_fraction"):
-        own = (row for row in rows["interfaces"].items() if key in row[1])
-        yield from (_sentence("interfaces", *row, text=key) for row in own)
+    for key, q in TABLE["interfaces"].items():
+        having = (row for row in rows["interfaces"].items() if q.sentence and key in row[1])
+        yield from (_filled(q.sentence, "interfaces", *row) for row in having)
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
     strong = (row for row in (rows["interfaces"] | rows["bonds"]).items() if FAILING in row[1])
     yield from (_sentence("bonds", *row, text="strength") for row in strong)
@@ -252,11 +245,17 @@ def _necrosis(regions: Rows) -> list[str]:
 
 
 def _sentence(section: str, name: str, numbers: Mapping[str, Any], text: str = "") -> str:
-    own = [(key, q) for key, q in TABLE[section].items() if not q.vector]
-    texts = {key: _with_unit(section, key, numbers) for key, _ in own}
     reached = (
-        f", {part} % reached everywhere after {texts[f'time_{part}']}"
+        f", {part} % reached everywhere after {_with_unit(section, f'time_{part}', numbers)}"
         for part in (50, 90)
         if numbers.get(f"time_{part}") is not None
     )
-    return SENTENCES[text or section].format(name=name, reached="".join(reached), **texts)
+    template = SENTENCES[text or section]
+    return _filled(template, section, name, numbers, reached="".join(reached))
+
+
+def _filled(template: str, section: str, name: str, numbers: Mapping[str, Any], **more: str) -> str:
+    """A sentence with the numbers of a section in place of their names."""
+    scalars = [key for key, q in TABLE[section].items() if not q.vector]
+    texts = {key: _with_unit(section, key, numbers) for key in scalars}
+    return template.format(name=name, **texts, **more)

@@ -98,16 +98,10 @@ def rows(numbers: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
 
 
 def friction(numbers: Mapping[str, Any]) -> Iterator[str]:
-    """Sentences on the friction of a stage with cycles, and on its last two."""
+    """Sentence on the friction of a stage with cycles, if it has peaks and valleys."""
     if "trend" in numbers:
         lost = ", ".join(f"{d:.3g}" for d in numbers["dissipation"])
         yield f"dissipation per cycle {numbers['trend']}: {lost} N mm"
-    for name, by in numbers.get("change", {}).items():
-        of = (
-            f"{100 * by[key]:.2g} % of the {key}" for key in ("torque", "dissipation") if key in by
-        )
-        apart = ", ".join([*of, f"{1e3 * by['centre']:.2g} um in place"])
-        yield f"the last two cycles of {name} differ by {apart}"
 
 
 def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
@@ -117,4 +111,5 @@ def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
         lines = [*friction(numbers)]
         if parts:
             lines.insert(0, f"permanent / inducible: {parts}")
-        yield f"{stage}: {'; '.join(lines)}"
+        if lines:
+            yield f"{stage}: {'; '.join(lines)}"

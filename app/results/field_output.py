@@ -20,11 +20,10 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.dolfinx_features import interpolation_points
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
-from app.results.bearing import Bearing
 from app.results.bond_forces import BondForces
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
-from app.results.records import Record
+from app.results.records import NodalSurface, Record
 from app.results.stresses import Stresses, extrapolated
 from app.results.thermal_record import W_PER_M2, Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
@@ -32,7 +31,6 @@ from app.scene.bodies import Bodies, cell_tags
 from app.scene.scene import Interface
 from app.stepping.heat_state import HeatState
 from forms.contact import OPEN
-from meshes.contact_points import ContactSurface
 from meshes.distribute import TaggedMesh
 
 
@@ -189,12 +187,11 @@ class MechanicalFields:
         stresses: Stresses,
         records: Iterable[Record],
         bonds: BondForces,
-        bearings: Mapping[str, Bearing],
     ) -> None:
         self._problem = problem
         self._stresses = stresses
         self._records = tuple(records)
-        self._bonds, self._bearings = bonds, bearings
+        self._bonds = bonds
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
@@ -212,7 +209,7 @@ class MechanicalFields:
     ) -> dict[str, Floats]:
         """Displacement, with the turns of motions, stress, and by interface what it does.
 
-        Gap, slip, motion [mm], tractions [MPa], status; of sides that slide far their wear [mm].
+        Gap, slip, motion [mm], tractions [MPa], status, and what records have on both sides.
         """
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
@@ -230,12 +227,12 @@ class MechanicalFields:
             assert self._problem.contact is not None
             surface = self._problem.contact.points.surface
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
+            recorded = [record.surface_fields() for record in self._records]
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i])
-                bearing = self._bearings.get(contact.name)
-                if bearing:
-                    (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
-                    for key, (slave, master) in bearing.fields().items():
+                for fields in [part[contact.name] for part in recorded if contact.name in part]:
+                    (there,) = _contact_rows(fields.master, self.space, self.bodies, nodes)
+                    for key, (slave, master) in fields.values.items():
                         whole = np.zeros(len(surface.dof))
                         whole[np.flatnonzero(surface.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
@@ -318,7 +315,10 @@ def _named(σ: Floats) -> dict[str, Floats]:
 
 
 def _contact_rows(
-    points: ContactSurface | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
+    points: NodalSurface,
+    space: fem.FunctionSpace,
+    bodies: Bodies,
+    nodes: OutputNodes,
 ) -> list[Ints]:
     """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 

@@ -89,8 +89,6 @@ class ContactSamples:
         contacts: The interfaces.
         facet_sizes: Mean length of the edges of their facets [mm].
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
-        friction: Friction on the master per area (n, 3) [MPa], where points slide far.
-        arm: From the centre of the master to where they touch it (n, 3) [mm].
 
     Args:
         since: Jumps of local points at the last valley of the loads (n, 3) [mm]: ``inducible``
@@ -150,11 +148,6 @@ class ContactSamples:
         if since is not None:
             way = surface.true_jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
-        sliding = contact.finite_sliding
-        if sliding is not None:
-            arm = np.zeros((len(local), 3))
-            arm[sliding.rows] = sliding.paired.arm
-            self.arm, self.friction = whole(arm), whole(state.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # With a normal that is off by an angle, slip times this angle presses on the surface.
         pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[local.rows]

@@ -6,33 +6,75 @@ A record sees every step, is saved and restored with the run, and adds its numbe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from app.case.case import Case
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints
 
 if TYPE_CHECKING:
+    from app.case.run_options import Stage
+    from app.heat.implicit_step import ImplicitStep
     from app.mechanics.problem import Problem
     from app.results.stresses import Stresses
     from app.stepping.load_steps import OnStep
     from meshes.gruen import Zones
 
+# Called before a stage.
+OnStage = Callable[["Stage"], None]
 # Returns, at points (n, 3) [mm], by part of a hip (`quantities.PARTS`) a level (n,) that is not
 # positive in it (`meshes.gruen.Zones.borders`).
 Borders = Callable[[Floats], dict[str, Floats]]
 
 
-class Followed(Protocol):
-    """Mechanics of a run that a record follows.
+@dataclass(frozen=True)
+class Followed:
+    """Mechanics and heat of a run that a record follows.
 
     Attributes:
         zones: Zones of a hip, if it is one.
+        heat: The implicit step of its heat, if heat flows in it.
     """
 
     problem: Problem
     stresses: Stresses
     zones: Zones | None
+    heat: ImplicitStep | None
+
+
+class NodalSurface(Protocol):
+    """Triangulated surfaces of bodies, in parts, with fields at their nodes."""
+
+    @property
+    def dof(self) -> Ints:
+        """Global blocked dofs of the nodes (m,)."""
+
+    @property
+    def bodies(self) -> Ints:
+        """Bodies that have the fields at each node (m, b)."""
+
+    @property
+    def interface(self) -> Ints:
+        """Part of the surfaces that each node is in (m,)."""
+
+    @property
+    def triangles(self) -> Sequence[Ints]:
+        """Facets of each part, as nodes (f, 3)."""
+
+
+@dataclass(frozen=True)
+class SurfaceFields:
+    """Fields on an interface whose sides share no nodes.
+
+    Attributes:
+        master: Surface of the master.
+        values: By name: at the contact points of the interface (n,), and at the nodes of the
+            master (m,).
+    """
+
+    master: NodalSurface
+    values: Mapping[str, tuple[Floats, Floats]]
 
 
 class Record:
@@ -48,6 +90,10 @@ class Record:
         """Return a hook of steps that takes a step in, then calls ``on_step``."""
         return on_step
 
+    def before_stage(self, on_stage: OnStage) -> OnStage:
+        """Return a hook of stages that prepares a stage, then calls ``on_stage``."""
+        return on_stage
+
     def numbers(self) -> dict[str, Any]:
         """Published numbers, merged into those of ``summary.json``; collective."""
         return {}
@@ -58,6 +104,10 @@ class Record:
 
     def cell_fields(self, cells: int) -> dict[str, Floats]:
         """Fields by name on the cells of this rank (cells,)."""
+        return {}
+
+    def surface_fields(self) -> dict[str, SurfaceFields]:
+        """Fields on both sides of interfaces, by interface."""
         return {}
 
 
@@ -78,9 +128,9 @@ def add_record(name: str, make: Maker) -> None:
     MAKERS[name] = make
 
 
-def records(case: Case, mechanics: Followed) -> dict[str, Record]:
+def records(case: Case, followed: Followed) -> dict[str, Record]:
     """The records of a run; collective."""
-    made = {name: make(case, mechanics) for name, make in MAKERS.items()}
+    made = {name: make(case, followed) for name, make in MAKERS.items()}
     return {name: record for name, record in made.items() if record is not None}
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -84,7 +84,7 @@ class Scene:
         conductors: Regions that conduct heat.
         thermal_contacts: Interfaces with a temperature jump.
         friction_heat: Interfaces heated by friction.
-        sliding_heat: Interfaces that slide far and exchange the mean heat of a cycle.
+        sliding_heat: Interfaces with finite sliding that exchange the mean heat of a cycle.
         expansions: Regions with thermal strain.
         time: Time stepping of heat; None without heat.
         coupled: Whether heat depends on contact, so that both are solved together.
@@ -180,6 +180,20 @@ class Scene:
         k = max(math.ceil(time) - 1, 0)
         ways = self.stages[k].ways
         return k + (math.ceil((time - k) * ways - 1e-9) - 1) / ways
+
+
+Exchanging = Callable[["Case"], Iterable[str]]
+# Return interfaces with finite sliding whose exchange of heat other packages set.
+_EXCHANGING: list[Exchanging] = []
+
+
+def mean_exchange(function: Exchanging) -> Exchanging:
+    """Register a function of a case: its interfaces with finite sliding whose exchange is set.
+
+    Their sides share no nodes. `heat.implicit_step.ImplicitStep.set_exchange` sets their exchange.
+    """
+    _EXCHANGING.append(function)
+    return function
 
 
 Densities = Callable[["Case"], Mapping[str, ChangingDensity]]
@@ -279,7 +293,11 @@ def scene_of(
 
 
 def build_scene(case: Case) -> Scene:
-    """Build the scene of a case."""
+    """Build the scene of a case.
+
+    Raises:
+        InputError: Heat flows between sides with finite sliding, and no package sets its exchange.
+    """
     scene = scene_of(
         case.regions,
         case.stages,
@@ -293,6 +311,13 @@ def build_scene(case: Case) -> Scene:
         heat=case.heat,
         time=case.time,
     )
+    exchanging = {name for find in _EXCHANGING for name in find(case)}
+    for interface in scene.sliding_heat:
+        if interface.name not in exchanging:
+            raise InputError(
+                f"interfaces.{interface.name}.conductance: no package computes the heat between "
+                "sides with finite sliding; expected none"
+            )
     changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
     for e in scene.elastic:
         e._geometry = case.geometry

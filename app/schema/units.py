@@ -342,7 +342,6 @@ _expansion = Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
 _heat = Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
 _per_pressure = partial(Dimension, "mW/(mm^2*K*MPa)", "a conductance per area and pressure")
 _per_amount = partial(Dimension, "J/mol", "an energy per amount of substance", "62866 J/mol")
-_wear = Dimension("mm^2/N", "a wear coefficient", "1.07e-6 mm^3/(N m)", above=0.0)
 FORCE = Dimension("N", "a force", "1800 N")
 WEIGHT = Dimension("N", "a force", "750 N", above=0.0)
 ANGLE = Dimension("rad", "an angle", "1.5 deg")
@@ -369,7 +368,6 @@ SpecificHeat = Annotated[float, _specific_heat]
 ExpansionCoefficient = Annotated[float, _expansion]
 HeatDensity = Annotated[float, _heat]
 FractureEnergy = Annotated[float, Dimension("N*mm", "an energy", "0.5 N mm", above=0.0)]
-WearCoefficient = Annotated[float, _wear]
 ConductancePerArea = Annotated[float, _conductance(at_least=0.0)]
 FilmCoefficient = Annotated[float, _conductance(above=0.0)]
 ConductancePerPressure = Annotated[float, _per_pressure("100 W/(m^2 K MPa)", above=0.0)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -22,12 +21,11 @@ from app.mechanics.problem import Problem
 from app.numerics import lifetime
 from app.numerics.newton import Solver
 from app.results.balance import Balance
-from app.results.bearing import bearings
 from app.results.bond_forces import BondForces
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples
-from app.results.records import Record, merge, records
+from app.results.records import Followed, Record, merge, records
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
 from app.scene.scene import Scene, Stage, build_scene
@@ -69,10 +67,9 @@ class Mechanical:
         neighbours: States of earlier models, as warm starts.
         zones: Zones of a hip, if it is one; the interfaces' parts in `surfaces`.
         stem: The motion of its implant.
-        bearings: Its interfaces whose sides slide far.
     """
 
-    saved = ("problem", "solver", "bearings")
+    saved = ("problem", "solver")
 
     def __init__(self, problem: Problem, solver: Solver, case: Case) -> None:
         geometry = case.geometry
@@ -92,19 +89,12 @@ class Mechanical:
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
-        self.bearings = bearings(problem, case)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
-    def begin(self, case: Case) -> None:
+    def begin(self) -> None:
         """Begin another case, whose problem and solver are at rest; collective."""
         self.neighbours.begin()
-        self.bearings = bearings(self.problem, case)
-
-    def slide(self, samples: ContactSamples, stage: Stage, step: LoadStep) -> None:
-        """Take a step in where sides slide far; collective."""
-        for bearing in self.bearings.values():
-            bearing.update(samples, stage, step.time, step.whole)
 
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
@@ -171,8 +161,10 @@ class Model:
             self.scene: Scene = build_scene(case)
             self.analysis, self.mechanical_path = self._assemble()
             self.records: dict[str, Record] = {}
-            if self.mechanical_path:
-                self.records = records(case, self.mechanical_path)
+            heating, m = self.analysis.heating, self.mechanical_path
+            if m:
+                heat = heating.step if heating else None
+                self.records = records(case, Followed(m.problem, m.stresses, m.zones, heat))
             self.thermal: ThermalModel | None = None
             if self.analysis.heating:
                 self.thermal = ThermalModel(case, self.analysis.heating, self.analysis.problem)
@@ -224,7 +216,7 @@ class Model:
         where = self.scene, self.tagged, settings, self._timing
         if earlier is not None and earlier.mechanical_path is not None:
             analysis = assemble(*where, reuse=earlier.analysis)
-            earlier.mechanical_path.begin(case)
+            earlier.mechanical_path.begin()
             return analysis, earlier.mechanical_path
         analysis = assemble(*where, like=like)
         if analysis.problem is None or analysis.solver is None:
@@ -241,9 +233,7 @@ class Model:
         groups: list[FieldGroup] = []
         m = self.mechanical_path
         if m:
-            groups.append(
-                MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds, m.bearings)
-            )
+            groups.append(MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds))
         t = self.thermal
         if t:
             groups.append(HeatFields(t.heating, t.record, self.case.geometry.interface_sides))
@@ -273,12 +263,8 @@ class Model:
         """
         for record in self.records.values():
             on_step = record.before(on_step)
-        begin = on_stage
+            on_stage = record.before_stage(on_stage)
         t = self.thermal
-        cycle = t.sliding if t else None
-        if cycle:
-            on_step = cycle.before(on_step)
-            begin = cycle.before_stage(on_stage)
 
         def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
             if t:
@@ -290,7 +276,7 @@ class Model:
         self._steppers = self.analysis.steppers(on_step, on_accepted, on_trouble, predictors)
         if self._steppers.load:
             self._steppers.others = steppers(stages, self, self._steppers.load)
-        return self._steppers.run(stages, begin, checkpoint_point, resume())
+        return self._steppers.run(stages, on_stage, checkpoint_point, resume())
 
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
@@ -339,9 +325,6 @@ class Model:
             elastic = m.problem.scene.elastic
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
-            for name, bearing in m.bearings.items():
-                if bearing.numbers:  # none before the first step
-                    numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             found = m.bonds.numbers()
             if found:
@@ -381,9 +364,6 @@ class Model:
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
-            if m and trial and m.bearings:
-                now = ContactSamples(m.problem, trial, None, m.surfaces)
-                m.slide(now, other.scene.stages[math.ceil(step.time) - 1], step)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
         samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None

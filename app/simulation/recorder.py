@@ -23,6 +23,7 @@ from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.cycles import Cycles
 from app.results.interface_numbers import ContactSamples
+from app.results.records import merge
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
 from app.simulation.model import Model
@@ -166,7 +167,6 @@ class Recorder:
                 self.contact_state = {"pressures": trial.law.pressures, "status": trial.law.status}
                 since = self.valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
-                m.slide(self.samples, self._stage, step)
             self.total.count(step.outcome)
             moved = m.stem(self._case.side)
             columns = [q for key, q in TABLE["stem"].items() if q.step_record and key in moved]
@@ -229,11 +229,6 @@ class Recorder:
         columns = [c for c in TABLE["interfaces"].values() if c.step_record]
         for name, q in (self.samples.step_numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
-        for name, bearing in m.bearings.items() if m else ():
-            for key, value in bearing.numbers.items():
-                c, values = TABLE["interfaces"][key], value if isinstance(value, list) else [value]
-                cells = zip(c.names, values, strict=True)
-                row |= {f"{name} {title} [{c.unit}]": v for title, v in cells}
         for name, q in m.bonds.numbers(strong=True).items() if m else ():
             own = [c for c in TABLE["bonds"].values() if c.step_record]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
@@ -291,12 +286,8 @@ class Recorder:
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples)
             cycles = self.cycles.summary()
-            changes = {name: b.change() for name, b in m.bearings.items()} if m else {}
-            change = {name: numbers for name, numbers in changes.items() if numbers}
-            if change:
-                cycles.setdefault(self._stage.name, {})["change"] = change
             if cycles:
-                numbers["cycles"] = cycles
+                merge(numbers, {"cycles": cycles})
             sections = section_loads(self._case, model.scene.load_time(self.time))
             if sections:
                 numbers["section_loads"] = [asdict(section) for section in sections]

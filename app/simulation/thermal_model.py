@@ -10,7 +10,6 @@ from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
 from app.results.thermal_record import CureRecord, ThermalRecord, exchange
 from app.scene.bodies import nodes_on
-from app.stepping.cycle_heat import CycleHeat
 from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below this multiple of its rounding error in a step counts as zero.
@@ -23,18 +22,15 @@ class ThermalModel:
     Attributes:
         record: Reported temperatures.
         cure: Reported degrees of cure, if anything cures.
-        sliding: Heat of surfaces that slide far, if there are any.
         flows: Heat per time at the end of the last step: into the model by condition, and through
             interfaces of finite conductance from the first side to the second [mW].
     """
 
-    saved = ("heating", "record", "settled", "cure", "balance", "flows", "sliding")
+    saved = ("heating", "record", "settled", "cure", "balance", "flows")
 
     def __init__(self, case: Case, heating: HeatState, problem: Problem | None) -> None:
         operators = heating.operators
         self.operators, self.heating = operators, heating
-        far = operators.scene.sliding_heat
-        self.sliding = CycleHeat(problem, heating.step) if problem and far else None
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
         tagged, space = operators.tagged, operators.forms.space
         self.record = ThermalRecord(

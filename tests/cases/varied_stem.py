@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from mpi4py import MPI
@@ -61,9 +60,6 @@ class Runs:
             iterations.append(step.outcome.iterations)
             if trial is not None:
                 last[:] = [ContactSamples(model.mechanical_path.problem, trial)]
-                stage = model.scene.stages[math.ceil(step.time) - 1]
-                for bearing in model.mechanical_path.bearings.values():
-                    bearing.update(last[0], stage, step.time, step.whole)
 
         model.go(keep, on_trouble=print)
         moved = model.mechanical_path.problem.displacements()

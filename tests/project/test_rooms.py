@@ -11,17 +11,20 @@ from pathlib import Path
 import pytest
 
 from tests import support
+from tests.cases import worn_ball
 from tests.project.sources import ROOT
 
 CORE = ("app", "forms", "meshes", "configs")
 # Rooms, with a key that each of them adds.
 KEYS = {
+    "bearing": "interfaces.bone_cement.wear_coefficient=1e-6 mm^3/(N m)",
     "fatigue": "fatigue.region=bone",
     "patient": "geometry.kind=patient",
     "remodelling": "remodelling.lazy_zone=0.1",
 }
 # What the core says of these keys without the room.
 REFUSED = {
+    "bearing": "interfaces.bone_cement.wear_coefficient: unknown key",
     "fatigue": "fatigue: unknown key",
     "patient": "geometry.kind: 'patient' is not one of",
     "remodelling": "remodelling: unknown key",
@@ -43,23 +46,36 @@ def without(room: str, copy: Path) -> Path:
     return copy
 
 
+def run(program: Path, case: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
+    """Run a case with a copy of the program."""
+    command = [sys.executable, "-m", "mantle", "run", case, "--force", "-o", program.parent / "out"]
+    command += support.sets(*overrides)
+    environment = support.environment() | {"PYTHONPATH": str(program)}
+    return subprocess.run(
+        command, cwd=program, env=environment, capture_output=True, text=True, timeout=300
+    )
+
+
 @pytest.mark.parametrize("room", KEYS)
 def test_rooms_core_runs_without_a_room(room: str, tmp_path: Path) -> None:
     program = without(room, tmp_path / "program")
-
-    def run(*overrides: str) -> subprocess.CompletedProcess[str]:
-        output = tmp_path / "out"
-        case = program / "configs" / "blocks.yaml"
-        command = [sys.executable, "-m", "mantle", "run", case, "-o", output]
-        command += support.sets(*COARSE, *overrides)
-        environment = support.environment() | {"PYTHONPATH": str(program)}
-        return subprocess.run(
-            command, cwd=program, env=environment, capture_output=True, text=True, timeout=300
-        )
-
-    refused = run(KEYS[room])
+    case = program / "configs" / "blocks.yaml"
+    refused = run(program, case, *COARSE, KEYS[room])
     assert refused.returncode == 2
     assert REFUSED[room] in refused.stderr
-    done = run()
+    done = run(program, case, *COARSE)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout
+
+
+def test_rooms_core_solves_finite_sliding_without_the_room_of_bearings(tmp_path: Path) -> None:
+    """Contact is solved; there is no wear, and heat between the sides is refused."""
+    program, case = without("bearing", tmp_path / "program"), tmp_path / "ball.yaml"
+    case.write_text(worn_ball.CASE.replace(worn_ball.WORN, "finite"))
+    turn = "stages=[{name: press}, {name: turn, increments: 2}]"
+    done = run(program, case, turn)
+    assert done.returncode == 0, done.stderr
+    assert "converged" in done.stdout and "torque" not in done.stdout
+    refused = run(program, case, *worn_ball.WARM)
+    assert refused.returncode == 2
+    assert "interfaces.bearing.conductance: no package computes the heat" in refused.stderr

@@ -1,48 +1,162 @@
-r"""What surfaces that slide far tell, by cycle: torque, place, wear and heat of friction.
+r"""Friction of finite sliding through its cycles: torque, position, slid distance, wear and power.
 
 Wear is Archard's, a depth :math:`k \int p\,ds` on either side: k/μ times the energy dissipated per
-area. The slave's points know that. It is handed to the nodes of the master in its own axes, where
-both touched in the middle of each step.
+area. It is known at the slave's points, and handed to the nodes of the master in the master's axes,
+where both touched in the middle of each step.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from app.bearing.laws import wear_coefficient_of
 from app.case.case import Case
+from app.case.quantities import TABLE
 from app.foundation.arrays import Floats, Ints
+from app.mechanics.contact import TrialState
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rotation_vector
-from app.results.interface_numbers import ContactSamples
+from app.results.interface_numbers import normal_pressure
 from app.results.percentiles import percentile
+from app.results.records import Record, SurfaceFields
 from app.scene.scene import Stage
+from app.stepping.load_steps import LoadStep, OnStep
 
-MILLION = 1e6  # cycles
+# Cycles for which wear is reported.
+MILLION = 1e6
+# Watts per unit of power [N mm/s].
 MILLIWATT = 1e-3
+# Points per facet from which slid distance and energy are handed to the master.
+SAMPLES = 12
+
+# Published numbers of an interface: scalars, and vectors as lists.
+Numbers = dict[str, float | list[float]]
 
 
-def bearings(problem: Problem, case: Case) -> dict[str, Bearing]:
-    """The interfaces of a case whose sides slide far, by name; collective."""
-    far = [(i, c.name) for i, c in enumerate(problem.scene.contacts) if c.between]
-    return {name: Bearing(problem, case, i) for i, name in far}
+@dataclass(frozen=True)
+class Samples:
+    """Contact points of all ranks after a step (n of them), on every rank.
+
+    Attributes:
+        x: Position (n, 3) [mm].
+        arm: From the centre of the master's rotation to the point of its surface touched
+            (n, 3) [mm].
+        pressure: Normal force per area, positive in compression (n,) [MPa].
+        friction: Friction on the master per area (n, 3) [MPa].
+        force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
+        dissipation: Energy dissipated since the beginning (n,) [N mm].
+        path: Length of the path of sliding in contact since the beginning (n,) [mm].
+    """
+
+    x: Floats
+    arm: Floats
+    pressure: Floats
+    friction: Floats
+    force: Floats
+    dissipation: Floats
+    path: Floats
+
+    @classmethod
+    def of(cls, trial: TrialState, swapped: Sequence[bool]) -> Samples:
+        """Sample a committed state; collective.
+
+        ``swapped`` is True for interfaces whose master is the second side as declared.
+        """
+        contact, state, local = trial.contact, trial.contact.state, trial.contact.local
+        sliding = contact.finite_sliding
+        assert sliding is not None
+        arm = np.zeros_like(local.x)
+        arm[sliding.rows] = sliding.paired.arm
+        sign = np.where(np.array(swapped)[local.interface], 1.0, -1.0)[:, None]
+        return cls(
+            x=contact.points.x,
+            arm=contact.whole(arm),
+            pressure=contact.whole(normal_pressure(trial.law.pressures, local.normals)),
+            friction=contact.whole(state.friction),
+            force=contact.whole(sign * state.force),
+            dissipation=contact.whole(state.dissipation),
+            path=contact.whole(state.path),
+        )
+
+
+class Bearings(Record):
+    """Interfaces with finite sliding of a run; made collectively.
+
+    Attributes:
+        bearings: The interfaces, by name.
+        stage: Name of the stage of the last step.
+    """
+
+    saved = ("bearings", "stage")
+
+    def __init__(self, problem: Problem, case: Case) -> None:
+        self._scene = problem.scene
+        self.bearings = {
+            c.name: Bearing(problem, case, i)
+            for i, c in enumerate(problem.scene.contacts)
+            if c.between
+        }
+        self.stage = ""
+
+    def before(self, on_step: OnStep) -> OnStep:
+        """Return a hook that takes in each step of the mechanics, then calls ``on_step``.
+
+        While heat flows, the numbers of the last cycle stay.
+        """
+        swapped = [c.swapped for c in self._scene.contacts]
+
+        def taken(step: LoadStep, trial: TrialState | None) -> None:
+            stage = self._scene.stages[math.ceil(step.time) - 1]
+            if trial is not None and not stage.takes_time:
+                self.stage = stage.name
+                samples = Samples.of(trial, swapped)
+                for bearing in self.bearings.values():
+                    bearing.update(samples, stage, step.time, step.whole)
+            on_step(step, trial)
+
+        return taken
+
+    def numbers(self) -> dict[str, object]:
+        """Numbers of the interfaces, and the change from cycle to cycle in a stage."""
+        known = {name: b for name, b in self.bearings.items() if b.numbers}
+        changes = {name: bearing.change() for name, bearing in known.items()}
+        changed = {name: change for name, change in changes.items() if change}
+        numbers: dict[str, object] = {
+            "interfaces": {name: {**b.numbers, **b.cycle()} for name, b in known.items()}
+        }
+        if changed:
+            numbers["cycles"] = {self.stage: {"change": changed}}
+        return numbers
+
+    def step_record(self) -> dict[str, float]:
+        """Columns of ``history.csv``."""
+        row: dict[str, float] = {}
+        for name, bearing in self.bearings.items():
+            for key, value in bearing.numbers.items():
+                q = TABLE["interfaces"][key]
+                values = value if isinstance(value, list) else [value]
+                titles = (f"{name} {title} [{q.unit}]" for title in q.names)
+                row |= dict(zip(titles, values, strict=True))
+        return row
+
+    def surface_fields(self) -> dict[str, SurfaceFields]:
+        """Slid distance and wear on both sides, by interface."""
+        return {name: SurfaceFields(b, b.fields()) for name, b in self.bearings.items()}
 
 
 class Bearing:
-    """An interface whose sides slide far, through its cycles.
+    """An interface with finite sliding, through its cycles.
 
     A cycle ends where cycle tables do, else at each peak of the loads and at the end of a stage.
 
     Attributes:
-        surface: The master's surface, in its own axes; the fields below are its.
-        interface: Zeros (m,).
-        dof: Global blocked dofs of its nodes (m,).
-        bodies: Its body (m, 1).
-        triangles: Its facets, as nodes.
+        surface: The master's surface, in its axes. `dof`, `bodies`, `interface` and `triangles`
+            are those of its nodes (`results.records.NodalSurface`).
         numbers: Numbers of the last step.
     """
 
@@ -60,7 +174,7 @@ class Bearing:
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
         assert contact is not None and contact.finite_sliding is not None
-        self._problem, self._contact = problem, c
+        self._problem, self._interface = problem, c
         self._body = problem.bodies.of_region[c.master[0]]
         self._motion = problem.scene.motion_of(c.master)
         points = contact.points
@@ -78,17 +192,18 @@ class Bearing:
         self.triangles = (self.surface.triangles,)
         self._period = problem.scene.period
         self._effusivity = _effusivity(case, (c.master, c.slave))
-        self.numbers: dict[str, Any] = {}
+        self.numbers: Numbers = {}
         self.time = self.cycle_start = 0.0
         self._centre = np.array(self._motion.about if self._motion else np.zeros(3))
-        # Part, torque, place and energy of each step of this cycle, and of the last two.
+        # Part of the cycle, torque, position and energy of each step: of this cycle, and of the
+        # last two.
         self.cycle_rows: list[list[float]] = []
         self.last_cycles: list[list[list[float]]] = []
         # Energy [N mm] and slid distance times area [mm3]: at points after the last step, before
         # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
         self.slave_amounts = np.zeros((len(self._rows), 3, 2))
         self.master_amounts = np.zeros((len(self.dof), 2, 2))
-        # Which points have faced no master after some step.
+        # True at points that have faced no master after some step.
         self.uncovered = np.zeros(len(self._rows), dtype=bool)
 
     @property
@@ -97,66 +212,61 @@ class Bearing:
         points, nodes = np.arange(len(self._rows)), np.arange(len(self.dof))
         return {"uncovered": points, "slave_amounts": points, "master_amounts": nodes}
 
-    def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
-        """Take in a step at its end, which may end an increment of its stage; collective.
-
-        While heat flows the numbers of the last cycle stay.
-        """
-        if stage.takes_time:
-            return
+    def update(self, s: Samples, stage: Stage, time: float, whole: bool) -> None:
+        """Take in a step at its end, which may be the end of a ``whole`` increment; collective."""
         scene, rows, motion = self._problem.scene, self._rows, self._motion
         if math.ceil(time) > math.ceil(self.time):
             self.cycle_start, self.cycle_rows, self.last_cycles = 0.0, [], []
         before, middle, now = (
             scene.rotation(motion, t) for t in (self.time, (self.time + time) / 2, time)
         )
-        arm, turn = s.arm[rows], rotation_vector(now @ before.T)
-        torque = np.cross(arm, s.weight[rows, None] * s.friction[rows]).sum(axis=0)
+        arm, rotated = s.arm[rows], rotation_vector(now @ before.T)
+        torque = np.cross(arm, self._weight[:, None] * s.friction[rows]).sum(axis=0)
         centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
         if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in its own axes
             centre = now @ centre
-        spent = np.column_stack([s.dissipation[rows], s.weight[rows] * s.path[rows]])
+        spent = np.column_stack([s.dissipation[rows], self._weight * s.path[rows]])
         dose = (spent - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
-        places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
+        places = self._slave.sampled(dose, SAMPLES, arm @ middle + self._centre)
         self.master_amounts[:, 0] += self.surface.deposit(*places)
         feet = arm @ now + self._centre
         on, at, _ = self.surface.closest(feet)
         self.uncovered |= ~self.surface.faces(feet, self._slave.normals @ now, on, at)
         self.slave_amounts[:, 0], self.time = spent, time
         self.numbers = {
-            "centre": centre.tolist(),
+            "centre": [float(v) for v in centre],
             "eccentricity": float(np.linalg.norm(centre)),
-            "force": (s.weight[rows] @ s.force[rows]).tolist(),
-            "pressure_max_at": s.x[peak].tolist(),
+            "force": [float(v) for v in self._weight @ s.force[rows]],
+            "pressure_max_at": [float(v) for v in s.x[peak]],
         }
         if motion:
-            along = turn / (np.linalg.norm(turn) or 1.0)
+            along = rotated / (np.linalg.norm(rotated) or 1.0)
             self.numbers |= {
-                "torque": torque.tolist(),
+                "torque": [float(v) for v in torque],
                 "torque_size": float(np.linalg.norm(torque)),
                 "torque_along": float(torque @ along),
             }
-        way = stage.ways * (time - math.ceil(time) + 1)
+        phase = stage.ways * (time - math.ceil(time) + 1)
         energy = self.master_amounts[:, 0, 0].sum()
-        row = (way - self.cycle_start, *torque, *centre, energy)
+        row = (phase - self.cycle_start, *torque, *centre, energy)
         self.cycle_rows.append([float(v) for v in row])
-        turns = stage.turn(time) if whole else 0
-        if turns and (turns % 2 or stage.ways == stage.cycles):
+        reversal = stage.turn(time) if whole else 0
+        if reversal and (reversal % 2 or stage.ways == stage.cycles):
             self.slave_amounts[:, 2] = spent - self.slave_amounts[:, 1]
             self.slave_amounts[:, 1] = spent
             self.master_amounts[:, 1] = self.master_amounts[:, 0]
             self.master_amounts[:, 0] = 0.0
             self.last_cycles = [*self.last_cycles[-1:], self.cycle_rows]
             self.cycle_rows = []
-            self.cycle_start = way
+            self.cycle_start = phase
 
     def _translation(self) -> Floats:
         """Displacement of the master: the mean over its surface (3,) [mm]; collective."""
         u = self._problem.displacements()[self._body].x.array.reshape(-1, 3)
         start, end = self._problem.space.dofmap.index_map.local_range
-        own = (self.dof >= start) & (self.dof < end)
+        owned = (self.dof >= start) & (self.dof < end)
         moved = np.zeros((len(self.dof), 3))
-        moved[own] = u[self.dof[own] - start]
+        moved[owned] = u[self.dof[owned] - start]
         moved = self._problem.comm.allreduce(moved)
         return np.asarray(self.surface.areas @ moved / self.surface.areas.sum())
 
@@ -180,13 +290,13 @@ class Bearing:
         Both in mm.
         """
         (energy, slid), (energy_there, slid_there) = (of.T for of in self._per_area())
-        fields, law = {"slid": (slid, slid_there)}, self._contact.law
-        k = getattr(law, "wear_coefficient", None)
+        fields, law = {"slid": (slid, slid_there)}, self._interface.law
+        k = wear_coefficient_of(law)
         if k is not None:
             fields["wear"] = k / law.friction * energy, k / law.friction * energy_there
         return fields
 
-    def cycle(self) -> dict[str, Any]:
+    def cycle(self) -> dict[str, float]:
         """Numbers of a cycle."""
         flux, fields = self._per_area()[0][:, 0], self.fields()
         numbers = {
@@ -219,10 +329,10 @@ class Bearing:
         return numbers
 
     def change(self) -> dict[str, float]:
-        """By how much the last two cycles of a stage differ; nothing before there are two.
+        """Difference of the last two cycles of a stage; empty before the second one.
 
-        Largest difference of the torque over the largest torque, of the place of the centre [mm],
-        both at the same part of the cycle; of the dissipation over the last one.
+        Largest difference of the torque over the largest torque, and of the position of the centre
+        [mm], both at the same part of the cycle. Difference of the dissipation over the last one.
         """
         if len(self.last_cycles) < 2:
             return {}

@@ -1,20 +1,19 @@
-r"""Heat of finitely sliding surfaces: friction and exchange, averaged over a cycle of the tables.
+r"""Heat of finite sliding: friction and exchange, averaged over a cycle of the tables.
 
-Temperature takes minutes and a cycle seconds: heat sees what a cycle brings on average, on each
-surface in the axes of its own body. With D the friction power per cycle, β the part of it that
-enters the slave, h the conductance and Π of the pairs of the moment (`mechanics.pairs`),
+Temperature takes minutes and a cycle seconds. Heat is therefore computed from the means of a cycle,
+on each surface in the axes of its body. With D the friction power per cycle, β the part of it that
+enters the slave, h the conductance and Π of the current pairs (`mechanics.pairs`),
 
 .. math:: Q_s = β \overline{D}, \quad Q_m = (1 - β) \overline{Π^T D}, \quad
           X = \overline{E^T h W E}, \quad E = (1, -Π),
 
-and X T is the heat out of the nodes of both surfaces. Within a cycle temperatures swing by what
-`results.bearing` tells.
+and X T is the heat out of the nodes of both surfaces. `bearing.friction_cycles` estimates the
+amplitude of temperature within a cycle.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -26,19 +25,20 @@ from app.mechanics.pairs import mortar
 from app.mechanics.problem import Problem
 from app.mechanics.sides import Side
 from app.numerics.sparse import from_triplets
+from app.results.records import OnStage, Record
 from app.scene.scene import Interface, Stage
 from app.stepping.load_steps import LoadStep, OnStep
 from forms.interface_heat import friction_heat
 
 
-class CycleHeat:
-    """Places, pressures and friction of the steps of a cycle, and the mean heat that they make.
+class CycleHeat(Record):
+    """Positions, pressures and friction of the steps of a cycle, and their mean heat.
 
-    Before a cycle it is that of the last state, without friction.
+    Before a cycle it is the exchange of the last state, without friction.
     """
 
-    # Steps of this cycle, and of the last one, at own points (n, 6): part of the cycle, place in
-    # the axes of the master (3), pressure, and dissipation [N mm].
+    # Steps of this cycle, and of the last one, at points of this rank (n, 6): part of the cycle,
+    # position in the axes of the master (3), pressure, and dissipation [N mm].
     saved = ("steps", "cycle", "time", "dissipated")
 
     def __init__(self, problem: Problem, step: ImplicitStep) -> None:
@@ -52,17 +52,17 @@ class CycleHeat:
 
     @property
     def row_keys(self) -> Ints:
-        """Keys of own contact points."""
+        """Keys of the contact points of this rank."""
         return self._contact.row_keys
 
     def _state(self, part: float, time: float, pressure: Floats, spent: Floats) -> Floats:
-        found = np.zeros((len(spent), 6))
-        found[self._finite_sliding.rows, 1:4] = self._finite_sliding.touching(time)
-        found[:, 0], found[:, 4], found[:, 5] = part, pressure, spent
-        return found
+        state = np.zeros((len(spent), 6))
+        state[self._finite_sliding.rows, 1:4] = self._finite_sliding.touching(time)
+        state[:, 0], state[:, 4], state[:, 5] = part, pressure, spent
+        return state
 
     def before(self, on_step: OnStep) -> OnStep:
-        """Take in each step of the mechanics before something else is done with it."""
+        """Return a hook that takes in each step of the mechanics, then calls ``on_step``."""
 
         def taken(step: LoadStep, trial: TrialState | None) -> None:
             stage = self._scene.stages[math.ceil(step.time) - 1]
@@ -86,8 +86,8 @@ class CycleHeat:
             self.cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]
         self.dissipated = spent.copy()
 
-    def before_stage(self, on_stage: Callable[[Stage], None]) -> Callable[[Stage], None]:
-        """Set the mean heat before a stage in which heat flows."""
+    def before_stage(self, on_stage: OnStage) -> OnStage:
+        """Return a hook that sets the mean heat before a stage in which heat flows."""
 
         def begin(stage: Stage) -> None:
             if stage.takes_time and self._changed:
@@ -112,12 +112,13 @@ class CycleHeat:
                 here = side.dofs[(side.dofs >= start) & (side.dofs < end)] - start
                 body[here], slaves[c.name] = of_region[region], here
             dofs = np.concatenate([side.dofs for side in sides])
-            own, rows = (dofs >= start) & (dofs < end), dofs - start
-            if (f := operators.friction) and f"friction {c.name}" in f.flows:
-                f.nodal[body[rows[own]], rows[own]] = heat[own]
+            owned, rows = (dofs >= start) & (dofs < end), dofs - start
+            f = operators.friction
+            if f and f"friction {c.name}" in f.flows:
+                f.nodal[body[rows[owned]], rows[owned]] = heat[owned]
                 f.flows[f"friction {c.name}"] = float(heat.sum())
             i, j, value = exchange
-            parts.append((rows[i[own[i]]], dofs[j[own[i]]], value[own[i]]))
+            parts.append((rows[i[owned[i]]], dofs[j[owned[i]]], value[owned[i]]))
         triplets = (np.concatenate(part) for part in zip(*parts, strict=True))
         matrix = from_triplets(comm, forms.owned, forms.owned, *triplets)
         self._step.set_exchange(MeanExchange(matrix, body, slaves))

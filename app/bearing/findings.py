@@ -1,0 +1,68 @@
+"""Faults and verdicts about wear, and about the heat and the cycles of finite sliding."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from app.bearing.laws import wear_coefficient_of
+from app.case.case import Case
+from app.case.checks import check
+from app.foundation.verdict import Severity, Verdict
+from app.results.verdicts import judge
+from app.schema.yaml_file import Fault
+
+
+@check("interfaces")
+def _wear(case: Case) -> Iterable[Fault]:
+    """Wear without friction, or with small sliding."""
+    for name, law in case.interfaces.items():
+        if law is None or wear_coefficient_of(law) is None:
+            continue
+        path = ("interfaces", name, "wear_coefficient")
+        if not law.finite_sliding:
+            yield Fault(path, "needs `sliding: finite` in the same interface")
+        elif not law.friction > 0:
+            yield Fault(path, "wear needs friction; expected a friction_coefficient above 0")
+
+
+@check("interfaces", "regions")
+def _heat(case: Case) -> Iterable[Fault]:
+    """Finite sliding without a conductance or a cycle; heat that depends on other contact."""
+    laws = {name: law for name, law in case.interfaces.items() if law is not None}
+    sliding = sorted(name for name, law in laws.items() if law.finite_sliding)
+    regions = [region for region in case.regions.values() if region is not None]
+    if not sliding or all(region.thermal is None for region in regions):
+        return
+    moved = [*(case.motions or {}).values(), *(case.loads or {}).values()]
+    cyclic = any(getattr(part, "cycle_table", None) is not None for part in moved)
+    for name, law in laws.items():
+        heats = law.heated_by_friction is not None
+        path = ("interfaces", name, "friction_heating" if heats else "conductance")
+        if name not in sliding and (heats or law.conducts_by_pressure):
+            text = "heat that depends on contact cannot be combined with finite sliding "
+            text += f"({', '.join(sliding)}); expected a constant conductance"
+            yield Fault(path, text)
+        elif name in sliding and heats and not cyclic:
+            text = (
+                "friction heat is the mean over a cycle; expected a cycle_table of a motion or load"
+            )
+            yield Fault(path, text)
+        if name in sliding and law.conductance is None:
+            text = "the two sides share no nodes; expected a conductance, a large one if "
+            yield Fault(("interfaces", name, "conductance"), text + "it is perfect")
+
+
+@judge
+def _last_cycles(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+    """Difference of the last two cycles of each interface."""
+    for numbers in summary.get("cycles", {}).values():
+        for name, by in numbers.get("change", {}).items():
+            of = [
+                f"{100 * by[key]:.2g} % of the {key}"
+                for key in ("torque", "dissipation")
+                if key in by
+            ]
+            parts = ", ".join([*of, f"{1e3 * by['centre']:.2g} um in place"])
+            text = f"the last two cycles of {name} differ by {parts}"
+            yield Verdict(text, "cycles", severity=Severity.PLAIN)
