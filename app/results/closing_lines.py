@@ -92,7 +92,8 @@ def headline(summary: Mapping[str, Any]) -> Iterator[str]:
     if moving:
         parts = [f"{name} {_with_unit('interfaces', 'motion_p99', q)}" for name, q in moving]
         yield f"motion of 99 % of the surface is below: {', '.join(parts)}"
-    pressed = [(name, q) for name, q in interfaces.items() if "torque_max" in q]
+    # With finite sliding there is no motion, and the pressure is the main result.
+    pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
     if pressed:
         parts = [f"{name} {_with_unit('interfaces', 'pressure_max', q)}" for name, q in pressed]
         yield f"largest contact pressure: {', '.join(parts)}"
