@@ -12,7 +12,6 @@ import pytest
 
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.stepping.load_steps import LoadStepper
 from tests import support
 
 STEM = (
@@ -79,18 +78,16 @@ def test_augmentation_over_eight_decades_gives_equal_jumps(
     outcomes: list[NewtonResult] = []
     jumps = []
     for f in (1.0, factor):
-        problem, solver = support.assemble(
-            support.case(STEM, f"solver.augmentation_factor={0.1 * f!r}")
-        )
+        case = support.case(STEM, f"solver.augmentation_factor={0.1 * f!r}")
+        analysis = support.analysis(case)
+        assert analysis.solver is not None
         caplog.clear()
         with caplog.at_level(logging.INFO, "mantle"):
-            motion = LoadStepper(
-                problem, solver, lambda step, trial: outcomes.append(step.outcome), pytest.fail
+            effort = analysis.run(
+                lambda step, trial: outcomes.append(step.outcome), on_trouble=pytest.fail
             )
-            (stage,) = problem.scene.stages
-            motion.run_stage(0, stage, lambda: None)
-        assert motion.total.rejected == 0
-        q = solver.u_and_q()[1]
+        assert (len(analysis.scene.stages), effort.rejected) == (1, 0)
+        q = analysis.solver.u_and_q()[1]
         assert q is not None
         jumps.append(q.array.copy())
     np.testing.assert_allclose(jumps[1], jumps[0], atol=1e-6 * np.abs(jumps[0]).max())

@@ -11,8 +11,7 @@ import meshes
 from app.case.geometries import Block, Blocks, MeshOptions
 from app.foundation.errors import InputError
 from app.mechanics.contact import TrialState
-from app.stepping.load_steps import LoadStep, LoadStepper
-from app.stepping.stages import run_stages
+from app.stepping.load_steps import LoadStep
 from meshes.data import MeshData
 from tests import support
 from tests.cases.turning_head import (
@@ -236,14 +235,16 @@ def test_followers_energy_balances_with_ordinary_contact_in_the_model(tmp_path: 
 
 def test_followers_of_a_rigid_master_are_paired_without_assembly() -> None:
     """The same matrices from the first step to the last, though the surfaces are paired anew."""
-    problem, solver = support.assemble(support.case(CUP, QUARTER, stages(5)))
+    analysis = support.analysis(support.case(CUP, QUARTER, stages(5)))
+    problem = analysis.problem
+    assert problem is not None
     version, paired = problem.stiffness.version, []
 
     def keep(step: LoadStep, trial: TrialState | None) -> None:
         assert trial is not None
         paired.append(trial.contact.committed_at)
 
-    run_stages(problem.scene.stages, LoadStepper(problem, solver, keep, print), None)
+    analysis.run(keep, on_trouble=print)
     assert not np.array_equal(paired[0], paired[-1])
     assert problem.stiffness.version == version
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from app.foundation.errors import ConvergenceError
-from app.stepping.load_steps import LoadStepper
 from tests import support
 
 STEM = (support.CONFIGS / "stress" / "stem.yaml").read_text(encoding="utf-8")
@@ -23,14 +22,15 @@ TWIST = (
 
 def moved(*overrides: str) -> float:
     """Run the first stage; the largest jump [mm]."""
-    problem, solver = support.assemble(support.case(STEM, *overrides))
+    analysis = support.analysis(support.case(STEM, *overrides))
     found: list[float] = []
 
     def note(step: object, trial: object) -> None:
         found.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
 
-    stepper = LoadStepper(problem, solver, note, pytest.fail)
-    stepper.run_stage(0, problem.scene.stages[0], lambda: None)
+    stepper = analysis.load_stepper(note, pytest.fail)
+    assert stepper is not None
+    stepper.run_stage(0, analysis.scene.stages[0], lambda: None)
     return found[-1]
 
 
