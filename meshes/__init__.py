@@ -4,9 +4,9 @@
 the dolfinx mesh of them, ``app.plots.sections`` draws them. gmsh, scipy and dolfinx are
 imported when used, so that checking a configuration needs none of them.
 
-``docs/mesh.md`` tells how femurs are meshed. Radii may come from any function of angle and height,
-positions from any point on the stem's outline: other bones, stems and mantles need other functions
-and no other mesher.
+``docs/mesh.md`` describes the meshing of femurs. Radii may come from any function of angle and
+height, positions from any point on the stem's outline: other bones, stems and mantles need other
+functions and no other mesher.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from meshes.data import MeshData
 
 log = logging.getLogger("mantle")
 
-MESHER_VERSION = 32  # raise it whenever the same input gives another mesh or other notes
+MESHER_VERSION = 33  # raise it whenever the same input gives another mesh or other notes
 
 
 def key(geometry: Any, mesh: Any) -> str:

@@ -91,7 +91,7 @@ def corners(x: Floats) -> tuple[Floats, Floats]:
     high = density > BENT
     if high.all() or not high.any():
         return np.zeros(0), np.zeros(0)
-    shift, n, found = int(np.argmin(high)), len(place), []
+    shift, n, pieces = int(np.argmin(high)), len(place), []
     density, high = np.roll(density, -shift), np.roll(high, -shift)
     firsts, lasts = np.flatnonzero(np.diff(high.astype(int), append=0)).reshape(-1, 2).T
     # An arc is facets: what is between them is no flat.
@@ -103,8 +103,8 @@ def corners(x: Floats) -> tuple[Floats, Floats]:
         after = _outwards(density, half, int(within[-1]), 1)
         width = (after - before) / n
         if 2 * half * width * total > LEAST_BEND:
-            found.append(((0.5 * (before + after) + shift) / n, width))
-    middles, widths = np.transpose(found) if found else np.zeros((2, 0))
+            pieces.append(((0.5 * (before + after) + shift) / n, width))
+    middles, widths = np.transpose(pieces) if pieces else np.zeros((2, 0))
     return np.asarray(middles % 1.0), np.asarray(widths)
 
 
@@ -159,7 +159,7 @@ class CornerLines:
             [m] if point else [m - 0.5 * w, m + 0.5 * w]
             for m, w, point in zip(middles, widths, sharp, strict=True)
         ]
-        return np.array([at for own in ends for at in own])
+        return np.array([at for piece in ends for at in piece])
 
     def _bounds(self, ends: Floats) -> tuple[Floats, Bools]:
         """Bounds of the pieces from the first line on (m + 1,), and which are corners (m,)."""
@@ -167,9 +167,9 @@ class CornerLines:
             [k for sharp in self.sharp for k in ([False] if sharp else [True, False])]
         )
         start = ends[self.first] if self.first >= 0 else 0.0
-        own = ends if self.first >= 0 else np.append(ends, 0.0)
+        all_ends = ends if self.first >= 0 else np.append(ends, 0.0)
         after = corner if self.first >= 0 else np.append(corner, False)
-        place = (own - start) % 1.0
+        place = (all_ends - start) % 1.0
         order = np.argsort(place, kind="stable")
         inside = after[order].astype(bool)
         if self.first < 0 and len(ends):
@@ -183,11 +183,11 @@ class CornerLines:
         if len(middles) != len(self.middles):
             return None
         apart = (middles[None] - self.middles[:, None] + 0.5) % 1.0 - 0.5
-        own = np.abs(apart).argmin(axis=1) if len(middles) else np.zeros(0, dtype=int)
-        away = apart[np.arange(len(own)), own]
-        if len(np.unique(own)) < len(own) or (np.abs(away) > MOVED).any():
+        nearest = np.abs(apart).argmin(axis=1) if len(middles) else np.zeros(0, dtype=int)
+        away = apart[np.arange(len(nearest)), nearest]
+        if len(np.unique(nearest)) < len(nearest) or (np.abs(away) > MOVED).any():
             return None
-        ends = self._ends(self.middles + away, widths[own], self.sharp)
+        ends = self._ends(self.middles + away, widths[nearest], self.sharp)
         bounds, inside = self._bounds(ends)
         weights = np.where(inside, ARC, 1.0)
         if (weights != self.weights).any() or (np.diff(bounds) <= 0).any():
@@ -201,17 +201,17 @@ class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
     def __init__(
-        self, found: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: Any
+        self, shape: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: Any
     ) -> None:
         """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
         (self._low, high), self._placed = ends, placed
-        self._high = self._low + found["shoulder"] - TIP if high < placed.top else np.inf
+        self._high = self._low + shape["shoulder"] - TIP if high < placed.top else np.inf
         way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, self._low])
-        self._x, self._coarse = found["x"] * way + shift, found["coarse"] * way + shift
+        self._x, self._coarse = shape["x"] * way + shift, shape["coarse"] * way + shift
         self._kept = lru_cache(maxsize=4096)(self._outline)
         self._placed_lines = lru_cache(maxsize=4096)(self._lines)
         self._pieces: CornerLines | None = None
-        end, up = found["end"] * way + shift, found["neck"] * way
+        end, up = shape["end"] * way + shift, shape["neck"] * way
         bend = end - (1 - NECK) * end[0] / up[0] * up
         self._path = np.array([[0.0, 0.0, high], bend, end - INSIDE * up])
         medial = unit(np.array([1.0, 0.0, 0.0]) - up[0] * up)
@@ -275,12 +275,12 @@ class CadStem:
     def _at(self, phi: Floats, *planes: Floats) -> Floats:
         """Points of outlines (n, 3) [mm], one outline for all with the same arguments (n,)."""
         keys, of = np.unique(np.stack(planes, axis=1), axis=0, return_inverse=True)
-        found = np.empty((len(phi), 3))
+        points = np.empty((len(phi), 3))
         for k in range(len(keys)):
-            own = of.ravel() == k
+            here = of.ravel() == k
             x, at = self._placed_lines(*keys[k])
-            found[own] = np.stack([np.interp(phi[own], at, v, period=1.0) for v in x.T], axis=1)
-        return found
+            points[here] = np.stack([np.interp(phi[here], at, v, period=1.0) for v in x.T], axis=1)
+        return points
 
     def section(self, z: float) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius of a square of the same length around [mm]."""

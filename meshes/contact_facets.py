@@ -246,8 +246,8 @@ def _normals_of_surface(facets: InterfaceFacets, label: Ints) -> tuple[Floats, F
         rows = np.flatnonzero(facets.straight)
         here, at = np.unique(corners[rows], return_inverse=True)
         parts = x[here], at.reshape(-1, 3), facets.normal[rows], facets.area[rows]
-        found = smooth_normals(*parts)
-        normal[here], doubt[here] = found.normal, found.doubt
+        smooth = smooth_normals(*parts)
+        normal[here], doubt[here] = smooth.normal, smooth.doubt
     return normal[node.ravel()], doubt[node.ravel()]
 
 

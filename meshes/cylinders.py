@@ -44,8 +44,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     wider = math.tan(geometry.taper) * (z - geometry.length / 2)
     shell = np.searchsorted(radii[:2], np.hypot(x, y) - wider) + 1
     for volume in np.unique(entity):
-        own = entity == volume
-        cell_tags[own] = np.bincount(shell[own]).argmax()
+        in_volume = entity == volume
+        cell_tags[in_volume] = np.bincount(shell[in_volume]).argmax()
     regions, (facets, owner) = number(geometry.region_names), exterior_facets(cells)
     masks = _boundaries(points[facets[:, :3]], cell_tags[owner], regions, geometry, radii[2])
     return assemble(points, cells, cell_tags, regions, geometry.interface_sides, masks, facets)

@@ -131,16 +131,16 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     """Distribute the mesh of rank 0 (None on the others) to all ranks; collective."""
     without = {name: getattr(data, name)[:0] for name in ARRAYS} if data is not None else {}
     known: MeshData = comm.bcast(data and replace(data, behind=None, **without))
-    own = known if data is None else data
-    corners, width = own.cells.shape[1], own.facets.shape[1]
+    source = known if data is None else data
+    corners, width = source.cells.shape[1], source.facets.shape[1]
     given = os.environ.get(THREADS)
     os.environ[THREADS] = given or "1"  # several part a mesh in another way each time
     try:
         mesh = dolfinx.mesh.create_mesh(
             comm,
-            own.cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy(),
-            x=own.points,
-            e=ufl_mesh(11 if own.curved else 4, 3, np.float64),
+            source.cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy(),
+            x=source.points,
+            e=ufl_mesh(11 if source.curved else 4, 3, np.float64),
             partitioner=dolfinx_features.partitioner(GhostMode.shared_facet),
         )
     finally:
@@ -151,8 +151,8 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     cells = np.arange(len(original), dtype=np.int32)
     regions = meshtags(mesh, 3, cells, known.cell_tags[original])
     regions.name = "regions"
-    facets = own.facets[:, cell_perm_array(CellType.triangle, width)].copy()
-    local, values = distribute_entity_data(mesh, 2, facets, own.facet_tags)
+    facets = source.facets[:, cell_perm_array(CellType.triangle, width)].copy()
+    local, values = distribute_entity_data(mesh, 2, facets, source.facet_tags)
     patches = meshtags_from_entities(
         mesh, 2, adjacencylist(local), values.astype(np.int32, copy=False)
     )

@@ -28,7 +28,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh the femur: four regions, two interfaces.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
-    notes have the head centre, layers and what was found. ``mesh`` are options of a case.
+    notes have the head centre, layers and messages. ``mesh`` are options of a case.
 
     Raises:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
@@ -46,8 +46,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     }
     x = geometry.placement.to_model(made.nodes.x)
     data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
-    told = [*(f"{k}: {v}" for k, v in geometry.details.items()), *surfaces.bone.notes]
-    return replace(data, notes={**data.notes, "told": told}) if told else data
+    messages = [*(f"{k}: {v}" for k, v in geometry.details.items()), *surfaces.bone.notes]
+    return replace(data, notes={**data.notes, "messages": messages}) if messages else data
 
 
 def assembled(
@@ -74,9 +74,9 @@ def _patches(geometry: Any, points: Floats, facets: Ints, surface: Any) -> dict[
     A patch is the facets nearest to the insertion with the total area of a disc of `PATCH_RADIUS`,
     exact to half a facet.
     """
-    own = np.flatnonzero(surface)
-    centre = points[facets[own][:, :3]].mean(axis=1)
-    areas = facet_areas(points, facets[own])
+    on_surface = np.flatnonzero(surface)
+    centre = points[facets[on_surface][:, :3]].mean(axis=1)
+    areas = facet_areas(points, facets[on_surface])
     masks = {}
     for name, place in geometry.points.items():
         if name == "head_centre":
@@ -85,5 +85,5 @@ def _patches(geometry: Any, points: Floats, facets: Ints, surface: Any) -> dict[
         total = np.cumsum(areas[order]) - 0.5 * areas[order]
         chosen = order[: max(1, int((total <= np.pi * PATCH_RADIUS**2).sum()))]
         masks[name] = np.zeros(len(facets), dtype=bool)
-        masks[name][own[chosen]] = True
+        masks[name][on_surface[chosen]] = True
     return masks

@@ -61,9 +61,9 @@ def allotted(lengths: Floats, lines: int) -> Floats:
 
 def limited(shares: Floats, weights: Floats) -> Floats:
     """Shares (k, ...) that are at most `FULL` times weights (k, ...); both have the sum 1."""
-    own = np.minimum(shares, FULL * weights)
-    room = FULL * weights - own
-    return np.asarray(own + (1.0 - own.sum(axis=0)) * room / room.sum(axis=0))
+    capped = np.minimum(shares, FULL * weights)
+    room = FULL * weights - capped
+    return np.asarray(capped + (1.0 - capped.sum(axis=0)) * room / room.sum(axis=0))
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> 
 def tetrahedra(gmsh: Any, curved: bool) -> tuple[Floats, Ints, Ints]:
     """Mesh the model, with curved elements when asked, which are untangled.
 
-    gmsh improves elements while it meshes; doing it again (its own optimiser, Relocate3D, a higher
+    gmsh improves elements while it meshes; doing it again (its optimiser, Relocate3D, a higher
     threshold) was measured to change nothing, and Debian's gmsh has no Netgen optimiser.
 
     Returns:
@@ -133,9 +133,9 @@ def nodes(gmsh: Any) -> tuple[Floats, Ints]:
 
 def elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
     """Nodes of the elements of a type in entities (k, nodes)."""
-    found = [gmsh.model.mesh.getElementsByType(kind, entity)[1] for entity in entities]
+    blocks = [gmsh.model.mesh.getElementsByType(kind, entity)[1] for entity in entities]
     width = gmsh.model.mesh.getElementProperties(kind)[3]
-    return row[np.concatenate(found).astype(np.int64) - 1].reshape(-1, width)
+    return row[np.concatenate(blocks).astype(np.int64) - 1].reshape(-1, width)
 
 
 def serve(reader: Callable[[Any], dict[str, Any]], seconds: int) -> None:
@@ -152,11 +152,11 @@ def serve(reader: Callable[[Any], dict[str, Any]], seconds: int) -> None:
     ):
         resource.setrlimit(limit, (most, most))
     try:
-        found = reader(request)
+        arrays = reader(request)
     except GeometryError as error:
-        found = {"error": np.array(str(error))}
+        arrays = {"error": np.array(str(error))}
     with open(answer, "wb") as pipe:
-        np.savez(pipe, **found)
+        np.savez(pipe, **arrays)
 
 
 def read(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,13 +177,15 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         for dim, tag in gmsh.model.getPhysicalGroups(2) + gmsh.model.getPhysicalGroups(3):
             entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
             groups[dim].setdefault(gmsh.model.getPhysicalName(dim, tag), []).extend(entities)
-        found = (
+        listing = (
             f"{path}: physical volumes: {_listed(groups[3])}; "
             f"physical surfaces: {_listed(groups[2])}"
         )
         surfaces, regions = ({n: on for n, on in groups[d].items() if n} for d in (2, 3))
         if not regions:
-            raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
+            raise GeometryError(
+                f"{listing}; name every region (and boundary) with a physical group"
+            )
         mesh, volumes = gmsh.model.mesh, [volume for on in regions.values() for volume in on]
         kinds = {int(kind) for volume in volumes for kind in mesh.getElementTypes(3, volume)}
         if len(kinds) > 1 or not kinds <= {4, 11}:
@@ -202,7 +204,7 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         full = {mesh_files.word(name) for name, block in cells.items() if len(block)}
         absent = [name for name in request["regions"] if name not in full]
         if absent:
-            raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
+            raise GeometryError(f"{listing}; no cells in the volumes {_listed(absent)}")
         _, tags, _ = mesh.getElements(3)
         arrays = {"points": points, "everything": np.array(sum(map(len, tags)))}
         arrays |= {f"cells {name}": block for name, block in cells.items() if len(block)}

@@ -41,15 +41,15 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
         exterior. ``notes`` name interior surfaces (no boundaries), count cells without a region
-        (left out), and list repairs (``told``).
+        (left out), and list repairs (``messages``).
 
     Raises:
         GeometryError: A script that fails, no tetrahedra, other elements, missing or overlapping
-            physical groups (with the names found), cells that overlap, a file that changes.
+            physical groups (with the names in the file), cells that overlap, a file that changes.
     """
-    found, path = _read(geometry, mesh), geometry.path
+    arrays, path = _read(geometry, mesh), geometry.path
     blocks, surfaces = (
-        {key.removeprefix(kind): block for key, block in found.items() if key.startswith(kind)}
+        {key.removeprefix(kind): block for key, block in arrays.items() if key.startswith(kind)}
         for kind in ("cells ", "surfaces ")
     )
     try:
@@ -63,7 +63,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     cell_tags = np.repeat([*regions.values()], [*map(len, blocks.values())]).astype(np.int32)
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
         raise GeometryError(f"{path}: some cells belong to two physical volumes")
-    points = found["points"] * MILLIMETRES[geometry.unit]
+    points = arrays["points"] * MILLIMETRES[geometry.unit]
     if cells.shape[1] == 10 and geometry.is_script and not bent(points, cells):
         cells = cells[:, :4]
     negative = cell_volumes(points, cells) < 0
@@ -89,10 +89,10 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
     turned += "inside out: they are turned, and no cell overlaps its neighbours"
-    told = [*([turned] if negative.any() else []), *found.get("told", [])]
-    everything = int(found["everything"])
+    messages = [*([turned] if negative.any() else []), *arrays.get("messages", [])]
+    everything = int(arrays["everything"])
     if everything > len(cells):
-        told.append(
+        messages.append(
             f"geometry: {everything - len(cells)} of {everything} cells of the file belong to no "
             "region: they are left out"
         )
@@ -100,13 +100,13 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
         "cells_without_region": everything - len(cells),
-        "told": told,
+        "messages": messages,
     }
     return replace(data, notes=notes)
 
 
 def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
-    """Arrays of the file by name; gmsh finds its own in a child (`meshes.gmsh_child.read`)."""
+    """Arrays of the file by name; gmsh reads in a child process (`meshes.gmsh_child.read`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
@@ -131,37 +131,37 @@ def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
     Boundaries of sets of nodes have the facets whose nodes are all in the set. Coincident nodes are
     merged, except between the regions on the two sides of ``apart`` of the geometry.
     """
-    found = mesh_files.read(path, geometry.pick)
-    points, cells = found.points, found.cells
+    content = mesh_files.read(path, geometry.pick)
+    points, cells = content.points, content.cells
     try:
         facets = exterior_facets(cells)[0][:, :3]
     except ValueError as error:
         raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
-    whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in found.nodes.items()}
-    empty = [n for n, block in whole.items() if not len(block) and n not in found.triangles]
+    whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in content.nodes.items()}
+    empty = [n for n, block in whole.items() if not len(block) and n not in content.triangles]
     pairs = coincident(points)
     for sides in geometry.apart:
         one, two = (
-            np.isin(pairs, cells[np.concatenate([found.sets[n] for n in side])]) for side in sides
+            np.isin(pairs, cells[np.concatenate([content.sets[n] for n in side])]) for side in sides
         )
         pairs = pairs[~(one & two[:, ::-1]).any(axis=1)]
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
-    notes = found.notes + mesh_files.left_out("sets of nodes without a facet", empty)
+    notes = content.notes + mesh_files.left_out("sets of nodes without a facet", empty)
     doubled = int((row != np.arange(len(row))).sum())
     if doubled:
         notes.append(f"geometry: {doubled} nodes are merged with others at their places")
     blocks, twice = dict[str, Any](), 0
-    for name, rows in found.sets.items():
+    for name, rows in content.sets.items():
         block = row[cells[rows]]
         once = np.unique(np.sort(block[:, :4], axis=1), axis=0, return_index=True)[1]
         twice += len(block) - len(once)
         blocks[f"cells {name}"] = block[np.sort(once)]
     if twice:
         notes.append(f"geometry: {twice} cells stand twice in the file: one of each is kept")
-    arrays: dict[str, Any] = {"points": points, "everything": len(cells) - twice, "told": notes}
+    arrays: dict[str, Any] = {"points": points, "everything": len(cells) - twice, "messages": notes}
     arrays |= blocks
-    return arrays | {f"surfaces {n}": row[t] for n, t in (whole | found.triangles).items()}
+    return arrays | {f"surfaces {n}": row[t] for n, t in (whole | content.triangles).items()}
 
 
 def write(data: MeshData, path: Path) -> None:

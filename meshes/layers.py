@@ -22,7 +22,7 @@ from meshes.placement import Placement
 DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
 
 TURN = 60.0  # mm below the neck cut, or the shoulder, over which sections turn to it
-CORE_OVER = 30.0  # mm below the plug over which lines go over to the bone's own shape
+CORE_OVER = 30.0  # mm below the plug over which lines go over to the shape of the bone
 EXACT = 1e-11  # of roots, absolute and relative
 
 

@@ -91,8 +91,8 @@ def least_cortex(data: MeshData, tip: float) -> float:
     """Least distance of the endosteum from the bone's surface, from the tip to z = 0 [mm]."""
     cell, face, behind = data.between
     cortex = data.cell_tags == data.regions["cortical_bone"]
-    own = cortex[cell] & ~cortex[behind]
-    facets = faces_of(data.cells, cell[own], face[own])
+    at_endosteum = cortex[cell] & ~cortex[behind]
+    facets = faces_of(data.cells, cell[at_endosteum], face[at_endosteum])
     z = data.points[facets[:, :3], 2]
     facets = facets[(z.min(axis=1) > tip) & (z.max(axis=1) < 0)]
     surface = data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]
@@ -117,8 +117,8 @@ def triangles(points: Floats, facets: Ints, parts: int = PARTS) -> Floats:
 
 def distance(points: Floats, surface: Floats) -> Floats:
     """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
-    found, weights = nearest(points, surface)
-    return np.linalg.norm(np.einsum("nk,nki->ni", weights, surface[found]) - points, axis=1)
+    triangle, weights = nearest(points, surface)
+    return np.linalg.norm(np.einsum("nk,nki->ni", weights, surface[triangle]) - points, axis=1)
 
 
 def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
@@ -128,10 +128,10 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
     a, b, c = surface.transpose(1, 0, 2)
     # Candidates by the distance to vertices, edge middles and centres.
     samples = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])
-    _, found = cKDTree(samples).query(points, k=NEAREST)
+    _, candidates = cKDTree(samples).query(points, k=NEAREST)
     best, least = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
     weights = np.zeros((len(points), 3))
-    for candidate in (found % len(surface)).T:
+    for candidate in (candidates % len(surface)).T:
         at = foot(points, surface[candidate])
         off = np.linalg.norm(np.einsum("nk,nki->ni", at, surface[candidate]) - points, axis=1)
         nearer = off < least

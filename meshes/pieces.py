@@ -193,18 +193,18 @@ def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[To
     middle, x = np.full((1, 3), 1 / 3), points[facets[:, OPPOSITE[: facets.shape[1]]]]
     centres = (shape_functions(middle, facets.shape[1]) @ x)[:, 0]
     normals, double = (v[:, 0] for v in surface(x, middle))
-    found = []
+    touches = []
     for a, b in sorted({(int(a), int(b)) for a, b in zip(first, second, strict=True)}):
         here = (first == a) & (second == b)
         bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
-        found.append(Touch((a, b), centres[here], normals[here], double[here] / 2, bend))
-    return found
+        touches.append(Touch((a, b), centres[here], normals[here], double[here] / 2, bend))
+    return touches
 
 
 def _facing(data: MeshData, sides: tuple[str, str], piece: Ints) -> list[Touch]:
     """Touch of two boundaries, on the smaller one, from the piece of each tagged facet."""
     on = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in sides]
-    small, large = sorted(on, key=lambda own: facet_areas(data.points, data.facets[own]).sum())
+    small, large = sorted(on, key=lambda side: facet_areas(data.points, data.facets[side]).sum())
     second = np.full(small.sum(), piece[large][0] if small.any() else 0)
     return _touches(data.points, data.facets[small], piece[small], second)
 
@@ -279,11 +279,11 @@ def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str
     """Positions where two nodes coincide, by the pair of their regions."""
     of_node = np.zeros(len(data.points), dtype=np.int64)
     of_node[data.cells] = piece[:, None]
-    found: dict[tuple[str, str], list[Floats]] = {}
+    places: dict[tuple[str, str], list[Floats]] = {}
     for a, b in coincident(data.points):
         one, two = sorted(pieces[int(of_node[k])].region for k in (a, b))
-        found.setdefault((one, two), []).append(data.points[a])
-    return {names: np.array(x) for names, x in found.items()}
+        places.setdefault((one, two), []).append(data.points[a])
+    return {names: np.array(x) for names, x in places.items()}
 
 
 def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
@@ -364,7 +364,7 @@ def _lies_on(
 
     centres = x.mean(axis=1)
     count = min(12, len(centres))
-    found = np.full(len(middles), -1, dtype=np.int64)
+    facet = np.full(len(middles), -1, dtype=np.int64)
     _, candidates = cKDTree(centres).query(middles, count)
     for column in candidates.reshape(len(middles), count).T:
         offset = middles - x[column, 0]
@@ -376,5 +376,5 @@ def _lies_on(
             start, end = x[column, i], x[column, (i + 1) % 3]
             side = np.einsum("ki,ki->k", np.cross(end - start, middles - start), n)
             inside &= side >= -1e-9 * np.einsum("ki,ki->k", end - start, end - start)
-        found[inside & (found < 0)] = column[inside & (found < 0)]
-    return found
+        facet[inside & (facet < 0)] = column[inside & (facet < 0)]
+    return facet

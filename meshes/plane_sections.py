@@ -19,10 +19,10 @@ def section(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:
     if triangles is None:
         triangles = np.arange(len(x)).reshape(-1, 3)
     one, other, third = above[triangles].T
-    own = triangles[(one != other) | (other != third)]
-    after = np.roll(own, -1, axis=1)
-    met = above[own] != above[after]
-    a, b = own[met], after[met]
+    crossed = triangles[(one != other) | (other != third)]
+    after = np.roll(crossed, -1, axis=1)
+    met = above[crossed] != above[after]
+    a, b = crossed[met], after[met]
     part = (height[a] / (height[a] - height[b]))[:, None]
     ends = ((1 - part) * x[a] + part * x[b]).reshape(-1, 2, x.shape[1])
     falls = above[a][::2]  # the first end of each line is where the triangle's edge goes down
@@ -61,9 +61,9 @@ def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, 
     j, r = met(lines, angles)
     order = np.lexsort((r, j))
     times = np.bincount(j, minlength=len(angles))
-    found = np.full(len(angles), np.nan)
-    for at, own in enumerate(np.split(r[order], np.cumsum(times)[:-1])):
-        if len(own):
-            wide = own[1:-1:2] - own[:-2:2] > bridged
-            found[at] = own[2 * int(np.argmax([*wide, True]))]
-    return found, times
+    radii = np.full(len(angles), np.nan)
+    for at, crossings in enumerate(np.split(r[order], np.cumsum(times)[:-1])):
+        if len(crossings):
+            wide = crossings[1:-1:2] - crossings[:-2:2] > bridged
+            radii[at] = crossings[2 * int(np.argmax([*wide, True]))]
+    return radii, times

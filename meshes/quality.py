@@ -159,8 +159,8 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
         if not len(bad):
             break
         moved = np.zeros(len(points), dtype=bool)
-        own = (bend[:, 0] * size)[cells[bad, 4:]]
-        moved[cells[bad, 4:][own >= spared * own.max(axis=1, keepdims=True)]] = True
+        bends = (bend[:, 0] * size)[cells[bad, 4:]]
+        moved[cells[bad, 4:][bends >= spared * bends.max(axis=1, keepdims=True)]] = True
         bend[moved] *= 0.5 if step < STEPS * (3 if spared else 1) else 0.0
         near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
     return np.asarray(current)
@@ -220,9 +220,9 @@ def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
             places = np.round(x[node] + step * _AROUND, digits)
             tried = np.where((cells[near] == node)[:, :, None], places[:, None, None], corners)
             every = np.arange(tried.size // 3).reshape(-1, 4)
-            found = sicn(tried.reshape(-1, 3), every).reshape(len(places), len(near))
-            best = int(np.round(found.min(axis=1), digits).argmax())
-            if found[best].min() > quality[near].min() + GAIN:
-                x[node], quality[near] = places[best], found[best]
+            tried_quality = sicn(tried.reshape(-1, 3), every).reshape(len(places), len(near))
+            best = int(np.round(tried_quality.min(axis=1), digits).argmax())
+            if tried_quality[best].min() > quality[near].min() + GAIN:
+                x[node], quality[near] = places[best], tried_quality[best]
             else:
                 steps[node] = 0.5 * step, last

@@ -148,8 +148,8 @@ def _extruded(
             volumes[name] += [next(bodies) for _ in layer]
         faces = [[next(tops) for _ in layer] for layer in faces]
     geo.synchronize()
-    for tag, (name, own) in enumerate(volumes.items(), start=1):
-        gmsh.model.addPhysicalGroup(3, own, tag, name)
+    for tag, (name, entities) in enumerate(volumes.items(), start=1):
+        gmsh.model.addPhysicalGroup(3, entities, tag, name)
 
 
 def _mean_values(points: Floats, polygon: Floats) -> Floats:

@@ -87,11 +87,11 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
     np.maximum.at(wide, one, _angle(mean[one], mean[other]) + spread[other])
     inside = np.diff(joined.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
     flat = (spread < FLAT) & (inside | (wide < FLAT))
-    found, doubt = mean.copy(), np.where(flat, 0.0, spread)
+    fitted, doubt = mean.copy(), np.where(flat, 0.0, spread)
     some = np.flatnonzero(~flat)
     if len(some):
-        found[some], doubt[some] = _fitted(x, mean, wide, doubt, some, _near(joined, some))
-    return SmoothNormals(found, doubt)
+        fitted[some], doubt[some] = _fitted(x, mean, wide, doubt, some, _near(joined, some))
+    return SmoothNormals(fitted, doubt)
 
 
 def unit_sums(vectors: Floats, weights: Floats, corners: Ints, n: int) -> Floats:
@@ -194,19 +194,19 @@ def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Flo
     motions = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), turns], axis=2)
     size = np.einsum("p,pik,pil->kl", share, motions, motions)
     scale = np.linalg.inv(np.linalg.cholesky(size + ROUNDING * np.eye(6))).T
-    found, number = normals, 0
+    adjusted, number = normals, 0
     for step in range(STEPS):
-        slopes = np.einsum("pi,pik->pk", found, motions) @ scale
+        slopes = np.einsum("pi,pik->pk", adjusted, motions) @ scale
         mean = np.sqrt(count) * (share @ slopes)
         sizes, vectors = np.linalg.svd(np.vstack([np.sqrt(share)[:, None] * slopes, mean]))[1:]
         if not step:
             number = int((sizes <= likely).sum())
         if not number or sizes[-number] <= ROUNDING:
-            return found
+            return adjusted
         # Two motions at most are independent at a point of a surface.
         ways, far, _ = np.linalg.svd(motions @ scale @ vectors[-number:].T, full_matrices=False)
         ways, far = ways[:, :, :2], far[:, :2]
         ways = np.where((far > FLAT * far.max())[:, None], ways, 0.0)
-        found = found - np.einsum("pik,pjk,pj->pi", ways, ways, found)
-        found /= np.linalg.norm(found, axis=1, keepdims=True)
+        adjusted = adjusted - np.einsum("pik,pjk,pj->pi", ways, ways, adjusted)
+        adjusted /= np.linalg.norm(adjusted, axis=1, keepdims=True)
     return normals

@@ -1,6 +1,6 @@
 """A stem from a file of CAD: read by OpenCASCADE, triangulated, and laid along its axis.
 
-Runs in a process of its own (`app.foundation.confined`), which damaged files may crash. Axes of
+Runs in a separate process (`app.foundation.confined`), which damaged files may crash. Axes of
 the answer: z along the stem, proximal, 0 at the end of its tip; x towards the head; y across.
 """
 
@@ -149,16 +149,16 @@ def _whole(path: str, x: Floats, shoulder: float) -> Floats:
     Raises:
         GeometryError: The axis leaves the metal there or below.
     """
-    found: Floats = np.zeros(0)
+    outline_points: Floats = np.zeros(0)
     for z in np.linspace(*WHOLE, 20) * shoulder:
         try:
-            found = _level(x, z)
+            outline_points = _level(x, z)
         except ValueError:
             raise GeometryError(
                 f"{path}: {z:.0f} mm above the tip its axis is not within the metal, or meets more"
                 " than one surface across: fill holes, or give the stem's `axis`"
             ) from None
-    return found
+    return outline_points
 
 
 def _axis(x: Floats) -> tuple[Floats, Floats]:
@@ -168,7 +168,7 @@ def _axis(x: Floats) -> tuple[Floats, Floats]:
     """
     middle = x.mean(axis=1)
     rough = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)[2][0]
-    found = []
+    axes = []
     for axis in (rough, -rough):
         for _ in range(5):
             along = x @ axis
@@ -181,15 +181,15 @@ def _axis(x: Floats) -> tuple[Floats, Floats]:
             origin = np.mean(middles, axis=0)
             _, size, ways = np.linalg.svd(middles - origin)
             axis = ways[0] * np.sign(ways[0] @ axis)
-        found.append((float(size[1]), origin, axis))
-    return min(found, key=lambda one: one[0])[1:]
+        axes.append((float(size[1]), origin, axis))
+    return min(axes, key=lambda one: one[0])[1:]
 
 
 def _taper(
     path: str, points: Floats, faces: list[Any], origin: Floats, axis: Floats, given: Any
 ) -> tuple[Floats, Floats, float]:
     """Centre of the planar face that ends the neck, its normal, radius of a circle as large."""
-    found = []
+    candidates = []
     for face in faces:
         x = points[np.unique(face)]
         normal = np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][2]
@@ -210,10 +210,10 @@ def _taper(
             and TAPER[0] <= np.degrees(np.arccos(min(1.0, normal @ axis))) <= TAPER[1]
         ):
             continue
-        found.append((rank, centre, normal, float(np.sqrt(area.sum() / np.pi))))
-    if not found:
+        candidates.append((rank, centre, normal, float(np.sqrt(area.sum() / np.pi))))
+    if not candidates:
         raise GeometryError(
             f"{path}: no planar face ends a neck, {TAPER[0]:g} to {TAPER[1]:g} deg from the axis"
             f" and {ASIDE:g} mm beside it: give `taper_face`, a point of it"
         )
-    return max(found, key=lambda one: one[0])[1:]
+    return max(candidates, key=lambda one: one[0])[1:]

@@ -3,7 +3,7 @@
 gmsh's prisms are split by the ranks of their columns, both sides of a face alike. Along a line
 where two layers would be thinner than a floor, the two surfaces are one: the nodes between them are
 merged, and cells that have a node twice are left out. The floor bounds the angle of the wedges in
-which a layer ends. (gmsh's own splitting of prisms leaves flat cells there.)
+which a layer ends. (gmsh would split prisms into flat cells there.)
 """
 
 from __future__ import annotations
@@ -119,9 +119,9 @@ def _mended(
     ring = np.flatnonzero((body.columns < n * r).all(axis=1) & (least < place.max(axis=1)))
     # Two corners of a triangle in a ring are on one line; the third ends a diagonal.
     third = ((line == np.roll(line, -1, axis=1)).argmax(axis=1) + 2)[ring] % 3
-    own, pair = line[ring, third], line[ring, third - 1]
+    first, pair = line[ring, third], line[ring, third - 1]
     quad = np.full(len(line), n * r)
-    quad[ring] = np.where(own == (pair + 1) % n, pair, own) * r + least[ring]
+    quad[ring] = np.where(first == (pair + 1) % n, pair, first) * r + least[ring]
     turned = body.columns.copy()
     turned[ring, third] += np.where(place[ring, third] == least[ring], 1, -1)
 
@@ -190,8 +190,8 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     most = (np.floor(surfaces.cement + part), *surfaces.through[1:])
     first = 0
     layers = zip(surfaces.through, widths, surfaces.mesh.least_through, most, strict=True)
-    for ring, (cells, width, length, own) in enumerate(layers, start=1):
-        across = np.clip(np.round(width / length), 1, own)
+    for ring, (cells, width, length, limit) in enumerate(layers, start=1):
+        across = np.clip(np.round(width / length), 1, limit)
         for k in range(1, cells + 1):
             place_of[first + k] = ring + np.minimum(k / across, 1.0)
             same[first + k] = np.where(k < across, first + k, first + cells)
@@ -308,8 +308,8 @@ def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
     both = nodes.merged[a] & nodes.merged[b]
     # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
     ends = [
-        np.where(nodes.merged[own] & ~both, np.clip(nodes.rho[other], 2, 3), nodes.rho[own])
-        for own, other in ((a, b), (b, a))
+        np.where(nodes.merged[end] & ~both, np.clip(nodes.rho[other], 2, 3), nodes.rho[end])
+        for end, other in ((a, b), (b, a))
     ]
     inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0) | (np.abs(apart) > 2)
     shell = inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3)

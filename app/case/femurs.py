@@ -94,7 +94,7 @@ class _Femur(Hip):
     down to -50 mm it goes over to that of the shaft. By default it is 3.5 to 7 mm there. In cells
     of 6 mm the worst shape (SICN) is 0.12 at 2 mm, 0.09 at 1.5 mm."""
     stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
-    """The implant: mantle's own by its numbers, or one from a CAD file."""
+    """The implant: by its numbers, or one from a CAD file."""
     tip_z: Length = OLD_TIP
     """Level of the stem's tip."""
     anteversion: Angle = 0.0
@@ -157,7 +157,7 @@ class _Femur(Hip):
 
     @property
     def implant(self) -> Implant:
-        """The stem in axes of its own, which have the model's levels."""
+        """The stem in its axes, which have the model's levels."""
         return self.stem.implant(self.tip_z, self.plug_length, self.tip_void)
 
     @property

@@ -115,7 +115,7 @@ class Hip(Shape):
 
     @property
     def implant(self) -> Implant:
-        """The stem in axes of its own."""
+        """The stem in its axes."""
         raise NotImplementedError
 
     @property

@@ -86,9 +86,12 @@ class GradedThickness(Section):
     @model_validator(mode="after")
     def _possible(self) -> GradedThickness:
         given = [[k for k in keys if getattr(self, k) is not None] for keys in (HEIGHTS, SIDES)]
-        for keys, own in zip((HEIGHTS, SIDES), given, strict=True):
-            if len(own) == 1 or not any(given):
-                fail(f"is not enough; expected at least two of {', '.join(keys)}", at=tuple(own))
+        for keys, keys_given in zip((HEIGHTS, SIDES), given, strict=True):
+            if len(keys_given) == 1 or not any(given):
+                fail(
+                    f"is not enough; expected at least two of {', '.join(keys)}",
+                    at=tuple(keys_given),
+                )
         least, _, most = (round(t, 9) for t in spread(self))
         if least < 1.0 or most > 8.0:
             fail(f"is {least:.3g} to {most:.3g} mm by height and side; expected 1 to 8 mm")
@@ -111,8 +114,8 @@ def spread(thickness: float | GradedThickness) -> tuple[float, float, float]:
     if not isinstance(thickness, GradedThickness):
         return thickness, thickness, thickness
     heights, ring = thickness.tables
-    found = [mean * ratio for _, mean in heights for _, ratio in ring]
-    return min(found), _mean(heights), max(found)
+    thicknesses = [mean * ratio for _, mean in heights for _, ratio in ring]
+    return min(thicknesses), _mean(heights), max(thicknesses)
 
 
 @dataclass(frozen=True)

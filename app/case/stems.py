@@ -1,4 +1,4 @@
-"""Stems: mantle's own by its numbers, or one from a CAD file; both make an `Implant`."""
+"""Stems: by numbers, or one from a CAD file; both make an `Implant`."""
 
 from __future__ import annotations
 

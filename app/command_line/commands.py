@@ -169,7 +169,7 @@ def _mesh(options: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     print(cost.exact_size(case.config, data, memory.available()))
-    for message in data.notes.get("told", ()):
+    for message in data.notes.get("messages", ()):
         print(f"note: {message}")
     return 0
 

@@ -22,7 +22,7 @@ from app.mesh_files.content import (
     NO_REGION,
     ONLY,
     CellGrid,
-    Found,
+    FileContent,
     Pick,
     case_names,
     extend,
@@ -32,12 +32,12 @@ from app.mesh_files.content import (
     word,
 )
 
-__all__ = ["READERS", "Found", "Pick", "case_names", "check", "left_out", "read", "word"]
+__all__ = ["READERS", "FileContent", "Pick", "case_names", "check", "left_out", "read", "word"]
 
 EVERYTHING = Pick()
 
 
-def read(path: Path, pick: Pick = EVERYTHING) -> Found:
+def read(path: Path, pick: Pick = EVERYTHING) -> FileContent:
     """Return the content of a file; its sets of cells are the regions.
 
     Raises:
@@ -54,29 +54,29 @@ def check(path: Path, pick: Pick) -> None:
 
 
 @lru_cache(maxsize=1)
-def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> Found:
+def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> FileContent:
     try:
-        found = READERS[path.suffix](path, pick)
-        found.points = np.asarray(found.points, dtype=float)
-        bad = np.flatnonzero(~np.isfinite(found.points).all(axis=1))
+        content = READERS[path.suffix](path, pick)
+        content.points = np.asarray(content.points, dtype=float)
+        bad = np.flatnonzero(~np.isfinite(content.points).all(axis=1))
         if len(bad):
             raise ValueError(f"node {bad[0] + 1}: its coordinates are no numbers")
-        _divide(found)
-        clean = case_names(found.sets)
-        found.sets = {clean[name]: rows for name, rows in found.sets.items()}
-        clean = case_names([*found.triangles, *found.nodes])
-        found.triangles = {clean[name]: block for name, block in found.triangles.items()}
-        found.nodes = {clean[name]: rows for name, rows in found.nodes.items()}
+        _divide(content)
+        clean = case_names(content.sets)
+        content.sets = {clean[name]: rows for name, rows in content.sets.items()}
+        clean = case_names([*content.triangles, *content.nodes])
+        content.triangles = {clean[name]: block for name, block in content.triangles.items()}
+        content.nodes = {clean[name]: rows for name, rows in content.nodes.items()}
     except Exception as error:  # damaged files let readers fail in any way
         cause = f"damaged, or no {path.suffix} file ({type(error).__name__} {error})"
         raise ValueError(str(error) if type(error) is ValueError else cause) from error
-    return found
+    return content
 
 
-def _divide(found: Found) -> None:
+def _divide(content: FileContent) -> None:
     """Drop sets of cells that smaller or later sets fill: they are no regions."""
-    free, left = np.ones(len(found.cells), dtype=bool), []
-    for name, rows in sorted(reversed(found.sets.items()), key=lambda item: len(item[1])):
+    free, left = np.ones(len(content.cells), dtype=bool), []
+    for name, rows in sorted(reversed(content.sets.items()), key=lambda item: len(item[1])):
         if not free[rows].any():
             left.append(name)
         elif not free[rows].all():
@@ -85,23 +85,23 @@ def _divide(found: Found) -> None:
                 "regions, or name them by *SOLID SECTION in an .inp file"
             )
         free[rows] = False
-    found.notes += left_out("sets without cells of their own are no regions", left)
+    content.notes += left_out("sets whose cells are all in smaller sets are no regions", left)
     if free.all():
         raise ValueError(NO_REGION)
-    found.sets = {name: rows for name, rows in found.sets.items() if name not in left}
+    content.sets = {name: rows for name, rows in content.sets.items() if name not in left}
 
 
-def _inp(path: Path, _pick: Pick) -> Found:
+def _inp(path: Path, _pick: Pick) -> FileContent:
     """Read a file of Abaqus or CalculiX."""
     return abaqus.read(path)
 
 
-def _feb(path: Path, _pick: Pick) -> Found:
+def _feb(path: Path, _pick: Pick) -> FileContent:
     """Read a file of FEBio 2.5 to 4: blocks of elements, surfaces, sets of nodes."""
-    found, root = Found(), ET.parse(path).getroot()
+    content, root = FileContent(), ET.parse(path).getroot()
     mesh = [part for grid in root if grid.tag in ("Mesh", "Geometry") for part in grid]
     items = [node for part in mesh if part.tag == "Nodes" for node in part]
-    found.points = _table("Nodes", [node.text or "" for node in items], 3, float)
+    content.points = _table("Nodes", [node.text or "" for node in items], 3, float)
     number = np.array([node.attrib["id"] for node in items], dtype=np.int64)
     other = []
     for part in mesh:
@@ -112,19 +112,19 @@ def _feb(path: Path, _pick: Pick) -> Found:
             raise ValueError(f"{name}: is of type {', '.join(sorted(kinds))}; {ONLY}")
         if part.tag == "Elements" and known[0]:
             table = _table(name, [e.text or "" for e in part], int(known[0][2]), int)
-            extend(found.sets, [name], found.add(rows_of(number, table, "node")))
+            extend(content.sets, [name], content.add(rows_of(number, table, "node")))
         elif part.tag == "Surface":
             corners = [",".join((e.text or "").split(",")[:3]) for e in part]
             table = _table(name, corners, 3, int)
-            extend(found.triangles, [name], rows_of(number, table, "node"))
+            extend(content.triangles, [name], rows_of(number, table, "node"))
         elif part.tag == "NodeSet":
             words = (part.text or "").replace(",", " ").split() + [n.attrib["id"] for n in part]
             parts = [numbers_in(*map(int, word.split(":"))) for word in words]
-            extend(found.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
+            extend(content.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
         elif part.tag != "Nodes":
             other.append(f"{part.tag} {name}")
-    found.notes += left_out("of the file's mesh are not read", other)
-    return found
+    content.notes += left_out("of the file's mesh are not read", other)
+    return content
 
 
 def _table(name: str, lines: list[str], width: int, kind: type) -> Any:
@@ -139,20 +139,20 @@ def _table(name: str, lines: list[str], width: int, kind: type) -> Any:
     return numbers.reshape(-1, width)
 
 
-def _arrays(read: Callable[[Path], CellGrid]) -> Callable[[Path, Pick], Found]:
+def _arrays(read: Callable[[Path], CellGrid]) -> Callable[[Path, Pick], FileContent]:
     """Return a reader of files whose regions are values of arrays of cells."""
 
-    def reader(path: Path, pick: Pick) -> Found:
-        found = Found()
-        regions.fill(found, read(path), pick.array)
-        return found
+    def reader(path: Path, pick: Pick) -> FileContent:
+        content = FileContent()
+        regions.fill(content, read(path), pick.array)
+        return content
 
     return reader
 
 
 # Suffixes of files in which each kind of part can be picked.
 PICKED = {"array": (".vtu", ".pvtu", ".xdmf", ".xmf"), "meshes": (".med",)}
-READERS: dict[str, Callable[[Path, Pick], Found]] = {
+READERS: dict[str, Callable[[Path, Pick], FileContent]] = {
     ".inp": _inp,
     ".feb": _feb,
     ".med": med.read,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from app.mesh_files.content import ONLY, Found, left_out, numbers_in, rows_of
+from app.mesh_files.content import ONLY, FileContent, left_out, numbers_in, rows_of
 
 # Types of elements: tetrahedra, triangles, and other volumes.
 SOLID = re.compile(r"D?C3D(4|10)[A-Z]*")
@@ -317,13 +317,13 @@ class _Sets:
         return self.done[what]
 
 
-def read(path: Path) -> Found:
+def read(path: Path) -> FileContent:
     """Read nodes, tetrahedra, triangles, sets and surfaces.
 
     Names are case-insensitive; the first spelling is kept. If several instances have a set of the
     same name, the name of the instance is put before it. Parts without an instance are left out.
     """
-    found, everything = Found(), [*blocks(path)]
+    content, everything = FileContent(), [*blocks(path)]
     instance = {b.option("NAME").upper(): b for b in everything if b.key == "INSTANCE"}
     of_part: dict[str, str] = {}
     for name, b in instance.items():
@@ -333,9 +333,9 @@ def read(path: Path) -> Found:
         of_part[part] = name
     parts = {b.options["NAME"].upper(): b.options["NAME"] for b in everything if b.key == "PART"}
     unused = {p for p in parts if instance and p not in of_part}
-    found.notes += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
+    content.notes += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
     used = [b for b in everything if b.scope not in unused]
-    found.notes += left_out(
+    content.notes += left_out(
         "of the file are not read", (f"*{b.key}" for b in used if b.key not in READ)
     )
     sets = _Sets({*instance} | {*parts})
@@ -359,15 +359,21 @@ def read(path: Path) -> Found:
         if "NSET" in b.options:
             here = numbered[-1]
             sets.add("NSET", b.option("NSET"), scope(b), lambda n=here: n)  # type: ignore[misc]
-    found.points, node = np.concatenate(points), np.concatenate(numbered)
+    content.points, node = np.concatenate(points), np.concatenate(numbered)
     if empty:
-        found.notes.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
-    _elements(found, used, sets, node, scope)
-    return found
+        content.notes.append(
+            f"geometry: {empty} coordinates of nodes are empty, and are taken as 0"
+        )
+    _elements(content, used, sets, node, scope)
+    return content
 
 
 def _elements(
-    found: Found, used: list[Keyword], sets: _Sets, node: Ints, scope: Callable[[Keyword], str]
+    content: FileContent,
+    used: list[Keyword],
+    sets: _Sets,
+    node: Ints,
+    scope: Callable[[Keyword], str],
 ) -> None:
     """Add cells, triangles and the sets that contain them."""
     numbers: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
@@ -388,15 +394,15 @@ def _elements(
             rows = b.table(int(known[1].replace("65", "6")) + 1)
             here = rows[:, 0]
             if SOLID.fullmatch(kind):
-                found.add(rows_of(node, rows[:, 1:], "node"))
+                content.add(rows_of(node, rows[:, 1:], "node"))
                 numbers.append(here)
             else:
                 flat.append(rows[:, :4])
         if "ELSET" in b.options:
             sets.add("ELSET", b.option("ELSET"), scope(b), lambda n=here: n)  # type: ignore[misc]
-    found.notes += left_out("elements that are not read", unread)
+    content.notes += left_out("elements that are not read", unread)
     element, shells = np.concatenate(numbers), np.concatenate(flat)
-    cells = found.cells if found.blocks else np.zeros((0, 4), dtype=np.int64)
+    cells = content.cells if content.blocks else np.zeros((0, 4), dtype=np.int64)
 
     def listed(kind: str, b: Keyword, other: str = "") -> np.ndarray:
         """Return the members of a set: of GENERATE ranges, or listed numbers and named sets.
@@ -449,7 +455,7 @@ def _elements(
                 out.append(cells[rows][:, SIDES[side]])
                 if len(rows) < len(members):
                     text = "elements of a surface are no tetrahedra of the file"
-                    found.notes += left_out(text, [b.options["NAME"]])
+                    content.notes += left_out(text, [b.options["NAME"]])
             elif side in ("SPOS", "SNEG"):
                 if solid.any():
                     text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
@@ -476,8 +482,8 @@ def _elements(
             elif kind == "ELEMENT":
                 sets.add("SURFACE", name, scope(b), lambda b=b: faces(b))  # type: ignore[misc]
             else:
-                found.notes += left_out(f"surfaces of TYPE={kind} are not read", [name])
-    _named(found, used, sets, scope, node, element, shells)
+                content.notes += left_out(f"surfaces of TYPE={kind} are not read", [name])
+    _named(content, used, sets, scope, node, element, shells)
 
 
 def _combined(how: str, each: list[np.ndarray], at: str) -> np.ndarray:
@@ -496,7 +502,7 @@ def _combined(how: str, each: list[np.ndarray], at: str) -> np.ndarray:
 
 
 def _named(
-    found: Found,
+    content: FileContent,
     used: list[Keyword],
     sets: _Sets,
     scope: Callable[[Keyword], str],
@@ -513,7 +519,7 @@ def _named(
         twice = {k for k in keys if often.count(k[1]) > 1 and k[0]}
         titled = {k: f"{k[0]}.{sets.spelled[k]}" if k in twice else sets.spelled[k] for k in keys}
         text = "sets of one name in several parts have the part before their name"
-        found.notes.extend(left_out(text, [titled[k] for k in keys if k in twice]))
+        content.notes.extend(left_out(text, [titled[k] for k in keys if k in twice]))
         return titled
 
     sections = set()
@@ -532,18 +538,20 @@ def _named(
         solids[key] = np.unique(members[np.isin(members, element)])
         triangles = shells[np.isin(shells[:, 0], members), 1:]
         if len(triangles):
-            found.triangles[title[key]] = rows_of(node, triangles, "node")
+            content.triangles[title[key]] = rows_of(node, triangles, "node")
     regions = [key for key, members in solids.items() if len(members)]
     left = [k for k in regions if sections & {*regions} and k not in sections]
-    found.notes += left_out("sets without *SOLID SECTION are no regions", [title[k] for k in left])
+    content.notes += left_out(
+        "sets without *SOLID SECTION are no regions", [title[k] for k in left]
+    )
     for key in regions:
         if key not in left:
-            found.sets[title[key]] = rows_of(element, solids[key], "element")
+            content.sets[title[key]] = rows_of(element, solids[key], "element")
     boundary = titles("SURFACE", "NSET")
     for key in sets.made["SURFACE"]:
         corners = sets.members("SURFACE", key)
         if not len(corners):
-            found.notes += left_out("surfaces without a facet", [boundary[key]])
-        found.triangles[boundary[key]] = corners
+            content.notes += left_out("surfaces without a facet", [boundary[key]])
+        content.triangles[boundary[key]] = corners
     for key in sets.made["NSET"]:
-        found.nodes[boundary[key]] = rows_of(node, sets.members("NSET", key), "node")
+        content.nodes[boundary[key]] = rows_of(node, sets.members("NSET", key), "node")

@@ -54,7 +54,7 @@ class CellGrid:
 
 
 @dataclass
-class Found:
+class FileContent:
     """Content of a mesh file: nodes (n, 3), cells (m, 4 or 10) in gmsh's order, and named sets.
 
     Sets of cells are rows of ``cells``; triangles (k, 3) and sets of nodes rows of ``points``.

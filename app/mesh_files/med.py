@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from app.mesh_files.content import ONLY, ORDER_MED, Found, Pick, extend, left_out
+from app.mesh_files.content import ONLY, ORDER_MED, FileContent, Pick, extend, left_out
 
 TETRAHEDRA = ("tetra", "tetra10")
 
 
-def read(path: Path, pick: Pick) -> Found:
+def read(path: Path, pick: Pick) -> FileContent:
     """Read the only mesh of tetrahedra, or the picked meshes.
 
     If several meshes have a group of the same name, the name of the mesh is put before it.
@@ -36,19 +36,19 @@ def read(path: Path, pick: Pick) -> Found:
     if len(full) > 1 and not pick.meshes:
         raise ValueError(f"has the meshes {listed}: set `geometry.meshes` to those of the model")
     chosen = pick.meshes or full or [*meshes]
-    found = Found()
-    found.notes += left_out("meshes that are not read", (n for n in meshes if n not in chosen))
+    content = FileContent()
+    content.notes += left_out("meshes that are not read", (n for n in meshes if n not in chosen))
     groups = [group for name in chosen for group in _groups(meshes[name])]
     twice = {group for group in groups if groups.count(group) > 1}
     shift = 0
     for name in chosen:
         titles = {g: f"{name}.{g}" if g in twice else g for g in _groups(meshes[name])}
-        _add(found, meshes[name], shift, titles)
+        _add(content, meshes[name], shift, titles)
         shift += len(meshes[name].points)
     text = "groups of one name in several meshes have the mesh before their name"
-    found.notes += left_out(text, sorted(twice))
-    found.points = np.concatenate([meshes[name].points for name in chosen])
-    return found
+    content.notes += left_out(text, sorted(twice))
+    content.points = np.concatenate([meshes[name].points for name in chosen])
+    return content
 
 
 def _meshes(path: Path) -> dict[str, Any]:
@@ -85,11 +85,11 @@ def _groups(mesh: Any) -> set[str]:
     return {name for names in families for name in names}
 
 
-def _add(found: Found, mesh: Any, shift: int, titles: dict[str, str]) -> None:
+def _add(content: FileContent, mesh: Any, shift: int, titles: dict[str, str]) -> None:
     """Add cells and groups of a mesh.
 
     Args:
-        found: The content to which they are added.
+        content: The content to which they are added.
         mesh: The mesh.
         shift: Number of its first node among the nodes of all meshes.
         titles: Names of its groups in the case.
@@ -100,12 +100,12 @@ def _add(found: Found, mesh: Any, shift: int, titles: dict[str, str]) -> None:
             raise ValueError(f"the cells are of type {block.type}; {ONLY}")
         if block.dim < 2:
             continue
-        sets = found.sets if block.dim == 3 else found.triangles
+        sets = content.sets if block.dim == 3 else content.triangles
         data = block.data + shift
-        members = found.add(data, ORDER_MED) if block.dim == 3 else data[:, :3]
+        members = content.add(data, ORDER_MED) if block.dim == 3 else data[:, :3]
         for family in np.unique(families[k]):
             names = [titles[name] for name in mesh.cell_tags.get(family, ())]
             extend(sets, names, members[families[k].ravel() == family])
     for family, groups in mesh.point_tags.items():
         rows = np.flatnonzero(mesh.point_data["point_tags"] == family) + shift
-        extend(found.nodes, [titles[name] for name in groups], rows)
+        extend(content.nodes, [titles[name] for name in groups], rows)

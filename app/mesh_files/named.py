@@ -18,17 +18,17 @@ NAMES = {".geo": QUOTED, ".xdmf": ARRAYS, ".xmf": ARRAYS, ".pvtu": SOURCES}
 
 def names(path: Path) -> list[str]:
     """Return the names of a file and of all files in its folder or below to which it refers."""
-    folder, found = path.parent.resolve(), [path.name]
-    for name in found:  # it grows
+    folder, names = path.parent.resolve(), [path.name]
+    for name in names:  # it grows
         if Path(name).suffix not in NAMES:
             continue
         for words in _words(folder / name, (folder / name).stat().st_mtime_ns):
             other = os.path.normpath(Path(name).parent / words)
             with suppress(OSError, ValueError):  # not a file name
                 inside = (folder / other).resolve().is_relative_to(folder)
-                if inside and other not in found and (folder / other).is_file():
-                    found.append(other)
-    return found
+                if inside and other not in names and (folder / other).is_file():
+                    names.append(other)
+    return names
 
 
 def stamps(path: Path) -> tuple[tuple[str, int], ...]:

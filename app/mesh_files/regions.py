@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from app.foundation.arrays import Ints
-from app.mesh_files.content import CellBlock, CellGrid, Found, extend, left_out
+from app.mesh_files.content import CellBlock, CellGrid, FileContent, extend, left_out
 
 MOST = 255  # different values of an array of regions, at most
 # Names of arrays of regions, and of arrays that number cells, their kinds or processes.
@@ -25,7 +25,7 @@ BOOKKEEPING = re.compile(
 Names = tuple[str, ...]
 
 
-def fill(found: Found, grid: CellGrid, array: str = "") -> None:
+def fill(content: FileContent, grid: CellGrid, array: str = "") -> None:
     """Put cells into regions, and triangles into boundaries, by the values of their arrays.
 
     Blocks whose arrays have the same names use the same array, the given one if there is one. A
@@ -35,8 +35,8 @@ def fill(found: Found, grid: CellGrid, array: str = "") -> None:
     Raises:
         ValueError: No array has whole numbers of regions, or several arrays disagree.
     """
-    found.points = grid.points
-    found.notes += grid.notes
+    content.points = grid.points
+    content.notes += grid.notes
     solids, flats = ([b for b in grid.blocks if b.dim == dim] for dim in (3, 2))
     cells = _cells(grid.points, solids)
     keys = _keys(solids, cells, array)
@@ -52,17 +52,17 @@ def fill(found: Found, grid: CellGrid, array: str = "") -> None:
         key = keys[tuple(block.arrays)]
         rows = np.flatnonzero(bool(key) | ~np.isin(numbers, known))
         if len(rows):
-            members = found.add(block.data[rows])
+            members = content.add(block.data[rows])
             if key:
-                _put(found.sets, block.arrays[key], title[key], members)
+                _put(content.sets, block.arrays[key], title[key], members)
     for block in flats:
         for key in sides[tuple(block.arrays)]:
-            _put(found.triangles, block.arrays[key], title[key], block.data[:, :3])
+            _put(content.triangles, block.arrays[key], title[key], block.data[:, :3])
     only_boundaries = [key for key in boundaries if key not in regions]
     for what, names in (("regions", regions), ("boundaries", only_boundaries)):
-        found.notes += [f"geometry: {what} are the values of the array {key}" for key in names]
+        content.notes += [f"geometry: {what} are the values of the array {key}" for key in names]
     every = [name for block in grid.blocks for name in block.arrays]
-    found.notes += left_out(
+    content.notes += left_out(
         "arrays of cells that are not read", (name for name in every if name not in used)
     )
 

@@ -145,19 +145,21 @@ class _File:
         address = address.strip()
         try:
             if by_positions:
-                found = [self.root]
+                elements = [self.root]
                 for position in address.strip("/").split("/")[1:]:
-                    found = [found[0][int(position) - 1]]
-                return found
+                    elements = [elements[0][int(position) - 1]]
+                return elements
             either = EITHER.search(address)
             outer = (address[: either.start()] if either else address).rstrip("/")
             root = f"/{self.root.tag}"
-            found = self.root.findall(f".{outer.removeprefix(root)}")
+            elements = self.root.findall(f".{outer.removeprefix(root)}")
             if either:
                 wanted = re.findall(r"self::(\w+)", either[1])
-                found = [part for element in found[:1] for part in element if part.tag in wanted]
-            if found:
-                return found
+                elements = [
+                    part for element in elements[:1] for part in element if part.tag in wanted
+                ]
+            if elements:
+                return elements
         except (SyntaxError, KeyError, ValueError, IndexError):
             pass
         raise ValueError(f"refers to {address}, which is not in the file or cannot be read")

@@ -72,7 +72,7 @@ class PatientBone:
     """A patient's bone.
 
     Attributes:
-        frame: Landmarks found on the bone.
+        frame: Landmarks of the bone.
         surface: Its surface, in the model's axes.
         canal: Surface of its canal, or None.
     """

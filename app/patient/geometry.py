@@ -47,8 +47,8 @@ class Outline(Section):
     label: Annotated[int, Plain(integer=True)] | None = None
     """Number of its voxels in the image."""
     unit: Unit | None = None
-    """Unit of the file; by default the one that makes a femur of the bone, which is told, and for
-    a canal that of the bone."""
+    """Unit of the file. By default the unit with which the bone is as long as a femur, which is
+    reported; for a canal that of the bone."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -71,11 +71,12 @@ class Bone(Outline):
     """The outer surface of a femur, of all of it or of its proximal part."""
 
     side: Literal["left", "right"] | None = None
-    """Side of the body; found by default. A right femur is mirrored: x is medial, y anterior."""
+    """Side of the body; by default from the landmarks. A right femur is mirrored: x is medial, y is
+    anterior."""
 
 
 class Canal(Outline):
-    """The medullary canal; without a file as wide a part of the bone as in mantle's own femur."""
+    """The medullary canal; without a file as wide a part of the bone as in the parametric femur."""
 
     ream: Literal["none", "by", "broach"] = "none"
     """What the surgeon widens it by: nothing, the same everywhere (`ream_by`), or to what stem and
@@ -85,7 +86,7 @@ class Canal(Outline):
 
 
 class Landmarks(Section):
-    """Landmarks that are given and not found, in mm in the axes of the bone's file."""
+    """Landmarks that are given, in mm in the axes of the bone's file."""
 
     head_centre: Place | None = None
     """Centre of the femoral head."""
@@ -112,9 +113,9 @@ class Patient(OperatedHip):
     canal: Canal = Field(default_factory=Canal)
     """Its medullary canal, and how it is reamed."""
     landmarks: Landmarks = Field(default_factory=Landmarks)
-    """Landmarks that are given and not found."""
+    """Landmarks that are given; the others are determined."""
     stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
-    """The implant: mantle's own by its numbers, or one from a file of CAD."""
+    """The implant: by its numbers, or one from a file of CAD."""
     resection: Resection = Field(default_factory=Resection)
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
@@ -158,7 +159,7 @@ class Patient(OperatedHip):
 
     @property
     def implant(self) -> Implant:
-        """The stem in axes of its own, with its shoulder at 0."""
+        """The stem in its axes, with its shoulder at 0."""
         return self.stem.implant(None, self.plug_length, self.tip_void)
 
     @cached_property

@@ -46,7 +46,7 @@ class Calibration(Section):
 class ImageModulus(ModulusField):
     """Young's modulus by the density in an image."""
 
-    found: ClassVar[tuple[str, ...]] = ("sha256",)
+    from_file: ClassVar[tuple[str, ...]] = ("sha256",)
 
     density: ImageFile
     """Image of CT numbers: NIfTI, DICOM (slices or frames), or `values` and `affine` in an `.npz`
@@ -54,7 +54,7 @@ class ImageModulus(ModulusField):
     calibration: Calibration
     """What makes densities of CT numbers: the line of a phantom."""
     law: Law
-    """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a law of one's own."""
+    """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a law that the case gives."""
     axes: Literal["RAS", "LPS"] = "RAS"
     """Axes of the bone's file, or of the geometry: to right, anterior, superior as in the image, or
     to left, posterior, superior, as 3D Slicer writes surfaces."""

@@ -1,8 +1,9 @@
 """Landmarks and axes of a femur from the triangles of its surface.
 
-The head is a sphere, found by pairs of points with normals; the shaft a line through centroids of
-sections; the lesser trochanter the most prominent peak of the outline's reach along the shaft; the
-neck the plane of least area. Lengths go with the head's radius, so that size does not matter.
+The head is a sphere, determined by pairs of points with normals. The shaft is a line through
+centroids of sections. The lesser trochanter is the most prominent peak of the outline's reach
+along the shaft. The neck is the plane of least area. Lengths go with the head's radius, so that
+size does not matter.
 """
 
 from __future__ import annotations
@@ -155,7 +156,7 @@ def find(surface: BoneSurface, given: Mapping[str, Any] | None = None) -> Frame:
 
 
 class _Finder:
-    """Triangles of a femur by areas, centres and normals, and what is found on them, in order."""
+    """Triangles of a femur by areas, centres and normals, and the landmarks they determine."""
 
     def __init__(self, surface: BoneSurface, given: Mapping[str, Any]) -> None:
         self.given, self.x, self.triangles = given, surface.points, surface.triangles
@@ -189,10 +190,10 @@ class _Finder:
             turn = math.hypot(spread / math.sqrt(1 - float(up @ neck) ** 2), condyles)
             medial = across
         axes = np.stack([medial, way * np.cross(up, medial), up])
-        told = {"head": self.spread, "neck": spread, "version": turn}
+        intervals = {"head": self.spread, "neck": spread, "version": turn}
         places = self.origin, axes, neck, self.trochanter
         length = float(np.ptp(self.x @ up))
-        return Frame(self.head, self.radius, *places, side, version, told, length)
+        return Frame(self.head, self.radius, *places, side, version, intervals, length)
 
     def _samples(self) -> tuple[Floats, Floats, Floats]:
         """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""
@@ -211,11 +212,11 @@ class _Finder:
     def _find_head(self, axis: Floats) -> None:
         """Centre, radius and spread of the head, and the way to proximal."""
         x, normal, area = self._samples()
-        found = []
+        spheres = []
         for up in (axis, -axis):
             end = x @ up > (x @ up).max() - END
-            found.append((*_sphere(x[end], normal[end], area[end]), up))
-        covered, centre, radius, self.up = max(found, key=lambda f: f[0])
+            spheres.append((*_sphere(x[end], normal[end], area[end]), up))
+        covered, centre, radius, self.up = max(spheres, key=lambda f: f[0])
         if covered < COVERED:
             text = f"no sphere covers more than {100 * covered:.0f} % of itself at either end, the"
             text += f" best at {place(centre)}; expected a femur with its head, in the right unit"
@@ -280,9 +281,9 @@ class _Finder:
             rows = [(self._section(top - d * up).reshape(-1, 2) @ flat).max(0) for d in depths]
             reach = gaussian_filter1d(np.array(rows), 1.5 / STEP, axis=0)
             peaks = np.zeros(reach.T.shape)
-            for own, profile in zip(peaks, reach.T, strict=True):
-                at, found = find_peaks(profile, prominence=0.5)
-                own[at] = found["prominences"]
+            for prominence, profile in zip(peaks, reach.T, strict=True):
+                at, properties = find_peaks(profile, prominence=0.5)
+                prominence[at] = properties["prominences"]
             low, high = (part * radius for part in TROCHANTER)
             peaks[:, (depths < low) | (depths > high)] = 0.0
             if not peaks.any():
@@ -350,16 +351,18 @@ class _Finder:
             distal = self.centre @ self.up < self.low + 1.5 * self.radius
             out = (self.centre[distal] - self.origin) @ left
             behind -= float(np.average(out, weights=self.area[distal])) / self.radius
-        found, given = "left" if behind > 0 else "right", self.given.get("side")
+        side, given = "left" if behind > 0 else "right", self.given.get("side")
         if abs(behind) < 0.15:
-            text = "left or right cannot be told: the lesser trochanter is not behind the neck"
+            text = (
+                "left or right cannot be determined: the lesser trochanter is not behind the neck"
+            )
             if not given:
                 raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
-        elif given not in (None, found):
+        elif given not in (None, side):
             off = abs(float((self.trochanter - self.origin) @ left))
-            text = f"the lesser trochanter is {off:.0f} mm behind the axis of a {found} femur"
+            text = f"the lesser trochanter is {off:.0f} mm behind the axis of a {side} femur"
             raise GeometryError(f"geometry.bone.side: {text}; leave side out, or mirror the file")
-        return str(given or found)
+        return str(given or side)
 
     def _condyles(self, back: Floats) -> Floats:
         """Direction of the line between the most posterior points of the condyles (3,)."""
@@ -381,14 +384,14 @@ def _sphere(x: Floats, normal: Floats, area: Floats) -> tuple[float, Floats, flo
     apart, turned = (v[pairs[0]] - v[pairs[1]] for v in (x, normal))
     radii = _dot(apart, turned) / np.maximum(_dot(turned, turned), 1e-12)
     good = (_dot(turned, turned) > 0.05) & (radii > RADII[0]) & (radii < RADII[1])
-    found = [(0.0, x[0], 1.0)]
+    spheres = [(0.0, x[0], 1.0)]
     for k, r in zip(pairs[0][good], radii[good], strict=True):
         centre = x[k] - r * normal[k]
         out = x - centre
         near = np.flatnonzero(np.abs(_dot(out, out) - r * r) < 2 * r * NEAR)
         on = near[_dot(out[near], normal[near]) > ALONG * r]
-        found.append((area[on].sum() / (4 * math.pi * r * r), centre, r))
-    return max(found, key=lambda f: f[0])
+        spheres.append((area[on].sum() / (4 * math.pi * r * r), centre, r))
+    return max(spheres, key=lambda f: f[0])
 
 
 def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats, float]:
@@ -403,8 +406,8 @@ def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats
         return np.column_stack([root[:, None] * out / _far(out)[:, None], -root])
 
     start = np.r_[centre, radius]
-    found = least_squares(off, start, slope, loss="soft_l1", f_scale=ROBUST).x
-    return found[:3], float(found[3])
+    solution = least_squares(off, start, slope, loss="soft_l1", f_scale=ROBUST).x
+    return solution[:3], float(solution[3])
 
 
 def _across(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:

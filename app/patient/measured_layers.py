@@ -125,8 +125,8 @@ class MeasuredLayers:
                 " was made"
             )
         self._bone = Radii(zeta, _limited(radii))
-        own = self._table() if canal is None else self._measured(canal)
-        self._endosteum = Radii(zeta, self._reamed(reaming, own, stem))
+        canal_radii = self._table() if canal is None else self._measured(canal)
+        self._endosteum = Radii(zeta, self._reamed(reaming, canal_radii, stem))
 
     def _middles(self, bone: BoneSurface, canal: BoneSurface | None) -> Floats:
         """Centres of the sections of the mesh (n, 2) [mm]: below the plug those of the canal."""
@@ -136,9 +136,9 @@ class MeasuredLayers:
             middle = centroid(bone.level(zeta[k]))[0]
             lines = canal.level(zeta[k]) if canal else NO_LINES
             if len(lines):
-                own = centroid(lines)[0]
-                if np.hypot(*(own - middle)) < ECCENTRIC:
-                    middle = own
+                canal_middle = centroid(lines)[0]
+                if np.hypot(*(canal_middle - middle)) < ECCENTRIC:
+                    middle = canal_middle
             centres[k] = self._sections.below_plug(zeta[k]) * middle
         return centres
 
@@ -167,7 +167,7 @@ class MeasuredLayers:
         x = self._places(self._bone.radii)
         theta = np.arctan2(x[..., 1], x[..., 0])
         z = np.asarray(x[..., 2] / self._size)
-        self.notes.append("canal: by the ratios of mantle's own femur")
+        self.notes.append("canal: by the ratios of the parametric femur")
         table = FemurBone()
         return np.asarray(self._bone.radii * table.endosteum(theta, z) / table.periosteum(theta, z))
 
@@ -186,8 +186,10 @@ class MeasuredLayers:
                 f"geometry.canal.surface: ends at {self._at_axis(zeta[first])}, beside the stem or"
                 " its plug; shorten the stem or give a longer canal"
             )
-        own = gaussian_filter(_limited(radii[first : last + 1]), ROUGH, mode=("nearest", "wrap"))
-        wall = bone[first : last + 1] - own
+        canal_radii = gaussian_filter(
+            _limited(radii[first : last + 1]), ROUGH, mode=("nearest", "wrap")
+        )
+        wall = bone[first : last + 1] - canal_radii
         if wall.min() < 0:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
             raise GeometryError(
@@ -195,7 +197,7 @@ class MeasuredLayers:
                 f" {self._placed.where(self._places(bone)[first + i, j])}; expected within it, in"
                 " the same axes"
             )
-        below = bone[:first] * (own[0] / bone[first])
+        below = bone[:first] * (canal_radii[0] / bone[first])
         part = np.clip((zeta[last + 1 :, None] - zeta[last]) / THINNING, 0.0, 1.0)
         thin = THIN * self._oblique()[last + 1 :]
         above = bone[last + 1 :] - (wall[-1] + part * (thin - wall[-1]))
@@ -203,7 +205,7 @@ class MeasuredLayers:
         self.notes.append(
             f"canal: measured up to z = {top:.0f} mm; above, cortex thins to {THIN:g}"
         )
-        return np.concatenate([below, own, above])
+        return np.concatenate([below, canal_radii, above])
 
     def _oblique(self) -> Floats:
         """Ways of rays out of the bone over distances from its surface (n, `ANGLES`)."""
@@ -225,23 +227,23 @@ class MeasuredLayers:
             zeta = x[:, 2] + self._sections.slope(zeta) * rise
         return float(zeta.min() if flat.any() else zeta.max()) - EVERY
 
-    def _reamed(self, reaming: Reaming, own: Floats, stem: StemShape) -> Floats:
+    def _reamed(self, reaming: Reaming, canal: Floats, stem: StemShape) -> Floats:
         """Radii of the endosteum after reaming [mm]; notes say what it takes of the bone."""
         bone, zeta = self._bone.radii, self._bone.zeta
-        wanted = own
+        wanted = canal
         if reaming.ream == "by":
-            wanted = own + reaming.ream_by
+            wanted = canal + reaming.ream_by
         elif reaming.ream == "broach":
-            wanted = np.maximum(own, self._broached(stem))
-        most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
+            wanted = np.maximum(canal, self._broached(stem))
+        most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - canal))
         made = np.minimum(wanted, most)
-        # Below the plug the reamed canal goes over to the patient's own.
+        # Below the plug the reamed canal goes over to the patient's.
         depth = (zeta < self._sections.plug)[:, None]
         at = int(np.searchsorted(zeta, self._sections.plug))
-        loft = own + (made[at] - own[at]) * (1 - self._sections.below_plug(zeta)[:, None])
+        loft = canal + (made[at] - canal[at]) * (1 - self._sections.below_plug(zeta)[:, None])
         made = np.where(depth, np.minimum(loft, most), made)
         within = (zeta > self._sections.plug)[:, None]
-        for what, size in ("taken within by reaming, at most", made - own), ("left", made - bone):
+        for what, size in ("taken within by reaming, at most", made - canal), ("left", made - bone):
             size = np.where(within, size, -np.inf)
             i, j = np.unravel_index(size.argmax(), size.shape)
             where = self._placed.where(self._places(made)[i, j])
@@ -288,9 +290,9 @@ class MeasuredLayers:
         ratio = np.hypot(*start[below, :2].T) / self._endosteum(turn, level + depth)
         part = np.minimum(depth / CORE_OVER, 1.0)
         turn += part * (np.mod(theta[below] - turn + np.pi, 2 * np.pi) - np.pi)
-        levels, own = np.unique(level, return_inverse=True)
+        levels, row = np.unique(level, return_inverse=True)
         around = (v.ravel() for v in np.meshgrid(THETA[::6], levels))
-        mean = self._endosteum(*around).reshape(-1, ANGLES // 6).mean(axis=1)[own]
+        mean = self._endosteum(*around).reshape(-1, ANGLES // 6).mean(axis=1)[row]
         canal = self._endosteum(turn, level)
         core = np.minimum(CORE * mean, NARROW * canal)
         x[below] = self._on(turn, level, ratio * canal + part * (core - ratio * canal))

@@ -419,12 +419,12 @@ def _read_ply(path: Path) -> tuple[Floats, list[str]]:
         raise GeometryError(f"{path}: {error}") from None
     with np.errstate(invalid="ignore"):  # of damaged numbers
         points = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
-    found, notes = _corners_of(path, points, corners, lambda k: f"face {k + 1:,}")
+    triangles, notes = _corners_of(path, points, corners, lambda k: f"face {k + 1:,}")
     kind = "text" if not order else "binary"
     left = [e.name for e in elements if e.name not in ("vertex", "face") and e.rows]
     if left:
         notes.append(f"elements that are not read: {', '.join(left)}")
-    return found, [f"{len(corners):,} faces of a {kind} PLY file", *notes]
+    return triangles, [f"{len(corners):,} faces of a {kind} PLY file", *notes]
 
 
 def _header(data: bytes) -> tuple[str, list[Element], int]:

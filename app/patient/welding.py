@@ -270,7 +270,7 @@ def _ears(x: Floats, normal: Floats) -> Ints:
         (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
         return np.asarray(p * s - q * r)
 
-    left, found = list(range(len(x))), []
+    left, ears = list(range(len(x))), []
     while len(left) > 3:
         best = 0  # a polygon that crosses itself may have no ear: any corner is cut off
         for k in range(len(left)):
@@ -282,6 +282,6 @@ def _ears(x: Floats, normal: Floats) -> Ints:
             if not (np.array(sides) >= 0).all(axis=0).any():
                 best = k
                 break
-        found.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
+        ears.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
         del left[best]
-    return np.array([*found, left])
+    return np.array([*ears, left])

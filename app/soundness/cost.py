@@ -265,7 +265,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
     for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
-        if name == "told" or note == {}:
+        if name == "messages" or note == {}:
             continue
         text = f"{name.replace('_', ' ')}: {plain(note)}" if name != "mantle" else _mantle(note)
         lines += textwrap.wrap(text, 98, initial_indent="  ", subsequent_indent="    ")

@@ -109,7 +109,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     """A line per field: internal value, and the given one where that differs."""
     written = model.model_dump(mode="json", exclude_none=True)
     source = given if isinstance(given, dict) else {}
-    found = getattr(model, "found", ())
+    from_file = getattr(model, "from_file", ())
     for key, value in written.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
@@ -123,7 +123,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
         raw = plain(source[key]) if key in source else None
         note = "" if raw is None or raw == text else f"  ({raw})"
         yield f"{' ' * indent}{key}: {text}{note}" + (
-            "" if key in source else f"  [{'found' if key in found else 'default'}]"
+            "" if key in source else f"  [{'from the file' if key in from_file else 'default'}]"
         )
 
 

@@ -73,7 +73,7 @@ def judge(case: Case, found: Parts) -> list[Verdict]:
     Raises:
         InputError: It cannot be solved: with all the reasons.
     """
-    notes = [note(text) for text in found.data.notes.get("told", ())]
+    notes = [note(text) for text in found.data.notes.get("messages", ())]
     notes += [*_cracks(case, found), *_size(case, found)]
     errors = [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]
     errors += _outside(case, found)

@@ -76,7 +76,7 @@ def whole(data: MeshData, bone: str = "bone", cement: str = "cement") -> dict[st
 
 def said(data: MeshData) -> str:
     """Notes on the file."""
-    return "\n".join(data.notes["told"])
+    return "\n".join(data.notes["messages"])
 
 
 # ---------------------------------------------------------------------------------------- .inp

@@ -116,7 +116,7 @@ def test_mesh_file_cells_listed_inside_out_are_reoriented_with_note(
     (note,) = well_posedness.judge(case, well_posedness.look(case, back))
     words = f"{turned.sum()} of {len(cells)} cells of the file list their nodes inside out"
     assert words in note.text
-    assert read(tmp_path, data).notes["told"] == []
+    assert read(tmp_path, data).notes["messages"] == []
 
 
 def test_mesh_file_with_unshared_middle_nodes_is_refused(tmp_path: Path) -> None:

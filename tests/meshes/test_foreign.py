@@ -143,7 +143,7 @@ def test_mesh_file_of_each_format_has_the_same_mesh(
         *{"inp": ["Nall"], "feb": ["some"]}.get(suffix, []),
     }
     assert geometry.estimate_cells(MeshOptions(size="1 mm")) == len(rod.cells)
-    said = " ".join(back.notes["told"])
+    said = " ".join(back.notes["messages"])
     for words in {"inp": ["Eall", "*MATERIAL, *ELASTIC"], "feb": ["ElementSet e", "some"]}.get(
         suffix, []
     ):
@@ -198,7 +198,7 @@ def test_mesh_file_coincident_nodes_are_merged_unless_finite_sliding(
     areas, whole = boundary_areas(back), boundary_areas(rod)
     assert areas["Low"] == pytest.approx(whole["bottom"])
     assert areas["Top"] == pytest.approx(whole["top"])
-    assert f"{len(points) - len(rod.points)} nodes are merged" in " ".join(back.notes["told"])
+    assert f"{len(points) - len(rod.points)} nodes are merged" in " ".join(back.notes["messages"])
     (tmp_path / "case.yaml").write_text(SLIDES)
     case = load(tmp_path / "case.yaml").config
     back = meshes.build(case.geometry, case.mesh)
@@ -246,7 +246,7 @@ def test_mesh_file_with_two_meshes_of_dolfinx(tmp_path: Path) -> None:
     back = meshes.build(geometry, MeshOptions(size="1 mm"))
     assert region_volumes(back) == pytest.approx({"material_4": 6.0, "material_7": 12.0})
     assert len(back.points) == 12
-    text = " ".join(back.notes["told"])
+    text = " ".join(back.notes["messages"])
     assert "2 sets of nodes" in text and "of the 2 time steps of the grid material" in text
 
 
