@@ -1,30 +1,33 @@
 r"""Unilateral contact with Coulomb friction at a point of an interface (paper eq. 57, 63-65).
 
-A contact point carries the gap vector D (slave minus master) [mm] and the interface force per area
-F [MPa], the multiplier of the potential's term F . D. The normal n points from the master to the
-slave: D_n = D . n >= 0 is the opening and F_n = F . n <= 0 the contact force. With S = F + r D and
-r the augmentation [MPa/mm], the augmented Lagrangian of one point is, per area,
+A contact point has the gap vector D (slave minus master) [mm] and the interface force per area
+F [MPa]. F is the multiplier of the term F . D in the potential. The normal n points from the master
+to the slave: D_n = D . n >= 0 is the opening and F_n = F . n <= 0 the contact force. With the
+augmentation r [MPa/mm] and the trial force S = F + r D, the augmented Lagrangian per area is
 
 .. math:: Π = F·D + \tfrac r2 |D|^2 - \tfrac1{2r} dist^2(S_n, R_-)
               - \tfrac1{2r} dist^2(S_T, C(P_{R_-} S_n^*)),
 
-C(f) the disc of radius -μ f, the star an argument that is not differentiated (eq. 65, which prints
-R_+ under the first distance; eq. 68 has it right). The normal part of D is the jump with the
-initial gap, the tangential part its change since the last converged state.
+C(f) is the disc of radius -μ f. A star marks an argument that is not differentiated. This is
+eq. 65, which prints R_+ under the first distance; eq. 68 prints it correctly. The normal part of D
+is the jump plus the initial gap. The tangential part is the change of the jump since the last
+converged state.
 
-Completing the square, while the point touches,
+Completing the square gives, while the point touches,
 
 .. math:: 2 r Π = S_n^2 + |S_T|^2 - dist^2(S_T, C(S_n^*)) - |F|^2,
 
-and 2 r Π = -|F|^2 while it is open. This is the form below. ∂Π/∂D is the projected force P(S);
-the law is F = P(S), and the derivative of P, star included, its generalized Jacobian.
+and 2 r Π = -|F|^2 while it is open. The code below uses this form. ∂Π/∂D is the projected force
+P(S), and the law is F = P(S). The generalized Jacobian is the derivative of P, with respect to the
+starred argument too.
 
 A point on an edge of an interface has up to three faces, each with its normal, but one jump and one
-force. "Normal" is then the span of the normals of the faces that touch, and their friction acts in
-what that span leaves: along the edge where two touch, nowhere where three do. Which faces touch
-follows from their pressures (not negative) and from the gaps of the others (not negative). Where no
-set of faces passes both, because friction on one face holds the point against another, all faces
-touch: nothing penetrates, and friction carries what pressures cannot.
+force. The normal direction is then the span of the normals of the touching faces. Friction acts in
+the orthogonal complement: along the edge if two faces touch, not at all if three touch.
+
+A set of faces touches if their pressures and the gaps of the other faces are not negative. If no
+set satisfies both, friction on one face holds the point against another. All faces then touch:
+nothing penetrates, and friction carries the part that pressures cannot.
 """
 
 from __future__ import annotations
@@ -34,7 +37,6 @@ from dataclasses import dataclass, field
 from dataclasses import replace as replace_state
 from functools import partial, reduce
 from itertools import combinations
-from typing import Any
 
 from ufl import (
     And,
@@ -56,11 +58,13 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 from ufl.variable import Variable
 
-# A face counts as open when the gap it keeps exceeds minus this fraction of |S|/r, so that the sign
-# of a rounding error does not decide.
+from forms import Scalar
+
+# A face counts as open if its gap exceeds minus this fraction of |S|/r. The sign of a rounding error
+# then does not decide.
 ROUNDING = 1e-9
-# A point has the status of stick until its trial force exceeds the limit of friction by this part,
-# so that rounding does not decide while loads are constant.
+# A point sticks until its tangential trial force exceeds the limit of friction by this part.
+# Rounding then does not decide while loads are constant.
 AT_REST = 1e-6
 
 # States of a point.
@@ -74,7 +78,8 @@ class Faces(tuple[Expr, ...]):
     """Unit normals of the faces of a point, from master to slave, each (3,).
 
     Attributes:
-        duals: Vectors whose products with a vector are its components along the normals, each (3,).
+        duals: Dual vectors of the normals, each (3,). Their products with a vector are its components
+            along the normals.
     """
 
     duals: tuple[Expr, ...]
@@ -90,7 +95,7 @@ class Faces(tuple[Expr, ...]):
         """Coefficients of the projection of a vector on the span of the normals."""
         return [dot(vector, dual) for dual in self.duals]
 
-    def span(self, a: Sequence[Any]) -> Expr:
+    def span(self, a: Sequence[Scalar]) -> Expr:
         """Sum of a_k n_k over the faces."""
         return _combine(a, range(len(self)), self)
 
@@ -101,21 +106,22 @@ class Response:
 
     Attributes:
         force: Interface force per area (3,), of contact P(S) [MPa].
-        by_multiplier: Its generalized derivative by the multiplier (3, 3) [-]; None: it has none.
-        by_jump: Its generalized derivative by the jump (3, 3) [MPa/mm]; None: it is a function of
-            the trial force S, and this is r times the other.
+        by_multiplier: Generalized derivative of the force with respect to the multiplier (3, 3)
+            [-]; None if the law has no multiplier.
+        by_jump: Generalized derivative of the force with respect to the jump (3, 3) [MPa/mm]. None
+            if the force is a function of the trial force S: it is then r times `by_multiplier`.
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
         internal_variables: Internal variables after a converged step, by name.
-        slip: Irreversible tangential motion, 0 where open (3,) [mm]. None: of contact, the
-            tangential motion while it touches; of a law without multiplier, none.
-        stored: Stored energy per area [N/mm]; None: none.
-        dissipated: Energy per area that a step dissipates [N/mm]; None: of contact, friction; of a
-            law without multiplier, none.
-        dissipated_by_jump: Its derivative by the jump (3,) [MPa], of laws that `fracture_step`
-            controls; None: of others.
-        broken: Share of the area on which contact acts beside the law [-]; None: it has none.
-        broken_by_jump: Derivative of `broken` by the jump (3,) [1/mm].
+        slip: Irreversible tangential motion, 0 where open (3,) [mm]. None for contact, whose slip is
+            the tangential motion while it touches, and for laws without slip.
+        stored: Stored energy per area [N/mm]; None if there is none.
+        dissipated: Energy per area that a step dissipates [N/mm]. None for contact, where friction
+            dissipates, and for laws without dissipation.
+        dissipated_by_jump: Derivative of `dissipated` with respect to the jump (3,) [MPa], for laws
+            that `fracture_step` controls; None for others.
+        broken: Debonded share of the area, on which contact acts [-]; None if there is none.
+        broken_by_jump: Derivative of `broken` with respect to the jump (3,) [1/mm].
         energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
@@ -136,21 +142,21 @@ class Response:
 
 @dataclass(frozen=True)
 class _Touching:
-    """State of a point while a given set of its faces touches; open if there is none."""
+    """State of a point while a given set of its faces touches; open if the set is empty."""
 
     faces: tuple[int, ...]
     pressures: list[Expr]
     tangential: Expr
-    radius: Any
+    radius: Scalar
     sticks: Expr | None
     condition: Expr | None
 
-    def pressure(self, face: int) -> Any:
+    def pressure(self, face: int) -> Expr:
         """Pressure of a face, zero where it is open [MPa]."""
         return self.pressures[self.faces.index(face)] if face in self.faces else 0 * _ONE
 
-    def status(self) -> Any:
-        """OPEN, STICK or SLIP; three touching faces always stick, without friction all slip."""
+    def status(self) -> Expr:
+        """OPEN, STICK or SLIP. Three touching faces stick; without friction all others slip."""
         if not self.faces:
             return OPEN * _ONE
         if len(self.faces) == 3:
@@ -168,15 +174,15 @@ def contact_law(
     jump_old: Expr,
     S_star: Coefficient,
     normals: Sequence[Expr],
-    μ: Any | None,
-    r: Any,
+    μ: Scalar | None,
+    r: Scalar,
 ) -> Response:
     r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
 
     Args:
-        F: Multiplier (3,) [MPa], of an elastic layer in series as `mechanics.contact` tells. The
-            penalty method is the same law with F fixed at the friction force of the last converged
-            state, zero at first.
+        F: Multiplier (3,) [MPa]. For an elastic layer in series, `ContactInterfaces.multiplier` of
+            `mechanics.contact` gives it. The penalty method is the same law, with F fixed at the
+            friction force of the last converged state, zero at first.
         jump: Displacement of the slave minus that of the master (3,) [mm].
         gap: Vector g with g . n the initial gap of each face (3,) [mm]; negative interferes.
         jump_old: Jump of the last converged state (3,) [mm].
@@ -192,7 +198,7 @@ def contact_law(
     live = _states(S, dS, normals, μ)
     frozen = _states(S_star, dS, normals, μ)
 
-    def carried(k: int) -> Any:
+    def carried(k: int) -> Expr:
         """Square of the part of S that the point carries in its state k."""
         t = live[k]
         normal = _combine(components(S, [normals[f] for f in t.faces]), t.faces, normals)
@@ -207,21 +213,22 @@ def contact_law(
     return Response(force, slope, None, pressures, status, energy=energy)
 
 
-def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> Response:
-    """The law P of a trial force, with its state: what laws of layers and cohesion are made of.
+def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> Response:
+    """Projection P of a trial force, with the state of the point.
 
-    Faces that S presses touch, at S = 0 too, where a point sticks: a law that opens there would
-    have no stiffness at rest, and bodies that nothing else holds would fly off.
+    Laws with layers or cohesion are composed of it. Faces touch if S presses them, and also at
+    S = 0, where a point sticks. A law that is open at rest would have no stiffness there, and
+    bodies that nothing else holds would move away.
 
     Args:
         S: Trial force (3,) [MPa], whose normal part is projected.
-        dS: Trial force whose tangential part is, S where they are the same (3,) [MPa].
+        dS: Trial force whose tangential part is projected (3,) [MPa]; often equal to S.
         normals: Unit normals of the faces, from master to slave, each (3,).
         μ: Friction coefficient [-]; None without friction.
     """
     states = _states(S, dS, normals, μ)
 
-    def carried(k: int) -> Any:
+    def carried(k: int) -> Expr:
         t = states[k]
         normal = _combine(components(S, [normals[f] for f in t.faces]), t.faces, normals)
         if t.sticks is None:
@@ -235,10 +242,10 @@ def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> Res
     return Response(force, None, None, pressures, status)
 
 
-def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:
-    """Possible states of a point in order of preference; the last takes what is left.
+def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> list[_Touching]:
+    """Possible states of a point in order of preference; the last has no condition.
 
-    Single faces come first: friction then belongs to one face.
+    Single faces come first, so that friction belongs to one face.
     """
     faces = range(len(normals))
     sets = [A for size in range(1, len(normals) + 1) for A in combinations(faces, size)]
@@ -254,8 +261,8 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[
     return [*states, replace_state(nothing, condition=apart), jammed]
 
 
-def derivative(value: Any, by: Variable) -> Expr:
-    """Derivative by a variable, algebra done."""
+def derivative(value: Scalar, by: Variable) -> Expr:
+    """Derivative with respect to a variable, expanded."""
     return expand_derivatives(diff(value, by))
 
 
@@ -268,7 +275,7 @@ def _state(states: Sequence[_Touching], faces: int) -> tuple[Expr, Expr]:
     return as_vector(pressures), _choose(states, lambda k: states[k].status())
 
 
-def _choose(states: Sequence[_Touching], value: Callable[[int], Any]) -> Any:
+def _choose(states: Sequence[_Touching], value: Callable[[int], Expr]) -> Expr:
     """The value of the first state whose condition holds."""
     chosen = value(len(states) - 1)
     for k in reversed(range(len(states) - 1)):
@@ -277,7 +284,7 @@ def _choose(states: Sequence[_Touching], value: Callable[[int], Any]) -> Any:
 
 
 def _touching(
-    A: tuple[int, ...], S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None
+    A: tuple[int, ...], S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None
 ) -> _Touching:
     """Pressures, tangential force and validity of the set A of touching faces."""
     n = [normals[k] for k in A]
@@ -300,15 +307,15 @@ def _touching(
     return _Touching(A, p, S_T, radius, sticks, condition)
 
 
-def _friction(μ: Any | None, p: Sequence[Any], S_T: Any) -> tuple[Any, Any]:
-    """Radius of the friction disc and whether the point sticks; None without friction."""
+def _friction(μ: Scalar | None, p: Sequence[Scalar], S_T: Scalar) -> tuple[Scalar, Scalar]:
+    """Radius of the friction disc [MPa] and condition of stick; None without friction."""
     if μ is None:
         return None, None
     radius = μ * sum(p[1:], p[0])
     return radius, le(inner(S_T, S_T), radius**2)
 
 
-def _square_in_disc(t: _Touching, radius: Any) -> Any:
+def _square_in_disc(t: _Touching, radius: Scalar) -> Scalar:
     r""":math:`|S_T|^2 - dist^2(S_T, C)`; without friction the disc is a point and this is zero."""
     if t.sticks is None:
         return 0 * _ONE
@@ -317,7 +324,7 @@ def _square_in_disc(t: _Touching, radius: Any) -> Any:
     return conditional(t.sticks, square, 2 * radius * size - radius**2)
 
 
-def components(S: Expr, normals: Sequence[Expr]) -> list[Any]:
+def components(S: Expr, normals: Sequence[Expr]) -> list[Scalar]:
     """Coefficients a of the projection of S on the span of the normals (Cramer's rule)."""
     b = [dot(S, n) for n in normals]
     if len(b) < 2:
@@ -331,7 +338,7 @@ def components(S: Expr, normals: Sequence[Expr]) -> list[Any]:
     ]
 
 
-def _determinant(m: list[list[Any]]) -> Any:
+def _determinant(m: list[list[Scalar]]) -> Scalar:
     """Determinant of a 2 x 2 or 3 x 3 array of scalars."""
     if len(m) == 2:
         return m[0][0] * m[1][1] - m[0][1] * m[1][0]
@@ -343,6 +350,6 @@ def _determinant(m: list[list[Any]]) -> Any:
     )
 
 
-def _combine(a: Sequence[Any], faces: Sequence[int], normals: Sequence[Expr]) -> Expr:
+def _combine(a: Sequence[Scalar], faces: Sequence[int], normals: Sequence[Expr]) -> Expr:
     """Sum of a_k n_k over the given faces."""
     return sum((c * normals[k] for c, k in zip(a, faces, strict=True)), 0 * normals[0])

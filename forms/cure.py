@@ -1,24 +1,26 @@
-r"""Setting cement: how fast it sets, how stiff it is meanwhile and how it strains.
+r"""Setting cement: rate of cure, modulus and free strain.
 
-Symbols: a degree of cure [-], T temperature [K], all of one point. Every function takes UFL
-expressions.
+Symbols: a degree of cure [-], T temperature [K] at one point. All functions take UFL expressions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 from ufl import conditional, exp, ge, le, lt, max_value
 from ufl.core.expr import Expr
+
+from forms import Scalar
 
 GAS_CONSTANT = 8.314462618
 """Molar gas constant R [J/(mol K)] (exact in the SI of 2019)."""
 
 
-def autocatalytic_rate(a: Expr, T: Expr, limit: Any, k0: Any, Ea: Any, m: Any, n: Any) -> Expr:
-    r"""Rate of an autocatalytic reaction [1/s], the faster the more has reacted.
+def autocatalytic_rate(
+    a: Expr, T: Expr, limit: Scalar, k0: Scalar, Ea: Scalar, m: Scalar, n: Scalar
+) -> Expr:
+    r"""Rate of an autocatalytic reaction [1/s]: reacted material speeds it up.
 
     .. math:: \dot a = k_0 e^{-E_a / (R T)} a^m (a_{max} - a)_+^n
 
@@ -28,55 +30,61 @@ def autocatalytic_rate(a: Expr, T: Expr, limit: Any, k0: Any, Ea: Any, m: Any, n
     Args:
         a: Degree of cure.
         T: Temperature [K].
-        limit: Largest degree of cure at this temperature: below its final glass transition a cement
-            vitrifies before all monomer has reacted.
+        limit: Largest degree of cure a_max at this temperature [-]. Below its final glass
+            transition a cement vitrifies before all monomer has reacted.
         k0: Rate constant [1/s].
         Ea: Activation energy [J/mol].
-        m: Exponent of what has reacted.
-        n: Exponent of what is left.
+        m: Exponent of the degree of cure [-].
+        n: Exponent of the remaining cure a_max - a [-].
     """
     return k0 * exp(-Ea / (GAS_CONSTANT * T)) * a**m * max_value(limit - a, 0) ** n
 
 
-def prescribed_rate(r: Any, total: Any, initial: Any) -> Any:
-    """Rate that follows a clock [1/s]: (1 - initial) r / total.
+def prescribed_rate(r: Scalar, total: Scalar, initial: Scalar) -> Scalar:
+    """Prescribed rate of cure [1/s]: (1 - initial) r / total.
 
     Args:
         r: The given course at this time [1/s].
         total: Its integral over all time.
-        initial: Degree of cure at the start; it is one at the end.
+        initial: Degree of cure at the start; at the end it is one.
     """
     return (1 - initial) * r / total
 
 
-def modulus_factor(a: Expr, gel: Any, floor: Any, exponent: Any) -> Expr:
-    r"""Elastic modulus of a setting material over that of the set one.
+def modulus_factor(a: Expr, gel: Scalar, floor: Scalar, exponent: Scalar) -> Expr:
+    r"""Elastic modulus of a setting material over its final value [-].
 
     .. math:: g = g_0 + (1 - g_0) \left(\frac{(a - a_{gel})_+}{1 - a_{gel}}\right)^p
 
-    The floor :math:`g_0` stands for the paste before gelation, which flows.
+    The floor :math:`g_0` represents the flowing paste before gelation.
+
+    Args:
+        a: Degree of cure [-].
+        gel: Degree of cure at gelation [-].
+        floor: Modulus before gelation over its final value [-].
+        exponent: Exponent p [-].
     """
     return floor + (1 - floor) * (max_value(a - gel, 0) / (1 - gel)) ** exponent
 
 
-def solid_share(a_old: Expr, a: Expr, gel: Any) -> Expr:
-    """Share of a step that lies past gelation, the degree of cure being linear in the step."""
+def solid_share(a_old: Expr, a: Expr, gel: Scalar) -> Expr:
+    """Share of a step after gelation [-], for a degree of cure that is linear in the step."""
     crossing = (a - gel) / conditional(lt(a_old, a), a - a_old, 1)
     return conditional(ge(a_old, gel), 1, conditional(le(a, gel), 0, crossing))
 
 
 def free_strain_increment(
-    a_old: Expr, T_old: Expr, a: Expr, T: Expr, gel: Any, expansion: Any, shrinkage: Any
+    a_old: Expr, T_old: Expr, a: Expr, T: Expr, gel: Scalar, expansion: Scalar, shrinkage: Scalar
 ) -> Expr:
-    r"""Linear strain that a step causes without stress, the same in all directions.
+    r"""Free linear strain of a step [-], equal in all directions.
 
     .. math:: Δe = α_T (T - T_{gel}) - \frac s3 \frac{(a - a_{gel})_+ - (a_{old} - a_{gel})_+}
               {1 - a_{gel}}
 
-    :math:`T_{gel}` is the temperature from which the step finds a solid: that at its start, or at
-    gelation if it happens within the step (T linear in a). Before gelation the paste flows and no
-    strain is kept. Temperature and shrinkage enter by increments, never by a strain from a fixed
-    state, for the modulus changes meanwhile: Stańczyk and Telega, Eng Trans 51 (2003) 267.
+    :math:`T_{gel}` is the temperature at which the material is first solid in the step: the one at
+    its start, or at gelation if gelation happens within the step (T linear in a). Before gelation
+    the paste flows and keeps no strain. Temperature and shrinkage enter by increments, because the
+    modulus changes with time: Stańczyk and Telega, Eng Trans 51 (2003) 267.
 
     Args:
         a_old: Degree of cure before the step.
@@ -92,8 +100,14 @@ def free_strain_increment(
     return thermal - shrinkage / 3 * gelled / (1 - gel)
 
 
-def piecewise_linear(x: Expr, at: Sequence[Any], values: Sequence[Any]) -> Expr:
-    """Linear between values at given, rising places, constant beyond them."""
+def piecewise_linear(x: Expr, at: Sequence[Scalar], values: Sequence[Scalar]) -> Expr:
+    """Piecewise linear function of x, constant beyond the first and the last place.
+
+    Args:
+        x: Argument.
+        at: Places, rising.
+        values: Values at the places.
+    """
     pairs = list(zip(at, values, strict=True))
     value = pairs[-1][1]
     for (x0, v0), (x1, v1) in reversed(list(pairwise(pairs))):

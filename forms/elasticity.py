@@ -1,20 +1,21 @@
-r"""Elastic bodies: strain, strain energy, stress (paper eq. 48-51).
+r"""Elastic bodies: strain, strain energy and stress (paper eq. 48-51).
 
 Symbols: u displacement (3,) [mm], ε small strain (3, 3) [-], σ Cauchy stress (3, 3) [MPa],
-m fibre direction (3,) [-], M = m ⊗ m. The equation numbers are those of Rakotomanana and
-Ramaniraka's paper; its printed eq. 49 and 50 carry a sign and two factors that make the stiffness
-indefinite, the forms here are the corrected ones and say where they differ.
+m fibre direction (3,) [-], M = m ⊗ m. Equation numbers are those of Rakotomanana and Ramaniraka's
+paper. Its printed eq. 49 and 50 have a wrong sign and two wrong factors, which make the stiffness
+indefinite. The forms here are corrected, and their docstrings give the differences.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from ufl import Identity, as_matrix, diff, dot, inner, outer, sym, tr, variable
 from ufl import grad as nabla
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
+
+from forms import Scalar
 
 
 def strain(u: Expr) -> Expr:
@@ -22,7 +23,7 @@ def strain(u: Expr) -> Expr:
     return sym(nabla(u))
 
 
-def isotropic_coefficients(E: Any, ν: Any) -> tuple[Any, Any]:
+def isotropic_coefficients(E: Scalar, ν: Scalar) -> tuple[Scalar, Scalar]:
     """Coefficients (e1, e2) of eq. 48 for an isotropic body.
 
     e1 is Lamé's λ and e2 is twice the shear modulus; the fibre terms vanish.
@@ -38,20 +39,20 @@ def isotropic_coefficients(E: Any, ν: Any) -> tuple[Any, Any]:
 
 
 def transversely_isotropic_coefficients(
-    E_l: Any, E_t: Any, ν_l: Any, ν_t: Any, μ_l: Any
-) -> tuple[Any, Any, Any, Any, Any]:
+    E_l: Scalar, E_t: Scalar, ν_l: Scalar, ν_t: Scalar, μ_l: Scalar
+) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
     r"""Coefficients e1..e5 of eq. 50, corrected.
 
-    The paper prints :math:`ν_t^2 E_t/E_l` where e1, e3 and e5 need :math:`ν_l^2 E_t/E_l`, and
-    :math:`E_t/E_l` where the last term of e5 needs :math:`E_l/E_t`. These forms equal the inverse
-    of the compliance with :math:`S_{13} = -ν_l/E_l`.
+    In e1, e3 and e5 the paper prints :math:`ν_t^2 E_t/E_l` instead of :math:`ν_l^2 E_t/E_l`. In the
+    last term of e5 it prints :math:`E_t/E_l` instead of :math:`E_l/E_t`. The coefficients here give
+    the inverse of the compliance with :math:`S_{13} = -ν_l/E_l`.
 
     Args:
         E_l: Young's modulus along the fibre [MPa].
         E_t: Young's modulus across it [MPa].
         ν_l: Transverse contraction under tension along the fibre [-].
         ν_t: Poisson's ratio in the plane of isotropy [-].
-        μ_l: Shear modulus in planes that hold the fibre [MPa].
+        μ_l: Shear modulus in planes that contain the fibre [MPa].
 
     Returns:
         e1, e2, e3, e4, e5 [MPa].
@@ -66,13 +67,13 @@ def transversely_isotropic_coefficients(
     return e1, e2, e3, e4, e5
 
 
-def isotropic_energy(ε: Expr, e1: Any, e2: Any) -> Expr:
+def isotropic_energy(ε: Expr, e1: Scalar, e2: Scalar) -> Expr:
     r"""Strain energy :math:`ψ = \tfrac12 e_1 tr^2 ε + \tfrac12 e_2 tr\,ε^2` [MPa], eq. 48."""
     return e1 / 2 * tr(ε) ** 2 + e2 / 2 * inner(ε, ε)
 
 
 def transversely_isotropic_energy(
-    ε: Expr, m: Expr, e1: Any, e2: Any, e3: Any, e4: Any, e5: Any
+    ε: Expr, m: Expr, e1: Scalar, e2: Scalar, e3: Scalar, e4: Scalar, e5: Scalar
 ) -> Expr:
     r"""Strain energy of a body with one fibre direction, eq. 48.
 
@@ -97,22 +98,22 @@ def transversely_isotropic_energy(
     return isotropic_energy(ε, e1, e2) + e3 * trM * tr(ε) + e4 * inner(εm, εm) + e5 / 2 * trM**2
 
 
-def stress(energy: Any, ε: Expr) -> Expr:
+def stress(energy: Callable[[Expr], Expr], ε: Expr) -> Expr:
     r"""Stress :math:`σ = +∂ψ/∂ε` (3, 3) [MPa]: eq. 49 with its sign corrected.
 
-    The derivative by nine independent components is not symmetric where ψ holds ε m; that by
-    symmetric strains is its symmetric part.
+    With nine independent components of ε, the derivative of a term in ε m is not symmetric. The
+    derivative with respect to symmetric strains is its symmetric part.
 
     Args:
-        energy: Function ε -> ψ(ε).
+        energy: Strain energy density as a function of the strain, ε -> ψ(ε) [MPa].
         ε: Elastic strain (3, 3).
     """
     e = variable(ε)
-    # The label of the variable differs from run to run; without it compiled forms are found again.
+    # The label of the variable differs between runs. Without it compiled forms are reused.
     return strip_variables(expand_derivatives(sym(diff(energy(e), e))))
 
 
-def symmetric(components: Sequence[Any]) -> Expr:
+def symmetric(components: Sequence[Scalar]) -> Expr:
     """Symmetric tensor (3, 3) from its components xx, yy, zz, yz, xz, xy.
 
     The off-diagonal entries of a strain are half the engineering shear.
@@ -121,7 +122,7 @@ def symmetric(components: Sequence[Any]) -> Expr:
     return as_matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def isotropic_strain(e: Any) -> Expr:
+def isotropic_strain(e: Scalar) -> Expr:
     r"""Strain :math:`e\,I` (3, 3) that is equal in all directions [-].
 
     Thermal strain has :math:`e = α (θ - θ_{ref})`. Equation 51 leaves it out: the elastic strain is

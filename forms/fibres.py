@@ -1,24 +1,24 @@
 r"""Fibre directions that follow an axis.
 
-Symbols: x position (3,) [mm], a unit direction of the axis (3,), c a point of it (3,) [mm]. On the
-axis neither direction exists.
+Symbols: x position (3,) [mm], a unit direction of the axis (3,), c a point on the axis (3,) [mm].
+Neither direction is defined on the axis itself.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 from ufl import cross, dot, sqrt
 from ufl.core.expr import Expr
 
+from forms import Scalar
 
-def circumferential(x: Expr, a: Any, c: Any) -> Expr:
-    r"""Unit direction around the axis (3,): :math:`a × (x - c)` over its length."""
+
+def circumferential(x: Expr, a: Scalar, c: Scalar) -> Expr:
+    r"""Unit direction around the axis (3,): :math:`a × (x - c)`, normalised."""
     return _unit(cross(a, x - c))
 
 
-def radial(x: Expr, a: Any, c: Any) -> Expr:
-    r"""Unit direction away from the axis (3,): :math:`(x - c) - a (a·(x - c))` over its length."""
+def radial(x: Expr, a: Scalar, c: Scalar) -> Expr:
+    r"""Unit direction away from the axis (3,): :math:`(x - c) - a (a·(x - c))`, normalised."""
     return _unit(x - c - dot(a, x - c) * a)
 
 

@@ -5,26 +5,27 @@ pressure [MPa], positive in compression, h conductance [N/(mm s K)], q heat from
 area [N/(mm s)], D friction heat per area [N/(mm s)]. Equations are those of Rakotomanana and
 Ramaniraka's paper, three of them corrected:
 
-* eq. 14 prints both q' = -κ δθ/θ' and, from the potential ψ_c, q' = +κ δθ/θ' for the heat into the
-  slave, δθ = θ - θ'. Only the second makes entropy, q' δθ/θ' >= 0; the first is that of the flux
-  out of a body of eq. 20. Here h = κ/θ'.
-* eq. 66-68 print the potential ½ h P T^2 with P the negative part of the contact force (P <= 0,
-  T = θ' - θ), which would make heat flow up the jump. It has to be ½ h |P| T^2: conductance grows
-  with the size of the pressure.
-* the last term of eq. 68, (friction power) T, gives +D to one side and -D to the other: no heat in
-  sum. Both sides get a part of D: its potential is -D ((1 - β) θ + β θ') with β the slave's share.
+* Eq. 14 prints two signs for the heat into the slave: q' = -κ δθ/θ' and, from the potential ψ_c,
+  q' = +κ δθ/θ', with δθ = θ - θ'. Only the second produces entropy, q' δθ/θ' >= 0. The first is the
+  flux out of a body, as in eq. 20. Here h = κ/θ'.
+* Eq. 66-68 print the potential ½ h P T^2, where P <= 0 is the contact force and T = θ' - θ. Heat
+  would then flow from cold to warm. The correct potential is ½ h |P| T^2: conductance grows with
+  the pressure.
+* The last term of eq. 68, (friction power) T, gives +D to one side and -D to the other, no heat in
+  total. Both sides must get a part of D. The potential is -D ((1 - β) θ + β θ'), where β is the
+  share of the slave.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 from ufl import conditional, diff, gt, lt, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
+from forms import Scalar
 
-def conductance(p: Expr, open_: Any, per_pressure: Any, cap: Any) -> Expr:
+
+def conductance(p: Expr, open_: Scalar, per_pressure: Scalar, cap: Scalar) -> Expr:
     r"""Conductance :math:`h = \min(h_o + h_p \max(p, 0), h_{cap})`, eq. 66 with its sign corrected.
 
     Args:
@@ -37,32 +38,44 @@ def conductance(p: Expr, open_: Any, per_pressure: Any, cap: Any) -> Expr:
     return conditional(lt(h, cap), h, cap)
 
 
-def conduction_potential(τ: Expr, h: Any) -> Expr:
+def conduction_potential(τ: Expr, h: Scalar) -> Expr:
     r"""Dissipation potential :math:`\tfrac12 h τ^2` per area, eq. 68 with its sign corrected."""
     return h / 2 * τ**2
 
 
 def flux_and_derivatives(
-    p: Expr, τ: Expr, open_: Any, per_pressure: Any, cap: Any
+    p: Expr, τ: Expr, open_: Scalar, per_pressure: Scalar, cap: Scalar
 ) -> tuple[Expr, Expr, Expr]:
-    """Heat from master to slave q = h (θ - θ'), eq. 14 with +; dq/dτ and dq/dp."""
+    """Heat flux from master to slave and its derivatives.
+
+    Args:
+        p: Contact pressure [MPa].
+        τ: Temperature jump θ' - θ [K].
+        open_: Conductance without pressure [N/(mm s K)].
+        per_pressure: Increase with pressure [N/(mm s K) per MPa].
+        cap: Largest conductance [N/(mm s K)]; may be infinite.
+
+    Returns:
+        q = -h τ (eq. 14 with the sign +) [N/(mm s)], dq/dτ and dq/dp.
+    """
     s, t = variable(p), variable(τ)
     q = -diff(conduction_potential(t, conductance(s, open_, per_pressure, cap)), t)
-    # The labels of variables differ from run to run; without them compiled forms are found again.
+    # The labels of variables differ between runs. Without them compiled forms are reused.
     parts = [strip_variables(expand_derivatives(e)) for e in (q, diff(q, t), diff(q, s))]
     return parts[0], parts[1], parts[2]
 
 
-def friction_heat(D: Any, share: Any) -> tuple[Any, Any]:
+def friction_heat(D: Scalar, share: Scalar) -> tuple[Scalar, Scalar]:
     r"""Friction heat into master and slave: :math:`(1 - β) D, β D`, eq. 68 corrected."""
     return (1 - share) * D, share * D
 
 
-def entropy_production(q: Any, D: Any, share: Any, θ: Any, θ_slave: Any) -> Any:
-    r"""Entropy made per area and time [N/(mm s K)].
+def entropy_production(q: Scalar, D: Scalar, share: Scalar, θ: Scalar, θ_slave: Scalar) -> Scalar:
+    r"""Entropy production per area and time [N/(mm s K)].
 
     .. math:: q \Big(\frac{1}{θ'} - \frac{1}{θ}\Big) + D \Big(\frac{1 - β}{θ} + \frac{β}{θ'}\Big)
 
-    Not negative, since q has the sign of θ - θ' and D is not negative. Of numbers too.
+    It is not negative, since q has the sign of θ - θ' and D is not negative. The arguments may be
+    expressions or arrays.
     """
     return q * (θ - θ_slave) / (θ * θ_slave) + D * ((1 - share) / θ + share / θ_slave)

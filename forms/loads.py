@@ -1,15 +1,16 @@
 r"""Potentials of loads and supports (paper eq. 51, last two terms).
 
-Each returns the integrand of the external potential, the work of the load in a displacement v.
+Each function returns an integrand of the external potential: the work of the load in a displacement
+v, per area or volume.
 Symbols: v displacement (3,) [mm], x position (3,) [mm], n outward normal (3,).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 from ufl import cross, dot, inner
 from ufl.core.expr import Expr
+
+from forms import Scalar
 
 
 def traction_work(t: Expr, v: Expr) -> Expr:
@@ -17,12 +18,12 @@ def traction_work(t: Expr, v: Expr) -> Expr:
     return dot(t, v)
 
 
-def linear_traction_work(t: Expr, ω: Expr, x: Expr, centroid: Any, v: Expr) -> Expr:
+def linear_traction_work(t: Expr, ω: Expr, x: Expr, centroid: Scalar, v: Expr) -> Expr:
     r"""Work of the traction :math:`t + ω × (x - x_c)` per area.
 
-    With x_c the centroid of the patch the first part carries the force alone and the second the
-    moment about the centroid alone, so that a resultant force and a resultant moment fix t and ω
-    (the latter by the patch's 3 x 3 second-moment matrix).
+    x_c is the centroid of the patch. The first part carries only the resultant force, the second
+    only the moment about the centroid. The resultant force thus gives t, and the resultant moment
+    gives ω by the 3 x 3 matrix of second moments of the patch.
 
     Args:
         t: Mean traction (3,) [MPa].
@@ -34,7 +35,7 @@ def linear_traction_work(t: Expr, ω: Expr, x: Expr, centroid: Any, v: Expr) -> 
     return dot(t + cross(ω, x - centroid), v)
 
 
-def pressure_work(p: Any, n: Expr, v: Expr) -> Expr:
+def pressure_work(p: Scalar, n: Expr, v: Expr) -> Expr:
     """Work of a pressure p [MPa], positive when it compresses: -p n . v."""
     return -p * dot(n, v)
 
@@ -45,7 +46,12 @@ def body_force_work(b: Expr, v: Expr) -> Expr:
 
 
 def foundation_energy(k: Expr, v: Expr) -> Expr:
-    r"""Energy of a bed of springs per area, :math:`\tfrac12 k_i v_i^2` [N/mm], k (3,) [MPa/mm]."""
+    r"""Energy of an elastic foundation per area, :math:`\tfrac12 k_i v_i^2` [N/mm].
+
+    Args:
+        k: Stiffness along x, y, z (3,) [MPa/mm].
+        v: Displacement (3,) [mm].
+    """
     return sum(k[i] * v[i] ** 2 for i in range(3)) / 2
 
 

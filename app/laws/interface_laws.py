@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
     from app.foundation.arrays import Field, Floats
-    from forms.cohesion import Bond
+    from forms.cohesion import CohesiveState
     from forms.contact import Faces, Response
 
 # Points per facet of mortar rows where `quadrature` is not given.
@@ -559,9 +559,11 @@ class Cohesive(Frictional, Traction):
         """Softening, with friction or without."""
         return "cohesive", self.softening, self.friction > 0
 
-    def bond(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Bond:
+    def cohesive_state(
+        self, gap: Expr, normals: Faces, internal_variables: InternalVariables
+    ) -> CohesiveState:
         """Bond of a point at a gap; arguments as of `Traction`."""
-        from forms.cohesion import Cohesion, bond
+        from forms.cohesion import Cohesion, cohesive_state
 
         constants = Cohesion(
             K=self.stiffness,
@@ -573,30 +575,32 @@ class Cohesive(Frictional, Traction):
             unbonded=self.unbonded,
             exponential=self.softening == "exponential",
         )
-        return bond(constants, gap, normals, internal_variables.old, internal_variables.live)
+        return cohesive_state(
+            constants, gap, normals, internal_variables.old, internal_variables.live
+        )
 
     def traction(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Traction of the bond."""
-        return self.bond(gap, normals, internal_variables).traction
+        return self.cohesive_state(gap, normals, internal_variables).traction
 
     def remembered(
         self, gap: Expr, normals: Faces, internal_variables: InternalVariables
     ) -> Mapping[str, Expr]:
         """Damage, and the part of the fracture energy that is used up."""
-        bond = self.bond(gap, normals, internal_variables)
-        return {"damage": bond.damage, "spent": bond.spent}
+        state = self.cohesive_state(gap, normals, internal_variables)
+        return {"damage": state.damage, "spent": state.spent}
 
     def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Broken share, once the point is damaged."""
-        return self.bond(gap, normals, internal_variables).broken
+        return self.cohesive_state(gap, normals, internal_variables).broken
 
     def stored(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Elastic energy of the bond."""
-        return self.bond(gap, normals, internal_variables).stored
+        return self.cohesive_state(gap, normals, internal_variables).stored
 
     def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Fracture energy that the step uses up."""
-        return self.bond(gap, normals, internal_variables).used
+        return self.cohesive_state(gap, normals, internal_variables).used
 
     @model_validator(mode="after")
     def _softens(self) -> Cohesive:
