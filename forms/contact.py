@@ -60,8 +60,8 @@ from ufl.variable import Variable
 
 from forms import Scalar
 
-# A face counts as open if its gap exceeds minus this fraction of |S|/r. The sign of a rounding error
-# then does not decide.
+# A face counts as open if its gap exceeds minus this fraction of |S|/r, so that the sign of a
+# rounding error does not decide.
 ROUNDING = 1e-9
 # A point sticks until its tangential trial force exceeds the limit of friction by this part.
 # Rounding then does not decide while loads are constant.
@@ -78,8 +78,8 @@ class Faces(tuple[Expr, ...]):
     """Unit normals of the faces of a point, from master to slave, each (3,).
 
     Attributes:
-        duals: Dual vectors of the normals, each (3,). Their products with a vector are its components
-            along the normals.
+        duals: Dual vectors of the normals, each (3,). Their products with a vector are the
+            components of the vector along the normals.
     """
 
     duals: tuple[Expr, ...]
@@ -113,8 +113,8 @@ class Response:
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
         internal_variables: Internal variables after a converged step, by name.
-        slip: Irreversible tangential motion, 0 where open (3,) [mm]. None for contact, whose slip is
-            the tangential motion while it touches, and for laws without slip.
+        slip: Irreversible tangential motion, 0 where open (3,) [mm]. None for laws without slip and
+            for contact, whose slip is the tangential motion while it touches.
         stored: Stored energy per area [N/mm]; None if there is none.
         dissipated: Energy per area that a step dissipates [N/mm]. None for contact, where friction
             dissipates, and for laws without dissipation.

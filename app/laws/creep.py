@@ -17,12 +17,12 @@ Range = Annotated[tuple[units.Modulus, units.Modulus], Pair("[3 MPa, 11 MPa]")]
 class Creep(OfRegion):
     """Norton-Bailey's law: strain A s^p N^m after N cycles or units of time at a stress s.
 
-    The stress is that of von Mises in MPa, in cycles their peak. The volume stays the same. Where
-    the stress changes the rate follows from stress and strain (strain hardening), not from time.
+    s is the von Mises stress in MPa; for cyclic loads, its peak. The volume is constant. If the
+    stress changes, the rate follows from stress and strain (strain hardening), not from time.
     """
 
     A: units.PositiveNumber
-    """Creep strain at 1 MPa after one cycle, or one unit of time."""
+    """Creep strain at 1 MPa after one cycle or one unit of time."""
     p: Annotated[float, units.Plain(at_least=1.0)]
     """Exponent of the stress."""
     m0: Annotated[float, units.Plain(above=0.0, at_most=1.0)]
@@ -30,10 +30,10 @@ class Creep(OfRegion):
     m1: units.Number = 0.0
     """Increase of m with the stress: m = m0 + m1 log10(s / MPa)."""
     per: units.PositiveTime | None = None
-    """The unit of time that N counts, such as `1 hour`; cycles by default."""
+    """Unit of time of N, such as `1 hour`; N counts cycles by default."""
     stresses: Range | None = None
-    """Least and largest stress that the law was measured at, required with `m1`; results beyond are
-    reported."""
+    """Smallest and largest stress of the measurements, required with `m1`. Stresses outside of this
+    range are reported."""
 
     @model_validator(mode="after")
     def _hardens(self) -> Creep:

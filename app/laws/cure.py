@@ -19,7 +19,7 @@ Limit = Annotated[
     ITEMS,
     AfterValidator(rising("temperature")),
 ]
-# A degree of cure that is not complete.
+# A degree of cure below one.
 Degree = Annotated[float, units.Plain(at_least=0.0, below=1.0)]
 
 
@@ -34,9 +34,9 @@ class Autocatalytic(Section):
     m: units.NonNegativeNumber
     """Exponent of the degree of cure a."""
     n: units.NonNegativeNumber
-    """Exponent of what is left to cure, a_max - a."""
+    """Exponent of the remaining cure a_max - a."""
     limit: Limit | None = None
-    """Pairs of temperature and largest degree a_max there, linear in between; 1 by default."""
+    """Pairs of temperature and largest degree of cure a_max, linear in between; 1 by default."""
 
 
 class Prescribed(Section):
@@ -44,8 +44,8 @@ class Prescribed(Section):
 
     kind: Literal["prescribed"] = "prescribed"
     rate: RateCourse
-    """Pairs of time and rate in any measure, linear in between, zero before and after them; scaled
-    so that it ends with complete cure."""
+    """Pairs of time and rate, linear in between, zero before and after. The rate may have any unit,
+    as it is scaled so that cure is complete at the end."""
 
     @model_validator(mode="after")
     def _happens(self) -> Prescribed:
@@ -62,15 +62,15 @@ class Cure(OfRegion):
     heat: units.HeatDensity
     """Heat released per volume from degree of cure 0 to 1."""
     initial: Degree = 1e-3
-    """Degree of cure at the start; autocatalysis needs some."""
+    """Degree of cure at the start; autocatalysis needs a value above 0."""
     gel: Degree = 0.85
-    """Degree of cure of the gel: from there strain counts and stiffness grows."""
+    """Degree of cure at gelation. From there stiffness grows and strains are kept."""
     floor: Annotated[float, units.Plain(above=0.0, at_most=1.0)] = 0.01
-    """Stiffness before the gel, as a part of the final one."""
+    """Stiffness before gelation over the final stiffness."""
     exponent: units.PositiveNumber = 1.0
-    """Exponent p of the stiffness, floor + (1 - floor) ((a - gel) / (1 - gel))^p of the final."""
+    """Exponent p of the relative stiffness floor + (1 - floor) ((a - gel) / (1 - gel))^p."""
     shrinkage: Degree = 0.0
-    """Loss of volume from the gel to full cure, as a part of the volume."""
+    """Relative loss of volume from gelation to full cure."""
 
     @model_validator(mode="after")
     def _starts_and_sets(self) -> Cure:

@@ -32,14 +32,14 @@ EXAMPLE = "[0 g/cm^3, 0 MPa, 6.85 GPa, 1.49]"
 
 
 class DensityLaw(Section):
-    """A law of one's own: E = a + b rho^c, rho in g/cm3, in ranges of rho."""
+    """User-defined law E = a + b rho^c, rho in g/cm3, in ranges of rho."""
 
     density: Literal["qct", "ash", "apparent"]
-    """Density that it is of: by the phantom, of ash or apparent."""
+    """Kind of density: by the phantom (`qct`), ash or apparent."""
     ranges: Annotated[
         tuple[Annotated[tuple[_Density, Stress, Modulus, Number], Four(EXAMPLE)], ...], ITEMS
     ]
-    """Each from a density on: that density, a, b and c."""
+    """Ranges: the density at which each begins, a, b and c."""
 
 
 Law = Annotated[
@@ -50,12 +50,12 @@ Law = Annotated[
 
 
 def table_of(law: str | DensityLaw) -> tuple[str, Table]:
-    """Kind of density of a law, and its ranges."""
+    """Kind of density of a law and its ranges: start [g/cm3], a [MPa], b [MPa], c [-]."""
     return LAWS[law] if isinstance(law, str) else (law.density, law.ranges)
 
 
 def modulus(law: str | DensityLaw, density: Any) -> Any:
-    """Young's modulus [MPa] at densities of the law's kind [g/cm3]."""
+    """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
     import numpy as np
 
     rho = np.maximum(density, LEAST)
@@ -65,7 +65,7 @@ def modulus(law: str | DensityLaw, density: Any) -> Any:
 
 
 def density(law: str | DensityLaw, modulus: Any) -> Any:
-    """Density [g/cm3] at Young's moduli [MPa], of a law that rises."""
+    """Density [g/cm3] for Young's moduli [MPa]; the law must increase."""
     import numpy as np
 
     start, a, b, c = np.transpose(table_of(law)[1])
@@ -75,7 +75,7 @@ def density(law: str | DensityLaw, modulus: Any) -> Any:
 
 @dataclass(frozen=True)
 class ChangingDensity:
-    """Density of a region that another package changes in a run; its moduli all follow it alike.
+    """Density of a region that another package changes in a run. All moduli are scaled by it.
 
     Attributes:
         law: Modulus by density.

@@ -1,4 +1,4 @@
-"""Fibre directions: the same throughout a region, or around or away from an axis."""
+"""Fibre directions: constant in a region, around an axis, or away from an axis."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Vector = tuple[float, float, float]
 
 
 class Straight(Section):
-    """Fibres along one direction; a file gives it alone."""
+    """Fibres along one direction. In a case it is written as a vector without a section."""
 
     kind: ClassVar[str] = "straight"
-    # Whether the direction varies in space.
+    # True if the direction varies in space.
     turns: ClassVar[Literal[False]] = False
     through: ClassVar[Vector] = (0.0, 0.0, 0.0)
 
     axis: Axis = (0.0, 0.0, 1.0)
-    """Direction; any length but zero, normalised."""
+    """Direction; a vector of any length except zero."""
 
     def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Any:
         """Unit direction (3,) on a mesh, in UFL; axis and point are UFL constants."""
@@ -35,19 +35,19 @@ class Straight(Section):
 
 
 class Circumferential(Section):
-    """Fibres around an axis, like rings and hoops. The axis has to run outside the region."""
+    """Fibres around an axis, like hoops. The axis must be outside the region."""
 
     turns: ClassVar[Literal[True]] = True
 
     kind: Literal["circumferential"] = "circumferential"
     axis: Axis = (0.0, 0.0, 1.0)
-    """Direction of the axis; any length but zero, normalised."""
+    """Direction of the axis; a vector of any length except zero."""
     through: Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 0 mm]")] = (
         0.0,
         0.0,
         0.0,
     )
-    """A point of the axis."""
+    """A point on the axis."""
 
     def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Expr:
         """Unit direction (3,) on a mesh, in UFL; axis and point are UFL constants."""
@@ -71,13 +71,13 @@ class Circumferential(Section):
 
 
 class Radial(Circumferential):
-    """Fibres away from an axis, at right angles to it. The axis has to run outside the region."""
+    """Fibres perpendicular to an axis and away from it. The axis must be outside the region."""
 
     kind: Literal["radial"] = "radial"  # type: ignore[assignment]
 
 
 def _form(value: object) -> str:
-    """Form of a direction: a list, or a section with a kind."""
+    """Form of a fibre direction: a vector, or a section with a kind."""
     along = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
     return TAG + ("along" if along else "about")
 

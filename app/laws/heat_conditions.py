@@ -1,8 +1,7 @@
 """Heat conditions: prescribed temperatures, fluxes, convection, sources, perfusion.
 
-The `role` of a condition says how it enters the balance of heat: it fixes temperatures, gives heat
-of its own, or exchanges heat with surroundings. It acts on a boundary or in regions; the other is
-None.
+The `role` of a condition says how it enters the heat balance: it fixes temperatures, adds heat, or
+exchanges heat with surroundings. It acts on a boundary or in regions; the other key is None.
 """
 
 from __future__ import annotations
@@ -34,15 +33,15 @@ TemperatureCourse = OverTime[
 
 
 class FixedTemperature(Named):
-    """A given temperature on a boundary or throughout regions."""
+    """A prescribed temperature on a boundary or in regions."""
 
     role: ClassVar[Literal["fixes"]] = "fixes"
 
     kind: Literal["temperature"] = "temperature"
     boundary: Name | None = None
-    """Boundary that has the temperature; or give regions."""
+    """Boundary with this temperature; or give regions."""
     regions: Annotated[tuple[Name, ...], ITEMS] | None = None
-    """Regions held at the temperature; or give a boundary."""
+    """Regions with this temperature; or give a boundary."""
     temperature: TemperatureField | None = None
     """The temperature; an expression gives it in K. Or give a time course."""
     time_course: TemperatureCourse | None = None
@@ -72,7 +71,7 @@ class FixedTemperature(Named):
 
 
 class HeatFlux(Named):
-    """Heat that enters through a boundary."""
+    """Prescribed heat flux into a boundary."""
 
     role: ClassVar[Literal["heats"]] = "heats"
     regions: ClassVar[None] = None
@@ -91,7 +90,7 @@ class HeatFlux(Named):
 
 
 class Convection(Named):
-    """Exchange of heat with the surroundings of a boundary."""
+    """Heat exchange between a boundary and its surroundings."""
 
     role: ClassVar[Literal["exchanges"]] = "exchanges"
     regions: ClassVar[None] = None
@@ -100,13 +99,13 @@ class Convection(Named):
     boundary: Name
     """Boundary of the geometry."""
     coefficient: units.FilmCoefficient
-    """Power per area and difference of temperatures."""
+    """Power per area and temperature difference."""
     ambient: units.Temperature
     """Temperature of the surroundings."""
 
     @property
     def outside(self) -> float:
-        """Temperature with which it exchanges heat [K]."""
+        """Temperature of the surroundings or of the blood [K]."""
         return self.ambient
 
 
@@ -130,14 +129,14 @@ class HeatSource(Named):
 
 
 class Perfusion(Named):
-    """Blood that brings regions to its own temperature (Pennes)."""
+    """Perfusion by blood, which brings regions to the temperature of the blood (Pennes)."""
 
     role: ClassVar[Literal["exchanges"]] = "exchanges"
     boundary: ClassVar[None] = None
 
     kind: Literal["perfusion"] = "perfusion"
     regions: Annotated[tuple[Name, ...], ITEMS]
-    """Regions that blood flows through."""
+    """Regions with blood flow."""
     rate: units.PositiveRate
     """Volume of blood per volume of tissue and time."""
     blood_density: units.Density
@@ -149,7 +148,7 @@ class Perfusion(Named):
 
     @property
     def outside(self) -> float:
-        """Temperature with which it exchanges heat [K]."""
+        """Temperature of the surroundings or of the blood [K]."""
         return self.temperature
 
     @property

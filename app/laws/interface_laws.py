@@ -1,8 +1,12 @@
 """Constitutive laws of interfaces, and their keys in a case.
 
-A law is a section of the case with its properties (whether its sides can open or rub), the
-stiffness of its trial force and its formula in UFL. To add one, derive from `Traction` (a function
-of the gap) or from `InterfaceLaw`; see `app/README.md`.
+A law is a section of the case. Its class has the keys, the properties (for example `can_open`), the
+stiffness of the trial force and the formula in UFL. The way of `friction_coefficient` from the YAML
+file to the residual is `Frictional.friction` -> `Unilateral.values` -> `Unilateral.response` ->
+`forms.contact.contact_law`, evaluated by `mechanics.contact_law.PointLaw.evaluate`.
+
+To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
+`app/README.md` has an example.
 """
 
 from __future__ import annotations
@@ -36,6 +40,7 @@ from app.schema.units import (
 )
 
 if TYPE_CHECKING:
+    from ufl import Coefficient
     from ufl.core.expr import Expr
 
     from app.foundation.arrays import Field, Floats
@@ -44,9 +49,10 @@ if TYPE_CHECKING:
 
 # Points per facet of mortar rows where `quadrature` is not given.
 MORTAR_POINTS = 12
-# Keys of contact with finite sliding, and why other laws have none.
+# Keys of contact with finite sliding.
 FINITE = ("between", "quadrature")
-SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
+# Message for these keys in other laws.
+SMALL = "is limited to small sliding; for finite sliding use `kind: contact` without `compliance`"
 # Default ratio of the augmentation to the stiffness against a jump.
 DEFAULT_AUGMENTATION = 0.2
 
@@ -55,12 +61,17 @@ class InterfaceStrength(Section):
     """Strength of an interface in tension and in shear."""
 
     tension: PositiveStress
-    """Normal traction that it stands alone."""
+    """Strength in pure tension."""
     shear: PositiveStress
-    """Shear traction that it stands alone."""
+    """Strength in pure shear."""
 
-    def index(self, pressure: Any, shear: Any) -> Any:
-        """Failure index, 1 where it fails; pressure negative in tension, and shear [MPa]."""
+    def index(self, pressure: Floats, shear: Floats) -> Floats:
+        r"""Failure index :math:`\sqrt{(σ/N)^2 + (τ/S)^2}` (n,) [-]; it fails at 1.
+
+        Args:
+            pressure: Contact pressure (n,) [MPa], negative in tension.
+            shear: Shear traction (n,) [MPa].
+        """
         tension = -pressure * (pressure < 0)
         return ((tension / self.tension) ** 2 + (shear / self.shear) ** 2) ** 0.5
 
@@ -79,15 +90,15 @@ class AtPoint:
         r: Stiffness of the trial force [MPa/mm].
         values: Constants of the law, by name.
         internal_variables: Internal variables of the last converged state, by name.
-        live: 1, or 0 where the internal variables are frozen. They are in the first solve of a
-            step, so that no cold iterate damages a point.
+        live: 1, or 0 while the internal variables are frozen. They are frozen in the first solve of
+            a step, so that no early iterate damages a point.
     """
 
     F: Expr
     jump: Expr
     gap: Expr
     jump_old: Expr
-    S_star: Any
+    S_star: Coefficient
     normals: Faces
     r: Expr
     values: Mapping[str, Expr]
@@ -95,7 +106,7 @@ class AtPoint:
     live: Expr
 
     def updated(self, internal_variables: Mapping[str, Expr]) -> dict[str, Expr]:
-        """Internal variables after the step, or the old ones where they are frozen."""
+        """Internal variables after the step; the old ones while they are frozen."""
         from ufl import as_vector, conditional, gt
 
         def one(new: Expr, old: Expr) -> Expr:
@@ -113,8 +124,8 @@ class InternalVariables(dict[str, "Expr"]):
     """Internal variables of a point at a gap, by name.
 
     Attributes:
-        old: Those of the last converged state, by name.
-        live: 1, or 0 where the internal variables are frozen.
+        old: Internal variables of the last converged state, by name.
+        live: 1, or 0 while the internal variables are frozen.
     """
 
     def __init__(self, new: Mapping[str, Expr], old: Mapping[str, Expr], live: Expr) -> None:
@@ -124,16 +135,17 @@ class InternalVariables(dict[str, "Expr"]):
 
 
 class InterfaceLaw(Extensible):
-    """Base of the laws: a subclass with a `kind` is one more.
+    """Base of the interface laws. Each subclass with a `kind` is a law.
 
     Attributes:
-        can_part: Whether the sides can move apart at all: then the interface has unknown jumps.
-        can_open: Whether they can part without resistance.
-        augmented: Whether its multiplier is found exactly, whatever the augmentation.
-        is_contact: Whether it is contact alone: its slip follows from its state.
-        internal_variables: Shapes of the internal variables at a point, by name: () a scalar, (3,)
-            a vector. A law with `damage` and `spent`, the used part of its fracture energy, has the
-            numbers of damaged interfaces in the summary.
+        can_part: True if the sides can move relative to each other. The interface then has unknown
+            jumps.
+        can_open: True if the sides can separate without resistance.
+        augmented: True if the multiplier is exact and does not depend on the augmentation.
+        is_contact: True for contact alone, whose slip follows from its state.
+        internal_variables: Shapes of the internal variables at a point, by name: () for a scalar,
+            (3,) for a vector. For a law with `damage` and `spent` (the dissipated part of its
+            fracture energy), the summary has the numbers of damaged interfaces.
     """
 
     # A `Literal` in each subclass.
@@ -147,19 +159,19 @@ class InterfaceLaw(Extensible):
     conductance: Conductance | None = None
     """Power per area and temperature jump; perfect (no jump) by default."""
     strength: InterfaceStrength | None = None
-    """Tension and shear that it stands, for its failure index: numbers and a map, no law."""
+    """Strengths in tension and shear, for the failure index. They do not change the law."""
 
     @model_validator(mode="before")
     @classmethod
     def _small(cls, value: Any) -> Any:
         for key in ("sliding", *FINITE) if isinstance(value, dict) else ():
             if key in value and key not in cls.model_fields:
-                fail(f"slip of kind: {value.get('kind')} {SMALL}", at=(key,))
+                fail(f"kind: {value.get('kind')} {SMALL}", at=(key,))
         return value
 
     @property
     def conductances(self) -> tuple[float, float, float]:
-        """Conductance at zero pressure, increase with pressure, largest value [N, mm, s, K]."""
+        """Conductance at zero pressure, its increase with pressure, largest value [N, mm, s, K]."""
         match self.conductance:
             case PressureConductance(open=least, per_pressure=slope, cap=cap):
                 return least, slope, math.inf if cap is None else cap
@@ -168,12 +180,12 @@ class InterfaceLaw(Extensible):
 
     @property
     def conducts_by_pressure(self) -> bool:
-        """True if its conductance grows with the contact pressure."""
+        """True if the conductance grows with the contact pressure."""
         return isinstance(self.conductance, PressureConductance)
 
     @property
     def finite_sliding(self) -> bool:
-        """True if its sides may slide any distance."""
+        """True if the sides may slide any distance."""
         return False
 
     @property
@@ -183,27 +195,27 @@ class InterfaceLaw(Extensible):
 
     @property
     def sliding_boundaries(self) -> tuple[str, str] | None:
-        """Boundaries that slide on each other; None: those that the geometry knows."""
+        """Boundaries that slide on each other; None for those of the geometry."""
         return None
 
     @property
     def friction(self) -> float:
-        """Coulomb's coefficient, 0 without; without friction no tangential term is compiled."""
+        """Coulomb's friction coefficient [-]. If it is 0, no tangential term is compiled."""
         return 0.0
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
-        """Heating of the sides by friction; None without it."""
+        """Heating of the sides by friction; None if friction heats no side."""
         return None
 
     @property
     def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """Initial gap [mm], and its multipliers at the ends of the stages."""
+        """Initial gap [mm] and its multipliers at the ends of the stages."""
         return 0.0, None
 
     @property
     def layer(self) -> tuple[float, float] | None:
-        """Stiffness across and along an elastic layer in series [MPa/mm]; None without."""
+        """Normal and tangential stiffness of an elastic layer in series [MPa/mm]; None without."""
         return None
 
     @property
@@ -213,17 +225,17 @@ class InterfaceLaw(Extensible):
 
     @property
     def dissipates(self) -> bool:
-        """True if its response has `dissipated_by_jump`: `fracture_step` controls its energy."""
+        """True if the response has `dissipated_by_jump`, so that `fracture_step` can control it."""
         return False
 
     @property
     def values(self) -> Mapping[str, float | str | Patches]:
-        """Numbers of the law, or expressions; they may differ between laws of one form."""
+        """Constants of the law, by name. They may differ between laws of one form."""
         return {name: v for name, v in self._added_fields().items() if self._varies(name, v)}
 
     @property
     def form(self) -> Hashable:
-        """Key of compiled code shared by laws: the class, and fields that are no numbers."""
+        """Key of the compiled code that laws share: class and fields that are not numbers."""
         return type(self), *(
             (n, v) for n, v in self._added_fields().items() if not self._varies(n, v)
         )
@@ -244,15 +256,15 @@ class InterfaceLaw(Extensible):
         return next((m for m in (*known.metadata, *inner) if isinstance(m, Varying)), None)
 
     def fields(self, interface: str) -> dict[str, Field]:
-        """The values (n,) at points of an interface, by name."""
+        """Functions of points (n, 3) that return the values (n,), by name."""
         key = f"interfaces.{interface}."
         return {n: field(key + n, v, self._mark(n)) for n, v in self.values.items()}
 
     def check(self, at: Mapping[str, Floats]) -> None:
-        """Refuse values (n,) at points that do not go together."""
+        """Check values at points (n,); raise PydanticCustomError if they contradict each other."""
 
     def response(self, at: AtPoint) -> Response:
-        """Force and derivative of the law."""
+        """Force and derivatives of the law, in UFL."""
         raise NotImplementedError
 
     def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
@@ -266,7 +278,7 @@ class InterfaceLaw(Extensible):
 
 
 class Bonded(InterfaceLaw):
-    """The two sides are one continuum."""
+    """The two sides form one continuum."""
 
     can_part: ClassVar[bool] = False
 
@@ -295,19 +307,19 @@ class Frictional(InterfaceLaw):
 
 
 class Unilateral(Frictional):
-    """Unilateral contact with Coulomb friction, however it is enforced (`forms.contact`)."""
+    """Unilateral contact with Coulomb friction: exact, or with a penalty (`forms.contact`)."""
 
     can_open: ClassVar[bool] = True
     augmented: ClassVar[bool] = True
     is_contact: ClassVar[bool] = True
 
     gap: LengthField = 0.0
-    """Initial gap: positive open, negative an interference (press fit)."""
+    """Initial gap: a clearance if positive, an interference (press fit) if negative."""
     gap_history: LoadHistory = None
-    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is there from
-    the start, and an interference grows through the first stage."""
+    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is constant,
+    and an interference grows during the first stage."""
     friction_heating: FrictionHeating | None = None
-    """Part of the heat of friction that goes into the first side; none is heated by default."""
+    """Part of the friction heat that enters the first side; by default friction heats no side."""
 
     @model_validator(mode="after")
     def _rubs(self) -> Unilateral:
@@ -329,7 +341,7 @@ class Unilateral(Frictional):
 
     @property
     def form(self) -> Hashable:
-        """With friction or without."""
+        """Contact, with or without friction."""
         return "contact", self.friction > 0
 
     @property
@@ -359,18 +371,18 @@ class Coulomb(Unilateral):
 
     kind: Literal["contact"] = "contact"
     compliance: Compliance | None = None
-    """Elastic layer in series with contact; none by default. Slip is what is not elastic."""
+    """Elastic layer in series with contact; none by default. Slip excludes its elastic part."""
     sliding: Literal["small", "finite"] = "small"
-    """How far its sides may slide: less than a facet, or any distance, on bodies that are meshed
-    apart."""
+    """Small sliding: less than a facet. Finite sliding: any distance, for bodies with separate
+    meshes."""
     between: Annotated[tuple[Name, Name], Pair("[head_surface, liner_inner]")] | None = None
-    """Boundaries that slide on each other, of the first and the second side, where `sliding` is
-    finite; by default those that the geometry knows."""
+    """Boundaries of the first and the second side that slide on each other, if `sliding` is finite;
+    by default those of the geometry."""
     quadrature: Literal[12, 48, 192] | None = None
-    """Points per facet that hand forces from an elastic side to the other where `sliding` is
-    finite; 12 by default, enough where the mesh of the softer side is the finer one."""
+    """Points per facet that transfer forces from an elastic side to the other, if `sliding` is
+    finite. The default 12 is enough if the softer side has the finer mesh."""
     augmentation: PositiveStiffness | None = None
-    """Augmentation parameter r, chosen by default; results do not depend on it."""
+    """Augmentation parameter r; by default it is chosen. Results do not depend on it."""
 
     @model_validator(mode="after")
     def _slides(self) -> Coulomb:
@@ -379,7 +391,7 @@ class Coulomb(Unilateral):
             if getattr(self, key) is not None and not finite:
                 fail("needs `sliding: finite` in the same interface", at=(key,))
         if self.compliance is not None and finite:
-            fail(f"its slip {SMALL}", at=("compliance",))
+            fail(f"contact with compliance {SMALL}", at=("compliance",))
         return self
 
     @property
@@ -406,11 +418,13 @@ class Coulomb(Unilateral):
 
     def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""
-        return self.augmentation or factor * local_stiffness
+        if self.augmentation is not None:
+            return self.augmentation
+        return factor * local_stiffness
 
 
 class Penalty(Unilateral):
-    """Contact through an elastic layer as stiff along as across: it penetrates."""
+    """Contact through an elastic layer of equal normal and tangential stiffness; it penetrates."""
 
     kind: Literal["penalty"] = "penalty"
     penalty: PositiveStiffness
@@ -418,15 +432,15 @@ class Penalty(Unilateral):
 
     @property
     def layer(self) -> tuple[float, float]:
-        """The penalty twice."""
+        """Normal and tangential stiffness: both the penalty [MPa/mm]."""
         return self.penalty, self.penalty
 
 
 class Traction(InterfaceLaw):
-    """A law whose force is an explicit function of the gap: layers, cohesion.
+    """Base of laws whose force is an explicit function of the gap, such as layers and cohesion.
 
-    A subclass declares its keys, which stand for UFL scalars in its methods. Each method has the
-    same arguments:
+    A subclass declares its keys. In its methods the keys are UFL scalars. All methods have the same
+    arguments:
 
         gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
         normals: Unit normals of the point's faces, from master to slave, each (3,).
@@ -445,9 +459,10 @@ class Traction(InterfaceLaw):
         return {}
 
     def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
-        """Share of the area on which contact acts beside the traction [-]; none by default.
+        """Debonded share of the area, on which contact also acts [-]; none by default.
 
-        Its friction coefficient is this share of the law's, which derives from `Frictional` too.
+        The friction coefficient is multiplied by this share. The law then also derives from
+        `Frictional`.
         """
         return None
 
@@ -458,7 +473,7 @@ class Traction(InterfaceLaw):
     def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Energy per area that a step dissipates, without friction [N/mm]; none by default.
 
-        Steps of a given `fracture_step` control it.
+        If the case gives `fracture_step`, load steps control this energy.
         """
         return None
 
@@ -467,9 +482,9 @@ class Traction(InterfaceLaw):
         return None
 
     def status(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
-        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers from 3 of its own.
+        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or another number from 3 on.
 
-        STICK by default.
+        The default is STICK.
         """
         from ufl import as_ufl
 
@@ -479,7 +494,7 @@ class Traction(InterfaceLaw):
 
     @property
     def debonded_contact(self) -> Coulomb | None:
-        """Contact, if the subclass defines `broken`."""
+        """Contact law of the debonded area, if the subclass defines `broken`."""
         if type(self).broken is Traction.broken:
             return None
         return Coulomb(friction_coefficient=self.friction)
@@ -490,7 +505,7 @@ class Traction(InterfaceLaw):
         return type(self).dissipated is not Traction.dissipated
 
     def response(self, at: AtPoint) -> Response:
-        """Force, what it stores and dissipates, and derivatives."""
+        """Force, stored and dissipated energy, and their derivatives, in UFL."""
         from ufl import as_ufl, as_vector, variable
 
         from forms.contact import Response, derivative
@@ -524,7 +539,7 @@ class Traction(InterfaceLaw):
 
 
 class Cohesive(Frictional, Traction):
-    """Bond that breaks, in tension, shear and between, and rubs where it is broken."""
+    """Cohesive interface: it debonds in tension, shear or mixed mode, then slides with friction."""
 
     can_open: ClassVar[bool] = True
     augmented: ClassVar[bool] = True
@@ -532,37 +547,37 @@ class Cohesive(Frictional, Traction):
 
     kind: Literal["cohesive"] = "cohesive"
     friction_coefficient: NonNegativeNumber
-    """Coulomb's coefficient of the broken interface; 0 for none."""
+    """Coulomb's coefficient of the debonded interface; 0 for none."""
     stiffness: StiffnessField
-    """Traction per displacement of the bond, in tension and shear."""
+    """Cohesive traction per displacement, in tension and shear."""
     tensile_strength: StrengthField
-    """Largest tension; of stem and cement none is known by finish: give it."""
+    """Strength in tension. No value by finish is known for stem and cement: give it."""
     shear_strength: StrengthField
-    """Largest shear."""
+    """Strength in shear."""
     tensile_energy: FractureEnergyField
-    """Fracture energy per area in tension; of stem and cement none is known: give it."""
+    """Fracture energy per area in tension. No value is known for stem and cement: give it."""
     shear_energy: FractureEnergyField
-    """Fracture energy per area in shear; of stem and cement none is known: give it."""
+    """Fracture energy per area in shear. No value is known for stem and cement: give it."""
     mixing_exponent: MixingExponent = 2.0
-    """Exponent of Benzeggagh and Kenane between the two energies."""
+    """Exponent of Benzeggagh and Kenane for mixed modes."""
     softening: Literal["linear", "exponential"] = "linear"
-    """How traction falls with the jump."""
+    """Decrease of the traction with the jump."""
     unbonded: ShareField = 0.0
-    """Share of the area that has never been bonded."""
+    """Share of the area that is debonded from the start."""
     finish: Text | None = None
-    """Surface of a stem in the library (`mantle explain finishes`); other keys change it."""
+    """Surface finish of the library (`mantle explain finishes`); other keys override its values."""
     source: Source = None
-    """Where its strength is from."""
+    """Source of the strength."""
 
     @property
     def form(self) -> Hashable:
-        """Softening, with friction or without."""
+        """Cohesion by its softening, with or without friction."""
         return "cohesive", self.softening, self.friction > 0
 
     def cohesive_state(
         self, gap: Expr, normals: Faces, internal_variables: InternalVariables
     ) -> CohesiveState:
-        """Bond of a point at a gap; arguments as of `Traction`."""
+        """Cohesive response of a point at a gap; see `Traction` for the arguments."""
         from forms.cohesion import Cohesion, cohesive_state
 
         constants = Cohesion(
@@ -580,26 +595,26 @@ class Cohesive(Frictional, Traction):
         )
 
     def traction(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
-        """Traction of the bond."""
+        """Cohesive traction (3,) [MPa]."""
         return self.cohesive_state(gap, normals, internal_variables).traction
 
     def remembered(
         self, gap: Expr, normals: Faces, internal_variables: InternalVariables
     ) -> Mapping[str, Expr]:
-        """Damage, and the part of the fracture energy that is used up."""
+        """Damage and dissipated part of the fracture energy [-]."""
         state = self.cohesive_state(gap, normals, internal_variables)
         return {"damage": state.damage, "spent": state.spent}
 
     def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
-        """Broken share, once the point is damaged."""
+        """Debonded share of the area [-]; 0 until the point is damaged."""
         return self.cohesive_state(gap, normals, internal_variables).broken
 
     def stored(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
-        """Elastic energy of the bond."""
+        """Elastic energy of the cohesion per area [N/mm]."""
         return self.cohesive_state(gap, normals, internal_variables).stored
 
     def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
-        """Fracture energy that the step uses up."""
+        """Fracture energy per area that the step dissipates [N/mm]."""
         return self.cohesive_state(gap, normals, internal_variables).used
 
     @model_validator(mode="after")
@@ -611,7 +626,7 @@ class Cohesive(Frictional, Traction):
         return self
 
     def check(self, at: Mapping[str, Floats]) -> None:
-        """Refuse a stiffness with which the bond cannot soften."""
+        """Refuse a stiffness that is too small for softening: K < strength^2 / energy."""
         for mode in ("tensile", "shear"):
             names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
             if not at.keys() >= set(names):

@@ -1,4 +1,4 @@
-"""Loads: forces, pressures, weight."""
+"""Loads: forces, pressures and body forces; their keys and their work in a displacement."""
 
 from __future__ import annotations
 
@@ -54,9 +54,12 @@ class Patch:
 
 
 class Load(Extensible, Named):
-    """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
+    """Base of the loads: work in a displacement, times a load history.
 
-    # Whether its direction stays fixed in space while its body turns.
+    Each subclass with a `kind` is a load.
+    """
+
+    # True if its direction is fixed in space while its body rotates.
     fixed_in_space: ClassVar[bool] = False
     # Value at a time where no history tells it.
     _value: Callable[[float], float] | None = PrivateAttr(None)
@@ -72,7 +75,7 @@ class Load(Extensible, Named):
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """Kind, boundary and regions: loads that agree in these share their forms."""
+        """Kind, boundary and regions. Loads that agree in these share their forms."""
         keys = dict(self)
         return self.kind, keys.get("boundary"), keys.get("regions")
 
@@ -84,7 +87,7 @@ class Load(Extensible, Named):
 
     @property
     def volume_regions(self) -> tuple[str, ...] | None:
-        """Regions throughout which it acts, none for all; None for a load on boundaries."""
+        """Regions of a body force, empty for all regions; None for a load on boundaries."""
         return None
 
     @property
@@ -94,7 +97,7 @@ class Load(Extensible, Named):
 
     @property
     def point(self) -> tuple[float, float, float] | None:
-        """Point at which its resultant acts [mm]; None: that is not given."""
+        """Point at which the resultant acts [mm]; None if no point is given."""
         return None
 
     def density_at(self, x: Floats) -> Floats:
@@ -119,7 +122,7 @@ class Load(Extensible, Named):
         raise NotImplementedError
 
     def amplitude(self, time: float) -> float:
-        """Multiplier at a time."""
+        """Multiplier at a time (stage k runs from k to k + 1) [-]."""
         return self._value(time) if self._value else amplitude(self.history, time)
 
     @property
@@ -129,7 +132,7 @@ class Load(Extensible, Named):
 
 
 class Force(Load):
-    """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
+    """A resultant force, applied as a traction on a boundary; with `at`, also with its moment."""
 
     fixed_in_space: ClassVar[bool] = True
 
@@ -139,12 +142,12 @@ class Force(Load):
     force: ForceVector
     """Resultant; its direction, 1 N long, where a cycle table has a column `force`."""
     at: Point | None = None
-    """Point at which the resultant acts (mm); over the boundary evenly by default."""
+    """Point at which the resultant acts (mm). By default the traction is uniform."""
     cycle_table: CycleTable | None = None
     """Force through each cycle of the last stage, in place of `history`: the column `force` times
     the direction, or `force x`, `force y` and `force z` in place of the key `force`."""
     follows: Name | None = None
-    """Motion that the force turns with; by default its direction is fixed in space."""
+    """Motion with which the force rotates; by default its direction is fixed in space."""
 
     @model_validator(mode="before")
     @classmethod
@@ -199,7 +202,7 @@ class Force(Load):
         return self.force_at(1.0)
 
     def work(self, v: Expr, on: Any) -> Any:
-        """Work of a traction that is linear over the boundary."""
+        """Work of a traction that varies linearly over the boundary."""
         import numpy as np
 
         from forms import loads

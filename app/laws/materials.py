@@ -1,8 +1,8 @@
 """Materials of regions.
 
-A stiffness that is not positive definite is refused. For transverse isotropy that means
-E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margin is
-(1 + nu) (1 - 2 nu) if the material is isotropic; where it is small, linear tetrahedra lock.
+A stiffness that is not positive definite is refused. A transversely isotropic material needs
+E_l, E_t, mu_l > 0, |nu_t| < 1 and the margin 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. For an isotropic
+material the margin is (1 + nu) (1 - 2 nu). If the margin is small, linear tetrahedra lock.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ YoungsModulus = Annotated[
 
 
 class Eigenstrain(Section):
-    """Stress-free strain of a region: swelling, shrinkage, press fit."""
+    """Strain of a region without stress: swelling, shrinkage, press fit."""
 
     strain: Annotated[Strain6, BeforeValidator(_six)]
     """Tensor components [xx, yy, zz, yz, xz, xy]; a single number is the same in all directions."""
@@ -81,17 +81,17 @@ class Material(OfRegion):
     """Base of the materials of regions.
 
     Attributes:
-        deforms: Whether it is elastic.
-        moves_rigidly: Whether the region moves as one body.
-        only_conducts: Whether it conducts heat without moving.
-        has_fibre: Whether one direction is unlike the others.
+        deforms: True if it is elastic.
+        moves_rigidly: True if the region moves as a rigid body.
+        only_conducts: True if it conducts heat but does not move.
+        has_fibre: True if it has a fibre direction.
     """
 
     deforms: ClassVar[bool] = False
     moves_rigidly: ClassVar[bool] = False
     only_conducts: ClassVar[bool] = False
     has_fibre: ClassVar[bool] = False
-    # Keys of `thermal` that say how a region deforms; refused where it does not.
+    # Keys of `thermal` that need an elastic region and are refused here.
     refused: ClassVar[tuple[str, ...]] = ()
     # The field that gives the stiffness, if one does.
     modulus_field: ClassVar[ModulusField | None] = None
@@ -102,7 +102,7 @@ class Material(OfRegion):
     """Tissue of the region: bone, cement, implant or other; by default that of the geometry, of a
     `file` that of the library's material."""
     thermal: Thermal | None = None
-    """Conduction of heat; all regions or none."""
+    """Heat conduction. Give it for all regions or for none."""
     status: Status = None
     """How sure its values are; unverified are those of a source that was not read."""
     source: Source = None
@@ -132,17 +132,18 @@ class Elastic(Material):
         fibre: Fibre | None
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
-    """Strains without stress; they add up."""
+    """Strains without stress; their sum acts."""
     # The geometry of the case, for a field that gives the stiffness.
     _geometry: Any = None
-    # The density that its stiffness follows, if it changes in a run.
+    # Density that gives the stiffness, if it changes in a run.
     _density: ChangingDensity | None = None
 
     @property
     def moduli(self) -> tuple[float, ...]:
-        """Young's moduli, the axial one first [MPa]; the largest decides the stiffer side.
+        """Young's moduli, the axial one first [MPa].
 
-        Where the stiffness varies they are the largest, as are `coefficients`.
+        If the stiffness varies in space, these and `coefficients` are the largest values. The
+        largest modulus decides which side of an interface is stiffer.
         """
         raise NotImplementedError
 
@@ -158,17 +159,23 @@ class Elastic(Material):
 
     @property
     def varies(self) -> bool:
-        """Whether the stiffness depends on the place."""
+        """True if the stiffness varies in space."""
         return self._density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
-        """Stiffness by the case at points (n, 3) [mm] over that of `coefficients` (n,)."""
+        """Stiffness at points (n, 3) [mm] over the stiffness of `coefficients` (n,) [-]."""
         import numpy as np
 
         return np.ones(len(x))
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
-        """Strain energy density ψ(ε) [MPa]; coefficients are UFL constants or expressions."""
+        """Strain energy density ψ(ε) [MPa], in UFL.
+
+        Args:
+            ε: Elastic strain (3, 3).
+            coefficients: Elastic coefficients of eq. 48 [MPa].
+            fibre: Unit fibre direction (3,); None if isotropic.
+        """
         from forms import elasticity
 
         if self.fibre is None:
@@ -177,7 +184,7 @@ class Elastic(Material):
 
 
 class Isotropic(Elastic):
-    """Linear elastic, the same in all directions."""
+    """Isotropic linear elasticity."""
 
     fibre: ClassVar[None] = None  # type: ignore[misc]
 
@@ -202,7 +209,7 @@ class Isotropic(Elastic):
 
     @property
     def nearly_incompressible(self) -> bool:
-        """Whether linear tetrahedra of it lock."""
+        """True if linear tetrahedra of this material lock."""
         return self.poisson_ratio > LOCKING_RATIO
 
     @property
@@ -233,7 +240,7 @@ class Isotropic(Elastic):
 
     @property
     def varies(self) -> bool:
-        """Whether Young's modulus is a table or a field."""
+        """True if Young's modulus is a table or a field."""
         return not isinstance(self.youngs_modulus, float) or self._density is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
@@ -249,7 +256,7 @@ class Isotropic(Elastic):
 
 
 class TransverselyIsotropic(Elastic):
-    """Linear elastic, with one direction (the fibre, or axis) unlike the two transverse to it."""
+    """Transversely isotropic linear elasticity, with one fibre direction."""
 
     has_fibre: ClassVar[bool] = True
 
@@ -265,7 +272,8 @@ class TransverselyIsotropic(Elastic):
     axial_shear_modulus: Modulus
     """Shear modulus mu_l between the fibre and the transverse plane."""
     fibre: FibreDirection = Field((0.0, 0.0, 1.0), validate_default=True)  # type: ignore[assignment]
-    """Fibre direction, of any length but zero, normalised; or those that an axis gives."""
+    """Fibre direction, a vector of any length except zero; or directions around or away from an
+    axis."""
 
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
@@ -282,13 +290,13 @@ class TransverselyIsotropic(Elastic):
 
     @property
     def margin(self) -> float:
-        """1 - nu_t - 2 nu_l^2 E_t / E_l, positive; the stiffness is infinite at zero."""
+        """Margin 1 - nu_t - 2 nu_l^2 E_t / E_l > 0; at 0 the stiffness is infinite."""
         ratio = self.transverse_youngs_modulus / self.axial_youngs_modulus
         return 1.0 - self.transverse_poisson_ratio - 2.0 * self.axial_poisson_ratio**2 * ratio
 
     @property
     def nearly_incompressible(self) -> bool:
-        """Whether linear tetrahedra of it lock."""
+        """True if linear tetrahedra of this material lock."""
         return self.margin < LOCKING_MARGIN
 
     @property
@@ -322,18 +330,18 @@ def _true(value: object) -> object:
 
 
 class Rigid(Material):
-    """Rigid: the region moves as one body."""
+    """Rigid region: it moves as one body."""
 
     deforms: ClassVar[Literal[False]] = False
     moves_rigidly: ClassVar[Literal[True]] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion", "cure")
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
-    """Says that the region moves as one body; must be true."""
+    """Marks the region as rigid; must be true."""
 
 
 class Conductor(Material):
-    """Conducts heat without deforming; all regions or none."""
+    """Conductor of heat without deformation. Either all regions are conductors or none."""
 
     deforms: ClassVar[Literal[False]] = False
     moves_rigidly: ClassVar[Literal[False]] = False

@@ -39,20 +39,20 @@ class Rotation(Section):
 
 
 class Motion(Named):
-    """Motion of a region as a whole, small deformations of which are in its own turned frame."""
+    """Motion of a region as a whole; its small deformations are in the frame that moves with it."""
 
     region: Name
     """Region that moves; one motion for each."""
     about: Point
-    """Point that it turns about (mm)."""
+    """Centre of rotation (mm)."""
     boundary: Name | None = None
-    """Boundary that is driven, of an elastic region: it moves as a rigid one. Loads act there."""
+    """Driven boundary of an elastic region. It moves as a rigid body, and loads act on it."""
     rotation: Rotation | None = None
-    """Given angles; without them it does not turn."""
+    """Prescribed angles; without them the region does not rotate."""
     translation: Literal["free", "held"] = "free"
-    """Whether the point moves as loads and contact want, or stays."""
+    """Translation of the centre: free, or held at zero."""
     largest_step: PositiveAngle = math.radians(5.0)
-    """Largest turn in a load step; longer ones are divided."""
+    """Largest rotation in a load step; larger steps are divided."""
 
     @property
     def cycle_table(self) -> CycleTable | None:
@@ -60,10 +60,13 @@ class Motion(Named):
         return self.rotation.cycle_table if self.rotation else None
 
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
-        """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
+        """Rotation R (3, 3) at a phase of the cycle: x = about + R (X - about).
 
-        Of `yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
-        ``x = about + R (X - about)``; the first letter is the outermost, its axis fixed in space.
+        For `axes: yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
+
+        Args:
+            s: Phase in the cycle, from 0 to 1.
+            part: Ramp factor of the angles, from 0 to 1.
         """
         from scipy.spatial.transform import Rotation as Turn
 
@@ -71,5 +74,5 @@ class Motion(Named):
             return Turn.identity().as_matrix()
         columns = [f"rotation {axis}" for axis in self.rotation.axes]
         angles = [part * angle for angle in self.rotation.cycle_table.at(columns, s)]
-        # Capitals are axes that turn with it.
+        # Capital letters are axes that rotate with the region.
         return Turn.from_euler(self.rotation.axes.upper(), angles).as_matrix()

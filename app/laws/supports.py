@@ -1,4 +1,4 @@
-"""Supports: prescribed displacements, and springs to the ground."""
+"""Supports: prescribed displacements and elastic foundations."""
 
 from __future__ import annotations
 
@@ -28,26 +28,27 @@ Normal = Annotated[
 
 
 class Support(Named):
-    """Base of the supports that hold displacements."""
+    """Base of the supports that prescribe displacements."""
 
     if TYPE_CHECKING:
         history: LoadHistory
         # The only constrained direction, if any: a unit vector, or `face`.
         normal: tuple[float, float, float] | Literal["face"] | None
 
-    # Whether it is springs; whether it holds all displacements at zero.
+    # True for springs.
     is_spring: ClassVar[Literal[False]] = False
+    # True if it holds all displacements at zero.
     clamps: ClassVar[bool] = False
 
     kind: Any
     boundary: Name
     """Boundary of the geometry."""
     stages: StageNames = None
-    """Stages in which it holds; all by default."""
+    """Stages in which it acts; all by default."""
 
     @property
     def components(self) -> tuple[bool, bool, bool]:
-        """Whether it prescribes x, y, z."""
+        """True for each of x, y, z that it prescribes."""
         x, y, z = (axis in self.held_axes for axis in "xyz")
         return x, y, z
 
@@ -78,10 +79,10 @@ class Roller(Support):
 
     kind: Literal["roller"] = "roller"
     axis: Literal["x", "y", "z"] | None = None
-    """The direction, if it is an axis."""
+    """Direction without displacement: a coordinate axis."""
     normal: Normal | None = None
-    """The direction; any length but zero, normalised. `face`: at each node along the outward
-    normal of the boundary there, the mean of its facets."""
+    """Direction without displacement: a vector of any length except zero. `face` takes the outward
+    normal at each node, the mean of its facets."""
 
     @model_validator(mode="after")
     def _one(self) -> Roller:
@@ -99,13 +100,13 @@ class Roller(Support):
 
     @property
     def felt_axes(self) -> str:
-        """Axes along which it may resist motion, at least in part."""
+        """Axes along which it resists motion, at least in part."""
         normal = (1.0, 1.0, 1.0) if isinstance(self.normal, str) else self.normal or ()
         return self.held_axes + "".join(a for a, c in zip("xyz", normal, strict=False) if c)
 
 
 class Displacement(Support):
-    """Given displacement along one or more axes; the others are free."""
+    """Prescribed displacement along one or more axes; the others are free."""
 
     normal: ClassVar[None] = None  # type: ignore[misc]
 
@@ -140,7 +141,7 @@ class Displacement(Support):
 
 
 class Foundation(Named):
-    """Springs to the ground spread over a boundary."""
+    """Elastic foundation: springs to the ground, distributed over a boundary."""
 
     is_spring: ClassVar[Literal[True]] = True
     clamps: ClassVar[bool] = False
@@ -166,7 +167,7 @@ class Foundation(Named):
         return "".join(axis for axis, k in zip("xyz", self.stiffness, strict=True) if k > 0.0)
 
     def energy(self, v: Expr, k: Any) -> Expr:
-        """Energy per area of a displacement [N/mm]; the stiffness is a UFL constant."""
+        """Energy per area in a displacement v (3,) [N/mm]; the stiffness k is a UFL constant."""
         from forms import loads
 
         return loads.foundation_energy(k, v)

@@ -1,4 +1,4 @@
-"""Heat in regions and across interfaces: conduction, expansion, conductance, heat of friction."""
+"""Heat in regions and across interfaces: conduction, expansion, conductance, friction heat."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 
 class Thermal(OfRegion):
-    """Conduction of heat, thermal expansion and cure of a region."""
+    """Heat conduction, thermal expansion and cure of a region."""
 
     conductivity: units.Conductivity | None = None
-    """Conductivity in all directions; or give axial_conductivity and transverse_conductivity."""
+    """Isotropic conductivity; or give axial_conductivity and transverse_conductivity."""
     axial_conductivity: units.Conductivity | None = None
     """Conductivity along the fibre."""
     transverse_conductivity: units.Conductivity | None = None
     """Conductivity across the fibre."""
     fibre: FibreDirection | None = None
-    """Fibre direction where the region has none of its own; z by default."""
+    """Fibre direction, if the material of the region has none; z by default."""
     density: units.Density
     """Mass per volume."""
     specific_heat: units.SpecificHeat
@@ -38,9 +38,9 @@ class Thermal(OfRegion):
     thermal_expansion: units.ExpansionCoefficient | None = None
     """Strain per temperature; none by default."""
     reference_temperature: units.Temperature | None = None
-    """Temperature without thermal strain; the initial temperature by default."""
+    """Temperature at which thermal strain is zero; the initial temperature by default."""
     cure: Cure | None = None
-    """How the region sets; by default it does not."""
+    """Cure of the region; none by default."""
 
     @model_validator(mode="after")
     def _complete(self) -> Thermal:
@@ -91,7 +91,7 @@ class Thermal(OfRegion):
         return math.sqrt(mean * self.capacity)
 
     def potential(self, g: Expr, conductivities: Sequence[Any], fibre: Any) -> Expr:
-        """Potential of conduction for a temperature gradient; constants are UFL expressions."""
+        """Potential of conduction for a temperature gradient g (3,) [K/mm]; see `forms.heat`."""
         from forms import heat
 
         if fibre is None:
@@ -100,11 +100,11 @@ class Thermal(OfRegion):
 
 
 class PressureConductance(Section):
-    """Conductance that grows with contact pressure: open + per_pressure * p, at most cap."""
+    """Conductance that grows with the contact pressure p: open + per_pressure * p, at most cap."""
 
     kind: Literal["pressure"] = "pressure"
     open: units.ConductancePerArea
-    """Conductance where there is no pressure."""
+    """Conductance without pressure."""
     per_pressure: units.ConductancePerPressure
     """Increase of the conductance per pressure."""
     cap: units.FilmCoefficient | None = None

@@ -1,4 +1,4 @@
-"""Parts of all laws: names, values that vary in space, factors that vary in time."""
+"""Common parts of the laws: names, values that vary in space, multipliers that vary in time."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ FractureEnergyField = Annotated[
     float | str, Varying(Dimension("N/mm", "an energy per area", "100 J/m^2", above=0.0))
 ]
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
-# How sure values are, and where they are from.
+# Reliability of values, and their source.
 Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None
-# What a source says of itself if it was not looked up.
+# Source of values that were not looked up.
 MEMORY = "from memory: check"
 # Multipliers at the ends of the stages.
 LoadHistory = Annotated[tuple[Number, ...], ITEMS] | None
@@ -38,14 +38,14 @@ Table = tuple[tuple[float, float], ...]
 
 
 class Patches(Section):
-    """Share of an area in patches, placed by chance: the same on every mesh."""
+    """Share of an area in randomly placed patches, the same on every mesh."""
 
     share: Annotated[float, Part()]
-    """Expected share of the area; the numbers of the run have the one achieved."""
+    """Expected share of the area. The summary of the run has the actual share."""
     patch: PositiveLength
     """Size of a patch."""
     seed: NonNegativeInteger = 0
-    """The same seed gives the same patches."""
+    """Seed of the random numbers. The same seed gives the same patches."""
 
     def __call__(self, x: Floats) -> Floats:
         """1 in patches, 0 elsewhere, at points (n, 3) [mm]: shape (n,)."""
@@ -72,7 +72,7 @@ ShareField = Annotated[
 
 
 class Named(Section):
-    """Base of named parts of a case; the copy in a scene knows its name."""
+    """Base of named parts of a case. The copy in a scene has its name."""
 
     _name: str = PrivateAttr("")
 
@@ -89,7 +89,7 @@ class Named(Section):
 
 
 class OfRegion(Named):
-    """Base of the laws of a region, which are named after it."""
+    """Base of the laws of a region, which have the name of the region."""
 
     @property
     def region(self) -> str:
