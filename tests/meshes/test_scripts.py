@@ -222,7 +222,7 @@ def test_scripts_that_never_end_are_stopped(
         meshes.build(MeshFile(path=script(tmp_path, loop + LAYERS)), options(size="1 mm"))
 
 
-def test_scripts_cannot_write(tmp_path: Path) -> None:
+def test_scripts_write_nothing_to_their_folder(tmp_path: Path) -> None:
     write = 'Printf("x") > "written";\nSave "saved.msh";\n'
     path, sides = script(tmp_path, LAYERS + write), {"joint": (("low",), ("high",))}
     meshes.build(MeshFile(path=path, interfaces=sides), options(size="1 mm"))
