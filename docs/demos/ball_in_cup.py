@@ -70,9 +70,9 @@ analysis.run()
 
 problem, solver = analysis.problem, analysis.solver
 samples = ContactSamples(problem, problem.trial(*solver.u_and_q()))
-moments = np.cross(samples.arm, samples.friction)[:, 2]  # about the axis, per area [N/mm]
+moments = np.cross(samples.x, samples.force)[:, 2]  # about the axis, per area [N/mm]
 torque = abs(samples.weight @ moments)  # [N mm]
-arms = np.hypot(samples.arm[:, 0], samples.arm[:, 1])  # [mm]
+arms = np.hypot(samples.x[:, 0], samples.x[:, 1])  # [mm]
 torque_exact = mu * samples.weight @ (samples.pressure * arms)
 
 if __name__ == "__main__":
