@@ -1,4 +1,4 @@
-"""Many runs: sweeps, studies and the engine under them.
+"""Many runs: sweeps, studies and the scheduler under them.
 
 It imports everything from `simulation` down. Begin with `batch`.
 """

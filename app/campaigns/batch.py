@@ -31,7 +31,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.campaigns import engine
+from app.campaigns import scheduler
 from app.campaigns.runs import BatchRun, Result, result_of, runs_of, tail
 from app.case.case import PlannedRun, dump, plain
 from app.case.variations import split
@@ -64,7 +64,7 @@ class Options:
         pattern: Part of the names wanted; empty for all.
         tier: quick, default or long.
         slurm: Options of sbatch, to make each run a Slurm job; None to run here.
-        dry_run: Whether to log the `plan` only.
+        dry_run: True to log the `plan` only.
     """
 
     folder: Path
@@ -97,7 +97,7 @@ def run(
         StoppedError: Interrupted; the same call continues.
         EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
-    engine.check(slurm is not None)
+    scheduler.check(slurm is not None)
     here = cores if slurm is None else None
     runs = runs_of(planned, folder, here)
     total = len({r.id for r in runs})
@@ -126,7 +126,7 @@ def run(
         if pending:
             _write(pending.values(), folder, here)
             try:
-                engine.execute(folder, cores, slurm, alone, watch)
+                scheduler.execute(folder, cores, slurm, alone, watch)
             except KeyboardInterrupt:
                 so_far(results())
                 text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
@@ -222,7 +222,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(cores), *command])),
                 "threads": threads,
-                "memory": math.ceil(needed / engine.MEGABYTE),
+                "memory": math.ceil(needed / scheduler.MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
 
@@ -245,7 +245,7 @@ def _text(runs: Sequence[BatchRun]) -> str:
 def _environment(cores: int | None) -> list[str]:
     """Arguments of ``env`` that undo what Snakemake sets."""
     one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
-    if not cores and engine.TREE_JOB.exists():
+    if not cores and scheduler.TREE_JOB.exists():
         return one_thread  # the cache is the node's
     cache = os.environ.get("XDG_CACHE_HOME")
     return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])

@@ -72,7 +72,7 @@ class BatchRun:
 
     @property
     def shares(self) -> bool:
-        """Whether its process has other runs too."""
+        """Return True if the process makes other runs too."""
         return self.path.parent.name.startswith(SHARED)
 
     @property
@@ -95,7 +95,7 @@ class BatchRun:
 
     @property
     def ended(self) -> bool:
-        """Whether it is done, or has failed."""
+        """Return True if the run is done or has failed."""
         marks = (self.path / "DONE", self.path / FAILED)  # its process may go on without it
         return self.status() is not None or any(mark.exists() for mark in marks)
 

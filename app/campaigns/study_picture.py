@@ -32,25 +32,25 @@ def draw(report: Report, folder: Path) -> list[str]:
     """Draw the first six quantities of each kind; return the names of the files."""
     compared = [m for m in report.quantities if m.compared][:MOST_PANELS]
     columns = 2 if len(compared) in (1, 2, 4) else 3
-    found = []
+    names = []
     if compared:
         _draw(folder / NAMES[0], compared, partial(_against_time, report), columns, (5.2, 4.2))
-        found.append(NAMES[0])
+        names.append(NAMES[0])
     lines = varying_lines(report)
     if lines:
         shown = report.quantities[:MOST_PANELS]
         _draw(folder / NAMES[1], shown, partial(_over_number, report, lines), 2, (4.6, 2.9))
-        found.append(NAMES[1])
-    return found
+        names.append(NAMES[1])
+    return names
 
 
 def varying_lines(report: Report) -> dict[str, list[int]]:
     """Lines that vary a number other than the mesh, with the indices of their runs."""
     runs, lines = report.runs, dict.fromkeys(r.line for r in report.runs)
-    found = {name: [i for i, r in enumerate(runs) if r.line == name] for name in lines}
+    by_line = {name: [i for i, r in enumerate(runs) if r.line == name] for name in lines}
     return {
         name: own
-        for name, own in found.items()
+        for name, own in by_line.items()
         if all(runs[i].x and not runs[i].key.startswith("mesh.") for i in own)
     }
 

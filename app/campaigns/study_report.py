@@ -26,7 +26,7 @@ class StudyRun:
         line: Name of the line; empty for the reference.
         key: Key shown on the axis; empty if none varies.
         label: Value of that key, as written.
-        x: That value in `unit`, if it is a number.
+        x: Value of the key in `unit`, if it is a number.
         unit: Internal unit; empty if it has none.
         time: Run time without meshing, compiling and companion runs [s]; None if it failed.
     """
@@ -57,7 +57,7 @@ class Measured:
     """One quantity over the runs of all lines.
 
     Attributes:
-        compared: Whether it has an error; else only its values are shown.
+        compared: True if it has an error; otherwise only values are shown.
         points: One for each run.
         exponents: The p of error ~ key^p along each line.
         front: Pareto front of time and error: indices of points, fastest first.
@@ -91,7 +91,7 @@ class Report:
         target: Relative error wanted.
         runs: The runs of all lines.
         ladder: The runs of the reference.
-        advice: What accuracy costs, for each quantity that is compared; for all of several as "".
+        advice: Cost of accuracy for each compared quantity, and for all of them as "".
     """
 
     target: float
@@ -102,7 +102,7 @@ class Report:
 
     @property
     def covered(self) -> list[bool]:
-        """Whether the truth lies within ±, where the true error is known well enough."""
+        """True for each number with a known error if its true value lies within its ±."""
         indices = [p.effectivity for m in self.quantities for p in m.points]
         return [index >= 1.0 for index in indices if index is not None]
 

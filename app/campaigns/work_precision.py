@@ -30,7 +30,7 @@ class ReferenceValue:
     Attributes:
         uncertainty: In the unit of the value; 0 if it is exact.
         order: Observed order of convergence; None unless extrapolated.
-        method: Method that found it, in words.
+        method: Method of determination, in words.
     """
 
     value: float
@@ -61,7 +61,7 @@ class ErrorPoint:
 
     @property
     def trusted(self) -> bool:
-        """Whether the error exceeds the uncertainty of the reference."""
+        """Return True if the error exceeds the uncertainty of the reference."""
         return self.error is not None and self.error > self.uncertainty
 
     @property

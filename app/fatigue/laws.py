@@ -1,4 +1,4 @@
-"""How a material fails: at its largest flaw (Weibull), or by cycles of load (S-N laws, Miner)."""
+"""Failure of a material: at its largest flaw (Weibull), or by cycles of load (S-N laws, Miner)."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Fatigue(Section):
         MAPPING,
         SOME,
     ]
-    """S-N laws side by side, by name; a life is told as the band over all of them."""
+    """S-N laws side by side, by name; life is reported as the band over all of them."""
     goodman: Modulus | None = None
     """Strength at which Goodman's line ends; without it the mean stress does not count."""
 

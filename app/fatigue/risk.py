@@ -8,9 +8,9 @@ of the stress of the displacement, with that of setting. High powers of stress n
 means of cells are 13 % off at a shape of 10, with eight cells over a bent bar. Those here are exact
 to degree 9.
 
-Rim and tip of a hip are reported apart, as on interfaces, and so is what is near an edge at which
-the region turns in: stress has no bound there, and R has none where m times the power of the
-distance with which stress grows is 2 or more. It then grows with every refinement.
+Rim and tip of a hip are reported separately, as on interfaces, and so are re-entrant edges: stress
+has no bound there, and R has none where m times the power of the distance with which stress grows
+is 2 or more. It then grows with every refinement.
 """
 
 from __future__ import annotations
@@ -180,8 +180,8 @@ def tensions(peak: Floats, valley: Floats) -> tuple[Floats, Floats]:
 def turning_in(tagged: TaggedMesh, region: str) -> Floats:
     """Edges at which a region turns in by more than `TURN` (e, 2, 3) [mm], on all ranks.
 
-    The angles of its cells in the middle of an edge add up to a half turn where its surface is
-    smooth, and to a whole one inside.
+    The angles of the cells around an edge add up to 180 degrees where the surface is smooth, and to
+    360 degrees inside.
     """
     mesh = tagged.mesh
     own = tagged.cell_tags.find(tagged.regions[region])

@@ -1,8 +1,8 @@
 """Remodelling: bone whose density follows its strain energy, in stages of its own.
 
-`laws` has the keys and the formula, `stimulus` what bone feels, `intact_femur` what it felt before,
-`stepper` the density in time, `bone` its mass, `findings` the faults and notes.
-Importing the package registers it; the core does not know it.
+`laws` has the keys and the formula, `stimulus` the stimulus, `intact_femur` its reference before
+surgery. `stepper` advances the density in time, `bone` sums the mass, `findings` has faults and
+notes. Importing the package registers it; the core does not know it.
 """
 
 from __future__ import annotations

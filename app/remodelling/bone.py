@@ -27,7 +27,7 @@ class BoneMass(Record):
         forms: Their forms.
         stresses: Strain energy at points of the cells.
         volume: Integrals of the hat functions of the vertices (n, r) [mm3].
-        mass: Its mass: at the start, added, cut at the bounds [g].
+        mass: Mass at the start, added, and cut at the bounds of density [g].
         seconds: Time in which it has remodelled so far [s].
         steps: Number of steps so far.
     """

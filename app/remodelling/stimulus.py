@@ -29,7 +29,7 @@ class Stimulus:
     """Strain energy per mass of the bone that remodels; made and called collectively.
 
     Attributes:
-        outcome: That of the last solve.
+        outcome: Outcome of the last solve.
     """
 
     outcome: NewtonResult

@@ -1,7 +1,7 @@
 r"""Balances: of force, moment and energy, from forms of their own, and of heat.
 
-The heat integrator's own sum of a step of length Δt with weights :math:`b_i` is exact for its
-discrete solution, to the tolerance of its equations,
+The heat integrator's own sum of a step of length Δt with weights :math:`b_i` is exact for the
+discrete solution, to the solver's tolerance,
 
 .. math:: E(t) - E(0) = \sum_{steps} Δt \sum_i b_i \sum_c Q_c(t_i),
 
@@ -54,10 +54,10 @@ class _State:
 class Balance:
     """Sums of force, moment and energy over the steps, relative to the largest so far.
 
-    What is left over is compared with what could be there: forces with loads, reactions, forces of
-    free strains and of contact, energy with the work of them all, even where each is in balance by
-    itself, and both with the rounding of the assembled terms, which is all that acts in a body that
-    has moved without strain.
+    Defects are relative to a scale. Of forces it is the largest of loads, reactions, and forces of
+    free strains and of contact. Of energy it is the work of all of these, even where each is in
+    balance by itself. Neither scale is below the rounding of the assembled terms: nothing else acts
+    in a body that has moved without strain.
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
@@ -286,7 +286,7 @@ class HeatBalance:
         """Add an accepted step.
 
         Args:
-            step: Its length [s].
+            step: Length of the step [s].
             heats: Heat that came in by each condition, as the integrator sums its stages [N mm].
             end: Flows at the end [N mm/s].
             stored: Heat stored then [N mm].

@@ -1,9 +1,9 @@
 """Tractions of bonded interfaces, by equilibrium of the sides: would the bond hold?
 
-The force of one side on the other is that of its stress on their common nodes, less the forces of
-loads and elastic foundations there. It acts at the points that contact in place of the bond would
-have, next to the contact interfaces of the scene, and equals the force of contact that sticks.
-Loads on cells at the interface count as traction.
+One side acts on the other with the forces of its stress on the common nodes. Forces of loads and
+elastic foundations there are subtracted. The force acts at the points that contact would have in
+place of the bond. It equals the force of contact that sticks. Loads on cells at the interface
+count as traction.
 """
 
 from __future__ import annotations
@@ -79,9 +79,9 @@ class _Place:
         pieces: The pieces.
         rigid: Pieces that are rigid.
         nodes: Global blocked dofs of the entries, rising (m,).
-        cells: For each region, its rank-local cells with such nodes (c,), the indices of their
-            nodes in ``nodes``, m if they are not there (c, nodes), and gradients of the shape
-            functions times volume at the points of the stress (c, points, nodes, 3) [mm2].
+        cells: By region: its rank-local cells with such nodes (c,). The indices of their nodes in
+            ``nodes``, m for others (c, nodes). Gradients of the shape functions times volume at the
+            points of the stress (c, points, nodes, 3) [mm2].
         near: Measures of the boundaries that have such nodes, on the pieces.
         springs: Forces of elastic foundations on these boundaries by piece, with opposite sign.
     """
@@ -126,7 +126,7 @@ class BondForces:
         if not wanted:
             return {}
         pressures, shear = self._tractions()
-        found = {}
+        numbers = {}
         for b in wanted:
             surface = self._place.surfaces[b.name]
             means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
@@ -147,8 +147,8 @@ class BondForces:
                         f"{name}_max": field.maximum()[0],
                     }
                 of_parts[part] = numbers
-            found[b.name] = of_parts.pop("", {}) | of_parts
-        return found
+            numbers[b.name] = of_parts.pop("", {}) | of_parts
+        return numbers
 
     def _tractions(self) -> tuple[Floats, Floats]:
         """Tractions over the areas of the corners; collective.
@@ -247,15 +247,15 @@ class BondForces:
 
     def _springs(self, near: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
         """Forces of elastic foundations by piece; ``body`` is the body of each piece."""
-        p, found = self._problem, list[tuple[int, fem.Form]]()
+        p, forms = self._problem, list[tuple[int, fem.Form]]()
         U, v = p.displacements(), ufl.TestFunction(p.space)
         for f, k in zip(p.scene.foundations, p.body_forms.springs, strict=True):
             for piece, b in enumerate(body):
                 ds = near.on(f.boundary, piece)
                 if ds is not None:
                     work = sum(k[i] * U[b][i] * v[i] for i in range(3)) * ds
-                    found.append((piece, p.body_forms.form(work)))
-        return found
+                    forms.append((piece, p.body_forms.form(work)))
+        return forms
 
     def _forces(self, load: Load) -> Floats:
         """Forces of a load on the pieces at the nodes (pieces, m, 3) at full amplitude [N]."""

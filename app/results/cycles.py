@@ -77,7 +77,7 @@ def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
 
 
 def trend(first: float, lost: list[float]) -> str:
-    """Whether the dissipation per cycle ``vanishes``, ``stays``, ``falls`` or ``grows``.
+    """Return the trend of dissipation per cycle: ``vanishes``, ``stays``, ``falls``, ``grows``.
 
     ``first`` is that up to the first peak, ``lost`` that of each cycle after it [N mm].
     """

@@ -12,12 +12,13 @@ inside cells. A companion of another coarsening is taken as if errors fell with 
 `case.quantities`.
 
 A number that is zero has no part in medians. It is zero if it is rounding compared with the largest
-number of its unit, or if it is small compared with that and changes by more than its size.
+number of its unit. It is zero too if it is small compared with that and changes by more than its
+size.
 
-Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
-minimisation is an implicit Euler method). The companion takes half the steps, which is cheaper; two
-on a mesh of 3 h take half of them and all (or one and two where the run takes one), and the
-difference gives C. In transient stages half the steps means a tolerance with which the error of the
+With friction the solution depends on the load path. The error of n load steps is then taken as C /
+n, as of an implicit Euler method. The companion takes half the steps, which is cheaper; two on a
+mesh of 3 h take half of them and all, and their difference gives C. If the run takes one step, they
+take one and two. In transient stages half the steps means a tolerance with which the error of the
 time steps is twice as large.
 """
 
@@ -84,8 +85,9 @@ class Companion:
     """A cheaper relative of a run.
 
     Attributes:
-        coarsening: Its mesh size over that of the run.
-        steps: Its increments over those of the run; the inverse for the error of its time steps.
+        coarsening: Mesh size of the companion over that of the run [-].
+        steps: Increments of the companion over those of the run [-]. For time steps, the factor on
+            their error is the inverse.
     """
 
     case: Case
@@ -160,8 +162,8 @@ def estimate(
     Args:
         run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where
             there are any; changed in place.
-        case: What it solved.
-        solved: Its companions with the same sections.
+        case: Case of the run.
+        solved: Companions of the run, with the same sections.
 
     Returns:
         Peaks that still change with the mesh, as ``interface.pressure_max``, those that change most
@@ -230,7 +232,7 @@ def is_zero(value: float, change: float, largest: float) -> bool:
 
     Args:
         value: The number.
-        change: Its change to a coarser mesh, or its error.
+        change: Change to a coarser mesh, or error of the number.
         largest: Largest absolute value of the numbers of its unit.
     """
     size = abs(value)

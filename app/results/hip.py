@@ -29,14 +29,14 @@ ENDS = ("tip_displacement", "top_displacement")
 class StemMotion:
     """Motion of the implant; nothing without implant or bone; made and called collectively.
 
-    ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are the rigid motion that
-    fits best, by area, the motion of the stem's surface facing cement or bone against the nearest
-    surface of bone that faces cement or stem. The neck has no part in them, nor have the rigid
-    motion and the bending of the femur. Retroversion turns the medial side towards posterior, varus
-    tilts the top towards medial; `Case.side` says where medial is.
+    ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are parts of a rigid
+    motion. It is the best fit, by area, to the motion of the stem's surface against the nearest
+    surface of bone. Both surfaces are those that face cement, or each other. The neck has no part
+    in them, nor have the rigid motion and the bending of the femur. Retroversion turns the medial
+    side towards posterior, varus tilts the top towards medial; `Case.side` says where medial is.
 
-    ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
-    highest nodes in the frame of the model, with the bending of the femur.
+    ``tip_displacement`` and ``top_displacement`` (3,) [mm] are displacements of the stem's lowest
+    and highest nodes. They are in the frame of the model and include the bending of the femur.
     """
 
     def __init__(self, problem: Problem, case: Case) -> None:

@@ -1,9 +1,9 @@
 """Published numbers of interfaces.
 
 All functions are collective and return the same plain values on every rank. Maxima, percentiles,
-means, areas and fractions of a hip are of the interface without the parts within the rim and the
-tip, which have their own; sums are of the whole. Percentiles are weighted by area; maxima are
-reported beside them because peaks at edges grow with refinement.
+means, areas and fractions of a hip leave out rim and tip, which have numbers of their own; sums are
+of the whole. Percentiles are weighted by area; maxima are reported beside them because peaks at
+edges grow with refinement.
 
 Maxima and percentiles of tractions are of point values, recovered from forces over areas
 (`surface_parts`); means are those of the forces.

@@ -3,8 +3,8 @@
 The criteria are reported side by side because they disagree: between 47 and 50 degC
 Henriques-Moritz, measured on skin, allows a hundred times longer than the bone rule.
 
-Within a step the temperature is linear in time, and the doses of that line are exact (to a relative
-1e-12) for steps of any length.
+Within a step the temperature is taken as linear in time. The doses of that line are exact, to a
+relative 1e-12, for steps of any length.
 """
 
 from __future__ import annotations

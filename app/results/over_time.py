@@ -3,9 +3,9 @@
 A reduction has one number for each node of a region that this rank owns, and takes every accepted
 step. `maxima` and `largest` reduce the nodes of all ranks to the numbers that are reported.
 
-Between steps a value follows parabolas: the maximum is that of a parabola where the steps before
-and after allow one, and integrals are those of a parabola through the step and the one before it,
-in straight pieces.
+Between steps a value follows parabolas: the maximum is the vertex of one, where the steps before
+and after allow it. Integrals are those of a parabola through the step and the one before, in
+straight pieces.
 """
 
 from __future__ import annotations
@@ -109,9 +109,9 @@ def largest(
 def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Floats]:
     """Peaks between the middle ones of four states, at rising times.
 
-    The vertex of the parabola through three of them, the highest in the middle, but no higher than
-    straight lines through the two states before and through the two after: heating that is switched
-    off leaves no peak.
+    The peak is the vertex of the parabola through three of them, the highest in the middle. It is
+    no higher than straight lines through the first two states and through the last two: heating
+    that is switched off leaves no peak.
 
     Returns:
         Values (n,), minus infinity without a peak, and times (n,).
@@ -150,7 +150,7 @@ def bend(before: State, start: State, end: State) -> Floats:
 
 
 def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
-    """The same by the rate of change at the end (n,): earlier states say nothing of the step."""
+    """Depth as of `bend`, from the rate of change at the end (n,), without an earlier state."""
     (t1, b), (t2, c) = start, end
     return limited((rate * (t2 - t1) - (c - b)) / 4, b, c)
 

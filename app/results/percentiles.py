@@ -25,7 +25,7 @@ class SurfaceField:
     """A field that is linear on each triangle of a surface, of area ``whole`` [mm2].
 
     Args:
-        corners: Its values at the corners of triangles (f, 3).
+        corners: Values of the field at the corners of triangles (f, 3).
         area: Their areas (f,) [mm2].
         x: Positions of these corners (f, 3, 3) [mm].
     """

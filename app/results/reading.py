@@ -244,7 +244,7 @@ class Run(Results):
 
         Args:
             exact: The exact values (q, k) at points (q, 3), and their regions (q,).
-            values: Those of the nodes (n, k); the displacement at the end by default.
+            values: Nodal values (n, k); the displacement at the end by default.
             degree: Of the quadrature.
 
         Returns:

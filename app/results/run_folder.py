@@ -63,7 +63,7 @@ class Writer:
         groups: Sources of the fields: the mechanics, if there are any, then the heat.
         resolved: The resolved configuration, as YAML.
         record: Called for the provenance when the run ends.
-        again: Whether a restart follows, so that existing files may stay.
+        again: True if the run restarts, so that existing files stay.
 
     Attributes:
         fields: The field file, if fields are written.

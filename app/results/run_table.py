@@ -23,7 +23,7 @@ def row(point: Point, summary: Mapping[str, Any], status: str, seconds: float) -
 
     Args:
         point: Name of the run, and what it changes.
-        summary: Its ``summary.json``; empty if there is none.
+        summary: Content of ``summary.json`` of the run; empty if there is none.
         status: Such as converged, not converged or stopped.
         seconds: Wall time.
     """

@@ -35,7 +35,7 @@ class Stresses:
         shares: Fraction of a cell's volume at each of them (points,).
 
     Args:
-        around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
+        around_z: True if the z axis is the axis of a stem, so that hoop stress is defined.
         depth: Distance of points (n, 3) below a neck cut, above which a stem is a neck [mm].
         fine: Regions, where not all, whose points are exact to degree `FINE` instead of to that of
             energies.
@@ -161,24 +161,24 @@ class Stresses:
         mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
         values = self.whole(local)
-        found: dict[str, Any] = computed("regions", self, region)
+        extra: dict[str, Any] = computed("regions", self, region)
         if region == "stem" and self._depth:
             x = self.whole(x.T).T
             outside = self._depth(x) < 0
             neck, places = values[:, outside], x[outside]
-            found["neck"] = self._statistics(neck) | {
+            extra["neck"] = self._statistics(neck) | {
                 f"{key}_max_at": places[neck[k].argmax()].tolist()
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
         s = self._stress_histories.get(region)
         if s and s.creep:
-            found |= s.creep.numbers(region)
+            extra |= s.creep.numbers(region)
         if cement:
             _, _, tension, _, _, volume = values
             for level in STRESSED:
-                found[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
-        return self._statistics(values) | found
+                extra[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
+        return self._statistics(values) | extra
 
     def whole(self, rows: Floats) -> Floats:
         """Values at the points of all ranks (k, n)."""

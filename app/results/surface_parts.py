@@ -56,7 +56,7 @@ class Pieces:
         """Parts of them where a level, given at the corners of facets (f, 3), is positive."""
         level = self.values(level)
         positive = level > 0
-        found = [(self.facet[rows], self.at[rows]) for rows in [positive.all(axis=1)]]
+        cuts = [(self.facet[rows], self.at[rows]) for rows in [positive.all(axis=1)]]
         for inside in (1, 2):
             rows = np.flatnonzero(positive.sum(axis=1) == inside)
             # The corner that is alone on its side comes first.
@@ -71,8 +71,8 @@ class Pieces:
                 made = [(x[:, 0], p, q)]
             else:
                 made = [(p, x[:, 1], x[:, 2]), (p, x[:, 2], q)]
-            found += [(self.facet[rows], np.stack(corners, axis=1)) for corners in made]
-        facet, at = (np.concatenate(part) for part in zip(*found, strict=True))
+            cuts += [(self.facet[rows], np.stack(corners, axis=1)) for corners in made]
+        facet, at = (np.concatenate(part) for part in zip(*cuts, strict=True))
         pieces = Pieces(facet, at)
         kept = pieces.share > NOTHING
         return Pieces(facet[kept], at[kept])
@@ -90,10 +90,10 @@ def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
         The pieces of each part; of the rest, with the empty name, first.
     """
     rest = Pieces(np.arange(facets), np.tile(np.eye(3), (facets, 1, 1)))
-    found = {}
+    pieces = {}
     for part, level in levels.items():
-        found[part], rest = rest.beyond(-level), rest.beyond(level)
-    return {"": rest} | found
+        pieces[part], rest = rest.beyond(-level), rest.beyond(level)
+    return {"": rest} | pieces
 
 
 class Surface:

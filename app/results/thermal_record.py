@@ -241,8 +241,9 @@ class ThermalRecord:
             temperatures: Of the bodies then [K].
             exchanges: Heat through the interfaces of finite conductance then, if there are any.
             highest: Upper bound of temperatures [K], between steps too.
-            rates: Rates of change at its end, of own nodes of the bodies [K/s], if the heat source
-                has a kink at its start, so that earlier states say nothing of it.
+            rates: Rates of change at the end, at rank-local nodes of the bodies [K/s]. They are
+                given if the heat source has a kink at the start of the step; earlier states are
+                then not used.
         """
         step = seconds - self.seconds
         for r in self.regions.values():
@@ -388,8 +389,8 @@ class _CuringRegion:
 class CureRecord:
     """Degrees of cure of a run, as far as they are reported.
 
-    The time at which a node reaches a degree is interpolated within the step by a cubic of time
-    over degree, from degrees and rates at both ends of the step.
+    The time at which a node reaches a degree is interpolated within the step. The interpolant is a
+    cubic of time over degree, from degrees and rates at both ends.
 
     Args:
         degrees: Degree of cure at this rank's own nodes of each curing region (n,).

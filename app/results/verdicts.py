@@ -54,8 +54,8 @@ def judge(function: Judge) -> Judge:
 
 def record(summary: dict[str, Any], notes: Sequence[Verdict]) -> None:
     """Put all verdicts on a run into its summary: on its numbers, then the notes on its case."""
-    found = [*of_numbers(summary), *notes]
-    summary["verdicts"] = [verdict.record() for verdict in found]
+    verdicts = [*of_numbers(summary), *notes]
+    summary["verdicts"] = [verdict.record() for verdict in verdicts]
 
 
 def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
@@ -74,8 +74,8 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
     Raises:
         UnusableError: With the reasons of each.
     """
-    found = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
-    bad = [f"do not use the numbers in {folder}: {why}" for folder, why in found.items() if why]
+    reasons = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
+    bad = [f"do not use the numbers in {folder}: {why}" for folder, why in reasons.items() if why]
     if bad:
         raise UnusableError(bad)
 

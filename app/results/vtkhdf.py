@@ -5,9 +5,9 @@ the geometry and constant cell data are stored once, and every step adds its row
 Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 
 Rank 0 gathers and writes one step at a time. Collective HDF5 would save that copy, but on a full
-disk its ranks wait for each other for ever, and serial HDF5 that has met a write error crashes at
-exit. So the room for a step is reserved first, where a full disk is an ordinary ``OSError``, and
-the file is open only while a step is written: a killed run leaves it readable.
+disk its ranks wait for each other for ever. Serial HDF5 crashes at exit after a write error. So
+space for a step is reserved first: a full disk is then an ordinary ``OSError``. The file is open
+only while a step is written: a killed run leaves it readable.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ class GridFile:
             raise ValueError(f"{self.path}: every step writes the same fields, once: not {names}")
         arrays = {
             f"{kind}/{name}": (self._gather(values), self._rows[kind])
-            for kind, found in (("PointData", point), ("CellData", cell))
-            for name, values in found.items()
+            for kind, fields in (("PointData", point), ("CellData", cell))
+            for name, values in fields.items()
         }
         starts = {name: self.steps * len(rows) for name, (_, rows) in arrays.items()}
         starts |= {f"CellData/{name}": 0 for name in self._constant}

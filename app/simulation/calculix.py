@@ -75,10 +75,10 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
 
 
 def _refused(case: Case) -> list[Fault]:
-    found: list[Fault] = []
+    faults: list[Fault] = []
 
     def no(what: str, *at: str | int) -> None:
-        found.append(Fault(at, f"an .inp file of CalculiX does not hold {what}"))
+        faults.append(Fault(at, f"an .inp file of CalculiX does not hold {what}"))
 
     for name, region in case.regions.items():
         if region.deforms is False:
@@ -100,7 +100,7 @@ def _refused(case: Case) -> list[Fault]:
     for k, stage in enumerate(case.stages):
         if stage.cycles > 1:
             no("cycles", "stages", k, "cycles")
-    return found
+    return faults
 
 
 class _Deck:

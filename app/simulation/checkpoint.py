@@ -132,13 +132,13 @@ def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> 
         every = folders.saved(folder) if wanted == "auto" else [Path(wanted)]
         for path in every:
             try:
-                found = read(path)
+                saved = read(path)
             except DamagedError as error:
                 if wanted != "auto":
                     raise InputError(f"--restart {path}: cannot be used: {error}") from error
                 log.warning("%s cannot be used: %s; trying the one before", path, error)
                 continue
-            _refuse_another(found, case, force)
+            _refuse_another(saved, case, force)
             return path
         none = "no usable checkpoint" if every else "no checkpoint"
         log.info("restart: %s in %s; starting from the beginning", none, folder)
@@ -148,21 +148,21 @@ def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> 
     return None if path is None else everywhere(comm, lambda: read(path))
 
 
-def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
+def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
     """Raise InputError for a checkpoint of another version or configuration."""
-    if found.header["mantle"] != __version__ and not force:
+    if saved.header["mantle"] != __version__ and not force:
         raise InputError(
-            f"--restart: {found.path} was written by mantle {found.header['mantle']}, this is "
+            f"--restart: {saved.path} was written by mantle {saved.header['mantle']}, this is "
             f"{__version__}: results may differ (--force: use it all the same)"
         )
-    before, now = (dict(_leaves(c)) for c in (found.header["case"], described(case)))
+    before, now = (dict(_leaves(c)) for c in (saved.header["case"], described(case)))
     pairs = {key: (now.get(key, "nothing"), before.get(key, "nothing")) for key in now | before}
     differ = [f"  {key}: {a}; in the checkpoint {b}" for key, (a, b) in pairs.items() if a != b]
     if not differ:
         return
     if len(differ) > TOLD:
         differ = [*differ[:TOLD], f"  and {len(differ) - TOLD} more"]
-    other = f"{found.path} is the checkpoint of another case"
+    other = f"{saved.path} is the checkpoint of another case"
     if not force:
         raise InputError([f"--restart: {other}; --force uses it nevertheless", *differ])
     log.warning("%s:\n%s", other, "\n".join(differ))
@@ -194,10 +194,10 @@ class CheckpointWriter:
     """Write checkpoints when they are due, and restore one."""
 
     def __init__(
-        self, case: Case, model: Model, recorder: Recorder, folder: Path, found: Checkpoint | None
+        self, case: Case, model: Model, recorder: Recorder, folder: Path, saved: Checkpoint | None
     ) -> None:
         self._case, self._model, self._recorder = case, model, recorder
-        self._folder, self._found = folder, found
+        self._folder, self._restored_from = folder, saved
         self._comm = model.tagged.mesh.comm
         self._options = case.output.checkpoint
         self._last: tuple[dict[str, Any], Any] | None = None
@@ -209,12 +209,12 @@ class CheckpointWriter:
         Raises:
             InputError: It is of another mesh, or of other unknowns.
         """
-        found = self._found
-        if found is None:
+        saved = self._restored_from
+        if saved is None:
             return 0
-        header = found.header
+        header = saved.header
         parts = self._model.saved_parts() | {"recorder": self._recorder}
-        everywhere(self._comm, lambda: self._fill(found, parts))
+        everywhere(self._comm, lambda: self._fill(saved, parts))
         restore(parts)
         self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
@@ -222,16 +222,16 @@ class CheckpointWriter:
         by = "" if header["ranks"] == self._comm.size else f" by {header['ranks']} rank(s)"
         log.info(
             "restart from %s, written %s%s: step %d, time %.6g in stage '%s', %.1f s of work",
-            *(found.path, header["written"], by, header["step"], header["time"]),
+            *(saved.path, header["written"], by, header["step"], header["time"]),
             *(header["stage_name"], header["seconds"]["total"]),
         )
         return int(header["stage"])
 
-    def _fill(self, found: Checkpoint, parts: dict[str, Any]) -> None:
+    def _fill(self, saved: Checkpoint, parts: dict[str, Any]) -> None:
         """Fill the parts; raise InputError for a checkpoint of another mesh or other unknowns."""
-        mesh, stage = found.header["mesh"], found.header["stage"]
+        mesh, stage = saved.header["mesh"], saved.header["stage"]
         here, stages = self._model.mesh_hash, len(self._model.scene.stages)
-        checkpoint = f"--restart: {found.path}: checkpoint"
+        checkpoint = f"--restart: {saved.path}: checkpoint"
         if mesh != here:
             raise InputError(
                 f"{checkpoint} of another mesh ({mesh[:12]}; this case has {here[:12]}); restart "
@@ -240,7 +240,7 @@ class CheckpointWriter:
         if stage >= stages:
             raise InputError(f"{checkpoint} is in stage {stage + 1}; this case has {stages} stages")
         try:
-            fill(parts, found.state["parts"])
+            fill(parts, saved.state["parts"])
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(
                 f"{checkpoint} of another model, with other unknowns or records ({error}); "

@@ -15,7 +15,7 @@ from app.system import folders, identity
 
 
 def finished(folder: Path, case: Case) -> bool:
-    """Whether a run directory is complete, of this case, and written by this very program.
+    """Return True if a run directory is complete, of this case, and written by this program.
 
     The case has no variations; a mesh file newer than the results counts as another case.
     """

@@ -118,15 +118,15 @@ class Model:
         stop: Returns the name of a pending stop signal, or "".
         reuse: An earlier model with the same options. Its meshes are reused, and its mechanics
             too if loads and laws alone differ; it must not be used afterwards.
-        judged: Whether to look for what makes the case unsolvable or doubtful on its mesh.
+        judged: True to check whether the case is well-posed on its mesh.
         runs: Number of runs that may follow on the same matrices, this one included.
 
     Attributes:
-        case: Its case.
+        case: Case of the model.
         analysis: Problem, solver and heat of its scene.
-        mechanics: Its mechanics with what is published of it, if a region deforms.
-        thermal: Its heat with what is published of it, if regions conduct.
-        records: What other packages follow in its mechanics, by name.
+        mechanics: Mechanics with its published numbers, if a region deforms.
+        thermal: Heat with its published numbers, if regions conduct.
+        records: Records that other packages add to the mechanics, by name.
         mesh_hash: Digest of the mesh.
         parts: Connected pieces of the mesh, on rank 0.
         notes: Warnings about the case on its mesh.
@@ -155,8 +155,8 @@ class Model:
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
             # Before matrices of bodies that nothing holds are factorized.
-            found = self.parts if judged else None
-            self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
+            parts = self.parts if judged else None
+            self.notes = on_root(comm, lambda: parts and well_posedness.judge(case, parts)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.analysis, self.mechanical_path = self._assemble()
@@ -178,14 +178,14 @@ class Model:
                 return model.tagged, model.mesh_hash, model.parts
         cache = folders.cache("meshes")
         data = on_root(comm, lambda: meshes.build(case.geometry, case.mesh, cache), share=False)
-        found = well_posedness.look(case, data) if data is not None else None
+        parts = well_posedness.look(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
         tagged = distribute(data, comm)
         lifetime.follow(tagged.mesh)
-        return tagged, digest, found
+        return tagged, digest, parts
 
     def deforms_like(self, case: Case) -> bool:
-        """Whether a case differs from this one in loads and laws alone."""
+        """Return True if a case differs from this one in loads and laws alone."""
         return _matrices(self.case) == _matrices(case)
 
     def _assemble(self) -> tuple[Analysis, Mechanical | None]:
@@ -326,16 +326,16 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            found = m.bonds.numbers()
-            if found:
-                numbers["bonds"] = found
+            bonds = m.bonds.numbers()
+            if bonds:
+                numbers["bonds"] = bonds
             creep = m.problem.creep
             if creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             numbers["stem"] = m.stem(self.case.side)
-            found = of_femur(m.problem, self.case)
-            if found:
-                numbers["femur"] = found
+            femur = of_femur(m.problem, self.case)
+            if femur:
+                numbers["femur"] = femur
         t = self.thermal
         if t:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
@@ -349,11 +349,11 @@ class Model:
     def _places(self, samples: ContactSamples | None) -> dict[str, Any]:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
-        found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
+        places = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         m = self.mechanical_path
         if m and m.zones:
-            found["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
-        return found
+            places["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
+        return places
 
     def relative(self, case: Case) -> dict[str, Any]:
         """Solve a companion case; returns its numbers; collective."""

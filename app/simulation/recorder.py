@@ -41,13 +41,13 @@ class AcceptedStep:
     """A step that has converged and is recorded.
 
     Attributes:
-        folder: Its run directory; that of a variation bears its name.
+        folder: Run directory; the folder of a variation has its name.
         number: 1 for the first: its row in history.csv.
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
         end: Time at the end of the last stage.
         seconds: Wall time since the run began [s].
-        row: Its row in history.csv: numbers by the titles of their columns, with units.
+        row: Row in history.csv: numbers by column title, with units.
     """
 
     folder: Path
@@ -335,8 +335,8 @@ class Recorder:
             m.problem.set_time(self.time)
 
         def finish() -> None:
-            found = {"verdicts": [verdict.record() for verdict in why]}
-            self.writer.finish(self.summary(status, None) | found, done=False)
+            verdicts = {"verdicts": [verdict.record() for verdict in why]}
+            self.writer.finish(self.summary(status, None) | verdicts, done=False)
 
         for write in (self.flush, finish) if self.step_count else (finish,):
             try:

@@ -54,7 +54,7 @@ class Setup:
         stop: Returns the name of a pending stop signal, or "".
         progress: Called on every rank after each accepted step.
         restart: A checkpoint to restart from, ``auto`` or "".
-        force: Whether to accept a checkpoint of another configuration.
+        force: True to accept a checkpoint of another configuration.
         begin: Start of the run, by `time.perf_counter`.
         started: The same, by the clock.
         model: The model of the last run, for reuse.
@@ -78,9 +78,9 @@ class Setup:
 
     def note(self, notes: Sequence[Verdict]) -> None:
         """Log notes on the case, each once."""
-        for found in notes:
-            if found not in self.noted:
-                log.warning("%s", found)
+        for verdict in notes:
+            if verdict not in self.noted:
+                log.warning("%s", verdict)
         self.noted.update(notes)
 
 
@@ -151,7 +151,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
     Raises:
         ConvergenceError: Some did not converge; the others are done.
         UnusableError: All did, but the numbers of some are not to be used.
-        StoppedError: Those before are done.
+        StoppedError: A signal stopped the run; earlier variations are done.
     """
     comm = setup.comm
     runs = setup.loaded.runs(output)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import meshes
-from app.campaigns import batch, engine
+from app.campaigns import batch, scheduler
 from app.campaigns.runs import Result, result_of, runs_of
 from app.case.case import PlannedRun, load
 from app.case.geometries import MeshFile
@@ -163,7 +163,7 @@ def test_batch_folder_has_one_batch_at_a_time(bench: Bench) -> None:
 def test_batch_reports_a_broken_snakemake(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = bench.folder / "Snakefile"
     bad.write_text("rule: nonsense nonsense\n")
-    monkeypatch.setattr(engine, "SNAKEFILE", bad)
+    monkeypatch.setattr(scheduler, "SNAKEFILE", bad)
     with pytest.raises(EnvironmentProblem, match=r"Snakemake failed(?s:.*)SyntaxError"):
         bench.run(bench.job(1.0))
 
@@ -194,7 +194,7 @@ def test_batch_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path
     squeue.chmod(0o755)
     path = f"{tmp_path}:{os.environ['PATH']}"
     done = subprocess.run(
-        ["sh", engine.SLURM_STATUS, "17"], env={"PATH": path}, capture_output=True, text=True
+        ["sh", scheduler.SLURM_STATUS, "17"], env={"PATH": path}, capture_output=True, text=True
     )
     assert (done.stdout, done.stderr, done.returncode) == (f"{state}\n", "", 0)
 
