@@ -158,17 +158,17 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
 
 def draw_line(axes: Axes, line: Line, shift: float = 0.0) -> None:
     """Draw a line, its points moved along x by a shift."""
-    own: dict[str, Any] = {
+    style: dict[str, Any] = {
         "color": figures.colour(line.style),
         "marker": figures.marker(line.style),
         "label": line.label or None,
     }
-    own |= _LOOKS[line.look]
+    style |= _LOOKS[line.look]
     x = [x + shift for x in line.x]
     if any(line.errors):
-        axes.errorbar(x, line.y, yerr=line.errors, capsize=3, **own)
+        axes.errorbar(x, line.y, yerr=line.errors, capsize=3, **style)
     else:
-        axes.plot(x, line.y, **own)
+        axes.plot(x, line.y, **style)
 
 
 def _scale(axes: Axes, panel: Panel) -> None:

@@ -117,6 +117,6 @@ def save(figure: Figure, path: Path, dpi: int, suffixes: Sequence[str] = SUFFIXE
     files = [path.with_suffix(suffix) for suffix in suffixes]
     for file in files:
         figure.savefig(file, dpi=dpi)
-        # The layout is found once: it takes longer than drawing.
+        # The layout is computed once: it takes longer than drawing.
         figure.set_layout_engine("none")
     return files

@@ -77,12 +77,12 @@ def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats,
     code = (height >= 0) @ (1 << np.arange(4))
     sections: dict[int, list[tuple[Floats, Ints]]] = {3: [], 4: []}
     for signs, ring in _RINGS.items():
-        own = np.flatnonzero((code == signs) | (code == 15 - signs))
+        hit = np.flatnonzero((code == signs) | (code == 15 - signs))
         ends = np.array(EDGES)[list(ring)]
-        h = height[own][:, ends]
-        x = points[cells[own][:, ends]]
+        h = height[hit][:, ends]
+        x = points[cells[hit][:, ends]]
         share = (h[..., 0] / (h[..., 0] - h[..., 1]))[..., None]
-        sections[len(ring)].append((x[:, :, 0] * (1 - share) + x[:, :, 1] * share, own))
+        sections[len(ring)].append((x[:, :, 0] * (1 - share) + x[:, :, 1] * share, hit))
     return [
         (np.concatenate([c for c, _ in parts]), np.concatenate([o for _, o in parts]))
         for parts in sections.values()
@@ -153,8 +153,10 @@ def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
     u, v = (i for i in range(3) if i != axis)
     polygons, edges, _ = section(data, axis, at)
     for name, colour in colours_of(data.regions).items():
-        own = [x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons]
-        area = PathCollection([joined(own)], color=colour, linewidths=0)
+        filled = [
+            x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons
+        ]
+        area = PathCollection([joined(filled)], color=colour, linewidths=0)
         ax.add_collection(area, autolim=False)
     ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
     tags = data.cell_tags.astype(np.int64)
@@ -186,12 +188,12 @@ def interfaces(data: MeshData, path: Path) -> None:
     patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
     middle = patches[1].mean(axis=1)
     thickness = distance(middle, patches[0])
-    beside = middle[:, 2] > patches[0][:, :, 2].min()
+    around = middle[:, 2] > patches[0][:, :, 2].min()
     shown = ScalarMappable(
-        Normalize(np.floor(thickness.min()), np.ceil(thickness[beside].max())), colormaps["viridis"]
+        Normalize(np.floor(thickness.min()), np.ceil(thickness[around].max())), colormaps["viridis"]
     )
     grey = np.tile(to_rgb(METAL), (len(patches[0]), 1))
-    tinted = np.where(beside[:, None], shown.to_rgba(thickness)[:, :3], to_rgb(PLUG))
+    tinted = np.where(around[:, None], shown.to_rgba(thickness)[:, :3], to_rgb(PLUG))
     cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
     edges = (np.full(len(stem[0]), "k"), np.where(cortex, CORTEX, "k"))
 

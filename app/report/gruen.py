@@ -29,10 +29,10 @@ def blocks(cases: Iterable[tuple[str, SweptCase]]) -> list[Block]:
     """Return the tables of each case that has zones, below its title."""
     content = []
     for title, case in cases:
-        own: list[Block] = []
+        parts: list[Block] = []
         for heading, head, rows in tables(case):
-            own += page.titled(heading, page.table(head, rows))
-        content += page.titled(title, own)
+            parts += page.titled(heading, page.table(head, rows))
+        content += page.titled(title, parts)
     return content
 
 

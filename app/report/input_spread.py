@@ -1,4 +1,4 @@
-"""Spread of a run's numbers over inputs that are not known well, beside the ± of its mesh."""
+"""Spread of a run's numbers over uncertain inputs, next to the error of its mesh."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from app.report.sweep_figures import title
 from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain
 
-FEWEST = 10  # samples of which the 5th and the 95th percentile are told
+# Fewest samples with a 5th and a 95th percentile.
+FEWEST = 10
 # Keys in which a sample may differ from the run: how it is solved, and what follows from inputs.
 FREE = {"title", "mesh", "solver", "output", "at", "status", "source"}
 HEAD = ("", "value", "± of the mesh", "5 to 95 % over inputs", "follows most (rank correlation)")
@@ -35,14 +36,14 @@ class InputSpread:
 
         None is named below 2 / sqrt(samples), which one of 20 unrelated inputs reaches.
         """
-        found = [n.value for c in self.samples if (n := c.number(name))]
-        if len(found) < len(self.samples):
+        values = [n.value for c in self.samples if (n := c.number(name))]
+        if len(values) < len(self.samples):
             return None
-        spread = uncertainty.of_number(found, self.inputs)
+        spread = uncertainty.of_number(values, self.inputs)
         if spread["deviation"] <= uncertainty.NOTHING:
             return None
         most, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
-        clear = abs(rank) > 2.0 / len(found) ** 0.5
+        clear = abs(rank) > 2.0 / len(values) ** 0.5
         return spread["p5"], spread["p95"], f"{title(most)} ({rank:+.2f})" if clear else ""
 
     def cells(self, name: str, q: Quantity, numbers: Mapping[str, Any]) -> list[str]:

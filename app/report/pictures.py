@@ -3,7 +3,7 @@
 Maps of a stem are unrolled: over the angle about its axis, which is z in both geometries that have
 one, and the height. The angle begins behind (posterior), so that medial and lateral both lie inside
 the picture. End faces, seen edge on, are left out. Other interfaces are drawn if they are flat, in
-their own plane.
+their plane.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
         cells[:, FACES[:, : 3 if cells.shape[1] == 4 else 6]].reshape(4 * len(cells), -1)
         for cells in (cells_of(run, side), cells_of(run, other))
     )
-    # Bodies that can part have nodes of their own at the same places.
+    # Bodies that can part have separate nodes at the same places.
     here, there = (
         np.round(run.points[f[:, :3]].mean(axis=1), 6).view("f8,f8,f8").ravel()
         for f in (mine, theirs)
@@ -281,18 +281,18 @@ def draw(
     for axes in grid.ravel()[len(rows) * len(columns) :]:
         axes.set_visible(False)
     panels = grid.reshape(-1, len(columns))
-    for axes_row, (label, colours, found) in zip(panels, rows, strict=False):
-        of = [(own, v) for (*_, own), v in zip(columns, found, strict=True)]
-        every = np.concatenate([v[own.nodes].ravel() for own, v in of if v is not None])
+    for axes_row, (label, colours, fields) in zip(panels, rows, strict=False):
+        of = [(flat, v) for (*_, flat), v in zip(columns, fields, strict=True)]
+        every = np.concatenate([v[flat.nodes].ravel() for flat, v in of if v is not None])
         low = float(every.min()) if label == TEMPERATURE else 0.0
         most = max(float(np.percentile(every, CLIP)), low + LEAST)
         shade: Any = None
-        for axes, (own, v) in zip(axes_row, of, strict=True):
-            _axes(axes, own)
+        for axes, (flat, v) in zip(axes_row, of, strict=True):
+            _axes(axes, flat)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            shade = plane.shaded(axes, own.corners, v[own.nodes], colours, (low, most))
+            shade = plane.shaded(axes, flat.corners, v[flat.nodes], colours, (low, most))
         extend = "max" if every.max() > most * (1 + 1e-6) else "neither"
         figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, title in zip(grid[0], titles, strict=False):
@@ -303,11 +303,11 @@ def draw(
     return [label for label, *_ in rows]
 
 
-def _axes(axes: Axes, own: Sheet) -> None:
+def _axes(axes: Axes, flat: Sheet) -> None:
     axes.set_facecolor("0.93")
-    low, high = own.corners.reshape(-1, 2).min(axis=0), own.corners.reshape(-1, 2).max(axis=0)
+    low, high = flat.corners.reshape(-1, 2).min(axis=0), flat.corners.reshape(-1, 2).max(axis=0)
     axes.set_ylim(low[1], high[1])
-    if not own.round:
+    if not flat.round:
         axes.set_xlim(low[0], high[0])
         axes.set_aspect("equal")
         axes.set_xlabel("mm", fontsize=8)

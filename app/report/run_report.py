@@ -411,7 +411,7 @@ def _solver(case: SweptCase, summary: Summary) -> list[Block]:
 def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     rows = on_root(comm, lambda: _json(folder / "variations.json")) or []
     solved = [f for f in (folder / row["name"] for row in rows) if (f / "summary.json").exists()]
-    written = dealt(comm, [partial(_run, own, share, alone=False) for own in solved])
+    written = dealt(comm, [partial(_run, run, share, alone=False) for run in solved])
     if comm.rank:
         return []
     pages = [folder / PAGE, *(page for page, *_ in written)]

@@ -243,21 +243,21 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
     Parts with fewer than two varied keys are left out, as a curve shows more.
     """
     rows: list[tuple[str, list[str]]] = []
-    for part, own in by_part([c for c in cases if c.done]).items():
-        numeric = {key: levels(own, key)[1] for key in own[0].overrides}
+    for part, members in by_part([c for c in cases if c.done]).items():
+        numeric = {key: levels(members, key)[1] for key in members[0].overrides}
         varied: dict[str, Sequence[object]] = {
-            key: [c.overrides.get(key) for c in own] if None in x else x
+            key: [c.overrides.get(key) for c in members] if None in x else x
             for key, x in numeric.items()
         }
         varied = {key: x for key, x in varied.items() if len(set(map(str, x))) > 1}
-        if len(varied) < 2 or len(own) < FEWEST:
+        if len(varied) < 2 or len(members) < FEWEST:
             continue
-        for name in headlines(own)[:MOST_NUMBERS]:
-            y = [n.value for c in own if (n := c.number(name)) is not None]
+        for name in headlines(members)[:MOST_NUMBERS]:
+            y = [n.value for c in members if (n := c.number(name)) is not None]
             q = quantities.get(name)
             if (q and q.exact) or not _varies(y):
                 continue
-            ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(own)}
+            ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(members)}
             known = [(r, title(key)) for key, r in ranks.items() if r is not None]
             known.sort(key=lambda pair: -abs(pair[0]))
             if known:

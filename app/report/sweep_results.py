@@ -174,11 +174,11 @@ def read(folder: Path) -> SweepResults:
 
 
 def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
-    own = {f.name: entry[f.name] for f in fields(SweptCase) if entry.get(f.name) is not None}
+    known = {f.name: entry[f.name] for f in fields(SweptCase) if entry.get(f.name) is not None}
     for key in ("numbers", "errors"):
-        own[key] = {k: v for k, v in own.get(key, {}).items() if v is not None}
-    own["notes"] = tuple(own.get("notes", ()))
-    return SweptCase(**own | {"folder": folder / own["folder"]})
+        known[key] = {k: v for k, v in known.get(key, {}).items() if v is not None}
+    known["notes"] = tuple(known.get("notes", ()))
+    return SweptCase(**known | {"folder": folder / known["folder"]})
 
 
 def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:

@@ -213,15 +213,16 @@ def side_of(run: Run, contact: str, surfaces: Mapping[str, Ints]) -> tuple[str, 
 
 def _moments(run: Run) -> dict[str, int | str]:
     """Written steps to show, by name: the ends of stages; where a body turns its last cycle."""
-    found: dict[str, int | str] = {name: name for name in run.written_stages}
-    if not run.case.get("motions") or not found:
-        return found
-    cycles, (*_, name) = run.case["stages"][-1].get("cycles", 1), found
+    moments: dict[str, int | str] = {name: name for name in run.written_stages}
+    if not run.case.get("motions") or not moments:
+        return moments
+    *_, name = moments
+    cycles = run.case["stages"][-1].get("cycles", 1)
     part = cycles * (run.times - run.times[-1]) + 1
     within = np.flatnonzero((part > 1e-9) & (part < 1 - 1e-9))
     for k in within[:: 1 + len(within) // MOMENTS]:
-        found[f"{name}, {100 * part[k]:.0f} % of a cycle"] = int(k)
-    return found | {name: found.pop(name)}
+        moments[f"{name}, {100 * part[k]:.0f} % of a cycle"] = int(k)
+    return moments | {name: moments.pop(name)}
 
 
 def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:
@@ -274,7 +275,7 @@ def _kinds(run: Run) -> list[ShownField]:
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:
     """Surface triangles of each region (t, 3), facing outwards; curved facets are four each."""
-    found: dict[str, Ints] = {}
+    surfaces: dict[str, Ints] = {}
     for name, number in run.regions.items():
         cells = cells_of(run, [number])
         if not len(cells):
@@ -283,8 +284,8 @@ def outsides(run: Run, curved: bool) -> dict[str, Ints]:
         inverted = cell_volumes(run.points, cells[owner]) < 0
         turned = facets[:, [0, 2, 1, 5, 4, 3][: facets.shape[1]]]
         facets = np.where(inverted[:, None], turned, facets)
-        found[name] = quartered(facets) if curved else facets[:, :3]
-    return found
+        surfaces[name] = quartered(facets) if curved else facets[:, :3]
+    return surfaces
 
 
 def cells_of(run: Run, numbers: Sequence[int]) -> Ints:

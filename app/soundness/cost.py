@@ -226,7 +226,7 @@ def solves(case: Case) -> tuple[int, int]:
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
     steps += sum(stage.other.solves(case) for stage in case.stages if stage.other)
     if _proportional(case):
-        steps -= case.stages[0].increments - 1  # the first step tells the others
+        steps -= case.stages[0].increments - 1  # the others are proportional to the first
     return steps, moments
 
 

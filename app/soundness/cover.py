@@ -37,8 +37,10 @@ class Cover:
         far = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
         free = {bodies.of_region[side[0]] for side in far if not scene.motion_of(side)}
         cells = {body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free)}
-        nodes = {body: touched_nodes(problem.space, own) for body, own in cells.items()}
-        self._rotations = {body: self._fit(np.flatnonzero(own)) for body, own in nodes.items()}
+        nodes = {body: touched_nodes(problem.space, marked) for body, marked in cells.items()}
+        self._rotations = {
+            body: self._fit(np.flatnonzero(marked)) for body, marked in nodes.items()
+        }
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:
@@ -103,8 +105,8 @@ class Cover:
             here = sliding.of == i
             x = places[here]
             on, at, apart = surface.closest(x)
-            beside = surface.beyond(x, on, at)
-            beyond = np.where(beside > OFF * facet, beside, 0.0)
+            distance = surface.beyond(x, on, at)
+            beyond = np.where(distance > OFF * facet, distance, 0.0)
             yield self._problem.scene.contacts[i], sliding.rows[here], beyond, apart, facet
 
     def _largest(self, here: Ints, values: Floats) -> tuple[float, str]:

@@ -26,20 +26,20 @@ def doubter(function: Doubt) -> Doubt:
 
 def doubts(case: Case, numbers: Mapping[str, Any]) -> list[Verdict]:
     """Return notes on results: strains that are not small, laws beyond their stresses."""
-    notes = [found for doubt in _DOUBTERS for found in doubt(case, numbers)]
-    for name, found in numbers["regions"].items():
+    notes = [verdict for doubt in _DOUBTERS for verdict in doubt(case, numbers)]
+    for name, q in numbers["regions"].items():
         creep = getattr(case.regions[name], "creep", None)
-        if "creep_strain_max" in found and case.mesh.order == 1:
+        if "creep_strain_max" in q and case.mesh.order == 1:
             notes.append(note("creeps and keeps its volume: linear cells lock", f"region '{name}'"))
         low, high = (creep and creep.stresses) or (0.0, math.inf)
-        if "creep_strain_max" in found and not low <= found["von_mises_p99"] <= high:
+        if "creep_strain_max" in q and not low <= q["von_mises_p99"] <= high:
             text = (
-                f"creeps at {found['von_mises_p99']:.2g} MPa (von Mises p99), its law was measured "
+                f"creeps at {q['von_mises_p99']:.2g} MPa (von Mises p99), its law was measured "
                 f"from {low:g} to {high:g} MPa"
             )
             notes.append(note(text, f"region '{name}'"))
         E = modulus(case.regions[name])
-        strain = largest(found, "von_mises_p99") / E if E else 0.0
+        strain = largest(q, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:
             text = (
                 f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "

@@ -66,12 +66,12 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
 
 
 def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
-    """Least critical coefficient of the faces of each own point, all else held (n,).
+    """Least critical coefficient of the faces of each local point, all else held (n,).
 
     An estimate, local and on the safe side. With the stiffness that a point meets while the bodies
     give way around it and its neighbours stick, friction below the critical would be necessary for
     uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
-    least such value is 20 to 85 % above the least found here.
+    least such value is 20 to 85 % above the least value here.
     """
     stiffness = contact.coupling.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
@@ -89,11 +89,11 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
 
 def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
     """Least critical coefficient of each frictional interface, and warnings; collective."""
-    found: dict[str, float] = {}
+    coefficients: dict[str, float] = {}
     warnings: list[Verdict] = []
     contact = problem.contact
     if contact is None:
-        return found, warnings
+        return coefficients, warnings
     critical = critical_friction_of_points(contact)
     for i, term in enumerate(problem.scene.contacts):
         on = np.flatnonzero(contact.local.interface == i)
@@ -104,7 +104,7 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
         over = problem.comm.allreduce(over, MPI.SUM)
         if term.law.friction == 0 or not np.isfinite(least):
             continue
-        found[term.name] = least
+        coefficients[term.name] = least
         if over:
             text = (
                 f"friction coefficient {term.law.friction:g} exceeds the critical one of {over} of "
@@ -114,7 +114,7 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
             where = f"interface '{term.name}'"
             warning = Verdict(text, where, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)
             warnings.append(warning)
-    return found, warnings
+    return coefficients, warnings
 
 
 # Why a solve failed
@@ -293,4 +293,4 @@ def _largest(problem: Problem, trial: TrialState) -> str:
         )
         for k in ([int(np.argmax(r))] if len(r) else [])
     ]
-    return max(found for part in problem.comm.allgather(local) for found in part)[1]
+    return max(point for part in problem.comm.allgather(local) for point in part)[1]

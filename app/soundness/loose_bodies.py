@@ -1,6 +1,6 @@
 """Floating bodies: rigid motions that neither supports nor contact hold.
 
-Before solving they are found from the parts of a mesh, afterwards from the contact points of a
+Before solving, the parts of a mesh reveal them; afterwards, the contact points of a
 state. Facets may hide them: a smooth stem turns in its cement without resistance, but the means of
 the normals of curved or rough facets are off by a fraction of the angle between them: contact
 resists the turn, with a stiffness and rotations that mean nothing.
@@ -85,16 +85,16 @@ HOLD = "hold the body (a support, friction, an elastic foundation)"
 class BodiesOnMesh:
     """Rigid motions of groups of pieces that supports leave, and their resistance by contact."""
 
-    def __init__(self, case: Case, found: Parts) -> None:
-        self._case, self._found, self._groups = case, found, groups_of(case, found)
+    def __init__(self, case: Case, parts: Parts) -> None:
+        self._case, self._parts, self._groups = case, parts, groups_of(case, parts)
         self._of = {p: n for n, group in enumerate(self._groups) for p in group}
-        self._origin = found.x.mean(axis=0)
-        self._size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
+        self._origin = parts.x.mean(axis=0)
+        self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
         self._laws: Mapping[str, Any] = case.interfaces
         # Touching pieces: name of the interface, and its two bodies.
         self._touches = [
-            (t, law_between(case, found, (a, b))[0], self._of[a], self._of[b])
-            for t, (a, b) in ((t, t.pieces) for t in found.touches)
+            (t, law_between(case, parts, (a, b))[0], self._of[a], self._of[b])
+            for t, (a, b) in ((t, t.pieces) for t in parts.touches)
         ]
 
     def unheld(self) -> list[Verdict]:
@@ -111,7 +111,7 @@ class BodiesOnMesh:
 
     def loosely_held(self) -> list[Verdict]:
         """Notes on motions barely resisted by contact, without friction or not yet closed."""
-        gaps = gaps_of(self._case, self._found)
+        gaps = gaps_of(self._case, self._parts)
         frictions = {n: self._laws[n].friction for n in gaps}
         notes: list[Verdict] = []
         for k, left in self._left_by_supports():
@@ -152,9 +152,9 @@ class BodiesOnMesh:
                 continue
             before, held = here, np.zeros((n, 6, 6))
             for s in here:
-                for piece, nodes in self._found.boundaries.get(s.boundary, {}).items():
-                    modes = self._modes(self._found.x[nodes])
-                    rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
+                for piece, nodes in self._parts.boundaries.get(s.boundary, {}).items():
+                    modes = self._modes(self._parts.x[nodes])
+                    rows = (directions(s, self._parts, nodes) @ modes).reshape(-1, 6)
                     held[self._of[piece]] += rows.T @ rows
             for m in self._case.motions.values():
                 rotations = np.eye(6)[3:]
@@ -162,7 +162,7 @@ class BodiesOnMesh:
                 if m.translation == "held":
                     shifts = self._modes(np.array([m.about]))[0]
                     given = given + shifts.T @ shifts
-                for i, moved in enumerate(self._found.pieces):
+                for i, moved in enumerate(self._parts.pieces):
                     if moved.region == m.region:
                         held[self._of[i]] += given
             values, vectors = np.linalg.eigh(held)
@@ -222,7 +222,7 @@ class BodiesOnMesh:
         return free[:, pick], math.degrees(steepest)
 
     def _words(self, free: Floats) -> list[str]:
-        pieces = [[self._found.pieces[p] for p in group] for group in self._groups]
+        pieces = [[self._parts.pieces[p] for p in group] for group in self._groups]
         moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces])
         volumes = np.array([sum(p.volume for p in group) for group in pieces])
         names = [self._name(group) for group in pieces]
@@ -232,7 +232,7 @@ class BodiesOnMesh:
         """Regions of a body, and its place if it is only part of them."""
         names = list(dict.fromkeys(p.region for p in group))
         text = f"'{' + '.join(names)}'"
-        if sum(p.region in names for p in self._found.pieces) == len(group):
+        if sum(p.region in names for p in self._parts.pieces) == len(group):
             return text
         centre = max(group, key=lambda p: p.volume).centre
         cells = sum(p.cells for p in group)
@@ -286,14 +286,14 @@ def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
 def _on_bodies(problem: Problem) -> Floats:
     """Work of the loads in the rigid motions of all bodies (6 n,) [N]; collective."""
     assert problem.contact is not None
-    R = problem.contact.rigid_motions(_own_nodes(problem))
+    R = problem.contact.rigid_motions(_owned_nodes(problem))
     return problem.forces.on_bodies(problem.load_time, R).ravel()
 
 
-def _own_nodes(problem: Problem) -> Floats:
-    """Own nodes of the displacement (n, 3) [mm]."""
-    own = problem.space.dofmap.index_map.size_local
-    return np.asarray(problem.space.tabulate_dof_coordinates()[:own])
+def _owned_nodes(problem: Problem) -> Floats:
+    """Owned nodes of the displacement (n, 3) [mm]."""
+    owned = problem.space.dofmap.index_map.size_local
+    return np.asarray(problem.space.tabulate_dof_coordinates()[:owned])
 
 
 def _frictions(problem: Problem) -> Floats:
@@ -321,14 +321,14 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     friction = _frictions(problem)[local.interface] + LIKELY * contact.points.doubt[local.rows]
     along = friction * np.linalg.norm(jump, axis=1)
     resisted = problem.comm.allreduce(float((pressures * (closing + along[:, None])).sum()))
-    R = contact.rigid_motions(_own_nodes(problem))
+    R = contact.rigid_motions(_owned_nodes(problem))
     moved = np.einsum("nik,bk->bni", R, motion.reshape(len(names), 6))
     rounding = BALANCED * problem.forces.most_work(problem.load_time, moved)
     if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
     centres = np.tile(contact.frame[0], (len(names), 1))
-    found = describe(motion[:, None], [f"'{name}'" for name in names], centres, *contact.frame)
-    return [f"{text}, and the loads pull there" for text in found]
+    texts = describe(motion[:, None], [f"'{name}'" for name in names], centres, *contact.frame)
+    return [f"{text}, and the loads pull there" for text in texts]
 
 
 def _gathered(problem: Problem, resistance: Floats) -> Floats:
@@ -350,7 +350,7 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
         for b, part in supported(problem).items()
         if np.linalg.eigvalsh(part[:3, :3])[0] > HELD and np.linalg.eigvalsh(part)[0] > FREE
     }
-    found = []
+    verdicts = []
     for i, term in enumerate(problem.scene.contacts):
         on = (contact.local.interface == i) & (normal > 0)
         slips = on & (shear >= ALL_OF_IT * term.law.friction * normal)
@@ -364,8 +364,8 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
                 f"on interface '{term.name}' slips in the last converged state"
             )
-            found.append(Verdict(text, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
-    return found
+            verdicts.append(Verdict(text, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
+    return verdicts
 
 
 def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
@@ -419,8 +419,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     Rigid bodies press on springs at the contact points. The part of the loads that these do not
     bear is also a motion that opens or slides along all points (a cone and its polar, Moreau).
     Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it: a
-    taper that is pulled has no pressures. However small such a load is beside the others, nothing
-    bears it.
+    taper that is pulled has no pressures. Nothing bears such a load, however small it is.
     """
     local, n, comm = contact.local, len(problem.bodies.names), problem.comm
     held = np.zeros((n, 6, n, 6))
@@ -459,9 +458,9 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
         free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
-        found = _pulls(problem, left @ (free @ (free.T @ loads)), pressures)
-        if found:
-            return found
+        texts = _pulls(problem, left @ (free @ (free.T @ loads)), pressures)
+        if texts:
+            return texts
     return []
 
 

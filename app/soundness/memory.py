@@ -70,7 +70,7 @@ def _addresses() -> float:
 def _group_limits() -> Iterator[Path]:
     """Files that may limit the control groups of this process, and the groups above them.
 
-    In a container the path may be the outer one; its own group is the root there.
+    In a container the path may be that outside of it. The group of the container is then the root.
     """
     with suppress(OSError):
         for line in OWN_GROUPS.read_text().splitlines():
@@ -87,15 +87,15 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
     """Error that explains a lack of memory; None for any other error."""
     chain: list[BaseException] = []
     link: BaseException | None = error
-    while link is not None and link not in chain:  # what PETSc hands back may be its own cause
+    while link is not None and link not in chain:  # an error of PETSc may name itself as its cause
         chain.append(link)
         link = link.__cause__ or link.__context__
-    found = next(filter(_lacks_memory, chain), error if _nearly_full() else None)
-    if found is None:
+    cause = next(filter(_lacks_memory, chain), error if _nearly_full() else None)
+    if cause is None:
         return None
-    lines = filter(None, map(str.strip, str(found).splitlines()))
+    lines = filter(None, map(str.strip, str(cause).splitlines()))
     return EnvironmentProblem(
-        f"there is not enough memory: {next(lines, type(found).__name__)}\n{_limits()}; a larger "
+        f"there is not enough memory: {next(lines, type(cause).__name__)}\n{_limits()}; a larger "
         "mesh.size, solver.linear: multigrid or ranks on more machines need less of it"
     )
 

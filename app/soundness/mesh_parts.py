@@ -15,30 +15,30 @@ if TYPE_CHECKING:
     from app.case.case import Case
 
 
-def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str, Any]:
+def law_between(case: Case, parts: Parts, pieces: tuple[int, int]) -> tuple[str, Any]:
     """Interface between two pieces and its law; no name where there is none."""
-    a, b = (found.pieces[k].region for k in pieces)
+    a, b = (parts.pieces[k].region for k in pieces)
     for name, (one, two) in case.geometry.interface_sides.items():
         if (a in one and b in two) or (a in two and b in one):
             return name, case.interfaces[name]
     return "", None
 
 
-def groups_of(case: Case, found: Parts) -> list[list[int]]:
+def groups_of(case: Case, parts: Parts) -> list[list[int]]:
     """Pieces that move together: bonded to each other, or of one region and joined."""
-    laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
-    return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_open])
+    laws = [(t.pieces, law_between(case, parts, t.pieces)[1]) for t in parts.touches]
+    return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_open])
 
 
-def bodies_of(case: Case, found: Parts) -> list[list[int]]:
+def bodies_of(case: Case, parts: Parts) -> list[list[int]]:
     """Return the pieces of each body; pieces that can move apart belong to different bodies."""
-    laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
-    return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_part])
+    laws = [(t.pieces, law_between(case, parts, t.pieces)[1]) for t in parts.touches]
+    return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_part])
 
 
-def _groups(found: Parts, joined: list[tuple[int, int]]) -> list[list[int]]:
-    label = list(range(len(found.pieces)))
-    for a, b in (*joined, *found.joined):
+def _groups(parts: Parts, joined: list[tuple[int, int]]) -> list[list[int]]:
+    label = list(range(len(parts.pieces)))
+    for a, b in (*joined, *parts.joined):
         label = [label[a] if k == label[b] else k for k in label]
     return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
 
@@ -54,20 +54,20 @@ def holds(support: Any, stage: str) -> bool:
     return stages is None or stage in stages
 
 
-def directions(support: Any, found: Parts, nodes: Ints) -> Floats:
+def directions(support: Any, parts: Parts, nodes: Ints) -> Floats:
     """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
     normal = getattr(support, "normal", None)
     if normal == "face":
-        return found.normals[support.boundary][nodes][:, None]
+        return parts.normals[support.boundary][nodes][:, None]
     rows = np.eye(3)[["xyz".index(a) for a in support.held_axes]] if normal is None else [normal]
     return np.broadcast_to(rows, (len(nodes), len(rows), 3))
 
 
-def gaps_of(case: Case, found: Parts) -> dict[str, Floats]:
+def gaps_of(case: Case, parts: Parts) -> dict[str, Floats]:
     """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
     laws: Mapping[str, Any] = case.interfaces
     return {
-        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(found.x[found.on_interface(name)])
+        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(parts.x[parts.on_interface(name)])
         for name, law in laws.items()
         if law.can_open
     }

@@ -143,7 +143,7 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
 def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
-        found = []
+        lists = []
         tables = {
             name: cycle_table for name, m in case.motions.items() if (cycle_table := m.cycle_table)
         }
@@ -155,9 +155,9 @@ def _not_measured(case: Case) -> Iterable[str]:
             names = [name for name, part in parts.items() if part.status == status]
             if names:
                 every = len(names) == len(parts)
-                found.append(f"all {section}" if every else f"{section} {', '.join(names)}")
-        if found:
-            yield f"  {status or 'without status'}: {'; '.join(found)}"
+                lists.append(f"all {section}" if every else f"{section} {', '.join(names)}")
+        if lists:
+            yield f"  {status or 'without status'}: {'; '.join(lists)}"
 
 
 def resultant(case: Case) -> Iterator[str]:

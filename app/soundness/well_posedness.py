@@ -31,7 +31,8 @@ from app.soundness.mesh_parts import (
 )
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets, shares
-from meshes.pieces import Parts, lying, parts
+from meshes.pieces import Parts, lying
+from meshes.pieces import parts as parts_of
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -64,34 +65,34 @@ CLOSE = 1e-6
 def look(case: Case, data: MeshData) -> Parts:
     """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
-    return parts(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
+    return parts_of(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
-def judge(case: Case, found: Parts) -> list[Verdict]:
+def judge(case: Case, parts: Parts) -> list[Verdict]:
     """Return notes on a case on its mesh.
 
     Raises:
         InputError: It cannot be solved: with all the reasons.
     """
-    notes = [note(text) for text in found.data.notes.get("messages", ())]
-    notes += [*_cracks(case, found), *_size(case, found)]
-    errors = [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]
-    errors += _outside(case, found)
+    notes = [note(text) for text in parts.data.notes.get("messages", ())]
+    notes += [*_cracks(case, parts), *_size(case, parts)]
+    errors = [*_on_axis(case, parts), *_sides_apart(case, parts), *_followers(case, parts)]
+    errors += _outside(case, parts)
     if errors:
         raise InputError([*errors, *notes])
     if all(region.only_conducts for region in case.regions.values()):
         return notes
-    bodies = BodiesOnMesh(case, found)
-    torn, split = _contradictions(case, found)
-    tight, apart = _gaps(case, found)
-    driven, idle = _moved(case, found)
+    bodies = BodiesOnMesh(case, parts)
+    torn, split = _contradictions(case, parts)
+    tight, apart = _gaps(case, parts)
+    driven, idle = _moved(case, parts)
     errors = [*driven, *bodies.unheld(), *torn, *tight]
     if errors:
         # A crack is often why.
         raise InputError([*errors, *notes])
-    notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
-    notes += [*_meeting(case, found), *_far(case, found), *_too_stiff(case, found)]
-    return [*notes, *_strained(case, found), *idle]
+    notes += [*bodies.loosely_held(), *split, *_clamped(case, parts), *apart]
+    notes += [*_meeting(case, parts), *_far(case, parts), *_too_stiff(case, parts)]
+    return [*notes, *_strained(case, parts), *idle]
 
 
 # What contradicts itself
@@ -103,27 +104,27 @@ def _given(case: Case, name: str, x: Floats) -> Floats:
     return np.multiply.outer(load_history_of(case, support.history), support.named(name).values(x))
 
 
-def _contradictions(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
+def _contradictions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors and notes on nodes of a body where two supports prescribe different displacements.
 
     Two bodies that can part may have different displacements where they touch.
     """
     errors: list[Verdict] = []
     notes: list[Verdict] = []
-    for group in bodies_of(case, found):
-        torn, split = _contradictions_in(case, found, group)
+    for group in bodies_of(case, parts):
+        torn, split = _contradictions_in(case, parts, group)
         errors += torn
         notes += split
     return errors, notes
 
 
 def _contradictions_in(
-    case: Case, found: Parts, group: list[int]
+    case: Case, parts: Parts, group: list[int]
 ) -> tuple[list[Verdict], list[Verdict]]:
     """Return the errors and notes of `_contradictions` for one body, a group of pieces."""
     holding = {}
     for name, support in case.supports.items():
-        of_piece = found.boundaries.get(support.boundary, {})
+        of_piece = parts.boundaries.get(support.boundary, {})
         nodes = [of_piece[piece] for piece in group if piece in of_piece]
         if support.kind != "foundation" and nodes:
             holding[name] = np.unique(np.concatenate(nodes))
@@ -131,7 +132,7 @@ def _contradictions_in(
     notes: list[Verdict] = []
     for one, two in combinations(holding, 2):
         a, b = case.supports[one], case.supports[two]
-        x = found.x[np.intersect1d(holding[one], holding[two])]
+        x = parts.x[np.intersect1d(holding[one], holding[two])]
         both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
         first, second = (_given(case, name, x)[both] for name in (one, two))
         for axis in sorted(set(a.held_axes) & set(b.held_axes)):
@@ -153,7 +154,7 @@ def _contradictions_in(
     return errors, notes
 
 
-def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
+def _moved(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors on supports of regions that move as a whole, notes on loads of those that stay.
 
     An error, too, where nothing says how a rigid region turns on which another slides far: a turn
@@ -163,7 +164,7 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     notes: list[Verdict] = []
     guided = {motion.region for motion in case.motions.values()}
     fixed = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
-    guided |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
+    guided |= {parts.pieces[k].region for name in fixed for k in parts.boundaries.get(name, ())}
     for name, law in case.interfaces.items():
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
             far = law.finite_sliding and region not in guided
@@ -173,8 +174,8 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
                 cure = f"expected {moved}, or a fixed support"
                 errors.append(Verdict(text, f"interfaces.{name}", cure))
     for name, motion in case.motions.items():
-        own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
-        on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
+        turning = {k for k, piece in enumerate(parts.pieces) if piece.region == motion.region}
+        on = {boundary for boundary, pieces in parts.boundaries.items() if turning & pieces.keys()}
         held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
         loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
         if held and motion.cycle_table:
@@ -187,7 +188,7 @@ def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     return errors, notes
 
 
-def _on_axis(case: Case, found: Parts) -> list[Verdict]:
+def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
     """Fibre axes that meet cells of their region, where fibres have no direction."""
     errors = []
     for name, region in case.regions.items():
@@ -196,10 +197,10 @@ def _on_axis(case: Case, found: Parts) -> list[Verdict]:
             fibre = getattr(owner, "fibre", None)
             if fibre is None or not fibre.turns:
                 continue
-            cells = found.corners_of(name)
-            met = _meets(found.x[cells], np.array(fibre.axis), np.array(fibre.through))
+            cells = parts.corners_of(name)
+            met = _meets(parts.x[cells], np.array(fibre.axis), np.array(fibre.through))
             if met.any():
-                middle = found.x[cells[np.argmax(met)]].mean(axis=0)
+                middle = parts.x[cells[np.argmax(met)]].mean(axis=0)
                 text = (
                     f"its axis meets the region, e.g. at {point_text(middle)}, and fibres have no "
                     "direction there"
@@ -209,25 +210,25 @@ def _on_axis(case: Case, found: Parts) -> list[Verdict]:
     return errors
 
 
-def _sides_apart(case: Case, found: Parts) -> list[Verdict]:
+def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
     """Interfaces without a facet that do not slide far, and those with one that do."""
     errors = []
     for name, sides in case.geometry.interface_sides.items():
-        shared = len(interface_facets(found.data, name)[0])
+        shared = len(interface_facets(parts.data, name)[0])
         one, two = ("/".join(side) for side in sides)
-        if shared and name in found.faces:
+        if shared and name in parts.faces:
             text = f"{one} and {two} share {shared} facets, and slip stays below one"
             cure = "expected bodies meshed apart, or `sliding: small`"
             errors.append(Verdict(text, f"interfaces.{name}.sliding", cure))
-        elif not shared and name not in found.faces:
+        elif not shared and name not in parts.faces:
             cure = (
                 "of bodies meshed apart expected kind: contact with `sliding: finite`, and two "
                 "boundaries in `between`"
             )
             text = f"no facet between {one} and {two}"
             errors.append(Verdict(text, f"interfaces.{name}", cure))
-        for face, side in zip(found.faces.get(name, ()), sides, strict=False):
-            on = sorted({found.pieces[p].region for p in found.boundaries.get(face, {})})
+        for face, side in zip(parts.faces.get(name, ()), sides, strict=False):
+            on = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
             if not on or not {*on} <= {*side}:
                 text = f"{face} is a surface of {' and '.join(on) or 'no region'}"
                 cure = f"expected one of {'/'.join(side)} alone"
@@ -235,9 +236,9 @@ def _sides_apart(case: Case, found: Parts) -> list[Verdict]:
     return errors
 
 
-def _outside(case: Case, found: Parts) -> list[Verdict]:
+def _outside(case: Case, parts: Parts) -> list[Verdict]:
     """Probes that are not in their regions."""
-    data, errors = found.data, []
+    data, errors = parts.data, []
     for name, probe in case.output.probes.items():
         wanted = data.regions[probe.region] if probe.region else data.cell_tags
         corners = data.points[data.cells[data.cell_tags == wanted][:, :4]]
@@ -246,17 +247,17 @@ def _outside(case: Case, found: Parts) -> list[Verdict]:
     return errors
 
 
-def _followers(case: Case, found: Parts) -> list[Verdict]:
+def _followers(case: Case, parts: Parts) -> list[Verdict]:
     """Nodes of surfaces that slide far which something else moves too."""
 
     def nodes(boundary: str) -> NDArray[np.int64]:
-        return np.concatenate([np.zeros(0, int), *found.boundaries.get(boundary, {}).values()])
+        return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
 
-    contacts = build_scene(case).contacts if found.faces else ()
+    contacts = build_scene(case).contacts if parts.faces else ()
     fixed = {n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"}
     moved = {f"supports.{name}": nodes(boundary) for name, boundary in fixed.items()}
     for c in contacts:
-        on = nodes(c.between[1]) if c.between else found.on_interface(c.name)
+        on = nodes(c.between[1]) if c.between else parts.on_interface(c.name)
         moved[f"interfaces.{c.name}"] = on
     errors = []
     for contact in contacts:
@@ -266,7 +267,7 @@ def _followers(case: Case, found: Parts) -> list[Verdict]:
             if contact.between and key != name and len(both):
                 text = (
                     f"moves {len(both)} nodes of {contact.between[1]}, e.g. at "
-                    f"{point_text(found.x[both[0]])}, which follow what they slide on by {name}"
+                    f"{point_text(parts.x[both[0]])}, which follow what they slide on by {name}"
                 )
                 errors.append(Verdict(text, key, "expected a boundary without them"))
     return errors
@@ -286,21 +287,21 @@ def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
     return np.asarray(near | (between.max(axis=1) <= np.pi + CLOSE))
 
 
-def _clamped(case: Case, found: Parts) -> list[Verdict]:
+def _clamped(case: Case, parts: Parts) -> list[Verdict]:
     """Interfaces with both sides held by supports along all axes."""
     notes = []
-    for name in gaps_of(case, found):
+    for name in gaps_of(case, parts):
         held: list[NDArray[np.bool_]] = []
         for side in case.geometry.interface_sides[name]:
-            here = np.zeros((len(found.x), 3, 3))
+            here = np.zeros((len(parts.x), 3, 3))
             for s in case.supports.values():
                 if s.kind == "foundation":
                     continue
-                for piece, nodes in found.boundaries.get(s.boundary, {}).items():
-                    if found.pieces[piece].region in side:
-                        d = directions(s, found, nodes)
+                for piece, nodes in parts.boundaries.get(s.boundary, {}).items():
+                    if parts.pieces[piece].region in side:
+                        d = directions(s, parts, nodes)
                         here[nodes] += d.swapaxes(1, 2) @ d
-            held.append(np.linalg.eigvalsh(here[found.on_interface(name)])[:, 0] > SAME)
+            held.append(np.linalg.eigvalsh(here[parts.on_interface(name)])[:, 0] > SAME)
         both = float(np.mean(np.logical_and(*held)))
         if both > MOSTLY:
             text = f"supports hold both sides of interface '{name}' at {100 * both:.0f} % of its "
@@ -308,21 +309,21 @@ def _clamped(case: Case, found: Parts) -> list[Verdict]:
     return notes
 
 
-def _meeting(case: Case, found: Parts) -> list[Verdict]:
+def _meeting(case: Case, parts: Parts) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
-    groups = {frozenset(found.pieces[p].region for p in g) for g in bodies_of(case, found)}
-    here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])
-    bodies = np.zeros(len(found.x), dtype=int)
+    groups = {frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)}
+    here = np.array([np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in on])
+    bodies = np.zeros(len(parts.x), dtype=int)
     for regions in groups:
-        bodies[np.unique(np.concatenate([found.corners_of(r) for r in regions]))] += 1
+        bodies[np.unique(np.concatenate([parts.corners_of(r) for r in regions]))] += 1
     rows = np.flatnonzero((bodies > 1) & (here.sum(axis=0) >= bodies))
     if not on or not len(rows):
         return []
     names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
     text = (
         f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
-        f"{point_text(found.x[rows[0]])}: there the law of one of them holds in the mean over the "
+        f"{point_text(parts.x[rows[0]])}: there the law of one of them holds in the mean over the "
         "points next to it"
     )
     return [note(text)]
@@ -331,29 +332,29 @@ def _meeting(case: Case, found: Parts) -> list[Verdict]:
 # What is out of proportion
 
 
-def _sides(case: Case, found: Parts, name: str) -> tuple[float, float]:
+def _sides(case: Case, parts: Parts, name: str) -> tuple[float, float]:
     """Mean thickness behind the elastic sides of an interface, 0 if rigid, and its size [mm]."""
-    touches = [t for t in found.touches if law_between(case, found, t.pieces)[0] == name]
+    touches = [t for t in parts.touches if law_between(case, parts, t.pieces)[0] == name]
     area = sum(float(t.areas.sum()) for t in touches)
     near = {p for t in touches for p in t.pieces}
     thickness = 0.0
     for side in case.geometry.interface_sides[name]:
-        pieces = [found.pieces[p] for p in near if found.pieces[p].region in side]
+        pieces = [parts.pieces[p] for p in near if parts.pieces[p].region in side]
         if not any(case.regions[p.region].moves_rigidly for p in pieces):
             thickness += sum(p.volume for p in pieces) / area
     x = np.concatenate([t.x for t in touches])
     return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))
 
 
-def _gaps(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
+def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors and notes on gaps and interferences that are not small."""
     errors: list[Verdict] = []
     notes: list[Verdict] = []
-    for name, gap in gaps_of(case, found).items():
+    for name, gap in gaps_of(case, parts).items():
         factors = (0.0, *load_history_of(case, case.interfaces[name].initial_gap[1]))
         interference = -float(np.multiply.outer(factors, gap).min())
         apart = float(gap.min()) * factors[-1]
-        thickness, size = _sides(case, found, name)
+        thickness, size = _sides(case, parts, name)
         where = f"interfaces.{name}.gap"
         if thickness and interference >= TOO_MUCH * thickness:
             text = (
@@ -377,14 +378,14 @@ def _gaps(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     return errors, notes
 
 
-def _far(case: Case, found: Parts) -> list[Verdict]:
+def _far(case: Case, parts: Parts) -> list[Verdict]:
     """Prescribed displacements that are not small."""
     notes = []
-    whole = float(np.linalg.norm(np.ptp(found.x, axis=0)))
+    whole = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     for name, s in case.supports.items():
-        if s.kind != "displacement" or not found.boundaries.get(s.boundary):
+        if s.kind != "displacement" or not parts.boundaries.get(s.boundary):
             continue
-        x = found.x[np.concatenate([*found.boundaries[s.boundary].values()])]
+        x = parts.x[np.concatenate([*parts.boundaries[s.boundary].values()])]
         most = float(np.abs(_given(case, name, x)).max())
         if most > FAR * whole:
             text = f"moves a model of {whole:.3g} mm by {most:.3g} mm: displacements are not small"
@@ -392,13 +393,13 @@ def _far(case: Case, found: Parts) -> list[Verdict]:
     return notes
 
 
-def _strained(case: Case, found: Parts) -> list[Verdict]:
+def _strained(case: Case, parts: Parts) -> list[Verdict]:
     """Loads that strain the material under them by more than `STRAIN`."""
-    notes, areas = [], boundary_areas(found.data)
+    notes, areas = [], boundary_areas(parts.data)
     for name, load in case.loads.items():
         boundary = getattr(load, "boundary", "")
         area = areas.get(boundary, 0.0)
-        under = {found.pieces[p].region for p in found.boundaries.get(boundary, {})}
+        under = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
         softest = min((m for r in under if (m := modulus(case.regions[r]))), default=0.0)
         if not area or not softest:
             continue
@@ -406,7 +407,7 @@ def _strained(case: Case, found: Parts) -> list[Verdict]:
         stress *= max(map(abs, load_history_of(case, load.history)), default=1.0)
         if stress > STRAIN * softest:
             text = (
-                f"{stress:.3g} MPa on boundary '{boundary}', beside a modulus of "
+                f"{stress:.3g} MPa on boundary '{boundary}' is large for a modulus of "
                 f"{softest:.3g} MPa: strains are not small"
             )
             notes.append(note(text, f"loads.{name}", WRONG_UNIT))
@@ -416,11 +417,11 @@ def _strained(case: Case, found: Parts) -> list[Verdict]:
 # What is wrong with the mesh
 
 
-def _cracks(case: Case, found: Parts) -> list[Verdict]:
+def _cracks(case: Case, parts: Parts) -> list[Verdict]:
     """Coincident nodes that are not joined, and faces on each other without a common node."""
     notes = []
-    slides = [{*sum(case.geometry.interface_sides[n], ())} for n in found.faces]
-    for (a, b), x in found.doubled.items():
+    slides = [{*sum(case.geometry.interface_sides[n], ())} for n in parts.faces]
+    for (a, b), x in parts.doubled.items():
         if a != b and any({a, b} <= regions for regions in slides):
             continue
         where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
@@ -435,9 +436,9 @@ def _cracks(case: Case, found: Parts) -> list[Verdict]:
         notes.append(note(text, where, cure))
     if case.geometry.kind != "file":
         return notes
-    for (a, b), (area, place) in lying(found.data).items():
+    for (a, b), (area, place) in lying(parts.data).items():
         sliding = a != b and any({a, b} <= regions for regions in slides)
-        if sliding or (a, b) in found.doubled or (b, a) in found.doubled:
+        if sliding or (a, b) in parts.doubled or (b, a) in parts.doubled:
             continue
         where = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
         text = (
@@ -452,9 +453,9 @@ def _cracks(case: Case, found: Parts) -> list[Verdict]:
     return notes
 
 
-def _size(case: Case, found: Parts) -> list[Verdict]:
+def _size(case: Case, parts: Parts) -> list[Verdict]:
     """Mesh files in a doubtful unit."""
-    size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
+    size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     if not isinstance(case.geometry, MeshFile) or SIZES[0] <= size <= SIZES[1]:
         return []
     text = (
@@ -463,12 +464,12 @@ def _size(case: Case, found: Parts) -> list[Verdict]:
     return [note(text, "geometry")]
 
 
-def _too_stiff(case: Case, found: Parts) -> list[Verdict]:
+def _too_stiff(case: Case, parts: Parts) -> list[Verdict]:
     """Slender regions of linear cells, which are too stiff in bending."""
     if case.mesh.order != 1:
         return []
     worst: dict[str, tuple[float, float, float]] = {}
-    for p in found.pieces:
+    for p in parts.pieces:
         slender = p.thickness < SLENDER * float(p.box.max())
         if slender and p.free > MOSTLY and modulus(case.regions[p.region]):
             excess = BENDING * (p.edge / p.thickness) ** 2

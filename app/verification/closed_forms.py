@@ -137,8 +137,8 @@ class Layers:
         M[0, 0, 1] = 1.0
         for i, r in enumerate(self.radii):
             row = 2 * i + 1
-            own, free = self._terms(i, r)
-            M[row, i] = own[1]
+            fixed, free = self._terms(i, r)
+            M[row, i] = fixed[1]
             f[row] = free[1]
             if i + 1 == n:
                 continue
@@ -146,7 +146,7 @@ class Layers:
             if self.joined[i]:
                 M[row, i + 1] = -other[1]
                 f[row] -= its[1]
-                M[row + 1, i] = own[0]
+                M[row + 1, i] = fixed[0]
                 M[row + 1, i + 1] = -other[0]
             else:
                 M[row + 1, i + 1] = other[1]

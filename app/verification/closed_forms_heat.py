@@ -203,7 +203,8 @@ def hot_fit_pressure(
     """Pressure of a core at one temperature in a ring cooled from outside, plane strain [MPa].
 
     The bore of a free ring grows by (1 + ν) a b times its mean change of temperature (Timoshenko &
-    Goodier, section 151), the core by the same with its own: both are `Layers` of even strain.
+    Goodier, section 151), the core by the same formula with its radii. Both are `Layers` of
+    even strain.
 
     Args:
         radii: b of the interface, c of the outer surface [mm].
@@ -238,7 +239,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class HeatedWalls:
-    """Two bars between fixed walls, pressed together by their own expansion; ν = 0.
+    """Two bars between fixed walls, pressed together by their expansion; ν = 0.
 
     The conductance between them is h₀ + h₁ p, h₁ in N/(mm s K) per MPa. More pressure lets more
     heat pass, which cools the hot bar and warms the cold one: where the cold bar expands more,

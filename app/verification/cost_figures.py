@@ -62,8 +62,8 @@ ROUNDING = 1e-12  # mm
 
 def femur(kind: str, rung: str) -> ProblemRun:
     """The femur at first order, its interfaces in contact or bonded."""
-    own = BONDED if kind == "bonded" else ()
-    overrides = ("mesh.order=1", *STANCE, *own, f"mesh.size={RUNGS[rung]}")
+    laws = BONDED if kind == "bonded" else ()
+    overrides = ("mesh.order=1", *STANCE, *laws, f"mesh.size={RUNGS[rung]}")
     return ProblemRun(FEMUR, overrides, times=TIMES if rung in CHEAP else 1)
 
 
@@ -76,7 +76,7 @@ def cemented_stem(rung: str, overrides: Sequence[str]) -> ProblemRun:
 
 def varied(first: ProblemRun) -> list[ProblemRun]:
     """The twelve cases of a model in one process."""
-    return [ProblemRun(FEMUR, (*first.overrides, *own), share=True) for own in TWELVE]
+    return [ProblemRun(FEMUR, (*first.overrides, *changes), share=True) for changes in TWELVE]
 
 
 # Figures

@@ -133,7 +133,7 @@ def same(
             shear = other.at_interface(name, "shear", step)[k] * stresses
             gap = other.at_interface(name, "gap", step) * lengths
             peak = float(pressure.max())
-            # Gap and slip are one vector; rounding alone has no scale of its own.
+            # Gap and slip are one vector; rounding alone has no scale.
             jump = max(float(np.abs(gap).max()), NOTHING * float(np.abs(u).max()))
             fields = {"pressure": (pressure, peak), "shear": (shear, peak)}
             if f"{name}_slip" in other.point_fields:  # not where sides slide far

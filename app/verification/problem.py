@@ -133,7 +133,7 @@ class Comparison:
     """A computed number and the exact one.
 
     Attributes:
-        error: In the problem's own measure.
+        error: In the measure of the problem.
         computed: The computed number, where it is one.
         exact: The exact number.
         note: Remark for the report.
@@ -297,7 +297,7 @@ class KnownProblem:
         return self.solve_all([run(case, *overrides, mesh=mesh)])[0]
 
     def solve_each(self, case: str, changes: Iterable[Sequence[str]]) -> list[Run]:
-        """Solve a case several times, each with its own overrides."""
+        """Solve a case several times with different overrides."""
         return self.solve_all([run(case, *overrides) for overrides in changes])
 
     def solve_all(self, runs: Sequence[ProblemRun]) -> list[Run]:
@@ -448,7 +448,7 @@ def planned_run(name: str, wanted: ProblemRun, folder: Path, *, alone: bool = Fa
 def solve_here(name: str, folder: Path) -> Runner:
     """A `Runner` that solves in this process, one run after another, each once.
 
-    The log of each run is kept beside its folder, as campaigns do.
+    The log of each run is kept next to its folder, as campaigns do.
     """
     # Not at the top: the process of `mantle verify` starts ranks and must not initialize MPI.
     from app.simulation import finished_runs, session

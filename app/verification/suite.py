@@ -1,7 +1,7 @@
 """`mantle verify`, `stress` and `bench`: pytest runs the problems of a suite by their markers.
 
 The runs of all problems are solved together by `app.campaigns`; finished runs are not done again.
-Written are ``SUITE.json``, ``SUITE.csv`` (the cost of each run) and ``SUITE.png`` beside the runs,
+Written are ``SUITE.json``, ``SUITE.csv`` (the cost of each run) and ``SUITE.png`` next to the runs,
 of a selection ``SUITE-TIER-NAME.json`` and so on.
 """
 
@@ -281,7 +281,9 @@ def table(rows: Sequence[Row]) -> str:
     groups = by_group(rows)
     if len(groups) > 1:
         titles = ("group", "problems", *OUTCOMES, "seconds", "worst", "of", "")
-        text.append(layout.table(titles, (_summed(name, own) for name, own in groups.items())))
+        text.append(
+            layout.table(titles, (_summed(name, members) for name, members in groups.items()))
+        )
     for row in rows:
         if row.outcome in (MISSED, FAILED) and row.message:
             text.append(f"{row.name} {row.outcome}: {row.message}".replace("\n", "\n  "))
@@ -324,7 +326,7 @@ def _summed(name: str, rows: Sequence[Row]) -> Sequence[object]:
 def verdict(rows: Sequence[Row]) -> str:
     """Number of problems passed, and names of the others."""
     names = {x: [row.name for row in rows if row.outcome == x] for x in OUTCOMES}
-    counts = ", ".join(f"{len(own)} {x}" for x, own in names.items() if own)
+    counts = ", ".join(f"{len(rows_of)} {x}" for x, rows_of in names.items() if rows_of)
     plural = "s" if len(rows) > 1 else ""
     text = f"{len(rows)} problem{plural}: {counts}"
     others = names[MISSED] + names[FAILED]
@@ -375,7 +377,7 @@ def write(name: str, options: Options, rows: Sequence[Row]) -> None:
     stem = "-".join(filter(None, (name, tier, options.pattern)))
     options.folder.mkdir(parents=True, exist_ok=True)
     drawing = options.folder / f"{stem}.png"
-    remove([drawing])  # should the new one fail, the old one is not beside new numbers
+    remove([drawing])  # should the new one fail, the old one does not stay next to new numbers
     write_json(options.folder / f"{stem}.json", [as_json(row) for row in rows])
     write_text(options.folder / f"{stem}.csv", csv_text(list(costs(rows))))
     picture.draw(rows, drawing)

@@ -110,7 +110,7 @@ def test_heat_bars(problem: KnownProblem) -> None:
     for solved, h in zip(runs, conductances.values(), strict=True):
         q, hot, cold = exact.two_bars(100, 37, (5 / CEMENT[0], 5 / BONE[0]), 1e-3 * h)
         comparisons.append(temperatures(solved, between_walls(100, hot, cold, 37), 63.0))
-        if math.isfinite(h):  # perfect contact has no flux of its own
+        if math.isfinite(h):  # perfect contact has no flux law
             flux = solved.summary["thermal"]["interfaces"]["cement_bone"]["heat_flux_max"]
             comparisons.append(relative(flux, 1e3 * q))
     problem.compare(*comparisons)

@@ -42,9 +42,9 @@ def test_wall_augmented(problem: KnownProblem) -> None:
 
     def force(run: Run) -> Comparison:
         q = run.summary["interfaces"]["wall_bar"]
-        found = relative(abs(q["force"][2]), BAR_STIFFNESS * MOTION * BAR_AREA)
+        stiffness = relative(abs(q["force"][2]), BAR_STIFFNESS * MOTION * BAR_AREA)
         deep = q["penetration_max"] / MOTION
-        return Comparison(max(found.error, deep), found.computed, found.exact)
+        return Comparison(max(stiffness.error, deep), stiffness.computed, stiffness.exact)
 
     problem.compare(*map(force, problem.solve_each("verification/wall.yaml", changes)))
 

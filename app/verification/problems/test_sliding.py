@@ -56,7 +56,7 @@ def test_slip_cup(problem: KnownProblem) -> None:
     problem.expects(
         "sink of a ball in cups of four clearances, mean pressure near the pole, relative",
         tolerance=0.01,
-        source="axisymmetric program of its own (tests/reference/axisymmetric.py)",
+        source="separate axisymmetric program (tests/reference/axisymmetric.py)",
     )
     smooth = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
     changes = [

@@ -1,4 +1,4 @@
-"""Experiments from the literature, beside what mantle computes for them.
+"""Experiments from the literature, next to the results of mantle.
 
 A problem passes if its base lies within what was measured, and misses otherwise, which is published
 and no failure. No input was fitted; what nobody measured is varied, and the note gives the spread.
@@ -70,7 +70,7 @@ def compare_variants(
 ) -> None:
     """Solve each variant of a case, with some overrides always, and compare a number."""
     wanted = of_tier(problem, variants)
-    changes = [[*always, *own] for own in wanted.values()]
+    changes = [[*always, *changed] for changed in wanted.values()]
     runs = problem.solve_each(f"{EXPERIMENTS}/{case}.yaml", changes)
     values = {key: number(solved) for key, solved in zip(wanted, runs, strict=True)}
     compare(problem, values, measured, words)
@@ -118,7 +118,7 @@ def test_validation_rods(problem: KnownProblem) -> None:
 @quick
 def test_validation_rods_gap(problem: KnownProblem) -> None:
     expect(problem, f"{STRENGTH}, gap of 8.5 um", STRENGTHS, MUELLER)
-    variants = {key: [*gap(8.5), *own] for key, own in RODS.items()}
+    variants = {key: [*gap(8.5), *changed] for key, changed in RODS.items()}
     variants |= {f"gap {g} um": gap(g) for g in (1, 4, 12, 16)}
     words = f"{ROD_WORDS}, the gap even and there before the cement cools"
     compare_variants(problem, "rods", variants, strength, STRENGTHS, words)
@@ -167,7 +167,7 @@ def disc(mould: str, height: int, cure: Sequence[str]) -> list[str]:
     cement = ("core",) if thin else ("core", "rest")
     data = dict(zip(("conductivity", "density", "specific_heat"), MOULDS[mould], strict=True))
     overrides = [f"regions.{wall}.thermal.{key}={data[key]}" for wall in walls for key in data]
-    overrides += [f"regions.{region}.thermal.cure.{own}" for region in cement for own in cure]
+    overrides += [f"regions.{region}.thermal.cure.{change}" for region in cement for change in cure]
     if thin:
         overrides.append("regions.rest.thermal.cure=")
     return overrides
@@ -314,7 +314,7 @@ def compare_slab(
     what = f"largest motion of a stem in a slab under torsion [um], contact {share:.3g} %"
     expect(problem, what, measured, f"{source}, abstract")
     inputs: Variants = {"": [], "mesh": ["mesh.size=3 mm"], **FRICTION}
-    variants = {key: [contact(share), *own] for key, own in inputs.items()}
+    variants = {key: [contact(share), *changed] for key, changed in inputs.items()}
     variants |= {f"contact {s:g} %": [contact(s)] for s in others}
     assumed = "assumed: sections, a tenth of 1.5 %BW m, no grip, cement bonded to bone"
     words = f"{source}, abstract; {assumed}"
