@@ -49,7 +49,9 @@ Look = Literal["curve", "line", "points", "dotted", "pale", "stars", "bars"]
 Log = Literal["auto", "", "x", "y", "xy"]
 T = TypeVar("T")
 
-_LOOKS: dict[Look, dict[str, Any]] = {
+# Keyword arguments of matplotlib for a line.
+Style = dict[str, Any]
+_LOOKS: dict[Look, Style] = {
     "curve": {"ms": 5.5, "lw": 1.6, "zorder": 3},
     "line": {"marker": "", "lw": 1.6, "zorder": 3},
     "points": {"ls": "", "ms": 6.5, "zorder": 3},
@@ -158,7 +160,7 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
 
 def draw_line(axes: Axes, line: Line, shift: float = 0.0) -> None:
     """Draw a line, its points moved along x by a shift."""
-    style: dict[str, Any] = {
+    style: Style = {
         "color": figures.colour(line.style),
         "marker": figures.marker(line.style),
         "label": line.label or None,

@@ -13,6 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats, Ints
 from app.plots import figures
@@ -211,7 +212,12 @@ def interfaces(data: MeshData, path: Path) -> None:
 
 
 def surface(
-    ax: Axes, facets: Floats, pieces: Floats, colours: Floats, edges: Any, view: str
+    ax: Axes,
+    facets: Floats,
+    pieces: Floats,
+    colours: Floats,
+    edges: NDArray[np.generic] | None,
+    view: str,
 ) -> None:
     """Draw a surface as a viewer sees it, lit from the upper left, with the edges of its facets.
 

@@ -10,8 +10,8 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,6 +23,7 @@ from app.foundation.arrays import Floats, Ints
 from app.plots import figures, sections
 from app.plots.figures import COLOURS, PNG, handles
 from app.plots.sections import AXES
+from app.schema.section import Section
 from app.soundness import preview
 from app.system.layout import plain
 from meshes.data import MeshData, boundary_facets, cell_volumes, exterior_facets, interface_facets
@@ -82,10 +83,21 @@ class View:
     inch: float
     labels: list[tuple[str, str, Floats]] = field(default_factory=list)  # text, colour, place (2,)
 
-    def lines(self, x: Floats, **style: Any) -> Floats:
-        """Draw the section of triangles (n, 3, 3); returns the middles of its lines (k, 2)."""
+    def lines(
+        self,
+        x: Floats,
+        colour: str,
+        label: str,
+        width: float = 2.2,
+        style: str = "-",
+        alpha: float = 1.0,
+    ) -> Floats:
+        """Draw the section of triangles (n, 3, 3); return the middles of its lines (k, 2)."""
         flat = sections.section_lines(x, self.toward, self.at)[..., [self.across, 2]]
-        self.ax.add_collection(LineCollection(list(flat), **style))
+        lines = LineCollection(
+            list(flat), colors=colour, lw=width, ls=style, alpha=alpha, label=label
+        )
+        self.ax.add_collection(lines)
         return flat.mean(axis=1)
 
 
@@ -126,13 +138,12 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         ends = [middle - half, middle + half][:: -1 if leftward else 1]
         ax.set(xlim=ends, ylim=(low[2] - bottom * inch, high[2] + top * inch))
         ax.set_axis_off()
-    place: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
+    write = partial(figure.text, ha="center", va="top", parse_math=False)
     words = "\n".join([*title, f"{len(data.cells):,} cells"])
-    figure.text(0.25, 1 - 0.1 / tall, words, fontsize=12, **place)
+    write(0.25, 1 - 0.1 / tall, words, fontsize=12)
     if len(forces) > 1:
         words = f"{len(forces)} loads, {next(preview.resultant(case), '')}"
-        style = {"color": LOAD, "fontsize": WORDS, **place}
-        figure.text(0.25, 1 - (0.62 + more_title) / tall, words, **style)
+        write(0.25, 1 - (0.62 + more_title) / tall, words, color=LOAD, fontsize=WORDS)
     named = handles(figure.axes)
     bodies = {label: named.pop(label) for label in _region_labels(data)}
     for middle, group in ((0.25, bodies), (0.75, named)):
@@ -169,20 +180,22 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
     for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
         friction = getattr(law, "friction_coefficient", None)
         words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
-        style = {"ls": "--" if law.kind == "bonded" else "-", "lw": 2.2, "colors": colour}
         drawn = [data.points[interface_facets(data, name)[0][:, :3]]]
         drawn += [_boundary(data, face) for face in case.faces.get(name, ())]
         label = f"{name.replace('_', '-')}: {words}"
-        view.lines(np.concatenate(drawn), label=label, **style)
-    parts: list[Any] = [("support", SUPPORT, *item) for item in case.supports.items()]
-    for word, colour, name, part in parts + [("heat", HEAT, *item) for item in case.heat.items()]:
+        style = "--" if law.kind == "bonded" else "-"
+        view.lines(np.concatenate(drawn), colour, label, style=style)
+    parts: list[tuple[str, str, str, Section]] = []
+    parts += [("support", SUPPORT, name, part) for name, part in case.supports.items()]
+    parts += [("heat", HEAT, name, part) for name, part in case.heat.items()]
+    for word, colour, name, part in parts:
         facets = _boundary(data, getattr(part, "boundary", ""))
-        middles = view.lines(facets, colors=colour, lw=4.0, alpha=0.8, label=word)
+        middles = view.lines(facets, colour, word, width=4.0, alpha=0.8)
         keys = part.model_dump(mode="json", exclude_none=True)
         held = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
         if len(middles):
             away = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
-            text = f"{name.replace('_', ' ')}\n{', '.join([part.kind, *held])}"
+            text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held])}"
             view.labels.append((text, colour, middles[away.argmax()]))
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from app.case import quantities
 from app.foundation.errors import InputError, StoppedError
 from app.foundation.verdict import Severity, recorded
 from app.report import lead, page, run_report, sweep_figures, viewer
 from app.report.page import Block, LargeNumber, PageSection, bullets, table
-from app.report.sweep_results import Number, SweptCase
+from app.report.sweep_results import Json, Number, SweptCase
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
 from app.system.layout import noted, plain
@@ -81,7 +80,7 @@ def _page(folders: Sequence[Path]) -> str:
     )
 
 
-def _status(name: str, summary: Mapping[str, Any]) -> str:
+def _status(name: str, summary: Json) -> str:
     errors = [v.text for v in recorded(summary) if v.severity is Severity.ERROR]
     unknown = [] if summary.get("error", {}).get("companions") else ["errors not estimated"]
     return "; ".join([f"{summary['status']}: {name}", *unknown, *errors])
@@ -223,7 +222,7 @@ def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     return table(["key", *names], rows) or bullets(["nothing: these are runs of the same case"])
 
 
-def _flat(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
+def _flat(values: Json, path: str = "") -> Iterator[tuple[str, str]]:
     """Every value of a case by its key, as ``interfaces.stem_cement.clearance``."""
     for key, value in values.items():
         if isinstance(value, dict):

@@ -5,9 +5,9 @@ Results of runs fill each factor. The applicant writes what a program cannot kno
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict
 
 from app.case import quantities
 from app.case.case import Case, load
@@ -18,8 +18,10 @@ from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, recorded
 from app.report import page
 from app.report.page import PageSection
+from app.report.sweep_results import Json
 from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
+from app.schema.section import Section
 from app.system.folders import read_json, write_json, write_text
 from app.system.layout import plain
 
@@ -39,6 +41,30 @@ FACTORS = {
     ),
 }
 PARTS = [(part, name) for part, names in FACTORS.items() for name in names]
+
+
+class Check(TypedDict):
+    """Outcome of a problem in ``verify.json``, as far as evidence needs it."""
+
+    name: str
+    group: str
+    outcome: str
+    value: float | None
+    reference: float | None
+    order: float | None
+    expected_order: float | None
+    note: str
+
+
+class Provenance(TypedDict):
+    """Content of ``provenance.json``, as far as evidence needs it."""
+
+    mantle: str
+    identity: dict[str, str]
+    ranks: int
+    processor: str
+    started: str
+    case_sha256: str
 
 
 class CredibilityFactor(NamedTuple):
@@ -86,7 +112,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
 
 
 def factors(
-    case: Case, summary: Mapping[str, Any], record: Mapping[str, Any], checks: Sequence[Any]
+    case: Case, summary: Json, record: Provenance, checks: Sequence[Check]
 ) -> list[CredibilityFactor]:
     """Return the factors of a run, with outcomes of verification and validation problems."""
     validated = [c for c in checks if c["group"] == "validation"]
@@ -120,21 +146,21 @@ def _finished(folder: Path) -> Results:
     return Results(folder)
 
 
-def _checks(folder: Path) -> list[Any]:
+def _checks(folder: Path) -> list[Check]:
     files = sorted(folder.glob("verify*.json"))
     if not files:
         raise InputError(f"{folder}: holds no verify.json; mantle verify -o {folder} writes it")
     return [check for file in files for check in read_json(file)]
 
 
-def _software(record: Mapping[str, Any]) -> Iterator[str]:
+def _software(record: Provenance) -> Iterator[str]:
     parts = ", ".join(f"{name} {version}" for name, version in record["identity"].items())
     yield f"sources by digest and versions: {parts}"
     yield f"{record['ranks']} rank(s), {record['processor']}, {record['started'][:10]}"
     yield "mantle test checks this version: lint, types, tests, planted faults of its equations"
 
 
-def _code(checks: Sequence[Any]) -> Iterator[str]:
+def _code(checks: Sequence[Check]) -> Iterator[str]:
     if not checks:
         yield f"no outcomes of mantle verify were given: {APPLICANT}"
         return
@@ -143,19 +169,21 @@ def _code(checks: Sequence[Any]) -> Iterator[str]:
     for check in checks:
         if check["outcome"] not in ("passed", "refused"):
             yield _outcome(check)
-    orders = [c for c in checks if c["order"] is not None]
-    if orders:
-        least = min(c["order"] / c["expected_order"] for c in orders)
-        yield f"{len(orders)} orders of convergence, the least {least:.0%} of theory's"
+    shares = [
+        c["order"] / c["expected_order"] for c in checks if c["order"] and c["expected_order"]
+    ]
+    if shares:
+        least = min(shares)
+        yield f"{len(shares)} orders of convergence, the least {least:.0%} of the theoretical one"
 
 
-def _outcome(check: Mapping[str, Any]) -> str:
+def _outcome(check: Check) -> str:
     value, reference = check["value"], check["reference"]
     numbers = f": {value:.4g}, reference {reference:.4g}" if value and reference else ""
     return f"{check['name']}: {check['outcome']}{numbers}"
 
 
-def _discretization(summary: Mapping[str, Any]) -> Iterator[str]:
+def _discretization(summary: Json) -> Iterator[str]:
     if "error" not in summary:
         yield f"not estimated; run with --error: {APPLICANT}"
         return
@@ -168,7 +196,7 @@ def _discretization(summary: Mapping[str, Any]) -> Iterator[str]:
     yield from (v.text for v in recorded(summary) if v.where == PEAKS)
 
 
-def _use(summary: Mapping[str, Any], record: Mapping[str, Any]) -> Iterator[str]:
+def _use(summary: Json, record: Provenance) -> Iterator[str]:
     yield "the case was checked against its schema: units, names, ranges, balance of loads"
     yield f"input by digest: {record['case_sha256'][:16]}; case.yaml has every default"
     yield from (str(v) for v in recorded(summary) if v.severity is Severity.NOTE)
@@ -205,7 +233,7 @@ def methods(folder: Path) -> Path:
     return folder / "methods.md"
 
 
-def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any]) -> Iterator[str]:
+def _paragraphs(case: Case, summary: Json, record: Provenance) -> Iterator[str]:
     yield f"## Methods: {case.title}"
     order = case.mesh.order
     solver = summary["solver"]
@@ -236,7 +264,7 @@ def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any
     yield "Errors of mesh and step: " + "; ".join(_discretization(summary)) + "."
 
 
-def _values(part: Any) -> str:
+def _values(part: Section) -> str:
     """Keys and values of a part of a case, with units."""
     fields = part.model_dump(mode="json", exclude_none=True, exclude={"tissue", *ORIGIN})
     kept = {key: value for key, value in fields.items() if value not in ([], {}, "")}

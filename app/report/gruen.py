@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from app.case.quantities import TABLE
 from app.plots import figures
 from app.report import page
 from app.report.page import Block, Figure
-from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
+from app.report.sweep_results import (
+    INTERFACES,
+    QUANTITIES,
+    WORDS,
+    Json,
+    Number,
+    SweptCase,
+    magnitude,
+)
 
 # Number of zones of the frontal view; the others are of the lateral one.
 FRONTAL = 7
@@ -20,7 +27,7 @@ BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3
 
 
-def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
+def zones(case: SweptCase) -> dict[str, Json]:
     """The Gruen zones of a case; empty if it has none."""
     return case.summary.get("gruen") or {}
 
@@ -75,7 +82,7 @@ def _zone(number: str) -> str:
     return f"{number} ({view})"
 
 
-def _largest_and_mean(quantity: str, numbers: Mapping[str, Any]) -> str:
+def _largest_and_mean(quantity: str, numbers: Json) -> str:
     largest, mean = (TABLE["interfaces"][f"{quantity}_{how}"] for how in ("max", "mean"))
     return f"{largest.text(numbers)} / {mean.text(numbers)}"
 

@@ -7,13 +7,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from app.campaigns import uncertainty
 from app.case.quantities import TABLE, Quantity, numbers_of, titled
 from app.foundation.errors import InputError
 from app.report.sweep_figures import title
-from app.report.sweep_results import SweptCase, read
+from app.report.sweep_results import Json, SweptCase, read
 from app.system.layout import plain
 
 # Fewest samples with a 5th and a 95th percentile.
@@ -29,7 +28,7 @@ class InputSpread:
 
     samples: Sequence[SweptCase]
     drawn: int
-    inputs: Mapping[str, Sequence[Any]]
+    inputs: Mapping[str, Sequence[object]]
 
     def of(self, name: str) -> tuple[float, float, str] | None:
         """Percentiles of a number in its unit for people, and the input that it follows most.
@@ -46,7 +45,7 @@ class InputSpread:
         clear = abs(rank) > 2.0 / len(values) ** 0.5
         return spread["p5"], spread["p95"], f"{title(most)} ({rank:+.2f})" if clear else ""
 
-    def cells(self, name: str, q: Quantity, numbers: Mapping[str, Any]) -> list[str]:
+    def cells(self, name: str, q: Quantity, numbers: Json) -> list[str]:
         """Cells of a number below `HEAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
         low, high, most = self.of(name) or (None, None, "-")
@@ -100,7 +99,9 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
     return InputSpread(samples, len(drawn), inputs)
 
 
-def _differences(run: Any, sample: Any, inputs: Iterable[str], path: str = "") -> Iterator[str]:
+def _differences(
+    run: object, sample: object, inputs: Iterable[str], path: str = ""
+) -> Iterator[str]:
     """Keys in which a sample differs from the run, but for its inputs, with both values."""
     if isinstance(run, dict) and isinstance(sample, dict):
         for key in (run | sample).keys() - FREE:

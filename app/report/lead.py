@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
-from typing import Any
 
 from app.case.quantities import NECROSIS, TABLE, in_print, in_words, printed
 from app.report.page import LargeNumber, spelled_out
-from app.report.sweep_results import SweptCase, magnitude, named
+from app.report.sweep_results import Json, SweptCase, magnitude, named
 
 # Bodies on both sides of an interface: the one that moves, the other, and the preposition.
 PAIRS = {
@@ -27,10 +26,8 @@ MOST = 3
 # Words for a model of a sector of the body.
 SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
 
-Numbers = Mapping[str, Any]
 
-
-def large_numbers(summary: Numbers) -> list[LargeNumber]:
+def large_numbers(summary: Json) -> list[LargeNumber]:
     """Return the most important numbers of ``summary.json``, at most `MOST`.
 
     The groups contact, stem, heat and cure each give their first number, then their second one.
@@ -47,7 +44,7 @@ def large_numbers(summary: Numbers) -> list[LargeNumber]:
     return numbers or list(_stresses(summary))[:MOST]
 
 
-def loads(case: SweptCase, summary: Numbers) -> str:
+def loads(case: SweptCase, summary: Json) -> str:
     """Return the largest force of a case and the sum of all forces, in sentences.
 
     Empty if a run stopped before its last load, if no part of the case is loaded, and if no load
@@ -79,9 +76,7 @@ def loads(case: SweptCase, summary: Numbers) -> str:
     return text
 
 
-def _number(
-    section: str, key: str, numbers: Numbers, caption: str, detail: str = ""
-) -> LargeNumber:
+def _number(section: str, key: str, numbers: Json, caption: str, detail: str = "") -> LargeNumber:
     """Return a number of a section as a large number."""
     text = _with_unit(section, key, numbers)
     value, sign, error = text.partition(" ± ")
@@ -91,14 +86,14 @@ def _number(
     return LargeNumber(value, unit, caption, f"± {error}" if sign else "", detail)
 
 
-def _with_unit(section: str, key: str, numbers: Numbers) -> str:
+def _with_unit(section: str, key: str, numbers: Json) -> str:
     """Return a number as text with its unit: ``8.2 ± 9.5 µm (not resolved)``."""
     q = TABLE[section][key]
     value, bracket, remark = q.text(numbers).partition(" (")
     return f"{value} {printed(q.shown)}{bracket}{remark}"
 
 
-def _contacts(summary: Numbers) -> Iterator[LargeNumber]:
+def _contacts(summary: Json) -> Iterator[LargeNumber]:
     """Slip and opening of the interfaces, and what other packages lead with."""
     for name, q in summary["interfaces"].items():
         yield from _captioned(name.replace("_", " "), q)
@@ -129,8 +124,8 @@ def _contacts(summary: Numbers) -> Iterator[LargeNumber]:
             yield LargeNumber("0", printed(TABLE["interfaces"]["slip_p99"].shown), caption)
 
 
-def _captioned(name: str, numbers: Numbers) -> Iterator[LargeNumber]:
-    """Numbers of an interface with a caption of their own (`Quantity.caption`)."""
+def _captioned(name: str, numbers: Json) -> Iterator[LargeNumber]:
+    """Json of an interface with a caption of their own (`Quantity.caption`)."""
     quantities = TABLE["interfaces"]
     for key, quantity in quantities.items():
         if not quantity.caption or key not in numbers:
@@ -143,7 +138,7 @@ def _captioned(name: str, numbers: Numbers) -> Iterator[LargeNumber]:
         yield _number("interfaces", key, numbers, caption, detail)
 
 
-def _stem(summary: Numbers) -> Iterator[LargeNumber]:
+def _stem(summary: Json) -> Iterator[LargeNumber]:
     """Subsidence of the stem."""
     stem = summary.get("stem", {})
     if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
@@ -151,7 +146,7 @@ def _stem(summary: Numbers) -> Iterator[LargeNumber]:
         yield _number("stem", "subsidence", stem, "subsidence of the stem", detail)
 
 
-def _heat(summary: Numbers) -> Iterator[LargeNumber]:
+def _heat(summary: Json) -> Iterator[LargeNumber]:
     """Peak temperature of the bone with its duration, and the volume of dead bone."""
     regions = summary.get("thermal", {}).get("regions", {})
     bone = [q for q in regions.values() if "necrosis_47C_1min_volume" in q]  # heat can kill it
@@ -178,7 +173,7 @@ def _heat(summary: Numbers) -> Iterator[LargeNumber]:
     yield LargeNumber(f"{dead[rule]:,.0f}", "mm³", "dead bone", detail=detail)
 
 
-def _cure(summary: Numbers) -> Iterator[LargeNumber]:
+def _cure(summary: Json) -> Iterator[LargeNumber]:
     """Least degree of cure."""
     for name, q in summary.get("cure", {}).items():
         # Rounded down: incomplete cure never reads as 100 %.
@@ -187,7 +182,7 @@ def _cure(summary: Numbers) -> Iterator[LargeNumber]:
         yield LargeNumber(f"{degree:g}", "%", caption, detail="Everywhere at least this much.")
 
 
-def _stresses(summary: Numbers) -> Iterator[LargeNumber]:
+def _stresses(summary: Json) -> Iterator[LargeNumber]:
     """Stress of the regions, for cases without contact and heat."""
     for name, q in summary.get("regions", {}).items():
         caption = f"von Mises stress of {named(name)}"

@@ -13,12 +13,12 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
+from matplotlib.image import AxesImage
 
 from app.case.case import read_geometry
 from app.case.geometries import Sides
@@ -286,15 +286,16 @@ def draw(
         every = np.concatenate([v[flat.nodes].ravel() for flat, v in of if v is not None])
         low = float(every.min()) if label == TEMPERATURE else 0.0
         most = max(float(np.percentile(every, CLIP)), low + LEAST)
-        shade: Any = None
+        shades: list[AxesImage] = []
         for axes, (flat, v) in zip(axes_row, of, strict=True):
             _axes(axes, flat)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            shade = plane.shaded(axes, flat.corners, v[flat.nodes], colours, (low, most))
+            limits = (low, most)
+            shades.append(plane.shaded(axes, flat.corners, v[flat.nodes], colours, limits))
         extend = "max" if every.max() > most * (1 + 1e-6) else "neither"
-        figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.04)
+        figure.colorbar(shades[0], ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, title in zip(grid[0], titles, strict=False):
         axes.set_title(title, fontsize=10)
     for axes in grid[:, 0]:

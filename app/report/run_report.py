@@ -9,7 +9,7 @@ import json
 import logging
 import math
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ from app.report import (
 )
 from app.report.input_spread import HEAD, InputSpread, of_run
 from app.report.page import Block, Figure, PageSection, Verbatim, bullets, table
-from app.report.sweep_results import CONVERGED, SweptCase, named
+from app.report.sweep_results import CONVERGED, Json, SweptCase, named
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
@@ -81,8 +81,6 @@ MOST_NOTES = 3
 # Rows of a table that are written out; more of them fold into one line.
 MOST_ROWS = 12
 log = logging.getLogger("mantle")
-# Content of summary.json or a part of it.
-Summary = Mapping[str, Any]
 
 
 def after_run(folder: Path, comm: MPI.Comm | None) -> None:
@@ -145,9 +143,9 @@ def write(
         raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
 
 
-def opened(folder: Path, **more: Any) -> SweptCase:
+def opened(folder: Path) -> SweptCase:
     """Open a run directory, that of a failed run as well."""
-    return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
+    return SweptCase(folder.name, folder, CONVERGED)
 
 
 def _run(
@@ -281,13 +279,13 @@ def _view(folder: Path) -> tuple[str, list[str]]:
         return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
 
-def _facts(folder: Path, record: dict[str, Any]) -> str:
+def _facts(folder: Path, record: Json) -> str:
     when = str(record.get("finished", "")).replace("T", " ")[:16]
     program = f"mantle {record['mantle']}" if "mantle" in record else ""
     return " · ".join(filter(None, (folder.resolve().name, when and f"{when} UTC", program)))
 
 
-def _no_results(summary: Summary) -> str:
+def _no_results(summary: Json) -> str:
     """Return the cause of a failure and its remedy, in sentences."""
     verdicts = recorded(summary)
     if not verdicts:
@@ -299,7 +297,7 @@ def _no_results(summary: Summary) -> str:
     return in_print(f"{words[0].upper()}{words[1:]}")
 
 
-def _status(summary: Summary) -> list[Block]:
+def _status(summary: Json) -> list[Block]:
     """Return the verdicts on a run: errors and warnings first, then checks, then notes."""
     status = summary["status"]
     verdicts = recorded(summary)
@@ -327,7 +325,7 @@ def _notes(notes: Sequence[str]) -> list[Block]:
     return page.folded(f"{len(notes)} notes on the input", bullets(notes))
 
 
-def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
+def _numbers(summary: Json, spread: InputSpread | None) -> list[Block]:
     """Return the numbers of the closing table, a column for each interface, region and so on."""
     blocks = _tables(summary, every=False, spread=spread)
     for stage, numbers in summary.get("cycles", {}).items():
@@ -346,9 +344,9 @@ def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
     return blocks
 
 
-def _tables(summary: Summary, every: bool, spread: InputSpread | None = None) -> list[Block]:
+def _tables(summary: Json, every: bool, spread: InputSpread | None = None) -> list[Block]:
     """Return tables by section: of all numbers, or of the main ones with their spread."""
-    sections: dict[str, dict[str, Summary]] = {}
+    sections: dict[str, dict[str, Json]] = {}
     for section, name, numbers in quantities.numbers_of(summary, parts=every):
         sections.setdefault(section, {})[name] = numbers
     blocks: list[Block] = []
@@ -380,7 +378,7 @@ def _label(q: Quantity) -> str:
     return f"{q.label} ({unit})" if unit else q.label
 
 
-def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
+def _unsettled(summary: Json) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the peaks that do not converge, by mesh."""
     peaks = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
     sizes = sorted({size for values in peaks.values() for size in values})
@@ -393,14 +391,14 @@ def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
     return ["", *(f"{s:g} mm" for s in sizes)], rows
 
 
-def _necrosis(regions: dict[str, Summary]) -> list[Block]:
+def _necrosis(regions: dict[str, Json]) -> list[Block]:
     bones, rows = text.necrosis(regions)
     measures = ("volume (mm³)", "depth (mm)")
     head = ["", *(f"{named(bone)}, {measure}" for bone in bones for measure in measures)]
     return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
 
 
-def _solver(case: SweptCase, summary: Summary) -> list[Block]:
+def _solver(case: SweptCase, summary: Json) -> list[Block]:
     """Return iterations and balances of each step, and seconds by phase."""
     parts = step_curves.steps(case.step_record)
     parts += page.titled("Sizes", page.pairs(summary.get("solver", {})))
@@ -417,9 +415,16 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     pages = [folder / PAGE, *(page for page, *_ in written)]
     cases = []
     for row in rows:
-        more = {k: row[k] for k in ("overrides", "status", "seconds", "numbers")}
-        notes = tuple(row.get("notes", ()))
-        cases.append(opened(folder / row["name"], **more, notes=notes))
+        case = SweptCase(
+            row["name"],
+            folder / row["name"],
+            row["status"],
+            overrides=row["overrides"],
+            seconds=row["seconds"],
+            numbers=row["numbers"],
+            notes=tuple(row.get("notes", ())),
+        )
+        cases.append(case)
     every = sweep_figures.headlines(cases)
     names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from app.foundation.arrays import Floats
 from app.plots.curves import Line, Panel, sparse
 from app.report import page
 from app.report.page import Block
-from app.report.sweep_results import named
+from app.report.sweep_results import Json, named
 from app.system.layout import plain
 
 # Quantities drawn, by key in history.csv: title, unit for people.
@@ -93,7 +92,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
     return panels
 
 
-def tension(summary: Mapping[str, Any]) -> list[Panel]:
+def tension(summary: Json) -> list[Panel]:
     """Return the panel of the volume of cement over levels of tension; none below the first."""
     lines: list[Line] = []
     levels = [float(level) for level in STRESSED]

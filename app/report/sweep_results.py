@@ -32,7 +32,12 @@ QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTAC
 WORDS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
 WORDS |= quantities.PLACES
 CONVERGED = "converged"
+# Statuses of a case.
 STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
+
+
+# Content of a JSON file: summary.json, provenance.json, a case as plain data.
+Json = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,7 @@ class SweptCase:
     folder: Path
     status: str
     part: str = ""
-    overrides: dict[str, Any] = field(default_factory=dict)
+    overrides: Json = field(default_factory=dict)
     exit_code: int = 0
     message: str = ""
     seconds: float = 0.0
@@ -88,7 +93,7 @@ class SweptCase:
         return self.status == CONVERGED
 
     @cached_property
-    def data(self) -> dict[str, Any]:
+    def data(self) -> Json:
         """The resolved configuration as plain data; empty if it cannot be read."""
         with suppress(InputError):
             return Results(self.folder).case
@@ -101,7 +106,7 @@ class SweptCase:
         return [name for name, region in regions.items() if region.get("tissue") == "bone"]
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Json:
         """Content of summary.json; empty if the case is not done or it cannot be read."""
         with suppress(OSError, ValueError, TypeError):
             return Results(self.folder).summary if self.done else {}
@@ -144,7 +149,7 @@ class SweepResults:
     program: str = ""
     cores: int = 1
     seconds: float = 0.0
-    uncertainty: dict[str, Any] = field(default_factory=dict)
+    uncertainty: Json = field(default_factory=dict)
 
 
 def read(folder: Path) -> SweepResults:
@@ -157,9 +162,7 @@ def read(folder: Path) -> SweepResults:
     try:
         data = read_json(path)
         cases = [_case(entry, folder) for entry in data["cases"]]
-        known: dict[str, Any] = {
-            f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)
-        }
+        known: Json = {f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)}
     except FileNotFoundError:
         what = "has no sweep.json" if folder.is_dir() else "no such folder"
         raise InputError(
@@ -173,7 +176,7 @@ def read(folder: Path) -> SweepResults:
     return SweepResults(**known)
 
 
-def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
+def _case(entry: Json, folder: Path) -> SweptCase:
     known = {f.name: entry[f.name] for f in fields(SweptCase) if entry.get(f.name) is not None}
     for key in ("numbers", "errors"):
         known[key] = {k: v for k, v in known.get(key, {}).items() if v is not None}
@@ -193,7 +196,7 @@ def named(name: str) -> str:
     return WORDS.get(name, name.replace("_", " "))
 
 
-def magnitude(value: Any) -> float | None:
+def magnitude(value: object) -> float | None:
     """Number of a value with or without a unit (``4.0 mm``); None if it has none."""
     if isinstance(value, bool) or value is None:
         return None

@@ -18,7 +18,7 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +120,7 @@ def same_mesh(a: Run, b: Run) -> bool:
 
 def packed(
     run: Run, minus: Run | None = None, most_bytes: int = MOST
-) -> tuple[dict[str, Any], bytes]:
+) -> tuple[dict[str, object], bytes]:
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
     Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
@@ -138,13 +138,15 @@ def packed(
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     numbers = bytearray()
 
-    def add(array: NDArray[Any]) -> int:
+    def add(array: NDArray[np.generic]) -> int:
         numbers.extend(array.tobytes())
         return len(numbers) - array.nbytes
 
     x = run.points[nodes]
     low, width = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
-    head: dict[str, Any] = {
+    moves: list[dict[str, object]] = []
+    fields: list[dict[str, object]] = []
+    head: dict[str, object] = {
         "points": {"at": add(_levels((x - low) / width)), "n": len(nodes)},
         "low": low.tolist(),
         "size": width,
@@ -161,14 +163,14 @@ def packed(
         "stages": ends,
         "signed": minus is not None,
         "turned": [motion["region"] for motion in run.case.get("motions", {}).values()],
-        "moves": [],
-        "fields": [],
+        "moves": moves,
+        "fields": fields,
         "opening": _opening(run, kinds, fine),
     }
     for stage in ends:
         u = run.displacement(at[stage])[nodes] if "displacement" in run.point_fields else 0 * x
         most = float(np.abs(u).max()) or 1.0
-        head["moves"].append({"at": add(_levels((u / most + 1) / 2)), "most": most})
+        moves.append({"at": add(_levels((u / most + 1) / 2)), "most": most})
     for name, contact, label, unit, factor in kinds:
         on = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
         steps = []
@@ -178,7 +180,7 @@ def packed(
             v = factor * (lengths(run, name, at[stage]) - less)[nodes]
             parts, least, most = _scaled(v, np.isfinite(v) & (on | (v > 0)))
             steps.append({"at": add(parts), "min": least, "max": most})
-        head["fields"].append({"name": name, "label": label, "unit": unit, "steps": steps})
+        fields.append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, bytes(numbers)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from app.case.case import Case
 from app.case.quantities import largest
 from app.foundation.verdict import Verdict, note
+from app.laws.materials import Material
 
 # Strains beyond small-strain elasticity of any material.
 STRAIN = 0.05
@@ -50,6 +51,6 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[Verdict]:
     return notes
 
 
-def modulus(region: Any) -> float:
+def modulus(region: Material) -> float:
     """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
     return float(min(getattr(region, "moduli", (0.0,))))

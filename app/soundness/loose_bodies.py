@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.verdict import Reason, Severity, Verdict, note
+from app.laws.interface_laws import InterfaceLaw
 from app.laws.values import gap_at
 from app.numerics.rigid_motions import (
     DIRECTIONS,
@@ -90,7 +91,7 @@ class BodiesOnMesh:
         self._of = {p: n for n, group in enumerate(self._groups) for p in group}
         self._origin = parts.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
-        self._laws: Mapping[str, Any] = case.interfaces
+        self._laws: Mapping[str, InterfaceLaw] = case.interfaces
         # Touching pieces: name of the interface, and its two bodies.
         self._touches = [
             (t, law_between(case, parts, (a, b))[0], self._of[a], self._of[b])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
+from app.laws.interface_laws import InterfaceLaw
+from app.laws.supports import AnySupport
 from app.laws.values import field
 from meshes.pieces import Parts
 
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
     from app.case.case import Case
 
 
-def law_between(case: Case, parts: Parts, pieces: tuple[int, int]) -> tuple[str, Any]:
+def law_between(
+    case: Case, parts: Parts, pieces: tuple[int, int]
+) -> tuple[str, InterfaceLaw | None]:
     """Interface between two pieces and its law; no name where there is none."""
     a, b = (parts.pieces[k].region for k in pieces)
     for name, (one, two) in case.geometry.interface_sides.items():
@@ -48,13 +52,13 @@ def load_history_of(case: Case, values: Sequence[float] | None) -> tuple[float, 
     return tuple(values) if values is not None else (1.0,) * len(case.stages)
 
 
-def holds(support: Any, stage: str) -> bool:
-    """Whether a support holds in a stage."""
+def holds(support: AnySupport, stage: str) -> bool:
+    """Return True if a support holds in a stage."""
     stages = getattr(support, "stages", None)
     return stages is None or stage in stages
 
 
-def directions(support: Any, parts: Parts, nodes: Ints) -> Floats:
+def directions(support: AnySupport, parts: Parts, nodes: Ints) -> Floats:
     """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
     normal = getattr(support, "normal", None)
     if normal == "face":
@@ -65,9 +69,8 @@ def directions(support: Any, parts: Parts, nodes: Ints) -> Floats:
 
 def gaps_of(case: Case, parts: Parts) -> dict[str, Floats]:
     """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
-    laws: Mapping[str, Any] = case.interfaces
     return {
         name: field(f"interfaces.{name}.gap", law.initial_gap[0])(parts.x[parts.on_interface(name)])
-        for name, law in laws.items()
+        for name, law in case.interfaces.items()
         if law.can_open
     }

@@ -42,7 +42,7 @@ class CheckedCase:
         return "\n".join([self.description, self.size, *map(str, self.notes)])
 
 
-def describe(case: Case, given: Mapping[str, Any]) -> str:
+def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
@@ -127,7 +127,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
         )
 
 
-def _table(entries: Mapping[str, Any]) -> list[str]:
+def _table(entries: Mapping[str, Section]) -> list[str]:
     """A line per support, load, condition or probe."""
     lines = []
     for name, entry in entries.items():

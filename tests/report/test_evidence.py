@@ -36,7 +36,7 @@ def test_evidence_of_every_factor(stems: tuple[Run, Run], tmp_path: Path) -> Non
         "2 of 3 problems with known answers are solved within tolerance",
         "hertz: failed: 1.2, reference 1",
     ]
-    assert "90% of theory's" in factors[2][2]
+    assert "90% of the theoretical one" in factors[2][2]
     assert factors[11] == ["rods: passed: 1, reference 1"]
     assert factors[13] == [evidence.APPLICANT]
     text = page.read_text()
