@@ -89,7 +89,7 @@ class SweptCase:
 
     @property
     def done(self) -> bool:
-        """Whether it has results."""
+        """True if the case has results."""
         return self.status == CONVERGED
 
     @cached_property

@@ -78,10 +78,13 @@ class ShownField(NamedTuple):
 
 
 def viewer(folders: Mapping[str, Path]) -> str:
-    """The view as HTML; nothing without fields or without three.js.
+    """Return the view as HTML; empty without fields or without three.js.
 
-    Several runs are shown side by side under one camera, followed by the differences of the others
-    from the first where the mesh is the same. Folders, by name, without fields are left out.
+    Several runs are shown side by side under one camera. The differences from the first run
+    follow, for runs on the same mesh. Folders without fields are left out.
+
+    Args:
+        folders: Run directories by name.
     """
     scripts = [THREE / name for name in SCRIPTS]
     runs = {n: Run(f) for n, f in folders.items() if (f / "fields.vtkhdf").exists()}
@@ -110,7 +113,7 @@ def distinct(folders: Sequence[Path]) -> list[str]:
 
 
 def same_mesh(a: Run, b: Run) -> bool:
-    """Whether two runs have the same nodes and cells in the same order."""
+    """Return True if two runs have the same nodes and cells in the same order."""
     return (
         a.points.shape == b.points.shape
         and np.array_equal(a.cells, b.cells)

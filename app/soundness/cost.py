@@ -236,7 +236,7 @@ def contact_solves(case: Case) -> int:
 
 
 def _proportional(case: Case) -> bool:
-    """Whether the solution of the first stage is proportional to the loads, as without gaps."""
+    """Return True if the solution of the first stage is proportional to the loads."""
     load_histories = [load.history for load in case.loads.values()]
     gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
     changes = any(load_histories) or any(gaps) or case.motions
@@ -244,7 +244,7 @@ def _proportional(case: Case) -> bool:
 
 
 def solid(case: Case) -> bool:
-    """Whether anything in it can move."""
+    """Return True if a region of the case can move."""
     return any(not region.only_conducts for region in case.regions.values())
 
 

@@ -89,10 +89,11 @@ class Cover:
     def _points(
         self, jump: Floats | float = 0.0
     ) -> Iterator[tuple[Interface, Ints, Floats, Floats, float]]:
-        """Interfaces at jumps of all local points (n, 3) [mm].
+        """Yield the interfaces with finite sliding at jumps of all local points (n, 3) [mm].
 
-        With their points (m,), how far each (m,) is beyond the rim, 0 if it is not, and from the
-        surface, and the size of a facet [mm].
+        Yields:
+            The interface, its points (m,), their distance beyond the rim (m,) [mm], which is 0 on
+            the surface, their distance from the surface (m,) [mm], and the size of a facet [mm].
         """
         contact = self._problem.contact
         sliding = contact.finite_sliding if contact else None

@@ -1,11 +1,13 @@
-"""Why a solve failed, in terms of the model, and friction beyond which solutions are not unique.
+"""Explanation of failed solves in terms of the model, and critical friction coefficients.
 
-A contact point alone may have several equilibria. With A the tangential block of its stiffness and
-w its coupling row (the normal force that a slip takes), the critical friction coefficient is the
-least of t·At / |w·t| over unit vectors t of the tangent plane, in the plane Klarbring's k_T / |w|
-(derived in `docs/theory.md`). With t = (cos θ, sin θ) in axes along and across w, [[a, b], [b, c]]
-the symmetric part of A and τ = tan θ, this is the least value of
-(a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)), stationary where c τ³ + (2 c - a) τ + 2 b = 0.
+A contact point alone may have several equilibria. A is the tangential block of its stiffness, and w
+its coupling row: the normal force that a slip takes. The critical friction coefficient is the least
+value of t·At / |w·t| over unit vectors t of the tangent plane (derived in `docs/theory.md`). In two
+dimensions it is Klarbring's k_T / |w|.
+
+Take t = (cos θ, sin θ) in axes along and across w, and τ = tan θ. With [[a, b], [b, c]], the
+symmetric part of A, the function is (a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)). It is stationary where
+c τ³ + (2 c - a) τ + 2 b = 0.
 
 A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact
 problems with friction, Ingenieur-Archiv 60 (1990) 529-541. P. Hild, Non-unique slipping in the
@@ -68,10 +70,10 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
 def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     """Least critical coefficient of the faces of each local point, all else held (n,).
 
-    An estimate, local and on the safe side. With the stiffness that a point meets while the bodies
-    give way around it and its neighbours stick, friction below the critical would be necessary for
-    uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
-    least such value is 20 to 85 % above the least value here.
+    The estimate is local and on the safe side: the stiffness of a point is that of a body that is
+    fixed around it. The stiffness of a point in bodies that give way would be exact, but takes a
+    solve for each point. On the shipped cases, coarsened, the least coefficient is then 20 to 85 %
+    larger. Friction below it is necessary for uniqueness, not sufficient.
     """
     stiffness = contact.coupling.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
@@ -179,7 +181,7 @@ def plain(what: str, where: str = "") -> Verdict:
 
 
 def proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
-    """Whether half the load on half of the failed state leaves half its residual; collective."""
+    """Return True if half the load on half of the failed state halves the residual; collective."""
     whole, half = solver.residual(solver.failed_state), solver.failed_state.copy()
     half.scale(0.5)
     set_load(reach / 2)

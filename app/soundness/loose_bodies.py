@@ -1,9 +1,11 @@
 """Floating bodies: rigid motions that neither supports nor contact hold.
 
-Before solving, the parts of a mesh reveal them; afterwards, the contact points of a
-state. Facets may hide them: a smooth stem turns in its cement without resistance, but the means of
-the normals of curved or rough facets are off by a fraction of the angle between them: contact
-resists the turn, with a stiffness and rotations that mean nothing.
+`BodiesOnMesh` detects them on the parts of a mesh, before solving. `free_bodies`, `pulled_off` and
+`runaway` detect them on the contact points of a state, after solving.
+
+Facets may hide a floating body. A smooth stem can rotate in its cement without resistance. On a
+mesh the mean normals of curved facets are off by a fraction of the angle between them. Contact then
+resists the rotation, with a stiffness that depends on the mesh alone (`held_by_facets`).
 """
 
 from __future__ import annotations
@@ -415,12 +417,12 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
 
 
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Bodies that the loads pull off what they touch or may come to touch; collective.
+    """Describe bodies that the loads pull off all other bodies; collective.
 
-    Rigid bodies press on springs at the contact points. The part of the loads that these do not
-    bear is also a motion that opens or slides along all points (a cone and its polar, Moreau).
-    Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it: a
-    taper that is pulled has no pressures. Nothing bears such a load, however small it is.
+    Rigid bodies press on springs at the contact points. Part of the loads is not borne by the
+    springs. As a motion, this part opens or slides along all points (a cone and its polar, Moreau).
+    Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it. A
+    taper that is pulled has no pressures: nothing bears its load, however small it is.
     """
     local, n, comm = contact.local, len(problem.bodies.names), problem.comm
     held = np.zeros((n, 6, n, 6))

@@ -110,7 +110,7 @@ def _lacks_memory(error: BaseException) -> bool:
 
 
 def _nearly_full() -> bool:
-    """Whether this process has nearly reached its limit: libraries do not always say why."""
+    """Return True if this process has nearly reached its limit of memory."""
     return 1e6 * peak_memory("VmPeak") > NEARLY * _addresses()
 
 

@@ -203,8 +203,8 @@ def hot_fit_pressure(
     """Pressure of a core at one temperature in a ring cooled from outside, plane strain [MPa].
 
     The bore of a free ring grows by (1 + ν) a b times its mean change of temperature (Timoshenko &
-    Goodier, section 151), the core by the same formula with its radii. Both are `Layers` of
-    even strain.
+    Goodier, section 151). The core grows by the same formula with its material. Both are `Layers`
+    of even strain.
 
     Args:
         radii: b of the interface, c of the outer surface [mm].

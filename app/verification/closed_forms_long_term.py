@@ -90,10 +90,10 @@ START = 0.8  # density at the start [g/cm3]
 def column_density(
     stress: float, start: float = START, lazy: float = LAZY, exponent: float = 2.0
 ) -> float:
-    """Density at which a column under a stress [MPa] ends that comes from a start [g/cm3].
+    """Final density of a column under a stress [MPa], from a density at the start [g/cm3].
 
-    Its stimulus s^2 / (2 C rho^(exponent + 1)) is on the edge of the lazy zone that it reaches
-    first, unless a bound stops it.
+    The stimulus s^2 / (2 C rho^(exponent + 1)) ends on the edge of the lazy zone that it reaches
+    first. A bound of the density may stop it before.
     """
     zone = np.array([1 + lazy, 1 - lazy])
     ends = (stress**2 / (2 * PER_DENSITY * STIMULUS * zone)) ** (1 / (exponent + 1))

@@ -9,8 +9,8 @@ once for its runs, and compares::
         run = problem.solve("verification/incline.yaml")
         problem.compare(relative(force(run) / WEIGHT, push_up(0.1, 0.3)))
 
-`mantle verify` first calls each function with a `problem` whose `solve` only notes the runs and
-ends the function (`planned_runs`), solves all runs together, and then lets pytest judge.
+`mantle verify` calls each function twice. In the first call `problem.solve` only records the runs
+and ends the function (`planned_runs`). All runs are then solved together, and pytest judges.
 """
 
 from __future__ import annotations

@@ -215,8 +215,8 @@ def plan(problems: Iterable[PlannedProblem], folder: Path, *, alone: bool) -> No
 def solve(problems: Iterable[PlannedProblem], options: Options, *, alone: bool) -> None:
     """Solve the runs of all problems; failed runs are not repeated.
 
-    Where times are measured, ``alone``, problems are solved one after the other, and their runs in
-    turn, so that disturbances of the machine affect them all.
+    Where times are measured (``alone``), problems are solved one after the other and their runs in
+    turn. Disturbances of the machine then affect all runs alike.
     """
     problems = list(problems)
     plan(problems, options.folder, alone=alone)

@@ -1,8 +1,8 @@
 r"""Strength and fatigue of cement: Weibull's risk of bars, Miner's damage of cycles.
 
-R V_0 is V s^m in a bar pulled, V s^m / (2 (m + 1)) in pure bending, V s^m / (2 (m + 1)^2) where the
-moment falls to zero along the bar; above a threshold t of the scale, bent,
-V (s - t)^(m + 1) / (2 s (m + 1)). Damage of n cycles under s is n / N(s).
+R V_0 is V s^m in a bar under tension and V s^m / (2 (m + 1)) in pure bending. It is
+V s^m / (2 (m + 1)^2) where the moment falls to zero along the bar. Above a threshold t, in bending,
+it is V (s - t)^(m + 1) / (2 s (m + 1)). The damage of n cycles under s is n / N(s).
 """
 
 from __future__ import annotations

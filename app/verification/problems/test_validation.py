@@ -179,7 +179,7 @@ def peak(run: Run) -> float:
 
 
 def setting(run: Run) -> float:
-    """When the centre is halfway from the room to its peak, as in ISO 5833 [s]."""
+    """Setting time: the centre is halfway from room temperature to its peak (ISO 5833) [s]."""
     centre = run.step_record["centre [degC]"]
     rise = slice(int(np.argmax(centre)) + 1)
     half = (23 + centre.max()) / 2
