@@ -19,9 +19,8 @@ from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
 from app.heat.nodes import OUTSIDE, outside_text
 from app.scene.scene import build_scene
-from app.soundness.doubts import STRAIN, modulus
-from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import (
+from app.soundness.bodies_on_mesh import (
+    BodiesOnMesh,
     bodies_of,
     directions,
     gaps_of,
@@ -29,6 +28,7 @@ from app.soundness.mesh_parts import (
     law_between,
     load_history_of,
 )
+from app.soundness.doubts import STRAIN, modulus
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets, shares
 from meshes.pieces import Parts, lying

@@ -21,8 +21,8 @@ from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.simulation.model import Model
 from app.soundness import doubts, preview, well_posedness
-from app.soundness.loose_bodies import BodiesOnMesh, pulled_off
-from app.soundness.mesh_parts import gaps_of, groups_of
+from app.soundness.bodies_on_mesh import BodiesOnMesh, gaps_of, groups_of
+from app.soundness.loose_bodies import pulled_off
 from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.pieces import coincident
@@ -460,7 +460,7 @@ def test_failure_body_held_by_friction_is_not_lifted(push: float, held: bool) ->
     assert held == (not found) and all("'metal': it is free to move along x," in f for f in found)
 
 
-def test_mesh_parts_only_bonded_interfaces_join_bodies() -> None:
+def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
     found = well_posedness.look(case, build(case))
