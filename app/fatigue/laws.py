@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator
 
 from app.case.case import Case
+from app.foundation.arrays import Floats
 from app.laws.values import MEMORY, Source
 from app.schema.section import MAPPING, Kinds, Name, Pair, Section, fail
 from app.schema.units import Dimension, Modulus, Number, Plain, PositiveNumber
@@ -28,10 +30,11 @@ class Weibull(Section):
     reference_volume: Volume
     """Volume V_0 under tension in the specimens."""
 
-    def risk(self, tension: Any) -> Any:
+    def risk(self, tension: Floats) -> Floats:
         """Risk per volume [1/mm3] under principal tensions [MPa]."""
         above = tension - self.threshold
-        return (above * (above > 0) / self.scale) ** self.shape / self.reference_volume
+        excess = np.asarray(above * (above > 0), dtype=np.float64)
+        return np.asarray((excess / self.scale) ** self.shape / self.reference_volume)
 
 
 _RISING = AfterValidator(
@@ -60,9 +63,9 @@ class Power(FatigueLaw):
     slope: PositiveNumber
     """Decades of N that a decade of s takes."""
 
-    def damage(self, s: Any) -> Any:
+    def damage(self, s: Floats) -> Floats:
         """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
-        return s**self.slope / 10.0**self.intercept
+        return np.asarray(s**self.slope / 10.0**self.intercept)
 
 
 class Logarithmic(FatigueLaw):
@@ -74,7 +77,7 @@ class Logarithmic(FatigueLaw):
     fall: Modulus
     """Fall of the stress for each decade of N."""
 
-    def damage(self, s: Any) -> Any:
+    def damage(self, s: Floats) -> Floats:
         """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
         return 10.0 ** ((s - self.strength) / self.fall) * (s > 0)
 
@@ -115,7 +118,7 @@ class Fatigue(Section):
     goodman: Modulus | None = None
     """Strength at which Goodman's line ends; without it the mean stress does not count."""
 
-    def equivalent(self, law: FatigueLaw, most: Any, least: Any) -> Any:
+    def equivalent(self, law: FatigueLaw, most: Floats, least: Floats) -> Floats:
         r"""Largest stress s of the cycle of a law that does the damage of a cycle [MPa].
 
         Both cycles have the same amplitude where Goodman's line takes them to no mean stress,
@@ -130,7 +133,7 @@ class Fatigue(Section):
         left = 1.0 - (most + least) / 2 / strength
         range_ = most - least
         below = (1.0 - law.ratio) * (left * (left > 0)) + range_ * (1.0 + law.ratio) / 2 / strength
-        return range_ / (below + (below == 0))
+        return np.asarray(range_ / (below + (below == 0)))
 
 
 def fatigue_of(case: Case) -> Fatigue | None:

@@ -135,7 +135,10 @@ class CementRisk(Record):
         """Published numbers by region; collective."""
         by_region = {}
         for region, law in self._weibull.items():
-            tension = np.linalg.eigvalsh(self._stresses.evaluate(region))[..., 2]
+            principal: Floats = np.linalg.eigvalsh(self._stresses.evaluate(region)).astype(
+                np.float64
+            )
+            tension = principal[..., 2]
             risk = law.risk(tension) * self._stresses.places(region)[1]
             by_region[region] = self._by_part(region, partial(self._strength, region, risk))
         return by_region
