@@ -17,16 +17,19 @@ from dataclasses import replace
 from importlib import import_module
 from itertools import combinations, product
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from app.foundation.verdict import Reason
 from meshes import cache as _cache
 from meshes import quality as _quality
 from meshes.data import (
     MeshData,
+    MeshKeys,
     boundary_areas,
     canonical,
     components,
@@ -47,7 +50,7 @@ OTHERS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
 MANTLE = (1.0, 8.0)  # mm of cement that a femur may have
 
 
-def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys, cache: Path | None = None) -> MeshData:
     """Mesh a geometry, or take the mesh from the cache; the same input gives the same mesh.
 
     ``geometry`` is one of the case's geometries, which names its ``mesher``; ``mesh`` has ``size``,
@@ -69,7 +72,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
     return data
 
 
-def _make(geometry: Any, mesh: Any) -> MeshData:
+def _make(geometry: Any, mesh: MeshKeys) -> MeshData:
     # Imported here: a block needs no femur, and no scipy.
     mesher = import_module(geometry.mesher)
     try:
@@ -100,13 +103,13 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
-def _checked(mesher: Any, geometry: Any, mesh: Any) -> tuple[MeshData, Any]:
+def _checked(mesher: ModuleType, geometry: Any, mesh: MeshKeys) -> tuple[MeshData, Floats]:
     """The mesh and the quality of its cells (m,), all of which are good enough."""
     data = canonical(mesher.build(geometry, mesh))
     return data, _quality.check(data.points, data.cells, data.cell_tags, data.regions)
 
 
-def _remedy(mesher: Any, geometry: Any, mesh: Any) -> str:
+def _remedy(mesher: ModuleType, geometry: Any, mesh: MeshKeys) -> str:
     """Return the change that gives good cells: a size that meshes, else a thickness of cement."""
     if geometry.kind == "file":
         return "Try another mesh.size." if geometry.is_script else "Repair the mesh file."
@@ -187,7 +190,7 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
         )
 
 
-def _between(data: MeshData) -> Iterator[tuple[str, str, Any]]:
+def _between(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
     """Pairs of regions that meet, and the facets (n, 3) or (n, 6) between them."""
     cell, face, behind = data.between
     for (a, tag), (b, other) in combinations(data.regions.items(), 2):
@@ -196,7 +199,7 @@ def _between(data: MeshData) -> Iterator[tuple[str, str, Any]]:
             yield a, b, faces_of(data.cells, cell[on], face[on])
 
 
-def meeting(geometry: Any, mesh: Any) -> tuple[list[tuple[str, str]], list[str]]:
+def meeting(geometry: Any, mesh: MeshKeys) -> tuple[list[tuple[str, str]], list[str]]:
     """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
     from meshes import imported
 

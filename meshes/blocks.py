@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
-from meshes.data import MeshData, assemble, exterior_facets, number
+from app.foundation.arrays import Bools, Floats, Ints
+from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
 
 
-def build(geometry: Any, mesh: Any) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     """Mesh a stack of blocks with the origin at its corner: interfaces are ``<lower>_<upper>``.
 
     Args:
@@ -33,14 +34,14 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         _stack(gmsh, lx, ly, planes)
         distances = [f"((z-{level})-({slope})*(x-{lx / 2}))*{cosine}" for level in levels[1:-1]]
         grade(gmsh, distances, mesh.size, mesh.far if distances else mesh.size)
-        points, cells, block = tetrahedra(gmsh, mesh.curved)
+        points, cells, block = tetrahedra(gmsh, bool(mesh.curved))
     facets, owner = exterior_facets(cells)
     regions, size = number(geometry.region_names), np.array([lx, ly, levels[-1]])
     masks = _boundaries(points[facets[:, :3]].mean(axis=1), block[owner], regions, size)
     return assemble(points, cells, block, regions, geometry.interface_sides, masks, facets)
 
 
-def _stack(gmsh: Any, lx: float, ly: float, planes: Floats) -> None:
+def _stack(gmsh: ModuleType, lx: float, ly: float, planes: Floats) -> None:
     """Volumes 1, 2, ... from the bottom, sharing their common faces."""
     geo = gmsh.model.geo
     corners, rims, covers = [], [], []
@@ -58,7 +59,7 @@ def _stack(gmsh: Any, lx: float, ly: float, planes: Floats) -> None:
     geo.synchronize()
 
 
-def _boundaries(x: Floats, block: Ints, regions: dict[str, int], size: Floats) -> dict[str, Any]:
+def _boundaries(x: Floats, block: Ints, regions: dict[str, int], size: Floats) -> dict[str, Bools]:
     """Masks over facets with centres x (n, 3): sides of the stack, and of each block."""
     near = 1e-6 * size.max()
     low, high = (x < near).T, (x > size - near).T

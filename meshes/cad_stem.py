@@ -7,7 +7,6 @@ points meet the surface, which is triangles, once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,7 +16,8 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
-from meshes.femur_stem import ARC, LEAST_WHOLE, allotted, limited, unit
+from meshes.data import MeshKeys
+from meshes.femur_stem import ARC, LEAST_WHOLE, Thickness, allotted, limited, unit
 from meshes.mantle import distance
 from meshes.placement import Placement
 from meshes.plane_sections import met, section
@@ -201,7 +201,7 @@ class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
     def __init__(
-        self, shape: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: Any
+        self, shape: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: MeshKeys
     ) -> None:
         """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
         (self._low, high), self._placed = ends, placed
@@ -303,7 +303,7 @@ class CadStem:
         zero = np.zeros(len(phi))
         return self._at(phi, zero, zero, np.asarray(s) / self.ends[-1])
 
-    def depth(self, thickness: Callable[..., Any], x: Floats) -> Floats:
+    def depth(self, thickness: Thickness, x: Floats) -> Floats:
         """Depth of points (n, 3) within the surface at a distance [mm], or that of what is below.
 
         Below the tip, and above a shoulder below the cut, it goes on as it is there.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
-from meshes.data import MeshData, assemble, exterior_facets, number
+from app.foundation.arrays import Bools, Floats, Ints
+from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
 
@@ -16,7 +17,7 @@ SLICE = 2.0  # mesh sizes: shorter cylinders may be swept
 Radii = tuple[float, float, float]  # of the stem, the cement and the bone [mm]
 
 
-def build(geometry: Any, mesh: Any) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     """Mesh concentric cylinders about the z axis, from z = 0 (distal) to ``length``.
 
     Regions are stem, cement and bone, interfaces stem_cement and cement_bone.
@@ -51,7 +52,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return assemble(points, cells, cell_tags, regions, geometry.interface_sides, masks, facets)
 
 
-def _tetrahedra(geometry: Any, mesh: Any, radii: Radii, swept: bool) -> tuple[Floats, Ints, Ints]:
+def _tetrahedra(
+    geometry: Any, mesh: MeshKeys, radii: Radii, swept: bool
+) -> tuple[Floats, Ints, Ints]:
     """Nodes, cells and the volume of each cell."""
     slope, length = math.tan(geometry.taper), geometry.length
     with session("cylinders") as gmsh:
@@ -62,10 +65,10 @@ def _tetrahedra(geometry: Any, mesh: Any, radii: Radii, swept: bool) -> tuple[Fl
             _solids(gmsh, radii, slope * length / 2, length, angle)
         distances = [f"(sqrt(x*x+y*y)-{r}-({slope})*(z-{length / 2}))" for r in radii[:2]]
         grade(gmsh, distances, mesh.size, mesh.far)
-        return tetrahedra(gmsh, mesh.curved)
+        return tetrahedra(gmsh, bool(mesh.curved))
 
 
-def _solids(gmsh: Any, radii: Radii, rise: float, length: float, angle: float) -> None:
+def _solids(gmsh: ModuleType, radii: Radii, rise: float, length: float, angle: float) -> None:
     occ = gmsh.model.occ
     solids = [
         (3, occ.addCone(0, 0, 0, 0, 0, length, radius - more, radius + more, angle=angle))
@@ -78,7 +81,7 @@ def _solids(gmsh: Any, radii: Radii, rise: float, length: float, angle: float) -
     occ.synchronize()
 
 
-def _slice(gmsh: Any, radii: Radii, length: float, sector: str, layers: int) -> None:
+def _slice(gmsh: ModuleType, radii: Radii, length: float, sector: str, layers: int) -> None:
     """Three nested rings, meshed in the plane and swept."""
     occ = gmsh.model.occ
     reach = 2 * radii[-1]
@@ -97,12 +100,12 @@ def _slice(gmsh: Any, radii: Radii, length: float, sector: str, layers: int) -> 
 
 def _boundaries(
     x: Floats, region: Ints, regions: dict[str, int], geometry: Any, outer: float
-) -> dict[str, Any]:
+) -> dict[str, Bools]:
     """Masks over facets with corners x (n, 3, 3): ends, planes of symmetry, the outer surface."""
     near = 1e-6 * geometry.length
     on_x, on_y, bottom = (np.abs(x) < near).all(axis=1).T
     top = (np.abs(x[..., 2] - geometry.length) < near).all(axis=1)
-    masks: dict[str, Any] = {}
+    masks: dict[str, Bools] = {}
     for name, tag in regions.items():
         masks |= {f"{name}_bottom": bottom & (region == tag), f"{name}_top": top & (region == tag)}
     masks |= {"bottom": bottom, "top": top}

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,52 @@ AT_ONCE = 1 << 13  # cells, of which all intermediate numbers fit a cache
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
 # The nodes of each face of a quadratic tetrahedron as a facet's, outward for positive volume.
 FACES = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 9, 7), (0, 3, 2, 7, 8, 6), (1, 2, 3, 5, 8, 9)])
+
+
+class MeshKeys(Protocol):
+    """Keys of the section `mesh` of a case that meshers read; lengths in mm."""
+
+    @property
+    def size(self) -> float:
+        """Edge length at the interfaces."""
+
+    @property
+    def far(self) -> float:
+        """Edge length far from them."""
+
+    @property
+    def far_size(self) -> float | None:
+        """Edge length far from them, if it is given."""
+
+    @property
+    def curved(self) -> bool | None:
+        """True if cells are curved."""
+
+    @property
+    def step_along(self) -> float:
+        """Largest step along a stem."""
+
+    @property
+    def least_through(self) -> tuple[float, float, float]:
+        """Least length of cells through cement, cancellous and cortical bone."""
+
+    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
+        """The keys with some of them changed."""
+
+    def lines_around(self, section: tuple[float, float, float]) -> int:
+        """Lines around a stem, by half-width, half-depth and corner radius of a section."""
+
+    def along_cement(self, cement: Any) -> float:
+        """Cells through cement of a thickness; a fraction is the part with one more."""
+
+    def cells_through(self, cement: Any) -> tuple[int, int, int]:
+        """Most cells through cement of a thickness, cancellous and cortical bone."""
+
+    def steps(self, length: float) -> int:
+        """Equal steps of about the largest along a stem in a length."""
+
+    def graded(self, length: float, part: str) -> tuple[list[float], int, float]:
+        """Distances of growing steps, then number and size of equal steps, in a length."""
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from meshes import swept
-from meshes.data import MeshData, assemble, facet_areas, number
+from meshes.data import MeshData, MeshKeys, assemble, facet_areas, number
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
-INTERFACES = {
+INTERFACES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "stem_cement": (("stem",), ("cement",)),
     "cement_bone": (("cement",), ("cortical_bone", "cancellous_bone")),
 }
 
 
-def build(geometry: Any, mesh: Any) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     """Mesh the femur: four regions, two interfaces.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
@@ -35,7 +35,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
             does not go with the neck cut.
     """
     surfaces = geometry.surfaces(mesh)
-    made = swept.mesh(surfaces, mesh.curved)
+    made = swept.mesh(surfaces, bool(mesh.curved))
     facets, owner = made.facets
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
     masks = {
@@ -55,8 +55,8 @@ def assembled(
     made: swept.Swept,
     x: Floats,
     regions: tuple[str, ...],
-    interfaces: dict[str, Any],
-    masks: dict[str, Any],
+    interfaces: dict[str, tuple[tuple[str, ...], tuple[str, ...]]],
+    masks: dict[str, Bools],
 ) -> MeshData:
     """The mesh of nodes x with tags, patches and notes; masks are over its exterior facets."""
     tag_of = number(regions)
@@ -68,7 +68,7 @@ def assembled(
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 
 
-def _patches(geometry: Any, points: Floats, facets: Ints, surface: Any) -> dict[str, Any]:
+def _patches(geometry: Any, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:
     """Masks over exterior facets of the bone, for each muscle attachment.
 
     A patch is the facets nearest to the insertion with the total area of a disc of `PATCH_RADIUS`,
@@ -77,7 +77,7 @@ def _patches(geometry: Any, points: Floats, facets: Ints, surface: Any) -> dict[
     on_surface = np.flatnonzero(surface)
     centre = points[facets[on_surface][:, :3]].mean(axis=1)
     areas = facet_areas(points, facets[on_surface])
-    masks = {}
+    masks: dict[str, Bools] = {}
     for name, place in geometry.points.items():
         if name == "head_centre":
             continue

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
+from app.foundation.implant import Implant
 from meshes import swept
-from meshes.data import MeshData
+from meshes.data import MeshData, MeshKeys
 from meshes.femur import assembled
 from meshes.layered_surfaces import SPREAD, LayeredSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
@@ -43,7 +44,7 @@ RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
 class Intact(LayeredSurfaces):
     """Surfaces of the intact bone; beyond station ``neck``, in the head, nodes are on no line."""
 
-    def _continue(self, implant: Any) -> None:
+    def _continue(self, implant: Implant) -> None:
         geometry, placed = self._geometry, self._placed
         sine, cosine = math.sin(implant.neck_angle), -math.cos(implant.neck_angle)
         self._radius = geometry.head_radius
@@ -164,7 +165,7 @@ def _longer(start: Floats, end: Floats, endosteum: Floats, by: Floats) -> tuple[
     return end + (by / length)[:, None] * way, (endosteum * length + by) / (length + by)
 
 
-def build(geometry: Any, mesh: Any) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     """Mesh the bone: two regions.
 
     Boundaries are distal_cut, bone_surface, head and six muscle patches, the last two parts of
@@ -174,7 +175,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The planned stem does not fit the canal.
     """
     surfaces = Intact(geometry.model_copy(update={"canal_widening": 0.0}), mesh)
-    made = swept.mesh(surfaces, mesh.curved)
+    made = swept.mesh(surfaces, bool(mesh.curved))
     facets, _ = made.facets
     distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}

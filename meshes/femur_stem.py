@@ -19,6 +19,7 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
+from meshes.data import MeshKeys
 
 ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
 FULL = 3.0  # lines on a piece of a quarter over those by its length, at most
@@ -35,7 +36,11 @@ LEAST_ARM = 0.5  # mm before and after it
 SHOULDER = 6.0  # mm that the shoulder may be above the cut without standing out
 
 
-def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
+# Thickness of a mantle at angles [rad] and levels [mm], the same for all or (n,) [mm].
+Thickness = Callable[[Any, Any], Any]
+
+
+def thickness(given: Any, low: float, top: float) -> Thickness:
     """Thickness of a mantle at angles and levels, given from the tip's level to the cut's [mm]."""
     if isinstance(given, float):
         return lambda theta, z: given
@@ -164,11 +169,11 @@ class Body:
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
         return Body((a + across[0], b + across[1], r + thickness), self.slope)
 
-    def outside(self, thickness: Callable[..., Any], theta: Floats, z: Floats) -> Floats:
+    def outside(self, thickness: Thickness, theta: Floats, z: Floats) -> Floats:
         """As `radius`, of the surface whose points have the thickness of their place."""
         return self.offset(thickness(theta, z)).radius(theta, z)
 
-    def depth(self, thickness: Callable[..., Any], x: Floats) -> Floats:
+    def depth(self, thickness: Thickness, x: Floats) -> Floats:
         """Depth of points (n, 3) within that surface, across the z axis (n,) [mm]."""
         r = self.outside(thickness, np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         return np.asarray(r - np.hypot(x[:, 0], x[:, 1]))
@@ -324,7 +329,9 @@ def unit(x: Floats) -> Floats:
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 
 
-def upper(implant: Implant, body: Body, mesh: Any, low: float, top: float, steep: float) -> Upper:
+def upper(
+    implant: Implant, body: Body, mesh: MeshKeys, low: float, top: float, steep: float
+) -> Upper:
     """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
 
     Below it, the shoulder's lateral edge is in a parallel plane at the height `low` <= `top`.

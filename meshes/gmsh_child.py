@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ WRITTEN = 1 << 30  # bytes in a file
 
 
 @contextmanager
-def session(name: str) -> Iterator[Any]:
+def session(name: str) -> Iterator[ModuleType]:
     """Open gmsh silently, with a model, without its signal handler or configuration files.
 
     Raises:
@@ -84,7 +85,7 @@ def session(name: str) -> Iterator[Any]:
         locale.setlocale(locale.LC_ALL, language)  # gmsh takes that of the environment
 
 
-def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> None:
+def grade(gmsh: ModuleType, distances: Sequence[str], size: float, far_size: float) -> None:
     """Set elements of ``size`` where a distance vanishes, growing to ``far_size`` [mm].
 
     ``distances`` are expressions in x, y, z [mm], one for each interface; without any the mesh is
@@ -103,7 +104,7 @@ def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> 
     gmsh.model.mesh.field.setAsBackgroundMesh(smallest)
 
 
-def tetrahedra(gmsh: Any, curved: bool) -> tuple[Floats, Ints, Ints]:
+def tetrahedra(gmsh: ModuleType, curved: bool) -> tuple[Floats, Ints, Ints]:
     """Mesh the model, with curved elements when asked, which are untangled.
 
     gmsh improves elements while it meshes; doing it again (its optimiser, Relocate3D, a higher
@@ -124,14 +125,14 @@ def tetrahedra(gmsh: Any, curved: bool) -> tuple[Floats, Ints, Ints]:
     return points, cells, np.repeat(volumes, [*map(len, blocks)])
 
 
-def nodes(gmsh: Any) -> tuple[Floats, Ints]:
+def nodes(gmsh: ModuleType) -> tuple[Floats, Ints]:
     """Nodes (n, 3), and the row of each by its number, which begin with 1 from then on (n,)."""
     gmsh.model.mesh.renumberNodes()
     numbers, coordinates, _ = gmsh.model.mesh.getNodes()
     return coordinates.reshape(-1, 3), np.argsort(numbers)
 
 
-def elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
+def elements(gmsh: ModuleType, kind: int, entities: Iterable[int], row: Ints) -> Ints:
     """Nodes of the elements of a type in entities (k, nodes)."""
     blocks = [gmsh.model.mesh.getElementsByType(kind, entity)[1] for entity in entities]
     width = gmsh.model.mesh.getElementProperties(kind)[3]
@@ -213,7 +214,7 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         return arrays
 
 
-def _run_script(gmsh: Any, request: Mapping[str, Any]) -> None:
+def _run_script(gmsh: ModuleType, request: Mapping[str, Any]) -> None:
     size, unit = request["size"], request["unit"]
     gmsh.parser.setNumber("size", [size / unit])
     gmsh.parser.setNumber("far_size", [request["far_size"] / unit])

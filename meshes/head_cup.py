@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.data import MeshData, assemble, exterior_facets, number
+from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
 
 Body = tuple[Floats, Ints, Ints]  # nodes, cells, and the layer of each cell
 
 
-def build(geometry: Any, mesh: Any) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     """Mesh a head with its bore, and a liner, within a shell if it has a thickness.
 
     Args:
@@ -43,7 +43,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return assemble(points, cells, tags, regions, geometry.interface_sides, masks, facets)
 
 
-def _head(geometry: Any, mesh: Any) -> Body:
+def _head(geometry: Any, mesh: MeshKeys) -> Body:
     """A ball about the origin with a conical bore that opens towards -z."""
     ball, bore = geometry.head_radius, geometry.bore_diameter / 2
     narrowing, depth = math.tan(geometry.bore_taper), geometry.bore_depth
@@ -58,7 +58,7 @@ def _head(geometry: Any, mesh: Any) -> Body:
         return _meshed(gmsh, ball, geometry.head_size * mesh.size, mesh)
 
 
-def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
+def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
     """Layers between spheres about the origin, from within, above the plane z = level."""
     with session("head_cup") as gmsh:
         occ = gmsh.model.occ
@@ -73,10 +73,10 @@ def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
     return points, cells, len(layers) - np.array(within)[volume]
 
 
-def _meshed(gmsh: Any, radius: float, size: float, mesh: Any) -> Body:
+def _meshed(gmsh: Any, radius: float, size: float, mesh: MeshKeys) -> Body:
     gmsh.model.occ.synchronize()
     grade(gmsh, [f"(sqrt(x*x+y*y+z*z)-{radius})"], size, max(size, mesh.far))
-    return tetrahedra(gmsh, mesh.curved)
+    return tetrahedra(gmsh, bool(mesh.curved))
 
 
 def _turn(inclination: float, version: float) -> Floats:

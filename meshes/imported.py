@@ -14,6 +14,7 @@ from app.foundation import confined
 from app.foundation.errors import GeometryError
 from meshes.data import (
     MeshData,
+    MeshKeys,
     assemble,
     cell_volumes,
     connected,
@@ -30,7 +31,7 @@ from meshes.quality import bent, overlapping, places, untangle
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
 
-def build(geometry: Any, mesh: Any) -> MeshData:
+def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     """Read a file of straight or quadratic tetrahedra, or run a script.
 
     Args:
@@ -105,7 +106,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return replace(data, notes=notes)
 
 
-def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
+def _read(geometry: Any, mesh: MeshKeys) -> dict[str, Any]:
     """Arrays of the file by name; gmsh reads in a child process (`meshes.gmsh_child.read`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:

@@ -21,9 +21,11 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
+from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.bone_layers import BoneLayers
 from meshes.cad_stem import CadStem
+from meshes.data import MeshKeys
 from meshes.femur_stem import Upper
 from meshes.layers import DIGITS, Lines, Nodes, Sections, root
 from meshes.reference_body import COARSER, ReferenceBody, Segment
@@ -59,7 +61,7 @@ class CementedStem:
         is_cad: True if it is from a file.
     """
 
-    def __init__(self, geometry: Any, mesh: Any) -> None:
+    def __init__(self, geometry: Any, mesh: MeshKeys) -> None:
         implant, placed = geometry.implant, geometry.placement
         self._implant, self._placed, self._mesh = implant, placed, mesh
         self.plug = implant.plug
@@ -147,7 +149,7 @@ class LayeredSurfaces:
     coarser, spared = COARSER, 0.0
     mirrored = range(0)
 
-    def __init__(self, geometry: Any, mesh: Any) -> None:
+    def __init__(self, geometry: Any, mesh: MeshKeys) -> None:
         self.mesh, self._placed = mesh, geometry.placement
         self._geometry = geometry
         self.stem = CementedStem(geometry, mesh)
@@ -172,7 +174,7 @@ class LayeredSurfaces:
         """Station of the neck cut."""
         return self.mantle[1]
 
-    def _divided(self, implant: Any, distal: float) -> Floats:
+    def _divided(self, implant: Implant, distal: float) -> Floats:
         """Heights of the stations from a distal level to the cut (n,) [mm]; where parts begin."""
         mesh, tip, plug = self.mesh, self.stem.tip, self.stem.plug
         top, height = self._placed.top, implant.tip_height
@@ -199,7 +201,7 @@ class LayeredSurfaces:
         self.mantle = (start, len(zeta) - 1)
         return zeta
 
-    def _continue(self, implant: Any) -> None:
+    def _continue(self, implant: Implant) -> None:
         """Divide the stem above the cut."""
         bone = ("cancellous_bone", "cortical_bone")
         segments = (
@@ -304,7 +306,7 @@ class LayeredSurfaces:
 
 
 @lru_cache(maxsize=2)
-def kept(geometry: Any, mesh: Any, files: str) -> LayeredSurfaces:
+def kept(geometry: Any, mesh: MeshKeys, files: str) -> LayeredSurfaces:
     """The surfaces of a patient; with a stem from CAD they take some seconds."""
     return LayeredSurfaces(geometry, mesh)
 
@@ -315,7 +317,7 @@ def _rounded_up(length: float) -> float:
     return math.ceil(parts * length) / parts
 
 
-def _distances(mesh: Any, length: float, part: str) -> Floats:
+def _distances(mesh: MeshKeys, length: float, part: str) -> Floats:
     """Distances from 0 to a length in the steps of a mesh that grow [mm]."""
     at, count, step = mesh.graded(length, part)
     every = np.concatenate([at, at[-1] + step * np.arange(1, count + 1)])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -107,7 +107,7 @@ def make(
 
 
 def _extruded(
-    gmsh: Any,
+    gmsh: ModuleType,
     corners: Floats,
     through: Sequence[int],
     segments: Sequence[Segment],

@@ -187,11 +187,14 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     widths = (endosteum * length - used, used, (1 - endosteum) * length)
     place_of, same = np.ones((r, n, levels)), np.zeros((r, n, levels), dtype=np.int64)
     part = np.clip((np.arange(levels) - low) / (high - low), 0.0, 1.0 - 1e-9)
-    most = (np.floor(surfaces.cement + part), *surfaces.through[1:])
+    most: tuple[Floats | int, ...] = (
+        np.floor(surfaces.cement + part),
+        *surfaces.through[1:],
+    )
     first = 0
     layers = zip(surfaces.through, widths, surfaces.mesh.least_through, most, strict=True)
-    for ring, (cells, width, length, limit) in enumerate(layers, start=1):
-        across = np.clip(np.round(width / length), 1, limit)
+    for ring, (cells, width, step, limit) in enumerate(layers, start=1):
+        across = np.clip(np.round(width / step), 1, limit)
         for k in range(1, cells + 1):
             place_of[first + k] = ring + np.minimum(k / across, 1.0)
             same[first + k] = np.where(k < across, first + k, first + cells)

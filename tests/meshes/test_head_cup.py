@@ -133,7 +133,12 @@ def test_head_cup_thin_open_and_closed_cups_mesh(keys: dict[str, Any], part: flo
 
 def test_head_cup_refuses_impossible_bodies() -> None:
     wrong = {"cover_angle": "20 deg", "bore_diameter": "27 mm", "bore_depth": "25 mm"}
-    texts = ("30 to 120 deg", "leaves no head", "to the head's surface", "above its end")
+    texts = (
+        "30 to 120 deg",
+        "leaves no material of the head",
+        "to the head's surface",
+        "above its end",
+    )
     for item, text in zip({**wrong, "bore_taper": "30 deg"}.items(), texts, strict=True):
         with pytest.raises(ValidationError, match=text):
             HeadCup(**LINER | dict([item]))
