@@ -20,7 +20,7 @@ with
   (`HeatLoads.heats`).
 - a: heat of cure (`CureHeat.heats`); d: heat of friction (`FrictionHeating.nodal`), from the
   mechanics.
-- E: exchange of surfaces that slide far (`MeanExchange.heats`).
+- E: exchange of surfaces with finite sliding (`MeanExchange.heats`).
 - q: heat flux from jump and contact pressure p (`TemperatureJumps.flux`); W: areas of the points.
 
 Given temperatures replace their rows (`impose`). `jacobian` is the derivative; `heat.operators`
@@ -188,7 +188,7 @@ class ImplicitStep(System):
             )
 
     def set_exchange(self, exchange: MeanExchange) -> None:
-        """Set the exchange of surfaces that slide far; collective."""
+        """Set the exchange of surfaces with finite sliding; collective."""
         self.operators.exchange = exchange
         self._blocks.set_exchange(exchange.matrix)
         self._fill()

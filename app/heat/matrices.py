@@ -75,7 +75,7 @@ class HeatMatrices:
         self._A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def set_exchange(self, exchange: PETSc.Mat) -> None:
-        """Set the exchange of surfaces that slide far, before `fill`; collective."""
+        """Set the exchange of surfaces with finite sliding, before `fill`; collective."""
         self._exchange = exchange
         renew(self._A, matrix_sum([*self._bodies, exchange]), True)
         self._keep_pattern()

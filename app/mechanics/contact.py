@@ -222,7 +222,7 @@ class ContactInterfaces:
         apart = np.isin(
             self.points.interface, [i for i in range(parts) if scene.contacts[i].between]
         )
-        # The one face of a point that slides far is that of the surface under it.
+        # A point with finite sliding has one face: the surface under it.
         self.points.faces[apart], self.points.normals[apart, 1:] = 1, 0.0
         rows, self._number = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.local = LocalPoints.of(self.points, rows)
@@ -306,7 +306,7 @@ class ContactInterfaces:
             self.prescribed += amplitude(support.history, time) * jump
 
     def pair_at(self, jump: Floats) -> None:
-        """Pair the points that slide far, at jumps (n, 3) [mm]: gaps, normals, reference."""
+        """Pair the points with finite sliding, at jumps (n, 3) [mm]: gaps, normals, reference."""
         assert self.finite_sliding is not None
         rows, local, found = self.finite_sliding.rows, self.local, self.finite_sliding.pair(jump)
         local.normals[rows, 0] = found.normal
@@ -316,7 +316,7 @@ class ContactInterfaces:
         self.gap = gap_vectors(local.normals, gap)
 
     def pair(self, trial: TrialState) -> bool:
-        """Pair the points that slide far anew if their gaps are wrong in a state; collective."""
+        """Pair points with finite sliding anew if their gaps are wrong in a state; collective."""
         if self.finite_sliding is None:
             return False
         rows = self.finite_sliding.rows
@@ -349,7 +349,7 @@ class ContactInterfaces:
         )
 
     def opening(self, jump: Floats) -> Floats:
-        """Jumps (n, 3) with the initial gap; where points slide far along the normal alone."""
+        """Jumps (n, 3) with the initial gap; in finite sliding along the normal alone."""
         found = jump + self.gap
         if self.finite_sliding is not None:
             rows, n = self.finite_sliding.rows, self.local.normals[self.finite_sliding.rows, 0]

@@ -1,4 +1,4 @@
-r"""Pairs of surfaces that slide far: closest points, dual mortar rows, smooth gaps and normals.
+r"""Pairs of surfaces in finite sliding: closest points, dual mortar rows, smooth gaps and normals.
 
 Points are in the axes of the master: its surface never changes, and its trees are built once. The
 slave's nodes follow it by :math:`u_s = Π u_m`, with
@@ -41,7 +41,7 @@ class Pairs(NamedTuple):
         columns: Master node of each entry, each pair once (e,).
         values: Entries (e,).
         covered: Part of the area of each slave node that faces the master (n,) [-].
-        mortar: Whether the row is a mortar row (n,), else shape functions at the closest point.
+        mortar: True for mortar rows (n,), False for shape functions at the closest point.
     """
 
     rows: Ints
@@ -88,11 +88,12 @@ class SmoothSurface:
 
         Distances are positive outside.
         """
-        reach, found = self._tree.query(points, range(1, min(CANDIDATES, len(self.triangles)) + 1))
+        count = min(CANDIDATES, len(self.triangles))
+        reach, nearest = self._tree.query(points, range(1, count + 1))
         corners = self.x[self.triangles]
         facet, at = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
         least = np.full(len(points), np.inf)
-        for candidate, from_centre in zip(found.T, reach.T, strict=True):
+        for candidate, from_centre in zip(nearest.T, reach.T, strict=True):
             # No facet is closer than its centre less its radius.
             rows = np.flatnonzero(from_centre - self._radius[candidate] < least)
             shares = foot(points[rows], corners[candidate[rows]])
@@ -112,12 +113,12 @@ class SmoothSurface:
         return _unit(self._mean(self.normals, facet, at))
 
     def faces(self, points: Floats, normals: Floats, facet: Ints, at: Floats) -> Bools:
-        """Whether points with these outward unit normals (p, 3) face their closest points (p,)."""
+        """Mask of points (p,) whose outward unit normals (p, 3) face their closest points."""
         above = self.beyond(points, facet, at) <= BESIDE * np.sqrt(self._area[facet])
         return above & (np.einsum("pi,pi->p", self.normal(facet, at), normals) < -FACING)
 
     def beyond(self, points: Floats, facet: Ints, at: Floats) -> Floats:
-        """How far points are beyond the rim, along the surface, 0 if above it (p,) [mm]."""
+        """Distance of points beyond the rim, along the surface, 0 if above it (p,) [mm]."""
         n, away = self.normal(facet, at), points - self._mean(self.x, facet, at)
         along = away - np.einsum("pi,pi,pj->pj", away, n, n)
         at_rim = ((at == 0) & self._rim_edge[facet]).any(axis=1)

@@ -169,7 +169,7 @@ class ContactSamples:
             for name, v in (("pressure", self.pressure), ("shear", self.shear))
         }
         of_points = {"pressure": self.pressure.copy(), "shear": self.shear}
-        # Where sides slide far, forces over areas are no means by shape functions.
+        # In finite sliding, forces over areas are no means by shape functions.
         if self.contacts[i].between:
             return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
         means["pressure"][:n] = surface.of_faces(self._pressures)[:n]
@@ -239,7 +239,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     surface, contact = s.surfaces[i], s.contacts[i]
     numbers: dict[str, Any] = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
-    # Where sides slide far a jump is no motion, a gap no debonding, and slips do not add up.
+    # In finite sliding a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if contact.between else ()
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         mean, value, _ = tractions.get(name, TractionSize(values, values, values))

@@ -57,7 +57,7 @@ class Interface:
         swapped: True if the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
         values: Constants of the law (n,) at points, by name.
-        between: Boundaries of master and slave where they slide far, meshed apart; else None.
+        between: Boundaries of master and slave with finite sliding, meshed apart; else None.
     """
 
     name: str

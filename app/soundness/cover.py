@@ -1,4 +1,4 @@
-"""Surfaces that slide far: what they overlap at first, and where they leave what they slide on."""
+"""Initial overlap and rim coverage of surfaces with finite sliding, and tipping bodies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TIPPED = 0.01
 
 
 class Cover:
-    """Surfaces that others slide on far, as they are meshed; made collectively.
+    """Surfaces with finite sliding, as they are meshed; made collectively.
 
     Raises:
         InputError: Bodies overlap by more than a facet.
@@ -34,8 +34,8 @@ class Cover:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         scene, bodies = problem.scene, problem.bodies
-        far = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
-        free = {bodies.of_region[side[0]] for side in far if not scene.motion_of(side)}
+        sides = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
+        free = {bodies.of_region[side[0]] for side in sides if not scene.motion_of(side)}
         cells = {body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free)}
         nodes = {body: touched_nodes(problem.space, marked) for body, marked in cells.items()}
         self._rotations = {

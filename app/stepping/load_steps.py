@@ -32,7 +32,7 @@ from app.stepping.energy_control import HALVINGS, EnergyControl, overshoot, spen
 EASY_ITERATIONS = 8
 # Length of the next step over that of an easy one.
 GROWTH = 2.0
-# Times that points which slide far are paired anew in a step; mostly none or one is enough.
+# Times that surfaces with finite sliding are paired anew in a step; mostly none or one.
 PAIRINGS = 10
 
 
@@ -128,7 +128,7 @@ class LoadStepper:
         self.progress, self._cover = LoadProgress(), Cover(self.problem)
 
     def solve(self) -> NewtonResult:
-        """Solve, until points that slide far are paired with the surface that they touch."""
+        """Solve, until points with finite sliding are paired with the surface that they touch."""
         problem, (u, q) = self.problem, self.solver.u_and_q()
         if problem.contact:
             problem.contact.approach(problem.f, u, q)
