@@ -14,6 +14,7 @@ from app.mechanics import body_forms, contact_law
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.simulation import model
+from app.stepping import stages
 from app.system.timing import Timing
 from tests import support
 
@@ -82,10 +83,10 @@ def made(text: str, *overrides: str) -> Bill:
         for name in COMPILERS:
             count(body_forms.fem, name, "forms", "integrals")
         count(heat_forms.HeatForms, "_form", "heat_forms")
-        patch.setattr(model, "Solver", solver)
+        patch.setattr(stages, "Solver", solver)
         for name, key in (("Problem", "youngs_modulus"), ("HeatOperators", "thermal")):
             if key not in text:
-                patch.setattr(model, name, refuse)
+                patch.setattr(stages, name, refuse)
         this = model.Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
     counts["forms"] -= counts["heat_forms"]
     problem = this.mechanical_path.problem if this.mechanical_path else None
