@@ -126,7 +126,7 @@ class BondForces:
         if not wanted:
             return {}
         pressures, shear = self._tractions()
-        numbers = {}
+        by_interface = dict[str, dict[str, Any]]()
         for b in wanted:
             surface = self._place.surfaces[b.name]
             means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
@@ -147,8 +147,8 @@ class BondForces:
                         f"{name}_max": field.maximum()[0],
                     }
                 of_parts[part] = numbers
-            numbers[b.name] = of_parts.pop("", {}) | of_parts
-        return numbers
+            by_interface[b.name] = of_parts.pop("", {}) | of_parts
+        return by_interface
 
     def _tractions(self) -> tuple[Floats, Floats]:
         """Tractions over the areas of the corners; collective.

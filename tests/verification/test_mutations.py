@@ -33,8 +33,6 @@ forms/elasticity.py
     eq50_sign_in_e5: e5 = -4 * μ_l -> e5 = 4 * μ_l
   patch_fibre_111
     eq50_factor_in_e4: e4 = 2 * μ_l - E_t -> e4 = μ_l - E_t
-  patch_fibre_011
-    eq49_unsymmetric_stress: sym(diff(energy(e), e)) -> diff(energy(e), e)
   sine_p2
     eq48_lame_coefficient: ν / ((1 + ν) * (1 - 2 * ν)), E -> ν / ((1 + ν) * (1 - ν)), E
   layers_bonded

@@ -29,6 +29,12 @@ SIDES = ("stem_cement", "cement_bone")
 FIELDS = "every field, over its largest value"
 LINEAR = "displacements and tractions are proportional to the load, and to loads and gaps together"
 
+# Under the full load a stem sinks by 9 mm into cement of 110 MPa, which is refused as too far.
+SMALL_LOADS = (
+    "loads.push.force=[0 N, 0 N, -90 N]",
+    "loads.lateral.force=[30 N, 20 N, 0 N]",
+)
+
 # Augmentation over eight decades, by factors on the default
 
 FACTORS = {half: float(f"{10.0 ** (half / 2):.6g}") for half in range(-8, 9) if half}
@@ -61,6 +67,7 @@ def test_augmentation(problem: KnownProblem, ratio: int, μ: float, factor: floa
     base = (
         f"regions.cement.youngs_modulus={110000 / ratio!r} MPa",
         f"interfaces.stem_cement.friction_coefficient={μ}",
+        *(SMALL_LOADS if ratio == 1000 else ()),
     )
     chosen = f"solver.augmentation_factor={0.2 * factor!r}"
     solved, default = problem.solve_each(STEM, [(*base, chosen), base])

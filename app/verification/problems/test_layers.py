@@ -110,7 +110,7 @@ def test_layer_stem(problem: KnownProblem, k: float) -> None:
         "violation of balance and of the laws of the layer and friction",
         tolerance=1e-8,
         source="springs in series with Signorini's conditions and Coulomb's law",
-        or_refusal=Reason.LOOSE_BODY if k < 100 else None,
+        or_refusal=Reason.LARGE_DISPLACEMENT if k < 100 else None,
     )
     problem.compare(lawful(problem.solve(STEM, LAYER.format(k))))
 
