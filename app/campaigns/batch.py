@@ -118,7 +118,7 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
     with claim(folder):
         pending = {r.id: r for r in runs if r.summary() is None}
-        log.info("%d runs in %s, %d of them already done", total, total - len(pending), folder)
+        log.info("%d runs in %s, %d of them already done", total, folder, total - len(pending))
         alone = any(r.planned.alone for r in pending.values())
         load = os.getloadavg()[0]
         if alone and load > BUSY:

@@ -43,13 +43,13 @@ def test_unusable_run_has_status_and_exit_code(
     folder = tmp_path / "out"
     for again in ([], ["--restart", "auto"], []):
         assert main(["run", str(case), "-o", str(folder), "--set", FAR, *again]) == 6
-        told = f"do not use the numbers in {folder}: slip: on low_high exceeds the size of its"
-        assert told in capsys.readouterr().err
+        verdict = f"do not use the numbers in {folder}: slip: larger than a facet on low_high"
+        assert verdict in capsys.readouterr().err
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["status"] == UNUSABLE and (folder / "DONE").exists()
     q = summary["interfaces"]["low_high"]
     assert q["slip_max"] > q["facet_size"]
-    with pytest.raises(UnusableError, match="slip: on low_high"):
+    with pytest.raises(UnusableError, match="slip: larger than a facet on low_high"):
         mantle.run(load(case, [FAR]), folder, force=True)
     assert main(["run", str(case), "-o", str(tmp_path / "near")]) == 0
 
@@ -76,7 +76,7 @@ def test_unusable_runs_are_separate_in_sweeps_and_reports(
         assert main(["sweep", str(sweep), "-o", str(folder), "--cores", "1"]) == 6
         first, second = json.loads((folder / "sweep.json").read_text())["cases"]
         assert second["status"] == UNUSABLE and second["exit_code"] == 6
-        assert "slip: on low_high" in second["message"]
+        assert "slip: larger than a facet on low_high" in second["message"]
         assert second["numbers"]["low_high.slip_p99"] > 3.0
         assert first["status"] == (UNUSABLE if shared else "converged")
     assert main(["report", str(folder)]) == 0

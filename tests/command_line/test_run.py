@@ -233,7 +233,9 @@ def test_run_keeps_or_replaces_finished_results(
 
     before = stamps()
     result = run(case, "-o", output, *same)
-    assert result.returncode == 0 and result.stdout.startswith(f"{output} is finished already")
+    assert result.returncode == 0 and result.stdout.startswith(
+        f"{output} has the finished results of this case already"
+    )
     assert run(case, "-o", output).returncode == 2
     assert stamps() == before and result.stderr == ""
     (output / "DONE").unlink()
@@ -372,7 +374,10 @@ def test_run_failed_variation_does_not_stop_others(tmp_path: Path) -> None:
     assert (output / "DONE").exists() and not (output / "slides" / "FAILED").exists()
     assert (output / "holds" / "DONE").stat().st_mtime_ns > stamps[0]
     assert (output / "pressed" / "DONE").stat().st_mtime_ns == stamps[1]
-    assert f"{output} is finished already" in run(case, "-o", output, *held[:-2]).stdout
+    assert (
+        f"{output} has the finished results of this case already"
+        in run(case, "-o", output, *held[:-2]).stdout
+    )
     # All of them are there, but not their table: it was killed in between.
     (output / "DONE").unlink()
     (output / "variations.csv").unlink()

@@ -219,7 +219,7 @@ geometry.cement_thickness  (kind patient)
             0,
             [f"{{kind: {k}}}\n" for k in ("bonded", "contact, friction_coefficient: 0.3")],
         ),
-        ("regions.kind", 0, ["  {kind: rigid}\n    Rigid: the region moves as one body"]),
+        ("regions.kind", 0, ["  {kind: rigid}\n    Rigid region: it moves as one body"]),
         ("friction", 0, ["interfaces.<name>.friction_coefficient ", "\n  friction coefficient: "]),
         ("slip", 0, ["  interfaces.slip_p99  ", "slip, p99 (mm), a result", "  slip: tangential"]),
         ("von Mises", 0, ["  regions.von_mises_p99  "]),

@@ -104,7 +104,7 @@ def test_cad_stem_check_reports_axis_head_and_neck(
     assert "axis in inch.step: [0.0, 0.0, 0.0] to [0.0, 0.0, 147.0] mm" in told
     moved = load(path, ["geometry.stem.head_centre=[45 mm, 0 mm, 170 mm]"]).config
     assert moved.geometry.head_centre == pytest.approx((45.0, 0.0, 52.0), abs=6e-3)
-    with pytest.raises(InputError, match="head_offset: is the file's"):
+    with pytest.raises(InputError, match="head_offset: is given by the file of the stem"):
         load(path, ["geometry.head_offset=40 mm"])
     (tmp_path / "again.yaml").write_text(dump(moved))
     assert load(tmp_path / "again.yaml").config == moved

@@ -75,5 +75,5 @@ def test_damage_finish_gives_only_shear_strength() -> None:
 
 @pytest.mark.parametrize("name", sorted(library.read().data["finishes"]))
 def test_damage_finish_without_energy_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match="stem and cement none is known: give it"):
+    with pytest.raises(InputError, match="No value is known for stem and cement: give it"):
         law(f"{SATIN.replace('satin', name)}}}")

@@ -133,7 +133,7 @@ def test_checkpoint_of_another_case_is_refused(
     command += ["--restart", "auto"]
     assert main([*command, "--set", other]) == 2
     said = capsys.readouterr().err
-    assert "another configuration" in said
+    assert "of another case" in said
     assert "interfaces.lower_upper.friction_coefficient: 0.2; in the checkpoint 0.3" in said
     assert main([*command, "--set", "mesh.size=1 mm", "--force"]) == 2
     assert "another mesh" in capsys.readouterr().err
@@ -181,7 +181,9 @@ def test_checkpoint_restart_is_reported(
     said = capsys.readouterr().out
     assert "restart from" in said and "step 6, time 3 in stage 'back'" in said
     assert main([*command, *options]) == 0
-    assert capsys.readouterr().out.startswith(f"{out} is finished already")
+    assert capsys.readouterr().out.startswith(
+        f"{out} has the finished results of this case already"
+    )
 
 
 def test_checkpoint_time_spans() -> None:
