@@ -77,6 +77,10 @@ def in_print(text: str) -> str:
     return re.sub(r"(?:(?<=\d )|(?<=\())(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
+# Mark of a number whose error exceeds it.
+NOT_RESOLVED = " (not resolved)"
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A published number.
@@ -153,7 +157,12 @@ class Quantity:
             return f"{self.factor * value:.{self.digits}f}"
         digits = max(self.digits, -math.floor(math.log10(error)))
         text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
-        return text + (" (not resolved)" if error > self.factor * abs(value) else "")
+        return text + (NOT_RESOLVED if error > self.factor * abs(value) else "")
+
+    def with_unit(self, numbers: Mapping[str, Any], unit: str) -> str:
+        """Format the number with a unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
+        value, mark, _ = self.text(numbers).partition(NOT_RESOLVED)
+        return f"{value} {unit}".removesuffix(" -") + mark
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,10 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
                 start.copy(solver.x)
             solver.augmentation = factor
             yield f"augmentation {factor:g} r{_values(contact)}"
-    if solver.converged or (default := contact.law.default_augmentation_ratio()) == 1.0:
+    if solver.converged:
+        return
+    default = contact.law.default_augmentation_ratio()
+    if default == 1.0:
         return
     start.copy(solver.x)
     for share in DEFAULT_FACTORS:

@@ -89,8 +89,7 @@ def _number(section: str, key: str, numbers: Json, caption: str, detail: str = "
 def _with_unit(section: str, key: str, numbers: Json) -> str:
     """Return a number as text with its unit: ``8.2 ± 9.5 µm (not resolved)``."""
     q = TABLE[section][key]
-    value, bracket, remark = q.text(numbers).partition(" (")
-    return f"{value} {printed(q.shown)}{bracket}{remark}"
+    return q.with_unit(numbers, printed(q.shown))
 
 
 def _contacts(summary: Json) -> Iterator[LargeNumber]:
@@ -125,7 +124,7 @@ def _contacts(summary: Json) -> Iterator[LargeNumber]:
 
 
 def _captioned(name: str, numbers: Json) -> Iterator[LargeNumber]:
-    """Json of an interface with a caption of their own (`Quantity.caption`)."""
+    """Return the numbers of an interface that have a caption (`Quantity.caption`)."""
     quantities = TABLE["interfaces"]
     for key, quantity in quantities.items():
         if not quantity.caption or key not in numbers:

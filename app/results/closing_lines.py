@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.case.quantities import ADDED, NECROSIS, TABLE, numbers_of
+from app.case.quantities import ADDED, NECROSIS, NOT_RESOLVED, TABLE, numbers_of
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
 from app.results.verdicts import ERRORS
@@ -112,8 +112,7 @@ def headline(summary: Mapping[str, Any]) -> Iterator[str]:
 def _with_unit(section: str, key: str, numbers: Mapping[str, Any]) -> str:
     """Number with its error and unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
     q = TABLE[section][key]
-    value, mark, _ = q.text(numbers).partition(NOT_RESOLVED)
-    return f"{value} {q.shown}".removesuffix(" -") + mark
+    return q.with_unit(numbers, q.shown)
 
 
 # Tables
@@ -156,8 +155,7 @@ TABLES: dict[str, dict[str, str]] = {
 FAILING = "failure_load_factor"
 # Number that cement alone has.
 CEMENT = "volume_over_3_MPa"
-# Mark of numbers whose error exceeds them; in tables a star, which keeps the columns narrow.
-NOT_RESOLVED = " (not resolved)"
+# Mark of unresolved numbers in tables: it keeps the columns narrow.
 STAR = "*"
 LEGEND = "* not resolved: the error is larger than the number; refine the mesh"
 SENTENCES = {

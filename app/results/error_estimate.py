@@ -16,7 +16,7 @@ number of its unit. It is zero too if it is small compared with that and changes
 size.
 
 With friction the solution depends on the load path. The error of n load steps is then taken as C /
-n, as of an implicit Euler method. The companion takes half the steps, which is cheaper; two on a
+n, as for an implicit Euler method. The companion takes half the steps, which is cheaper; two on a
 mesh of 3 h take half of them and all, and their difference gives C. If the run takes one step, they
 take one and two. In transient stages half the steps means a tolerance with which the error of the
 time steps is twice as large.

@@ -150,7 +150,7 @@ def bend(before: State, start: State, end: State) -> Floats:
 
 
 def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
-    """Depth as of `bend`, from the rate of change at the end (n,), without an earlier state."""
+    """Depth as in `bend`, from the rate of change at the end (n,), without an earlier state."""
     (t1, b), (t2, c) = start, end
     return limited((rate * (t2 - t1) - (c - b)) / 4, b, c)
 

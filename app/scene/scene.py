@@ -88,7 +88,7 @@ class Scene:
         expansions: Regions with thermal strain.
         time: Time stepping of heat; None without heat.
         coupled: Whether heat depends on contact, so that both are solved together.
-        motions: Regions that turn as they are told.
+        motions: Prescribed motions of regions.
         period: Time that a cycle of the cycle tables takes, 0 without [s].
         loads_of: For stages that another package steps through: the stage at whose end their loads
             are.
@@ -125,11 +125,11 @@ class Scene:
 
     @property
     def stiffens(self) -> bool:
-        """Whether the stiffness changes from solve to solve."""
+        """True if the stiffness changes from solve to solve."""
         return bool(self.cures) or any(e._density for e in self.elastic)
 
     def holds(self, support: Support, stage: int) -> bool:
-        """Whether a support is active in a stage."""
+        """Return True if a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
 
     @property
@@ -149,7 +149,7 @@ class Scene:
         return k + self.stages[k].reached(time - k)
 
     def is_rigid(self, interface: Interface) -> bool:
-        """Whether the master of an interface is a rigid region."""
+        """Return True if the master of an interface is a rigid region."""
         return any(r.region in interface.master for r in self.rigid)
 
     @property
@@ -166,7 +166,7 @@ class Scene:
         return np.eye(3) if motion is None else motion.rotation_at(*cycle_phase(self.stages, time))
 
     def turns(self, k: int, part: float) -> int:
-        """In how many steps to divide each part of stage k, for turns below `largest_step`."""
+        """Sub-steps per increment of stage k that keep every rotation below `largest_step`."""
         times = [k + i * part for i in range(round(1 / part) + 1)]
         most = 1
         for m in self.motions:
@@ -183,7 +183,7 @@ class Scene:
 
 
 Exchanging = Callable[["Case"], Iterable[str]]
-# Return interfaces with finite sliding whose exchange of heat other packages set.
+# Functions of other packages that give interfaces whose heat exchange they set.
 _EXCHANGING: list[Exchanging] = []
 
 
@@ -197,7 +197,7 @@ def mean_exchange(function: Exchanging) -> Exchanging:
 
 
 Densities = Callable[["Case"], Mapping[str, ChangingDensity]]
-# What other packages change of densities of regions.
+# Functions of other packages that give regions whose density changes.
 _DENSITIES: list[Densities] = []
 
 
@@ -332,10 +332,10 @@ def build_scene(case: Case) -> Scene:
 
 
 def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
-    """Part of a cycle at a time, and the part of its values that is there.
+    """Phase in the cycle (0 to 1) and ramp factor (0 to 1) at a time.
 
-    Before the stage of the cycles values go to those of their beginning in the first, and after it
-    they stay.
+    The ramp is over the first stage, to the values at the beginning of the cycle. After the stage
+    of the cycles, the values stay constant.
     """
     last = next((k for k, s in enumerate(stages) if s.repeats), len(stages) - 1)
     if time <= last:

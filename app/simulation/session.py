@@ -95,7 +95,7 @@ def run(
     signals: bool = True,
     progress: OnAccepted = lambda step: None,
 ) -> MPI.Comm:
-    """Solve a case and write its run directory; arguments as of `mantle.run`; collective.
+    """Solve a case and write its run directory; arguments as in `mantle.run`; collective.
 
     Returns:
         The ranks of the run.

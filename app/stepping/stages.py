@@ -123,7 +123,7 @@ class Analysis:
         on_trouble: Callable[[str], None] = _nothing,
         predictors: tuple[Predictor, ...] = (),
     ) -> LoadStepper | None:
-        """Make a stepper of loads; None without mechanics. Arguments as of `steppers`."""
+        """Make a stepper of loads; None without mechanics. Arguments: see `steppers`."""
         if self.problem is None or self.solver is None:
             return None
         return LoadStepper(self.problem, self.solver, on_step, on_trouble, predictors)
@@ -162,7 +162,7 @@ class Analysis:
         on_heat: OnHeat = _nothing,
         on_trouble: Callable[[str], None] = _nothing,
     ) -> Summary:
-        """Solve all stages; arguments as of `steppers`; collective.
+        """Solve all stages; collective. Arguments: see `steppers`.
 
         Raises:
             ConvergenceError: As `Steppers.run`.
