@@ -19,7 +19,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
 
 from app.command_line.commands import dispatch
 from app.command_line.parser import parser
@@ -29,6 +29,9 @@ from app.soundness import memory
 from app.system import form_cache, ranks
 from app.system.folders import settle_cache
 from app.system.ranks import rank
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 # Exit code of an error that no user can cause.
 INTERNAL_ERROR = 70
@@ -99,7 +102,7 @@ def _leave(error: MantleError) -> int:
     return error.exit_code
 
 
-def _world() -> Any:
+def _world() -> MPI.Comm | None:
     """Communicator of all ranks, or None for a single rank."""
     mpi = sys.modules.get("mpi4py.MPI")
     if mpi is None or not mpi.Is_initialized() or mpi.Is_finalized():

@@ -21,14 +21,14 @@ FORMER_KEYS_OF_LIBRARIES: dict[tuple[str, ...], str] = {
 }
 
 
-def present_name(path: Path, former: Mapping[tuple[str, ...], str] = FORMER_KEYS) -> str | int:
+def present_name(path: Path, former: Mapping[tuple[str, ...], str] = FORMER_KEYS) -> str:
     """Present name of the last key of a path."""
     for pattern, name in former.items():
         if len(pattern) == len(path) and all(
             part in ("*", key) for part, key in zip(pattern, path, strict=True)
         ):
             return name
-    return path[-1]
+    return str(path[-1])
 
 
 def with_present_names(
@@ -43,7 +43,7 @@ def with_present_names(
     """
     if not isinstance(value, dict):
         return value
-    result = {}
+    result: dict[str, object] = {}
     for key, part in value.items():
         here = (*path, key)
         name = present_name(here, former)

@@ -269,7 +269,7 @@ class MeshFile(Shape):
         return physical_names(self.path, 2, self.pick)
 
     @property
-    def details(self) -> dict[str, Any]:
+    def details(self) -> dict[str, object]:
         """Regions and boundaries that the file names."""
         return {"regions": list(self.region_names), "boundaries": list(self.boundary_names)}
 

@@ -84,7 +84,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     return case
 
 
-def _from(folder: FilePath, part: Any, keys: Sequence[str]) -> None:
+def _from(folder: FilePath, part: object, keys: Sequence[str]) -> None:
     """Complete the path of a file at keys below a mapping; ``*`` is every key."""
     if isinstance(part, dict):
         for key in list(part) if keys[0] == "*" else keys[:1]:
@@ -150,10 +150,10 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
 
 # Turns what stands above at a path into plain values, and takes away what they replace below:
 # (case, lower, upper, path) -> (lower, upper).
-Rule = Callable[[CaseFile, Any, Any, Path], tuple[Any, Any]]
+Rule = Callable[[CaseFile, object, object, Path], tuple[object, object]]
 
 
-def _merged(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
+def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
     """Merge one value over another; faults become complaints of the case.
 
     Mappings merge key by key, of another kind they replace; null removes an entry; all else
@@ -202,7 +202,7 @@ def _rule(path: Path) -> Rule | None:
     return None
 
 
-def _region(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+def _region(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve ``material: NAME`` and ``kind: rigid``; drop the origin of changed constants."""
     if not isinstance(upper, dict):
         return lower, upper
@@ -225,21 +225,22 @@ def _region(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, An
     return _without_origin(lower, upper), upper
 
 
-def _interface(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+def _interface(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve ``finish: NAME``."""
-    name = upper.get("finish") if isinstance(upper, dict) else None
-    if not isinstance(name, str):
+    if not isinstance(upper, dict) or not isinstance(upper.get("finish"), str):
         return lower, upper
+    name = upper["finish"]
     upper = {k: v for k, v in upper.items() if k != "finish"}
     entry = _entry(case, "finishes", name, (*path, "finish"), path)
     if not entry:
         return lower, upper
     _check_kind(case, name, entry["kind"], (), upper, path)
-    same = isinstance(lower, dict) and lower.get("kind") == entry["kind"]
-    return (lower if same else {}) | entry, upper
+    if isinstance(lower, dict) and lower.get("kind") == entry["kind"]:
+        return lower | entry, upper
+    return entry, upper
 
 
-def _loads(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve ``library: NAME``, a body weight, a tilt and a history of all loads."""
     if not isinstance(upper, dict):
         return lower, upper
@@ -252,28 +253,29 @@ def _loads(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any
             if "body_weight" in entry:
                 _measure(case, "body_weight", entry.pop("body_weight"))
             lower = entry or lower
+    loads = lower if isinstance(lower, dict) else {}
     if MEASURED.keys() & upper:
-        lower = _measured(case, lower or {}, upper)
+        lower = loads = _measured(case, loads, upper)
         upper = {k: v for k, v in upper.items() if k not in MEASURED}
     if isinstance(upper.get("history"), list):
-        lower = _with_history(case, lower or {}, upper["history"])
+        lower = _with_history(case, loads, upper["history"])
         upper = {k: v for k, v in upper.items() if k != "history"}
     return lower, upper
 
 
-def _load(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+def _load(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Drop the origin of a load that is changed, as that is another's."""
     return _without_origin(lower, upper) if isinstance(upper, dict) else lower, upper
 
 
-def _cycle_table(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+def _cycle_table(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve the name of a cycle table of the library; a file has a point in its name."""
     if isinstance(upper, str) and "." not in upper:
         return None, _entry(case, "cycle_tables", upper, path, path) or lower
     return lower, upper
 
 
-def _without_origin(lower: Any, upper: Mapping[str, Any]) -> Any:
+def _without_origin(lower: object, upper: Mapping[str, object]) -> Any:
     """A region or load without its status and source, unless what changes has none."""
     if not isinstance(lower, dict) or upper.keys() <= OF_USE:
         return lower
@@ -283,9 +285,9 @@ def _without_origin(lower: Any, upper: Mapping[str, Any]) -> Any:
 def _check_kind(
     case: CaseFile,
     name: str,
-    kind: Any,
+    kind: object,
     others: Sequence[str],
-    upper: Mapping[str, Any],
+    upper: Mapping[str, object],
     path: Path,
 ) -> None:
     """Complain of a kind that is neither that of the entry of the library nor one of others."""
@@ -294,7 +296,7 @@ def _check_kind(
         case.complaints.append(Fault((*path, "kind"), text))
 
 
-def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+def _force(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve a magnitude, which keeps the direction of the force below."""
     magnitude = isinstance(upper, str | int | float) and not VECTOR.fullmatch(str(upper))
     vector = isinstance(lower, list) or (isinstance(lower, str) and VECTOR.fullmatch(lower))
@@ -318,7 +320,7 @@ def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any
     return None, lower
 
 
-def _vector(force: Any) -> list[float]:
+def _vector(force: object) -> list[float]:
     """Components [N] of a force as written.
 
     Raises:
@@ -327,7 +329,9 @@ def _vector(force: Any) -> list[float]:
     return [FORCE.read(value) for value in Triple("").spread(force)]  # type: ignore[attr-defined]
 
 
-def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
+def _measured(
+    case: CaseFile, loads: dict[str, object], keys: Mapping[str, object]
+) -> dict[str, object]:
     """The loads with all forces scaled to a body weight and turned by a sagittal tilt."""
     old = dict(case.measured)
     for key in MEASURED.keys() & keys:
@@ -350,7 +354,9 @@ def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) ->
     return result
 
 
-def _with_history(case: CaseFile, loads: dict[str, Any], history: list[Any]) -> dict[str, Any]:
+def _with_history(
+    case: CaseFile, loads: dict[str, object], history: list[object]
+) -> dict[str, object]:
     """Return the loads of a base or a library, all with the same history."""
     if not loads:
         text = "no loads of a library or a base are here; set the history of each load"
@@ -361,7 +367,7 @@ def _with_history(case: CaseFile, loads: dict[str, Any], history: list[Any]) -> 
     }
 
 
-def _place_history(case: CaseFile, place: Any, given: Mapping[Path, Any]) -> None:
+def _place_history(case: CaseFile, place: Any, given: Mapping[Path, object]) -> None:
     """Give the history of each load the place in the file of the common one."""
     for name in case.data.get("loads") or {}:
         path = ("loads", name, "history")
@@ -369,7 +375,7 @@ def _place_history(case: CaseFile, place: Any, given: Mapping[Path, Any]) -> Non
             case.places[path] = place
 
 
-def _measure(case: CaseFile, key: str, value: Any) -> None:
+def _measure(case: CaseFile, key: str, value: object) -> None:
     """Note body weight or tilt of the loads; a fault becomes a complaint."""
     try:
         case.measured[key] = MEASURED[key].read(value)
@@ -377,7 +383,7 @@ def _measure(case: CaseFile, key: str, value: Any) -> None:
         case.complaints.append(Fault(("loads", key), (error.context or {})["text"]))
 
 
-def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dict[str, Any]:
+def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dict[str, object]:
     """Entry of the newest library that has it; empty, with a complaint, if none has.
 
     ``path`` is that of its name in the case, ``below`` gets the places of the values.
@@ -407,7 +413,7 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dic
     return {}
 
 
-def _kind(data: Mapping[str, Any], path: Path) -> Any:
+def _kind(data: Mapping[str, object], path: Path) -> Any:
     """Kind of a mapping; regions have a default."""
     if len(path) != 2 or path[0] != "regions":
         return data.get("kind")
@@ -415,8 +421,8 @@ def _kind(data: Mapping[str, Any], path: Path) -> Any:
 
 
 def _material(
-    region: dict[str, Any], entry: dict[str, Any], rest: dict[str, Any]
-) -> dict[str, Any]:
+    region: dict[str, object], entry: dict[str, object], rest: dict[str, object]
+) -> dict[str, object]:
     """Give a region the constants of a material, those of heat only where there is heat.
 
     ``rest`` are the other keys of the region above.
@@ -430,10 +436,13 @@ def _material(
     if solid:
         new |= {k: v for k, v in entry.items() if k != "thermal"}
     if "thermal" in entry and ("thermal" in region or "thermal" in rest):
-        old = region.get("thermal")
-        own = {k: v for k, v in old.items() if k in OF_THERMAL} if isinstance(old, dict) else {}
-        data = {k: v for k, v in entry["thermal"].items() if solid or k != "thermal_expansion"}
-        new["thermal"] = data | own
+        old, of_material = region.get("thermal"), entry["thermal"]
+        thermal: dict[str, object] = {}
+        if isinstance(of_material, dict):
+            thermal = {k: v for k, v in of_material.items() if solid or k != "thermal_expansion"}
+        if isinstance(old, dict):
+            thermal |= {k: v for k, v in old.items() if k in OF_THERMAL}
+        new["thermal"] = thermal
     return new
 
 
@@ -442,13 +451,16 @@ def _material(
 
 def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
     """A copy with more overrides, without reading the file again."""
-    copies: dict[str, Any] = {"data": deepcopy(case.data), "places": dict(case.places)}
-    copies |= {
-        "given": dict(case.given),
-        "measured": dict(case.measured),
-        "tissues": dict(case.tissues),
-    }
-    copy = replace(case, **copies, complaints=[])
+    copy = replace(
+        case,
+        data=deepcopy(case.data),
+        places=dict(case.places),
+        given=dict(case.given),
+        measured=dict(case.measured),
+        tissues=dict(case.tissues),
+        notes=list(case.notes),
+        complaints=[],
+    )
     apply(copy, overrides)
     return copy
 
@@ -503,7 +515,7 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     for old in [p for p in case.places if p[: len(path)] == path]:
         del case.places[old]
     case.places[path] = key
-    value: Any = text
+    value: object = text
     try:
         node = yaml_file.compose(text)
         if node is None:  # KEY= without a value is not the null that removes an entry
@@ -518,7 +530,7 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     _put(case, target, path, value)
 
 
-def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
+def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     """Merge the value of an override into its mapping or list; null removes the old value."""
     step, complaints = path[-1], len(case.complaints)
     if path[0] == "regions" and (step, value) in (("kind", "rigid"), ("rigid", True)):

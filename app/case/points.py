@@ -8,10 +8,11 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from app.foundation.arrays import Floats
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Text, fail, show
 from app.schema.units import NUMBER
 from app.schema.yaml_file import Fault, Path, key_parts
@@ -37,7 +38,7 @@ class Point:
     """
 
     name: str
-    changes: dict[str, Any] = field(default_factory=dict)
+    changes: dict[str, object] = field(default_factory=dict)
     places: dict[str, Path] = field(default_factory=dict)
     path: Path = ()
     base: str = ""
@@ -49,9 +50,9 @@ class Point:
         return str(self.path[-1]) if self.path else ""
 
 
-def _together(runs: dict[str, Any]) -> dict[str, Any]:
+def _together(runs: dict[str, object]) -> dict[str, object]:
     """Check that lists, which vary together, have equal lengths."""
-    lengths = {key: len(runs[key]) for key in varying(runs)}
+    lengths = {key: len(values) for key, values in _lists(runs).items()}
     first = next(iter(lengths), "")
     for key, length in lengths.items():
         if not length:
@@ -61,13 +62,13 @@ def _together(runs: dict[str, Any]) -> dict[str, Any]:
     return runs
 
 
-def _varied(runs: dict[str, Any]) -> dict[str, Any]:
+def _varied(runs: dict[str, object]) -> dict[str, object]:
     if not varying(runs):
         fail("varies nothing; expected a list for at least one key, e.g. mesh.size: [3 mm, 2 mm]")
     return runs
 
 
-def _distinct(values: list[Any]) -> list[Any]:
+def _distinct(values: list[object]) -> list[object]:
     names = _labels(values)
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -75,10 +76,10 @@ def _distinct(values: list[Any]) -> list[Any]:
     return values
 
 
-Changes = Annotated[dict[str, Any], MAPPING]
+Changes = Annotated[dict[str, object], MAPPING]
 Runs = Annotated[Changes, AfterValidator(_together)]
 Lists = Annotated[Runs, AfterValidator(_varied)]
-Values = Annotated[list[Any], ITEMS, Field(min_length=1), AfterValidator(_distinct)]
+Values = Annotated[list[object], ITEMS, Field(min_length=1), AfterValidator(_distinct)]
 Grid = Annotated[dict[str, Values], MAPPING, Field(min_length=1)]
 Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
@@ -131,7 +132,7 @@ class Choice(Section):
     values: Values
     """The values: numbers, names or sections."""
 
-    def at(self, share: float) -> Any:
+    def at(self, share: float) -> object:
         """Value at a fraction of the list."""
         return self.values[int(share * len(self.values))]
 
@@ -146,7 +147,7 @@ class LatinHypercube(Section):
     inputs: Annotated[dict[str, Annotated[Range | Choice, Kinds(".low")]], Field(min_length=1)]
     """The range of each key, or its values."""
 
-    def draw(self) -> list[dict[str, Any]]:
+    def draw(self) -> list[dict[str, object]]:
         """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522).
 
         The least correlated of `DESIGNS` random designs is taken.
@@ -157,7 +158,7 @@ class LatinHypercube(Section):
         sampler = qmc.LatinHypercube(len(self.inputs), seed=self.seed)
         designs = [sampler.random(self.samples) for _ in range(DESIGNS)]
 
-        def correlation(design: Any) -> float:
+        def correlation(design: Floats) -> float:
             # For a single input `corrcoef` is a number.
             coefficients = np.atleast_2d(np.corrcoef(design, rowvar=False))
             return float(np.abs(np.tril(coefficients, -1)).max())
@@ -205,26 +206,32 @@ class SweepPart(Section):
             ]
 
 
-def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list[Point]:
+def along(runs: Mapping[str, object], path: Path, short: Mapping[str, str]) -> list[Point]:
     """One axis: lists that vary together, and single values, by override key with short names."""
-    lists = {key: _labels(runs[key]) for key in varying(runs)}
+    lists = _lists(runs)
+    labels = {key: _labels(values) for key, values in lists.items()}
     return [
         Point(
-            "_".join(f"{short[key]}={names[i]}" for key, names in lists.items()),
-            {key: value[i] if key in lists else value for key, value in runs.items()},
+            "_".join(f"{short[key]}={names[i]}" for key, names in labels.items()),
+            {key: lists[key][i] if key in lists else value for key, value in runs.items()},
             {key: (*path, key, i) if key in lists else (*path, key) for key in runs},
         )
-        for i in range(len(next(iter(lists.values()), [""])))
+        for i in range(len(next(iter(labels.values()), [""])))
     ]
 
 
-def varying(runs: Mapping[str, Any]) -> list[str]:
+def varying(runs: Mapping[str, object]) -> list[str]:
     """The keys with lists of values, mesh.size first."""
-    keys = [key for key, value in runs.items() if isinstance(value, list)]
-    return sorted(keys, key=lambda key: key != "mesh.size")
+    return list(_lists(runs))
 
 
-def overriding(changes: dict[str, Any], path: Path, name: str = "") -> Point:
+def _lists(runs: Mapping[str, object]) -> dict[str, list[object]]:
+    """The lists of values by key, mesh.size first."""
+    lists = {key: value for key, value in runs.items() if isinstance(value, list)}
+    return dict(sorted(lists.items(), key=lambda item: item[0] != "mesh.size"))
+
+
+def overriding(changes: dict[str, object], path: Path, name: str = "") -> Point:
     """Overrides at a path of the file as a value of an axis; unnamed if they hold throughout."""
     return Point(name, changes, {key: (*path, key) for key in changes})
 
@@ -238,7 +245,7 @@ def combine(
     """
     part = str(path[-1]) if path else ""
     for values in itertools.product(*axes):
-        changes, places = dict[str, Any](), dict[str, Path]()
+        changes, places = dict[str, object](), dict[str, Path]()
         for value in (*common, *values):
             changes |= value.changes
             places |= value.places
@@ -248,7 +255,7 @@ def combine(
         yield Point(name, changes, places, path, base, varied)
 
 
-def _labels(values: Sequence[Any]) -> list[str]:
+def _labels(values: Sequence[object]) -> list[str]:
     """Names of values: text, number, kind or index in the list."""
     singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
     singles = [v.get("kind") if isinstance(v, dict) else v for v in singles]
@@ -275,7 +282,7 @@ def short_keys(keys: Sequence[str]) -> dict[str, str]:
     return short
 
 
-def as_overrides(changes: Mapping[str, Any]) -> list[str]:
+def as_overrides(changes: Mapping[str, object]) -> list[str]:
     """Overrides as options ``key=value``; JSON is YAML."""
     return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in changes.items()]
 

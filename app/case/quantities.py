@@ -247,7 +247,7 @@ class NumberSection:
     name: str
     title: str
     columns: Mapping[str, str]
-    owners: Callable[[Any], Iterable[str]]
+    owners: Callable[..., Iterable[str]]
     leads: bool = False
 
 
@@ -628,6 +628,6 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
     return None
 
 
-def computed(section: str, state: Any, of: Any) -> dict[str, float]:
+def computed(section: str, state: object, of: object) -> dict[str, float]:
     """Added numbers of an interface or a region (`Quantity.compute`)."""
     return {q.key: float(q.compute(state, of)) for q in TABLE[section].values() if q.compute}

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -104,7 +104,7 @@ class StudyFile(Section):
 
     def points(self) -> Iterator[Point]:
         """Every run, in the order of the file; runs of the reference last."""
-        lines: dict[tuple[str, ...], dict[str, Any]] = {
+        lines: dict[tuple[str, ...], dict[str, object]] = {
             ("study", "lines", name): line for name, line in self.study.lines.items()
         }
         if self.study.reference.run is not None:

@@ -111,18 +111,19 @@ def plan(
     for point in every:
         base, used = overlay.found(folder, point.base), point.changes | given
         ranks = used.get("ranks", 1)
-        if not (type(ranks) is int and ranks > 0):
+        if not isinstance(ranks, int) or isinstance(ranks, bool) or ranks < 1:
             text = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."
             if "ranks" in given:
                 raise InputError(f"--set ranks: {text}")
             problems.append(Fault(point.places["ranks"], text))
-        own = {k: v for k, v in point.changes.items() if k not in ("ranks", *given)}
-        changes = (*points.as_overrides(own), "variations={}", *others)
+            ranks = 1
+        of_case = {k: v for k, v in point.changes.items() if k not in ("ranks", *given)}
+        changes = (*points.as_overrides(of_case), "variations={}", *others)
         try:
             case = load(base, changes).config
         except InputError as error:
             for message in error.messages:
-                fault = points.at_override(message, {key: point.places[key] for key in own})
+                fault = points.at_override(message, {key: point.places[key] for key in of_case})
                 if fault:
                     problems.append(fault)
                 else:

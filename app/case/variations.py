@@ -36,7 +36,7 @@ UNTITLED = ("output", "solver", "variations")
 CHANGED = "; changed: "
 
 
-def _section(value: dict[str, Any]) -> dict[str, Any]:
+def _section(value: dict[str, object]) -> dict[str, object]:
     for name, changes in value.items():
         if name == "grid":
             fail(NO_GRID, at=(name,))
@@ -54,21 +54,23 @@ def _section(value: dict[str, Any]) -> dict[str, Any]:
 
 
 # The last annotation is checked first.
-Variations = Annotated[dict[Name, dict[str, Any]], BeforeValidator(_section), MAPPING]
+Variations = Annotated[dict[Name, dict[str, object]], BeforeValidator(_section), MAPPING]
 
 
-def split(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def split(data: Mapping[str, Any]) -> tuple[dict[str, object], dict[str, object]]:
     """Split a resolved case into the data that variations share and those that may vary, by key."""
     shared = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
-    own = {f"interfaces.{name}": law for name, law in data.get("interfaces", {}).items()}
-    own["title"] = data.get("title", "")
-    loads: dict[str, Any] = {}
+    varied: dict[str, object] = {
+        f"interfaces.{name}": law for name, law in data.get("interfaces", {}).items()
+    }
+    varied["title"] = data.get("title", "")
+    loads: dict[str, object] = {}
     for name, load in data.get("loads", {}).items():
         loads[name] = {key: value for key, value in load.items() if key not in OF_LOADS}
-        own |= {f"loads.{name}.{key}": load[key] for key in OF_LOADS if key in load}
+        varied |= {f"loads.{name}.{key}": load[key] for key in OF_LOADS if key in load}
     solver = dict(data.get("solver", {}))
-    own |= {f"solver.{key}": solver.pop(key) for key in OF_SOLVER if key in solver}
-    return shared | {"loads": loads, "solver": solver}, own
+    varied |= {f"solver.{key}": solver.pop(key) for key in OF_SOLVER if key in solver}
+    return shared | {"loads": loads, "solver": solver}, varied
 
 
 def expand(key: str, data: Mapping[str, Any]) -> list[str]:
@@ -85,8 +87,8 @@ def title_with_changes(title: str, file: CaseFile) -> str:
     keys = {place: key_parts(place) for place in file.places.values() if isinstance(place, str)}
     if not title or ["title"] in keys.values():
         return title
-    told = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
-    short = short_keys(list(told))
+    changed = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
+    short = short_keys(list(changed))
     given = {name: file.given[key] for key, name in short.items()}
     values = (f"without {k}" if v is None else f"{k} {plain(v)}" for k, v in given.items())
-    return f"{title}{CHANGED}{', '.join(values)}" if told else title
+    return f"{title}{CHANGED}{', '.join(values)}" if changed else title

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import meshes
 from app import rooms as rooms  # registers them
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from app.simulation.recorder import AcceptedStep
 
 
-def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
+def load(path: str | os.PathLike[str], **overrides: object) -> LoadedCase:
     """Read a case file and check all that can be checked without a mesh.
 
     Args:

@@ -6,12 +6,15 @@ import argparse
 import os
 import re
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from app import __version__
 from app.foundation.errors import InputError
 from app.schema.section import did_you_mean
 from app.system.ranks import rank
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 # Last lines of ``mantle --help``.
 EPILOG = """\
@@ -223,7 +226,7 @@ class Parser(argparse.ArgumentParser):
             message += did_you_mean(unknown[1], list(COMMANDS))
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
-    def _print_message(self, message: str, file: Any = None) -> None:
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
         if rank() == 0:
             super()._print_message(message, file)
 

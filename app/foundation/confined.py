@@ -18,7 +18,7 @@ SECONDS = 3600
 _SERVE = "from {0} import {1}; from meshes.gmsh_child import serve; serve({1}, {2})"
 
 
-def ask(reader: str, request: Mapping[str, Any], folder: str) -> dict[str, Any]:
+def ask(reader: str, request: Mapping[str, object], folder: str) -> dict[str, Any]:
     """Run a reader, ``module:function``, in a folder with its files. Return arrays by name.
 
     Raises:

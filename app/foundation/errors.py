@@ -9,9 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from app.foundation.verdict import Verdict, story
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 T = TypeVar("T")
 
@@ -134,7 +137,7 @@ def gravest(codes: Iterable[int], message: str) -> MantleError:
     return worst(message)
 
 
-def together(comm: Any) -> bool:
+def together(comm: MPI.Comm) -> bool:
     """Return True if all ranks call this in time; ranks without an error wait elsewhere."""
     here = comm.Ibarrier()
     end = time.monotonic() + PATIENCE
@@ -145,7 +148,7 @@ def together(comm: Any) -> bool:
     return True
 
 
-def agree(comm: Any, error: MantleError) -> None:
+def agree(comm: MPI.Comm, error: MantleError) -> None:
     """Confirm that all ranks have met an error, before any collective reaction to it.
 
     Raises:
@@ -155,7 +158,7 @@ def agree(comm: Any, error: MantleError) -> None:
         raise AloneError(error) from error
 
 
-def everywhere(comm: Any, action: Callable[[], T]) -> T:
+def everywhere(comm: MPI.Comm, action: Callable[[], T]) -> T:
     """Run a local action on every rank (collective). If it fails on one rank, raise on all."""
     error = None
     try:
@@ -168,13 +171,13 @@ def everywhere(comm: Any, action: Callable[[], T]) -> T:
     return result
 
 
-def on_root(comm: Any, action: Callable[[], T], share: bool = True) -> T | None:
+def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
     """Run an action on rank 0; share its result, or None, and raise its errors on every rank."""
     result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
     return comm.bcast(result) if share else result
 
 
-def dealt(comm: Any, tasks: Sequence[Callable[[], T]]) -> list[T]:
+def dealt(comm: MPI.Comm, tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Divide tasks among the ranks and return their results in order on rank 0, else nothing.
 
     Rank r takes task r and every further one by the number of ranks. Collective; an error in a

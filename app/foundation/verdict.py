@@ -93,7 +93,7 @@ class Verdict:
         """Tone in which the terminal prints it."""
         return TONES[self.severity]
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, str]:
         """Return the entry in ``summary.json``."""
         return {key: str(value) for key, value in asdict(self).items() if value}
 

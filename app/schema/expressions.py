@@ -144,7 +144,7 @@ class Varying(Scalar):
         """The value as text that reads back to the same."""
         return value if isinstance(value, str) else self.constant.write(value)
 
-    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, object]:
         """Text."""
         kind = self.constant
         return {

@@ -72,7 +72,7 @@ class Section(BaseModel):
 
 
 def faults(
-    error: ValidationError, model: type[Section] = Section, given: Any = None
+    error: ValidationError, model: type[Section] = Section, given: object = None
 ) -> list[Fault]:
     """Errors of pydantic in words of the file.
 
@@ -84,7 +84,7 @@ def faults(
     return [Fault(*_in_words(entry, model, given)) for entry in error.errors(include_url=False)]
 
 
-def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Path, str]:
+def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple[Path, str]:
     path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(TAG))
     value, keys = show(entry["input"]), tuple(model.model_fields)
     match entry["type"]:
@@ -95,7 +95,7 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
             expected = f": {text[:1].lower()}{text[1:].rstrip('.')}" if text else ""
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
-            above = _above(path[-1], model, given)
+            above = _above(path[-1], model, given if isinstance(given, Mapping) else {})
             if above:
                 text = f"it belongs below '{above}', indented: was its indentation lost?"
                 return path, f"unknown key; {text}"
@@ -119,7 +119,7 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
-def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> str:
+def _above(key: str | int, model: type[Section], given: Mapping[str, object]) -> str:
     """The section that an unknown key belongs to: an empty one before it, or one that has it."""
     before = [n for n in takewhile(lambda name: name != key, given) if n in model.model_fields]
     if before and given[before[-1]] is None:
@@ -127,7 +127,7 @@ def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> st
     return next((n for n, f in model.model_fields.items() if _has(f.annotation, key)), "")
 
 
-def _has(kind: Any, key: str | int) -> bool:
+def _has(kind: object, key: str | int) -> bool:
     """Return True if sections of a type, or of any in it, have a key."""
     kinds = kinds_of(kind) if isinstance(kind, type) and issubclass(kind, Extensible) else ()
     within = (*get_args(kind), *kinds)
@@ -237,7 +237,7 @@ class Scalar:
         """
         raise NotImplementedError
 
-    def write(self, value: Any) -> Any:
+    def write(self, value: Any) -> object:
         """Convert a value to a form that `read` takes back to it."""
         return value
 
@@ -314,7 +314,7 @@ class Triple:
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         """A list, or text where the entries of three are text."""
         result = handler(schema)
         if self.number != 3 or result.get("prefixItems", [{}])[0].get("type") != "string":

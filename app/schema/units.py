@@ -216,7 +216,7 @@ class Dimension(_Bounded):
                 return degrees
         return f"{value!r} {self.unit}"
 
-    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, object]:
         """Text that starts with a number and ends with a unit."""
         return {
             "type": "string",
@@ -318,9 +318,10 @@ class Plain(_Bounded):
         self.check(value, str(value))
         return int(value) if self.integer else float(value)
 
-    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, object]:
         """A number with its bounds."""
-        return {"type": "integer" if self.integer else "number"} | self.bounds
+        kind: dict[str, object] = {"type": "integer" if self.integer else "number"}
+        return kind | self.bounds
 
 
 _EITHER = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})  # 0.05 or 5 %

@@ -334,7 +334,7 @@ class Reader:
         return self.option or (self.file.name, *_start(node))
 
 
-def _scalar(node: ScalarNode) -> Any:
+def _scalar(node: ScalarNode) -> object:
     kind = str(node.tag).rpartition(":")[2]
     if kind in ("str", "timestamp", "value"):
         return _text(node)
@@ -363,7 +363,7 @@ def _text(node: ScalarNode) -> str:
     return text
 
 
-def to_yaml(data: dict[str, Any]) -> str:
+def to_yaml(data: dict[str, object]) -> str:
     """Mappings, lists and scalars as YAML that reads back to the same."""
     yaml: Any = YAML(typ="safe")
     yaml.default_flow_style = False

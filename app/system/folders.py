@@ -176,7 +176,7 @@ def write_text(path: Path, text: str) -> None:
     files.write_bytes(path, text.encode())
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     """Rows as CSV, with a column for every key of any row."""
     text = io.StringIO()
     names = dict.fromkeys(name for row in rows for name in row)
@@ -186,7 +186,7 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
-def write_json(path: Path, content: Any) -> None:
+def write_json(path: Path, content: object) -> None:
     """Write a value as JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 

@@ -16,12 +16,14 @@ from contextlib import suppress
 from functools import partial
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from app.foundation import files
 from app.foundation.captured import captured
 from app.foundation.errors import EnvironmentProblem
 from app.system.folders import form_cache
+
+T = TypeVar("T")
 
 log = logging.getLogger("mantle")
 
@@ -63,9 +65,7 @@ def usable(folder: Path, name: str) -> bool:
         return False
 
 
-def _find(
-    get: Callable[..., Any], name: str, objects: list[str], folder: Path, timeout: int
-) -> Any:
+def _find(get: Callable[..., T], name: str, objects: list[str], folder: Path, timeout: int) -> T:
     """`ffcx.codegeneration.jit.get_cached_module`, once no process compiles the module any more.
 
     A compiling process locks one byte of a file, which ends with the process.
@@ -85,9 +85,9 @@ def _find(
     return get(name, objects, folder, timeout)
 
 
-def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def _mark(compile: Callable[..., T], *arguments: object, **options: object) -> T:
     """Compile a module, and note its size in the mark of completion."""
-    name, folder = arguments[3], Path(arguments[5])
+    name, folder = str(arguments[3]), Path(str(arguments[5]))
     if not _told:
         log.info("     compiling forms; later runs reuse them")
         _told.append(name)
@@ -102,7 +102,7 @@ def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     return code
 
 
-def _compile(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def _compile(compile: Callable[..., T], *arguments: object, **options: object) -> T:
     """Compile forms, and release the lock in the end."""
     try:
         return compile(*arguments, **options)
