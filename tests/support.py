@@ -361,19 +361,19 @@ class Ranks:
             self._order([])
             self._process.wait(timeout=TIMEOUT)
 
-    def run(self, arguments: list[str]) -> subprocess.CompletedProcess[str]:
+    def run(self, arguments: list[str], timeout: float) -> subprocess.CompletedProcess[str]:
         """Run Python with these arguments.
 
         Raises:
-            TimeoutExpired: The ranks are not done after `TIMEOUT`; they are ended.
+            TimeoutExpired: The ranks are not done after ``timeout`` seconds; they are ended.
         """
         order = self._order(arguments)
         ends = [order.with_suffix(f".{rank}") for rank in range(self._size)]
-        limit = time.monotonic() + TIMEOUT
+        limit = time.monotonic() + timeout
         while self.alive and not all(e.exists() and e.read_text().endswith("\n") for e in ends):
             if time.monotonic() > limit:
                 self._process.kill()
-                raise subprocess.TimeoutExpired(arguments, TIMEOUT)
+                raise subprocess.TimeoutExpired(arguments, timeout)
             time.sleep(0.02)
         codes = [int(e.read_text()) for e in ends] if self.alive else [self._process.returncode]
         out, err = (
@@ -396,12 +396,12 @@ _ranks: dict[int, Ranks] = {}
 
 
 def on_ranks(
-    ranks_: int, *arguments: str | Path, code: int | None = 0
+    ranks_: int, *arguments: str | Path, code: int | None = 0, timeout: float = TIMEOUT
 ) -> subprocess.CompletedProcess[str]:
     """Run Python with these arguments on a number of ranks, to an exit code (None: to any)."""
     if ranks_ not in _ranks or not _ranks[ranks_].alive:
         _ranks[ranks_] = Ranks(ranks_)
-    done = _ranks[ranks_].run([str(a) for a in arguments])
+    done = _ranks[ranks_].run([str(a) for a in arguments], timeout)
     assert code is None or done.returncode == code, done.stdout + done.stderr
     return done
 

@@ -22,6 +22,8 @@ from tests import support
 
 # Difference of a number between solvers over the largest number of its unit.
 SAME = 1e-6
+# Of a run on two ranks that share their cores with other programs [s].
+LONGEST = 1200.0
 # Slips of nanometres need more than the default tolerance to be the same.
 TIGHT = ("solver.tolerance=1e-11",)
 
@@ -443,7 +445,7 @@ def _outcome(case: Path, changes: Sequence[str], folder: Path) -> Outcome:
 def _outcome_on_ranks(case: Path, changes: Sequence[str], folder: Path) -> Outcome:
     """Exit code and numbers of a run on two ranks."""
     words = ("-m", "mantle", "run", case, "-o", folder, *support.sets(*changes))
-    code = support.on_ranks(2, *words, code=None).returncode
+    code = support.on_ranks(2, *words, code=None, timeout=LONGEST).returncode
     there = (folder / "summary.json").is_file()
     if not there:
         return Outcome(code)
