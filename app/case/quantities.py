@@ -565,10 +565,18 @@ def find(name: str) -> Quantity:
     fail(f"{show(name)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
 
 
+def place_in_words(place: str) -> str:
+    """An interface, a region or a part of one for people: ``stem-cement rim``."""
+    whole, _, part = place.rpartition("_")
+    if part in PARTS and whole in PLACES:
+        return f"{PLACES[whole]} {part}"
+    return PLACES.get(place, place.replace("_", " "))
+
+
 def in_words(name: str) -> tuple[str, str]:
     """A number's label, e.g. stem-cement slip, p99, and its unit as printed."""
     place, _, key = name.partition(".")
-    words = PLACES.get(place, place.replace("_", " "))
+    words = place_in_words(place)
     q = get(name)
     if q is None:
         return f"{words} {key}".replace("_", " "), ""

@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import KDTree
 
 from app.foundation.arrays import Floats
 
@@ -16,6 +18,42 @@ from app.foundation.arrays import Floats
 PIXELS = 500
 # Decimals to which the places of equal corners agree [mm or degrees].
 DIGITS = 6
+
+
+class Interpolation:
+    """Values on a surface in the plane, linear between the corners of its triangles.
+
+    Args:
+        x: Corners of the triangles (m, 3, 2), in any unit along each axis.
+        values: Values there (m, 3).
+
+    Attributes:
+        corners: Corners of the triangles that have an area, all turned the same way (k, 3, 2).
+        places: Different places of the corners (n, 2).
+        unit: Unit of length along each axis (2,): the mean extent of an edge.
+    """
+
+    def __init__(self, x: Floats, values: Floats) -> None:
+        a = x[:, 1] - x[:, 0]
+        b = x[:, 2] - x[:, 0]
+        doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        solid = np.abs(doubled) > 1e-9
+        self.corners = np.where(doubled[:, None, None] < 0, x[:, ::-1], x)[solid]
+        places = np.round(x[solid].reshape(-1, 2), DIGITS)
+        self.places, first = np.unique(places, axis=0, return_index=True)
+        edges = self.corners - np.roll(self.corners, 1, axis=1)
+        self.unit = np.abs(edges).mean(axis=(0, 1))
+        self._between = LinearNDInterpolator(self.places / self.unit, values[solid].ravel()[first])
+        self._nearest = KDTree(self.places / self.unit)
+
+    def __call__(self, places: Floats) -> Floats:
+        """Values at places (..., 2); nan outside of the convex hull of the surface."""
+        return np.asarray(self._between(places / self.unit))
+
+    def on_surface(self, places: Floats) -> NDArray[np.bool_]:
+        """Whether places (..., 2) are on the surface, to the length of an edge."""
+        distance, _ = self._nearest.query(places / self.unit)
+        return np.asarray(distance) < 1.0
 
 
 def shaded(
@@ -26,22 +64,13 @@ def shaded(
     Values are linear between the corners. They are drawn as an image: where triangles are thin,
     matplotlib's shading of triangles draws streaks.
     """
-    a = x[:, 1] - x[:, 0]
-    b = x[:, 2] - x[:, 0]
-    doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    solid = np.abs(doubled) > 1e-9
-    corners = np.where(doubled[:, None, None] < 0, x[:, ::-1], x)[solid]
-    places = np.round(x[solid].reshape(-1, 2), DIGITS)
-    places, first = np.unique(places, axis=0, return_index=True)
-    # Unit of length along each axis: the mean extent of an edge.
-    unit = np.abs(corners - np.roll(corners, 1, axis=1)).mean(axis=(0, 1))
-    between = LinearNDInterpolator(places / unit, values[solid].ravel()[first])
-    low = places.min(axis=0)
-    high = places.max(axis=0)
+    surface = Interpolation(x, values)
+    low = surface.places.min(axis=0)
+    high = surface.places.max(axis=0)
     pixels = (np.arange(PIXELS) + 0.5) / PIXELS
-    across, up = ((low + pixels[:, None] * (high - low)) / unit).T
+    across, up = (low + pixels[:, None] * (high - low)).T
     image = axes.imshow(
-        between(across[None, :], up[:, None]),
+        surface(np.stack(np.meshgrid(across, up), axis=-1)),
         cmap=colours,
         vmin=limits[0],
         vmax=limits[1],
@@ -50,7 +79,7 @@ def shaded(
         aspect=axes.get_aspect(),
         interpolation="bilinear",
     )
-    image.set_clip_path(joined([corners]), axes.transData)
+    image.set_clip_path(joined([surface.corners]), axes.transData)
     return image
 
 

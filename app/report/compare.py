@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from app.case import quantities
 from app.foundation.errors import InputError, StoppedError
 from app.foundation.verdict import Severity, recorded
-from app.report import lead, page, run_report, sweep_figures, viewer
+from app.plots.curves import Panel, drawing
+from app.report import (
+    compared_numbers,
+    difference_maps,
+    lead,
+    page,
+    run_report,
+    sweep_figures,
+    viewer,
+)
+from app.report.compared_numbers import ComparedNumber
 from app.report.page import Block, LargeNumber, PageSection, bullets, table
-from app.report.sweep_results import Json, Number, SweptCase
+from app.report.sweep_results import Json, SweptCase
 from app.results.verdicts import notes_of
 from app.system.folders import write_text
 from app.system.layout import noted, plain
 
 # Runs of a page: a browser draws some sixteen views.
 MOST = 8
+# Numbers of the first table.
+LARGEST = 10
 # Keys of a case that are not compared.
 NOT_COMPARED = ("title", "output")
 
@@ -34,6 +46,12 @@ def write(folders: Sequence[Path], path: Path) -> Path:
         f"{folder}: has no summary.json; expected a directory written by mantle run"
         for folder in folders
         if not (folder / "summary.json").exists()
+    ]
+    places = [folder.resolve() for folder in folders]
+    problems += [
+        f"{folder}: given twice; expected another run to compare it with"
+        for k, folder in enumerate(folders)
+        if places[k] in places[:k]
     ]
     if not 2 <= len(folders) <= MOST:
         problems.append(f"2 to {MOST} runs can be compared, not {len(folders)}")
@@ -55,26 +73,27 @@ def write(folders: Sequence[Path], path: Path) -> Path:
 def _page(folders: Sequence[Path]) -> str:
     names = viewer.distinct(folders)
     cases = [run_report.opened(folder) for folder in folders]
+    numbers = compared_numbers.compared(cases)
+    if not numbers:
+        raise InputError(f"{', '.join(map(str, folders))}: these runs have no numbers in common")
     view = viewer.viewer(dict(zip(names, folders, strict=True)))
     drawn = sum((folder / "fields.vtkhdf").exists() for folder in folders)
     all_differences = view.count('class="one"') - drawn >= len(folders) - 1
     note = "Differences of fields are drawn only for runs on the same mesh."
-    keys = [
-        n for n in sweep_figures.headlines(cases) if sum(c.number(n) is not None for c in cases) > 1
-    ]
-    changes = _changes(names, cases, keys)
     notes = noted((name, notes_of(case.summary)) for name, case in zip(names, cases, strict=True))
     status = [_status(name, case.summary) for name, case in zip(names, cases, strict=True)]
     return page.page(
         "Comparison of runs",
         [
-            PageSection("differences", "Numbers", _numbers(names, cases, keys)),
+            PageSection("differences", "Numbers", _numbers(names, cases, numbers)),
+            PageSection("strains", "Strain of the cortex", _strains(names, cases)),
+            PageSection("maps", "Maps of the differences", _maps(names, cases)),
             PageSection("input", "Input that differs", _input(names, cases)),
         ],
         bullets(status) + page.folded(f"{len(notes)} notes on the input", bullets(notes)),
         facts=" · ".join(names),
-        lead=_lead(names[0], changes),
-        large=_largest(changes),
+        lead=_lead(names[0], numbers),
+        large=_largest(names, numbers, sweep_figures.headlines(cases)),
         view=view,
         note=note if view and not all_differences else "",
     )
@@ -86,130 +105,89 @@ def _status(name: str, summary: Json) -> str:
     return "; ".join([f"{summary['status']}: {name}", *unknown, *errors])
 
 
-@dataclass(frozen=True)
-class Change:
-    """A number of a run against the first run.
-
-    Attributes:
-        key: The number, as ``<interface or region>.<key>``.
-        names: Names of the first run and of the other one.
-        numbers: The numbers of both.
-    """
-
-    key: str
-    names: tuple[str, str]
-    numbers: tuple[Number, Number]
-
-    @property
-    def known(self) -> bool:
-        """True if the errors of both numbers are known."""
-        return _error(*self.numbers) is not None
-
-    @property
-    def differs(self) -> bool:
-        """True if the numbers differ by more than their errors, where these are known."""
-        return differs(*self.numbers, self.key)
-
-    @property
-    def share(self) -> float:
-        """Difference over the larger of both numbers."""
-        a, b = (number.value for number in self.numbers)
-        return abs(b - a) / (max(abs(a), abs(b)) or 1.0)
-
-
-def _changes(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> list[Change]:
-    """Return the main numbers of all other runs against the first."""
-    changes = []
-    for key in keys:
-        q = quantities.get(key)
-        if q and q.exact:
-            continue
-        a, *others = (case.number(key) for case in cases)
-        for name, b in zip(names[1:], others, strict=True):
-            if a is not None and b is not None:
-                changes.append(Change(key, (names[0], name), (a, b)))
-    return changes
-
-
-def _lead(first: str, changes: Sequence[Change]) -> str:
-    """Return the share of main numbers that differ, in sentences: with and without errors."""
+def _lead(first: str, numbers: Sequence[ComparedNumber]) -> str:
+    """Return the share of numbers that differ, in sentences: with and without errors."""
     sentences = []
-    known = [change for change in changes if change.known]
+    known = [number for number in numbers if number.known and not number.exact]
     if known:
-        count = sum(change.differs for change in known)
-        text = f"{count} of {len(known)} main numbers differ from those of {first} by more than "
+        count = sum(number.differs for number in known)
+        text = f"{count} of {len(known)} numbers differ from those of {first} by more than "
         sentences.append(f"{text}their errors.")
-    others = [change for change in changes if not change.known]
+    others = [number for number in numbers if not number.known]
     if others:
-        count = sum(change.differs for change in others)
-        text = f"{count} of {len(others)} main numbers without errors differ from those of {first}."
-        cure = "Run with --error to see whether the differences are significant."
-        sentences += [text, cure] if count else [text]
-    return " ".join(sentences) or "These runs have no numbers in common."
+        count = sum(number.differs for number in others)
+        sentences.append(
+            f"{count} of {len(others)} numbers without errors differ from those of {first}."
+        )
+    if others and not known:
+        sentences.append("Run with --error to see whether the differences are significant.")
+    return " ".join(sentences)
 
 
-def _largest(changes: Sequence[Change]) -> list[LargeNumber]:
-    """Return the largest differences: those beyond known errors first."""
-    differing = [change for change in changes if change.differs]
-    differing.sort(key=lambda change: (not change.known, -change.share))
-    numbers = []
-    for change in differing[: lead.MOST]:
-        a, b = change.numbers
-        words, unit = quantities.in_words(change.key)
-        one, other = change.names
-        shown = [_rounded(number, change.key) for number in (a, b)]
-        error = _error(a, b)
-        numbers.append(
+def _largest(
+    names: Sequence[str], numbers: Sequence[ComparedNumber], main: Sequence[str]
+) -> list[LargeNumber]:
+    """Return the most significant differences of the main numbers."""
+    large = []
+    for number in numbers:
+        if number.key not in main or number.exact or not number.differs:
+            continue
+        run, a, b = max(number.changes, key=lambda change: compared_numbers.share(*change[1:]))
+        error = compared_numbers.error_of_difference(a, b)
+        unit = number.unit
+        first = next(k for k, value in enumerate(number.numbers) if value is not None)
+        values = [f"{names[k]}: {number.text(k)} {unit}." for k in (first, run)]
+        large.append(
             LargeNumber(
                 f"{b.value - a.value:+.3g}".replace("-", "−"),
                 unit,
-                page.spelled_out(words),
+                page.spelled_out(number.label),
                 f"± {error:.2g} {unit}" if error is not None else "",
-                f"{one}: {shown[0]} {unit}. {other}: {shown[1]} {unit}.",
+                " ".join(values),
             )
         )
-    return numbers
+    return large[: lead.MOST]
 
 
-def _rounded(number: Number, key: str) -> str:
-    """Return a number as text; 0 where it is rounding."""
-    q = quantities.get(key)
-    return "0" if q and abs(number.value) < 0.01 * 10.0**-q.digits else str(number)
-
-
-def _error(a: Number, b: Number) -> float | None:
-    """Error of the difference of two numbers; None if an error is unknown."""
-    return None if a.error is None or b.error is None else a.error + b.error
-
-
-def differs(a: Number, b: Number, key: str) -> bool:
-    """Return True if two numbers differ by more than rounding and than their known errors."""
-    q = quantities.get(key)
-    rounding = 10.0**-q.digits if q else 0.0
-    return abs(b.value - a.value) > max(_error(a, b) or 0.0, rounding)
-
-
-def _numbers(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> list[Block]:
-    """Main numbers with errors, and differences of the other runs from the first."""
+def _numbers(
+    names: Sequence[str], cases: Sequence[SweptCase], numbers: Sequence[ComparedNumber]
+) -> list[Block]:
+    """Return the largest differences, all others folded, and what cannot be compared."""
     head = ["", *names, *(f"{name} − {names[0]}" for name in names[1:])]
-    rows = []
-    for key in keys:
-        a, *others = (case.number(key) for case in cases)
-        values = [sweep_figures.cell(case, key) for case in cases]
-        rows.append([quantities.titled(key), *values, *(_difference(a, b, key) for b in others)])
-    return table(head, rows)
+    runs = range(len(names))
+    rows = [
+        [number.title, *map(number.text, runs), *map(number.difference, runs[1:])]
+        for number in numbers
+    ]
+    others = rows[LARGEST:]
+    blocks = table(head, rows[:LARGEST])
+    blocks += page.folded(f"{len(others)} numbers with smaller differences", table(head, others))
+    alone = compared_numbers.unshared(names, cases)
+    return blocks + page.folded("Numbers that cannot be compared", bullets(alone))
 
 
-def _difference(a: Number | None, b: Number | None, key: str) -> str:
-    """Difference b - a, with the sum of the errors and relative to a."""
-    if a is None or b is None:
-        return "-"
-    change, error = b.value - a.value, _error(a, b)
-    part = f" ({100 * change / abs(a.value):+.1f} %)" if a.value else ""
-    if error is None:
-        return f"{Number(change)}{part}, errors unknown" if differs(a, b, key) else "0"
-    text = f"{Number(change, error)}{part}"
-    return text if differs(a, b, key) else f"{text}, within the errors"
+def _strains(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
+    """Draw the axial strain of the cortex over the distance below the lesser trochanter."""
+    panels = []
+    for side in ("lateral", "medial"):
+        lines = []
+        for k, (name, case) in enumerate(zip(names, cases, strict=True)):
+            keys = {-z: f"femur.strain_{side}_{gauge}" for gauge, z in quantities.GAUGES.items()}
+            line = sweep_figures.line_of(name, k, {z: case.number(key) for z, key in keys.items()})
+            if line.x:
+                lines.append(line)
+        if len(lines) > 1:
+            distance = "distance below the lesser trochanter (mm)"
+            panels.append(drawing(Panel(f"{side.capitalize()} strain", "µm/m", lines, distance)))
+    return page.drawings(panels, "Axial strain on the outer surface; bars are errors.")
+
+
+def _maps(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
+    """Draw the differences of the interfaces from the first run, on the surface of the first."""
+    titled = list(zip(names, cases, strict=True))
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn, missing = difference_maps.draw(titled, Path(scratch))
+        return page.figures(drawn, Path(scratch)) + bullets(missing)
 
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:

@@ -27,7 +27,7 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError
 from app.plots import figures
 from app.plots import maps as plane
-from app.plots.figures import HEAT, LOADED, SEQUENTIAL
+from app.plots.figures import HEAT, LOADED, SEQUENTIAL, SIGNED
 from app.plots.sections import VIEWS, surface
 from app.report import lead
 from app.report.page import Figure
@@ -284,17 +284,17 @@ def draw(
     for axes_row, (label, colours, fields) in zip(panels, rows, strict=False):
         of = [(flat, v) for (*_, flat), v in zip(columns, fields, strict=True)]
         every = np.concatenate([v[flat.nodes].ravel() for flat, v in of if v is not None])
-        low = float(every.min()) if label == TEMPERATURE else 0.0
-        most = max(float(np.percentile(every, CLIP)), low + LEAST)
+        low, most = _limits(every[np.isfinite(every)], label, colours)
         shades: list[AxesImage] = []
         for axes, (flat, v) in zip(axes_row, of, strict=True):
             _axes(axes, flat)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            limits = (low, most)
+            limits = low, most
             shades.append(plane.shaded(axes, flat.corners, v[flat.nodes], colours, limits))
-        extend = "max" if every.max() > most * (1 + 1e-6) else "neither"
+        beyond = np.nanmax(every) > most * (1 + 1e-6)
+        extend = ("both" if colours == SIGNED else "max") if beyond else "neither"
         figure.colorbar(shades[0], ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, title in zip(grid[0], titles, strict=False):
         axes.set_title(title, fontsize=10)
@@ -302,6 +302,15 @@ def draw(
         axes.set_ylabel("height (mm)" if round else "mm")
     figures.save(figure, path, 160, suffixes)
     return [label for label, *_ in rows]
+
+
+def _limits(values: Floats, label: str, colours: str) -> tuple[float, float]:
+    """Return the values at which the colours of a row begin and end."""
+    if colours == SIGNED:
+        most = max(float(np.percentile(np.abs(values), CLIP)), LEAST)
+        return -most, most
+    low = float(values.min()) if label == TEMPERATURE else 0.0
+    return low, max(float(np.percentile(values, CLIP)), low + LEAST)
 
 
 def _axes(axes: Axes, flat: Sheet) -> None:

@@ -1,0 +1,219 @@
+"""The numbers of several runs beside each other: which differ, by how much, and how surely.
+
+Every number that two runs have in common is compared: of interfaces, regions, the stem, the femur,
+its strains, Gruen zones, temperatures and added sections. Costs and balances of a run are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from app.case import quantities
+from app.report.sweep_results import Json, Number, SweptCase, named
+
+# Sections of a summary that say how a run was solved, not what it found.
+NOT_COMPARED = quantities.RUN
+# Name of the group of numbers by Gruen zone.
+ZONES = "Gruen zones"
+# kJ/m3 in 1 MPa.
+KJ = 1e3
+
+
+@dataclass(frozen=True)
+class ComparedNumber:
+    """A number of several runs.
+
+    Attributes:
+        key: Its name, as ``<interface or region>.<key>`` or ``gruen.<zone>.<place>.<key>``.
+        group: What it belongs to, for people: ``stem-cement``, ``Gruen zones``.
+        label: Its name for people.
+        unit: Its unit as printed; empty for a plain number.
+        numbers: Its value in each run; None in a run that does not have it.
+        rounding: Largest difference that is rounding.
+        exact: True if it has no discretization error.
+    """
+
+    key: str
+    group: str
+    label: str
+    unit: str
+    numbers: tuple[Number | None, ...]
+    rounding: float = 0.0
+    exact: bool = False
+
+    @property
+    def title(self) -> str:
+        """Label with the unit in brackets."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+    @property
+    def changes(self) -> list[tuple[int, Number, Number]]:
+        """Each run that has the number beside the first that has it: its place and both numbers."""
+        there = [(k, number) for k, number in enumerate(self.numbers) if number is not None]
+        return [(k, there[0][1], number) for k, number in there[1:]]
+
+    @property
+    def known(self) -> bool:
+        """True if the errors of all its values are known."""
+        return all(error_of_difference(a, b) is not None for _, a, b in self.changes)
+
+    def text(self, run: int) -> str:
+        """Format its value in a run; 0 where it is rounding, a dash where it is missing."""
+        number = self.numbers[run]
+        if number is None:
+            return "-"
+        return "0" if abs(number.value) < 0.01 * self.rounding else str(number)
+
+    def difference(self, run: int) -> str:
+        """Format the difference of a run from the first: with error, and relative to the first."""
+        first, number = self.numbers[0], self.numbers[run]
+        if first is None or number is None:
+            return "-"
+        change = number.value - first.value
+        error = error_of_difference(first, number)
+        beyond = differs(first, number, self.rounding)
+        part = f" ({100 * change / abs(first.value):+.1f} %)" if first.value else ""
+        if error is None:
+            return f"{Number(change)}{part}, errors unknown" if beyond else "0"
+        if self.exact:
+            return f"{Number(change)}{part}" if beyond else "0"
+        text = f"{Number(change, error)}{part}"
+        return text if beyond else f"{text}, within the errors"
+
+    @property
+    def differs(self) -> bool:
+        """True if a run differs from the first by more than rounding and the known errors."""
+        return any(differs(a, b, self.rounding) for _, a, b in self.changes)
+
+    @property
+    def significance(self) -> float:
+        """Largest difference over the error of this difference; infinite without error."""
+        return max((_significance(a, b) for _, a, b in self.changes), default=0.0)
+
+    @property
+    def share(self) -> float:
+        """Largest difference over the larger of both numbers."""
+        return max((share(a, b) for _, a, b in self.changes), default=0.0)
+
+
+def share(a: Number, b: Number) -> float:
+    """Difference of two numbers over the larger one."""
+    return abs(b.value - a.value) / (max(abs(a.value), abs(b.value)) or 1.0)
+
+
+def error_of_difference(a: Number, b: Number) -> float | None:
+    """Sum of the errors of two numbers; None if one of them is unknown."""
+    return None if a.error is None or b.error is None else a.error + b.error
+
+
+def differs(a: Number, b: Number, rounding: float) -> bool:
+    """Return True if two numbers differ by more than rounding and than their known errors."""
+    return abs(b.value - a.value) > max(error_of_difference(a, b) or 0.0, rounding)
+
+
+def _significance(a: Number, b: Number) -> float:
+    error = error_of_difference(a, b)
+    if a.value == b.value:
+        return 0.0
+    return abs(b.value - a.value) / error if error else math.inf
+
+
+def compared(cases: Sequence[SweptCase]) -> list[ComparedNumber]:
+    """Return every number that at least two runs have, the most significant difference first.
+
+    Numbers with known errors come first, ordered by difference over error. Those without follow,
+    ordered by relative difference. Numbers that do not differ come last.
+    """
+    common = [c for c in _every(cases) if sum(n is not None for n in c.numbers) > 1]
+    return sorted(common, key=_order)
+
+
+def _order(number: ComparedNumber) -> tuple[bool, bool, float, float]:
+    certain = number.known and not number.exact
+    significance = number.significance if certain else 0.0
+    return not number.differs, not certain, -significance, -number.share
+
+
+def unshared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[str]:
+    """Return a sentence for each run with numbers that no other run has."""
+    alone: dict[int, dict[str, list[str]]] = {}
+    for number in _every(cases):
+        there = [k for k, value in enumerate(number.numbers) if value is not None]
+        if len(there) == 1:
+            alone.setdefault(there[0], {}).setdefault(number.group, []).append(number.key)
+    sentences = []
+    for k, groups in sorted(alone.items()):
+        words = ", ".join(f"{len(keys)} of {group}" for group, keys in groups.items())
+        sentences.append(f"{names[k]} alone has {words}.")
+    return sentences
+
+
+def _every(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
+    """Every number of a run, in the order of the table of quantities, then by Gruen zone."""
+    keys: dict[str, str] = {}
+    for case in cases:
+        for section, owner, content in quantities.numbers_of(case.summary, parts=True):
+            if section not in NOT_COMPARED:
+                for quantity in quantities.TABLE[section].values():
+                    place = quantity.key.endswith("_at")  # of a maximum
+                    if content.get(quantity.key) is not None and not place:
+                        keys |= {f"{owner}.{name}": owner for name in quantity.names}
+    for key, owner in keys.items():
+        q = quantities.find(key)
+        label, unit = quantities.in_words(key)
+        values = tuple(case.number(key) for case in cases)
+        if q.exact:
+            values = tuple(n and Number(n.value, 0.0) for n in values)
+        group = quantities.place_in_words(owner)
+        yield ComparedNumber(key, group, label, unit, values, 10.0**-q.digits, q.exact)
+    yield from _zones(cases)
+
+
+def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
+    """Numbers by Gruen zone: strain energy of the bones, and those of each interface."""
+    every = [case.summary.get("gruen") or {} for case in cases]
+    for zone in dict.fromkeys(zone for zones in every for zone in zones):
+        here = [zones.get(zone, {}) for zones in every]
+        density = "strain_energy_density"
+        for bone in dict.fromkeys(bone for z in here for bone in z.get(density, {})):
+            numbers = tuple(
+                _scaled(_number(z.get(density), z.get(f"{density}_error"), bone), KJ) for z in here
+            )
+            yield ComparedNumber(
+                f"gruen.{zone}.{bone}.{density}",
+                ZONES,
+                f"zone {zone}: strain energy of {named(bone)}",
+                "kJ/m³",
+                numbers,
+            )
+        for place in dict.fromkeys(place for z in here for place in z.get("interfaces", {})):
+            of_place = [z.get("interfaces", {}).get(place) for z in here]
+            for key, q in quantities.TABLE["interfaces"].items():
+                numbers = tuple(_scaled(_number(n, n, key, "_error"), q.factor) for n in of_place)
+                if any(number is not None for number in numbers):
+                    yield ComparedNumber(
+                        f"gruen.{zone}.{place}.{key}",
+                        ZONES,
+                        f"zone {zone}: {named(place)} {q.label}",
+                        quantities.printed(q.shown),
+                        numbers,
+                        10.0**-q.digits,
+                        q.exact,
+                    )
+
+
+def _number(values: Json | None, errors: Json | None, key: str, suffix: str = "") -> Number | None:
+    """A number of a mapping with its error from another one; None where it is missing."""
+    value = (values or {}).get(key)
+    if not isinstance(value, int | float):
+        return None
+    return Number(float(value), (errors or {}).get(f"{key}{suffix}"))
+
+
+def _scaled(number: Number | None, factor: float) -> Number | None:
+    """A number in another unit."""
+    if number is None:
+        return None
+    return Number(factor * number.value, None if number.error is None else factor * number.error)

@@ -1,0 +1,119 @@
+"""Maps of the differences of interfaces between runs, on the surface of the first run.
+
+Meshes and bones may differ. An interface of the first run is laid into the plane (unrolled about
+the stem's axis, or flat). The values of another run are interpolated at the same angle and height,
+or at the same place of the plane. There is no difference where the other run has no interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from app.case.case import read_geometry
+from app.case.quantities import printed
+from app.foundation.arrays import Floats
+from app.foundation.errors import MantleError
+from app.plots import figures
+from app.plots.maps import Interpolation
+from app.report import pictures
+from app.report.page import Figure
+from app.report.pictures import Sheet
+from app.report.sweep_results import WORDS, SweptCase, named
+from app.report.viewer import interface_fields, lengths
+from app.results.reading import Run
+
+
+def draw(runs: Sequence[tuple[str, SweptCase]], folder: Path) -> tuple[list[Figure], list[str]]:
+    """Draw a picture for each interface that the first run has in common with others.
+
+    Args:
+        runs: Names and runs, the first one first.
+        folder: Folder of the pictures.
+
+    Returns:
+        The pictures, and for each interface without one the reason in a sentence.
+    """
+    (first, _), *others = runs
+    sheets = [_sheets(case) for _, case in runs]
+    drawn = []
+    missing = []
+    for name in dict.fromkeys(name for by_name in sheets for name in by_name):
+        there = sheets[0].get(name)
+        columns = []
+        for (title, _), by_name in zip(others, sheets[1:], strict=True):
+            other = by_name.get(name)
+            if there and other and there[1].round == other[1].round:
+                columns.append((f"{title} − {first}", there, other))
+        if not columns:
+            missing.append(f"no map of the difference of {name}: not the same surface in two runs")
+            continue
+        figure = _picture(name, columns, folder)
+        if figure:
+            drawn.append(figure)
+    return drawn, missing
+
+
+def _sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet]]:
+    """Interfaces of a run that can be laid into the plane; none if it has no fields."""
+    try:
+        run = Run(case.folder)
+        geometry = read_geometry(case.data, case.folder)
+    except (OSError, KeyError, ValueError, MantleError):
+        return {}
+    if geometry is None:
+        return {}
+    sheets = {}
+    for name, sides in geometry.interface_sides.items():
+        sheet = pictures.sheet(run, geometry.is_around_z, sides, geometry.region_names, name)
+        if sheet and not sheet.cup:
+            sheets[name] = (run, sheet)
+    return sheets
+
+
+def _picture(
+    name: str,
+    columns: Sequence[tuple[str, tuple[Run, Sheet], tuple[Run, Sheet]]],
+    folder: Path,
+) -> Figure | None:
+    """Draw the differences of an interface; None if no quantity is in two runs."""
+    rows: list[pictures.Row] = []
+    for quantity in pictures.SHOWN:
+        label, unit, factor = interface_fields()[quantity]
+        values = [
+            _difference(there, other, f"{name}_{quantity}", factor) for _, there, other in columns
+        ]
+        title = f"difference of {WORDS.get(quantity, label)} ({printed(unit)})"
+        rows.append((title, figures.SIGNED, values))
+    file = f"difference_{name}.png"
+    shown = [(title, *there) for title, there, _ in columns]
+    labels = pictures.draw(folder / file, shown, rows, figures.PNG)
+    if not labels:
+        return None
+    place = f"{named(name)} interface"
+    caption = (
+        f"The colours of a row are common and end at the {pictures.CLIP:g}th percentile. Blue is "
+        "more than in the first run, red is less."
+    )
+    return Figure(file, place, caption, f"{', '.join(labels)} on the {place}")
+
+
+def _difference(
+    first: tuple[Run, Sheet], second: tuple[Run, Sheet], field: str, factor: float
+) -> Floats | None:
+    """Field of the second run less that of the first, at the nodes of the first (n,).
+
+    It is nan away from the interface; None if a run does not have the field.
+    """
+    run, sheet = first
+    other, other_sheet = second
+    if field not in run.point_fields or field not in other.point_fields:
+        return None
+    here = factor * lengths(run, field)
+    there = Interpolation(other_sheet.corners, factor * lengths(other, field)[other_sheet.nodes])
+    values = np.where(there.on_surface(sheet.corners), there(sheet.corners), np.nan)
+    difference = np.full_like(here, np.nan)
+    difference[sheet.nodes] = values - here[sheet.nodes]
+    return difference
