@@ -35,7 +35,7 @@ from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.heat_state import HeatStep
 from app.stepping.heat_steps import OnHeat
-from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
+from app.stepping.load_steps import Effort, LoadStep, LoadStepper, OnStep
 from app.stepping.stages import Analysis, SolverSettings, assemble
 from app.system import folders
 from app.system.timing import Timing
@@ -247,7 +247,7 @@ class Model:
         on_stage: Callable[[Stage], None] = _nothing,
         checkpoint_point: Callable[[int], None] = _nothing,
         resume: Callable[[], int] = lambda: 0,
-    ) -> Summary:
+    ) -> Effort:
         """Solve all stages; returns a summary of the effort; collective.
 
         Args:

@@ -29,7 +29,7 @@ from app.scene.scene import Stage
 from app.simulation.model import Model
 from app.soundness import failure
 from app.stepping.heat_state import HeatStep
-from app.stepping.load_steps import LoadStep, Summary
+from app.stepping.load_steps import Effort, LoadStep
 from app.system.timing import Timing, peak_memory
 from forms.contact import OPEN, SLIP
 
@@ -117,7 +117,7 @@ class Recorder:
         self.contact_state: dict[str, Any] = {}
         self.time = 0.0
         self.step_count = self.fields_at = self.whole_steps = 0
-        self.total = Summary()
+        self.total = Effort()
         self._stage = Stage(name="rest")
         self.cycles = Cycles()
         self.valley: dict[str, Any] = {}
@@ -273,7 +273,7 @@ class Recorder:
             self._fields()
         self.writer.last_fields()
 
-    def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
+    def summary(self, status: str, total: Effort | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self.total
         m = model.mechanical_path

@@ -23,7 +23,7 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Scene
 from app.stepping.coupled_system import CoupledSystem
-from app.stepping.load_steps import Summary
+from app.stepping.load_steps import Effort
 
 # First step of a stage, as a part of an increment, if the rate of change is unknown.
 FIRST = 1e-3
@@ -76,7 +76,7 @@ class HeatState:
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
-        self.total = Summary()
+        self.total = Effort()
         self.state = self._state(step.initial())
         self.slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []

@@ -18,7 +18,7 @@ from app.soundness.failure import attempts
 from app.stepping.advance import Control, GivenSteps, Step, advance
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
-from app.stepping.load_steps import LoadStep, Summary
+from app.stepping.load_steps import Effort, LoadStep
 
 # Least time step, as a part of its stage.
 SHORTEST = 1e-10
@@ -45,7 +45,7 @@ class HeatStepper:
         self.controller = Controller(heating.method)
 
     @property
-    def total(self) -> Summary:
+    def total(self) -> Effort:
         """Counts of steps and iterations so far."""
         return self.heating.total
 

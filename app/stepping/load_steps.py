@@ -58,8 +58,8 @@ class LoadStep:
 
 
 @dataclass
-class Summary:
-    """Counts of steps and iterations of a loading so far."""
+class Effort:
+    """Numbers of steps and iterations of a run so far."""
 
     steps: int = 0
     newton_iterations: int = 0
@@ -67,7 +67,7 @@ class Summary:
     rejected: int = 0
     augmentation: float = 1.0
 
-    def add(self, other: Summary) -> None:
+    def add(self, other: Effort) -> None:
         """Add the counts of another part."""
         self.steps += other.steps
         self.newton_iterations += other.newton_iterations
@@ -119,7 +119,7 @@ class LoadStepper:
     on_step: OnStep
     on_trouble: Callable[[str], None]
     predictors: tuple[Predictor, ...] = ()
-    total: Summary = field(default_factory=Summary)
+    total: Effort = field(default_factory=Effort)
 
     def __post_init__(self) -> None:
         """Put extrapolation before the other predictors."""

@@ -27,7 +27,7 @@ from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_state import HeatState
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
-from app.stepping.load_steps import LoadStepper, OnStep, Summary
+from app.stepping.load_steps import Effort, LoadStepper, OnStep
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
@@ -65,7 +65,7 @@ class Steppers:
         before_stage: Callable[[Stage], None] = _nothing,
         checkpoint_point: Callable[[int], None] = _nothing,
         first: int = 0,
-    ) -> Summary:
+    ) -> Effort:
         """Solve stages, from one in which the steppers have been restored; collective.
 
         Args:
@@ -87,7 +87,7 @@ class Steppers:
             stepper = self._stepper_of(stage)
             if stepper is not None:
                 stepper.run_stage(k, stage, partial(checkpoint_point, k))
-        total = Summary()
+        total = Effort()
         for part in (self.load, self.heat):
             if part is not None:
                 total.add(part.total)
@@ -161,7 +161,7 @@ class Analysis:
         on_step: OnStep = _nothing,
         on_heat: OnHeat = _nothing,
         on_trouble: Callable[[str], None] = _nothing,
-    ) -> Summary:
+    ) -> Effort:
         """Solve all stages; collective. Arguments: see `steppers`.
 
         Raises:
