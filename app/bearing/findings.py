@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from app.bearing.laws import wear_coefficient_of
 from app.case.case import Case
 from app.case.checks import check
+from app.case.summary import Summary
 from app.foundation.verdict import Severity, Verdict
 from app.results.verdicts import judge
 from app.schema.yaml_file import Fault
@@ -54,7 +54,7 @@ def _heat(case: Case) -> Iterable[Fault]:
 
 
 @judge
-def _last_cycles(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+def _last_cycles(summary: Summary) -> Iterable[Verdict]:
     """Difference of the last two cycles of each interface."""
     for numbers in summary.get("cycles", {}).values():
         for name, by in numbers.get("change", {}).items():

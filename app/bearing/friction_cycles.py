@@ -16,6 +16,7 @@ import numpy as np
 from app.bearing.laws import wear_coefficient_of
 from app.case.case import Case
 from app.case.quantities import TABLE
+from app.case.summary import Summary
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.contact import TrialState
 from app.mechanics.pairs import SmoothSurface
@@ -121,12 +122,12 @@ class Bearings(Record):
 
         return taken
 
-    def numbers(self) -> dict[str, object]:
+    def numbers(self) -> Summary:
         """Numbers of the interfaces, and the change from cycle to cycle in a stage."""
         known = {name: b for name, b in self.bearings.items() if b.numbers}
         changes = {name: bearing.change() for name, bearing in known.items()}
         changed = {name: change for name, change in changes.items() if change}
-        numbers: dict[str, object] = {
+        numbers: Summary = {
             "interfaces": {name: {**b.numbers, **b.cycle()} for name, b in known.items()}
         }
         if changed:

@@ -12,9 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from app.case.case import Case, PlannedRun, dump, plain
+from app.case.summary import Summary
 from app.case.variations import CHANGED, split
 from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
 from app.results.verdicts import reasons_not_to_use
@@ -53,7 +54,7 @@ class Result:
     folder: Path
     exit_code: int
     seconds: float
-    summary: dict[str, Any]
+    summary: Summary
     message: str
 
 
@@ -99,12 +100,13 @@ class BatchRun:
         marks = (self.path / "DONE", self.path / FAILED)  # its process may go on without it
         return self.status() is not None or any(mark.exists() for mark in marks)
 
-    def summary(self) -> dict[str, Any] | None:
+    def summary(self) -> Summary | None:
         """``summary.json`` of a run that is done; None if it is not."""
         if not (self.path / "DONE").exists():
             return None
         try:
-            return dict(json.loads((self.path / "summary.json").read_text(encoding="utf-8")))
+            text = (self.path / "summary.json").read_text(encoding="utf-8")
+            return cast(Summary, json.loads(text))
         except (OSError, ValueError):
             return None
 

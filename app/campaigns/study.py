@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from app import __version__
 from app.campaigns import batch, study_picture, study_report
@@ -103,7 +102,7 @@ def _study_run(result: Result) -> StudyRun:
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     """Value of a key and its internal unit; None if it is no positive number."""
-    value: Any = {**case.model_dump(mode="json"), "ranks": ranks}
+    value: object = {**case.model_dump(mode="json"), "ranks": ranks}
     for item in key_parts(key):
         if isinstance(value, list | tuple):
             value = {str(k): entry for k, entry in enumerate(value)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from app.campaigns.runs import Result
 from app.campaigns.work_precision import HIGHEST_ORDER, NOT_CONVERGING, ErrorPoint, ReferenceValue
@@ -179,7 +178,7 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     return [*start, *numbers, shown(p.estimate, q), index]
 
 
-def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
+def write(report: Report, about: Mapping[str, object], folder: Path) -> list[str]:
     """Write ``study.json``, which begins with ``about``, and ``study.csv``; return their names."""
     record = {
         **about,
@@ -206,13 +205,13 @@ def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
     return ["study.json", "study.csv"]
 
 
-def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
+def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, object]:
     p = m.points[i]
     judged = {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
     return {"line": r.line, "label": r.label, "x": r.x, "time": r.time} | asdict(p) | judged
 
 
-def _run_record(r: StudyRun) -> dict[str, Any]:
+def _run_record(r: StudyRun) -> dict[str, object]:
     return {
         "line": r.line,
         "overrides": r.result.planned.point.changes,
@@ -225,7 +224,7 @@ def _run_record(r: StudyRun) -> dict[str, Any]:
     }
 
 
-def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
+def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, object]:
     """Row of ``study.csv``: a point of a quantity and its cost, in the unit of the row."""
     p, timing = m.points[i], r.result.summary.get("timing", {})
     solver = r.result.summary.get("solver", {})

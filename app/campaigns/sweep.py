@@ -13,14 +13,16 @@ import logging
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from app.campaigns import batch, uncertainty
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
+from app.campaigns.uncertainty import PartSpread
 from app.case import sweep as sweep_file
 from app.foundation.errors import gravest
 from app.results import run_table
+from app.results.run_table import SweepRow
 from app.results.verdicts import UNUSABLE
 from app.schema import yaml_file
 from app.system import identity, layout
@@ -31,6 +33,28 @@ log = logging.getLogger("mantle")
 STATUS = {0: "converged", 4: "not converged", 5: "stopped", 6: UNUSABLE}
 FAILED = "failed"
 NOT_CONVERGED = "no convergence"
+
+
+class SweepRecord(TypedDict):
+    """Content of ``sweep.json``.
+
+    Attributes:
+        title: Title of the sweep.
+        file: Its file.
+        overrides: Options ``--set``.
+        program: Version and hash of the program.
+        cores: Number of cores; None without a limit.
+        uncertainty: Spread over uncertain inputs, by part.
+        cases: Rows of all cases.
+    """
+
+    title: str
+    file: str
+    overrides: list[str]
+    program: str
+    cores: int | None
+    uncertainty: dict[str, PartSpread]
+    cases: list[SweepRow]
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
@@ -51,9 +75,9 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
     log.info("%s: %d cases", name, len(planned))
 
-    def write(results: Sequence[Result]) -> dict[str, Any]:
+    def write(results: Sequence[Result]) -> SweepRecord:
         rows = [_row(result, folder) for result in results]
-        record = {
+        record: SweepRecord = {
             "title": name,
             "file": str(path),
             "overrides": list(overrides),
@@ -87,10 +111,12 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         raise gravest([r["exit_code"] for r in failed], "\n".join([head, *reasons]))
 
 
-def _row(result: Result, folder: Path) -> dict[str, Any]:
+def _row(result: Result, folder: Path) -> SweepRow:
     status = STATUS.get(result.exit_code, FAILED)
     planned = result.planned
-    return run_table.row(planned.point, result.summary, status, result.seconds) | {
+    row = run_table.row(planned.point, result.summary, status, result.seconds)
+    return {
+        **row,
         "part": planned.point.part,
         "folder": os.path.relpath(result.folder, folder),
         "ranks": planned.ranks,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from app.case import quantities
 from app.case.points import short_keys
+from app.results.run_table import SweepRow
 from app.schema.units import NUMBER
 from app.system import layout
 
@@ -18,16 +19,41 @@ FEWEST = 3
 NOTHING = 1e-9
 
 
-def of_parts(
-    rows: Sequence[Mapping[str, Any]], inputs: Mapping[str, Sequence[str]]
-) -> dict[str, dict[str, Any]]:
-    """Spread of each number over the converged samples of each part, of rows of ``sweep.json``.
+class NumberSpread(TypedDict):
+    """Spread of a number over samples.
 
-    Returns:
-        By part: ``samples``, and ``numbers`` by name: mean, deviation (standard, of a sample), p5,
-        p95 (percentiles), and ``correlation`` with each input (as `correlation`).
+    Attributes:
+        mean: Mean of the samples.
+        deviation: Standard deviation of the samples.
+        p5: 5th percentile.
+        p95: 95th percentile.
+        correlation: Rank correlation with each input (`correlation`), by key [-].
     """
-    spreads = {}
+
+    mean: float
+    deviation: float
+    p5: float
+    p95: float
+    correlation: dict[str, float]
+
+
+class PartSpread(TypedDict):
+    """Spread of all numbers of a part: number of its samples, and spreads by full name."""
+
+    samples: int
+    numbers: dict[str, NumberSpread]
+
+
+def of_parts(
+    rows: Sequence[SweepRow], inputs: Mapping[str, Sequence[str]]
+) -> dict[str, PartSpread]:
+    """Spread of each number over the converged samples of each part of a sweep.
+
+    Args:
+        rows: Rows of ``sweep.json``.
+        inputs: Keys of the uncertain inputs, by part.
+    """
+    spreads: dict[str, PartSpread] = {}
     for part, keys in inputs.items():
         samples = [r for r in rows if r["part"] == part and not r["exit_code"]]
         if len(samples) < FEWEST:
@@ -41,8 +67,8 @@ def of_parts(
     return spreads
 
 
-def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
-    """Entry of `of_parts` for a number of each sample, over inputs of each sample by key."""
+def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]) -> NumberSpread:
+    """Spread of one number, from its value and its inputs by key in each sample."""
     low, high = np.percentile(numbers, (5, 95))
     correlations = {key: correlation(numbers, values) for key, values in inputs.items()}
     return {
@@ -54,7 +80,7 @@ def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[Any]]) -> 
     }
 
 
-def correlation(numbers: Sequence[float], inputs: Sequence[Any]) -> float | None:
+def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | None:
     """Spearman's rank correlation; None where one of them does not vary.
 
     Inputs other than numbers of one unit have no order: Kelley's epsilon of the ranks, the root
@@ -71,14 +97,15 @@ def correlation(numbers: Sequence[float], inputs: Sequence[Any]) -> float | None
         return float(spearmanr(numbers, [float(m[1]) for m in values]).statistic)
     if groups == len(inputs):
         return None
-    ranks, own = rankdata(numbers), np.unique([str(v) for v in inputs], return_inverse=True)[1]
-    within = ranks - (np.bincount(own, ranks) / np.bincount(own))[own]
+    ranks = rankdata(numbers)
+    group = np.unique([str(v) for v in inputs], return_inverse=True)[1]
+    within = ranks - (np.bincount(group, ranks) / np.bincount(group))[group]
     explained = 1.0 - np.var(within, ddof=groups) / np.var(ranks, ddof=1)
     return float(np.sqrt(max(explained, 0.0)))
 
 
-def rows(of: Mapping[str, Any]) -> list[list[str]]:
-    """Rows of `HEAD` for an entry of `of_parts`, the most uncertain number first.
+def rows(of: PartSpread) -> list[list[str]]:
+    """Rows of `HEAD` for a part, the most uncertain number first.
 
     Numbers that vary by no more than rounding are left out.
     """
@@ -90,7 +117,7 @@ def rows(of: Mapping[str, Any]) -> list[list[str]]:
         short = short_keys(list(s["correlation"]))
         causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:3]
         follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
-        numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
+        numbers = [f"{value:.4g}" for value in (s["mean"], s["p5"], s["p95"])]
         table_rows.append([name, quantities.find(name).unit, *numbers, follows])
     return table_rows
 
@@ -98,7 +125,7 @@ def rows(of: Mapping[str, Any]) -> list[list[str]]:
 HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
 
 
-def table(spreads: Mapping[str, Mapping[str, Any]]) -> str:
+def table(spreads: Mapping[str, PartSpread]) -> str:
     """Tables of all parts."""
     return "\n".join(
         f"{part or 'samples'}: {of['samples']} samples\n{layout.table(HEAD, rows(of))}"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from app.case import quantities
 from app.case.case import Case
 from app.case.checks import check
+from app.case.summary import Numbers, Summary
 from app.fatigue.laws import fatigue_of
 from app.foundation.verdict import Severity, Verdict, note
 from app.results.verdicts import judge
@@ -54,7 +54,7 @@ def _from_memory(case: Case) -> Iterable[Verdict]:
 
 
 @doubter
-def _beyond_measured(case: Case, numbers: Mapping[str, Any]) -> Iterable[Verdict]:
+def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
     """S-N laws beyond the stresses in which they were measured."""
     fatigue = fatigue_of(case)
     for name, law in fatigue.laws.items() if fatigue else ():
@@ -68,7 +68,7 @@ def _beyond_measured(case: Case, numbers: Mapping[str, Any]) -> Iterable[Verdict
 
 
 @judge
-def _life_and_strength(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+def _life_and_strength(summary: Summary) -> Iterable[Verdict]:
     """Life of the region that tires, and the probability that each region breaks."""
     laws = summary.get("fatigue")
     if laws:
@@ -79,7 +79,7 @@ def _life_and_strength(summary: Mapping[str, Any]) -> Iterable[Verdict]:
             yield _strength(name, numbers, unsettled)
 
 
-def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
+def life(laws: Mapping[str, Numbers]) -> str:
     """Band of the life of a region, over laws and errors; no year without it."""
     known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
     most, least = max(d + e for d, e in known), min(d - e for d, e in known)
@@ -93,7 +93,7 @@ def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
     return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
 
 
-def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
+def _strength(name: str, q: Numbers, unsettled: Mapping[str, list[list[float]]]) -> Verdict:
     """Probability that a region and its parts fail, and where it grows with every mesh."""
     texts = []
     severity = Severity.PLAIN

@@ -19,11 +19,11 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from app.case.case import Case
+from app.case.summary import Numbers, Summary
 from app.fatigue.laws import fatigue_of, weibull_of
 from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.contact import TrialState
@@ -73,10 +73,12 @@ class CementRisk(Record):
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
         self.damage = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
 
-    def numbers(self) -> dict[str, dict[str, Any]]:
-        """Published numbers: of regions by strength, of fatigue by law; collective."""
-        numbers = {"regions": self.weibull()}
-        return numbers | ({"fatigue": self.fatigue()} if self.damage else {})
+    def numbers(self) -> Summary:
+        """Strength in section ``regions``, and section ``fatigue``; collective."""
+        numbers: Summary = {"regions": self.weibull()}
+        if self.damage:
+            numbers["fatigue"] = self.fatigue()
+        return numbers
 
     # Fatigue
 
@@ -104,14 +106,17 @@ class CementRisk(Record):
             self.damage[name][:, 0] += cycles * law.damage(s)
             self.damage[name][:, 1] = np.maximum(self.damage[name][:, 1], s)
 
-    def fatigue(self) -> dict[str, Any]:
+    def fatigue(self) -> dict[str, Numbers]:
         """Published numbers by law, of activities so far; collective."""
-        damages = self.damage.items()
-        return {n: self._by_part(self._tires, partial(self._damaged, own)) for n, own in damages}
+        return {
+            name: self._by_part(self._tires, partial(self._damaged, damage))
+            for name, damage in self.damage.items()
+        }
 
-    def _damaged(self, own: Floats, at: Bools) -> dict[str, Any]:
+    def _damaged(self, damage_and_stress: Floats, at: Bools) -> Numbers:
+        """Damage by a law in a part of the points, from rows of damage and stress (n, 2)."""
         x, volume = self._stresses.places(self._tires)
-        rows = np.column_stack([own, volume.ravel(), x])[at].T
+        rows = np.column_stack([damage_and_stress, volume.ravel(), x])[at].T
         damage, stress, weight, *places = self._stresses.whole(rows)
         return {
             "damage_p99": percentile(damage, weight),
@@ -123,15 +128,16 @@ class CementRisk(Record):
     def cell_fields(self, cells: int) -> dict[str, Floats]:
         """Mean damage a year of the cells of this rank by law (cells,), zero elsewhere."""
         fields: dict[str, Floats] = {}
-        for name, own in self.damage.items():
+        for name, damage_and_stress in self.damage.items():
+            damage = damage_and_stress[:, 0]
             mean, shares = np.zeros(cells), self._stresses.shares[self._tires]
-            mean[self._stresses.cells[self._tires]] = own[:, 0].reshape(-1, len(shares)) @ shares
+            mean[self._stresses.cells[self._tires]] = damage.reshape(-1, len(shares)) @ shares
             fields[f"damage_{name}"] = mean
         return fields
 
     # Strength
 
-    def weibull(self) -> dict[str, dict[str, Any]]:
+    def weibull(self) -> dict[str, Numbers]:
         """Published numbers by region; collective."""
         by_region = {}
         for region, law in self._weibull.items():
@@ -143,17 +149,17 @@ class CementRisk(Record):
             by_region[region] = self._by_part(region, partial(self._strength, region, risk))
         return by_region
 
-    def _strength(self, region: str, risk: Floats, at: Bools) -> dict[str, Any]:
+    def _strength(self, region: str, risk: Floats, at: Bools) -> Numbers:
         """Numbers of a part by the risk at points (cells, points), and the place of most of it."""
-        own = np.where(at.reshape(risk.shape), risk, 0.0)
+        in_part = np.where(at.reshape(risk.shape), risk, 0.0)
         x = self._stresses.places(region)[0].reshape(*risk.shape, 3)
-        rows = np.column_stack([own.sum(axis=1), np.einsum("cq,cqi->ci", own, x)]).T
+        rows = np.column_stack([in_part.sum(axis=1), np.einsum("cq,cqi->ci", in_part, x)]).T
         share, *moments = self._stresses.whole(rows)
         k, total = share.argmax(), float(share.sum())
         place = {"failure_at": [float(m[k] / share[k]) for m in moments]} if total else {}
         return {"failure_risk": total, "failure_probability": -math.expm1(-total)} | place
 
-    def _by_part(self, region: str, of: Callable[[Bools], dict[str, Any]]) -> dict[str, Any]:
+    def _by_part(self, region: str, numbers_of: Callable[[Bools], Numbers]) -> Numbers:
         """Numbers of the points of a region, with sections of its parts; collective."""
         if region not in self._parts:
             x = self._stresses.places(region)[0]
@@ -163,7 +169,7 @@ class CementRisk(Record):
                 levels["edge"] = distance(x, edges) - NEAR
             parts = divided(np.ones(len(x), dtype=bool), levels)
             self._parts[region] = {p: a for p, a in parts.items() if self._comm.allreduce(a.sum())}
-        numbers = {part: of(at) for part, at in self._parts[region].items()}
+        numbers = {part: numbers_of(at) for part, at in self._parts[region].items()}
         return numbers.pop("", {}) | numbers
 
 

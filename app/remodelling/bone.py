@@ -6,10 +6,10 @@ Arrays are by vertex of this rank, ghosts too, and region (n, r).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
+from app.case.summary import Summary, Zone
 from app.foundation.arrays import Floats
 from app.mechanics.body_forms import hats
 from app.results.hip import zone_integrals
@@ -44,11 +44,11 @@ class BoneMass(Record):
         self.seconds = 0.0
         self.steps = 0
 
-    def integrals(self, density: Callable[[str], Any]) -> Floats:
+    def integrals(self, density: Callable[[str], Floats | float]) -> Floats:
         """Integrals of a region's density (cells, points) times the hat functions of vertices."""
         m, s = self.forms, self.stresses
         cells = {r: density(r) * s.places(r)[1] @ hats(s.points[r]) for r in m.by_density}
-        return np.array([m.vertex_sums(m.vertices(r), own) for r, own in cells.items()]).T
+        return np.array([m.vertex_sums(m.vertices(r), sums) for r, sums in cells.items()]).T
 
     @property
     def present(self) -> float:
@@ -57,8 +57,8 @@ class BoneMass(Record):
 
     def grams(self, density: Floats) -> float:
         """Mass of a density (n, r) [g]; collective."""
-        own = self.forms.scalars.dofmap.index_map.size_local
-        local = float((self.volume * density)[:own].sum())
+        owned = self.forms.scalars.dofmap.index_map.size_local
+        local = float((self.volume * density)[:owned].sum())
         return GRAM * float(self.problem.comm.allreduce(local))
 
     def changes(self) -> dict[int, dict[str, float]]:
@@ -84,17 +84,21 @@ class BoneMass(Record):
 
     # What it publishes
 
-    def numbers(self) -> dict[str, Any]:
-        """Published numbers of the state last committed; collective."""
+    def numbers(self) -> Summary:
+        """Sections ``remodelling`` and ``gruen`` of the state last committed; collective."""
         mass = self.mass | {"end": self.present}
         mass["audit"] = (mass["end"] - sum(self.mass.values())) / mass["start"]
-        own = {"seconds": self.seconds, "steps": self.steps, "mass": mass}
-        zones = {
+        numbers: Summary = {
+            "remodelling": {"seconds": self.seconds, "steps": self.steps, "mass": mass}
+        }
+        zones: dict[str, Zone] = {
             str(zone): {"bone_mass_change": change}
             for zone, change in self.changes().items()
             if change
         }
-        return {"remodelling": own} | ({"gruen": zones} if zones else {})
+        if zones:
+            numbers["gruen"] = zones
+        return numbers
 
     def step_record(self) -> dict[str, float]:
         """Columns of ``history.csv`` after a step; collective."""

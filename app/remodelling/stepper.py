@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import ConvergenceError, InputError, MantleError
 from app.laws.values import field
 from app.numerics.saved_state import node_keys
@@ -77,7 +76,7 @@ class Remodeller:
         self.density_rate: Floats | None = None
 
     @property
-    def row_keys(self) -> dict[str, Any]:
+    def row_keys(self) -> dict[str, Ints]:
         """Keys of vertices."""
         return {"density_rate": node_keys(self._forms.scalars)}
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from app.case import quantities
+from app.case.summary import Summary
 from app.foundation.errors import InputError, StoppedError
 from app.foundation.verdict import Severity, recorded
 from app.plots.curves import Panel, drawing
@@ -99,7 +100,7 @@ def _page(folders: Sequence[Path]) -> str:
     )
 
 
-def _status(name: str, summary: Json) -> str:
+def _status(name: str, summary: Summary) -> str:
     errors = [v.text for v in recorded(summary) if v.severity is Severity.ERROR]
     unknown = [] if summary.get("error", {}).get("companions") else ["errors not estimated"]
     return "; ".join([f"{summary['status']}: {name}", *unknown, *errors])

@@ -7,23 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 from app.case import quantities
 from app.case.case import Case, load
 from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
 from app.case.quantities import TABLE
+from app.case.summary import Summary
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, recorded
 from app.report import page
 from app.report.page import PageSection
-from app.report.sweep_results import Json
 from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.schema.section import Section
 from app.system.folders import read_json, write_json, write_text
 from app.system.layout import plain
+
+if TYPE_CHECKING:
+    from app.results.run_folder import Provenance
 
 # Text of a factor without evidence.
 APPLICANT = "the applicant writes this"
@@ -54,17 +57,6 @@ class Check(TypedDict):
     order: float | None
     expected_order: float | None
     note: str
-
-
-class Provenance(TypedDict):
-    """Content of ``provenance.json``, as far as evidence needs it."""
-
-    mantle: str
-    identity: dict[str, str]
-    ranks: int
-    processor: str
-    started: str
-    case_sha256: str
 
 
 class CredibilityFactor(NamedTuple):
@@ -112,7 +104,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
 
 
 def factors(
-    case: Case, summary: Json, record: Provenance, checks: Sequence[Check]
+    case: Case, summary: Summary, record: Provenance, checks: Sequence[Check]
 ) -> list[CredibilityFactor]:
     """Return the factors of a run, with outcomes of verification and validation problems."""
     validated = [c for c in checks if c["group"] == "validation"]
@@ -183,7 +175,7 @@ def _outcome(check: Check) -> str:
     return f"{check['name']}: {check['outcome']}{numbers}"
 
 
-def _discretization(summary: Json) -> Iterator[str]:
+def _discretization(summary: Summary) -> Iterator[str]:
     if "error" not in summary:
         yield f"not estimated; run with --error: {APPLICANT}"
         return
@@ -196,7 +188,7 @@ def _discretization(summary: Json) -> Iterator[str]:
     yield from (v.text for v in recorded(summary) if v.where == PEAKS)
 
 
-def _use(summary: Json, record: Provenance) -> Iterator[str]:
+def _use(summary: Summary, record: Provenance) -> Iterator[str]:
     yield "the case was checked against its schema: units, names, ranges, balance of loads"
     yield f"input by digest: {record['case_sha256'][:16]}; case.yaml has every default"
     yield from (str(v) for v in recorded(summary) if v.severity is Severity.NOTE)
@@ -233,7 +225,7 @@ def methods(folder: Path) -> Path:
     return folder / "methods.md"
 
 
-def _paragraphs(case: Case, summary: Json, record: Provenance) -> Iterator[str]:
+def _paragraphs(case: Case, summary: Summary, record: Provenance) -> Iterator[str]:
     yield f"## Methods: {case.title}"
     order = case.mesh.order
     solver = summary["solver"]

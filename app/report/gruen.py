@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from app.case.quantities import TABLE
+from app.case.summary import Numbers, Zone
 from app.plots import figures
 from app.report import page
 from app.report.page import Block, Figure
@@ -13,7 +14,6 @@ from app.report.sweep_results import (
     INTERFACES,
     QUANTITIES,
     WORDS,
-    Json,
     Number,
     SweptCase,
     magnitude,
@@ -27,7 +27,7 @@ BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3
 
 
-def zones(case: SweptCase) -> dict[str, Json]:
+def zones(case: SweptCase) -> dict[str, Zone]:
     """The Gruen zones of a case; empty if it has none."""
     return case.summary.get("gruen") or {}
 
@@ -82,7 +82,7 @@ def _zone(number: str) -> str:
     return f"{number} ({view})"
 
 
-def _largest_and_mean(quantity: str, numbers: Json) -> str:
+def _largest_and_mean(quantity: str, numbers: Numbers) -> str:
     largest, mean = (TABLE["interfaces"][f"{quantity}_{how}"] for how in ("max", "mean"))
     return f"{largest.text(numbers)} / {mean.text(numbers)}"
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from app.campaigns import uncertainty
 from app.case.quantities import TABLE, Quantity, numbers_of, titled
+from app.case.summary import Numbers
 from app.foundation.errors import InputError
 from app.report.sweep_figures import title
-from app.report.sweep_results import Json, SweptCase, read
+from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain
 
 # Fewest samples with a 5th and a 95th percentile.
@@ -45,7 +46,7 @@ class InputSpread:
         clear = abs(rank) > 2.0 / len(values) ** 0.5
         return spread["p5"], spread["p95"], f"{title(most)} ({rank:+.2f})" if clear else ""
 
-    def cells(self, name: str, q: Quantity, numbers: Json) -> list[str]:
+    def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
         """Cells of a number below `HEAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
         low, high, most = self.of(name) or (None, None, "-")

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, zip_longest
 
 from app.case.quantities import NECROSIS, TABLE, in_print, in_words, printed
+from app.case.summary import Numbers, Summary
 from app.report.page import LargeNumber, spelled_out
-from app.report.sweep_results import Json, SweptCase, magnitude, named
+from app.report.sweep_results import SweptCase, magnitude, named
 
 # Bodies on both sides of an interface: the one that moves, the other, and the preposition.
 PAIRS = {
@@ -27,7 +28,7 @@ MOST = 3
 SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
 
 
-def large_numbers(summary: Json) -> list[LargeNumber]:
+def large_numbers(summary: Summary) -> list[LargeNumber]:
     """Return the most important numbers of ``summary.json``, at most `MOST`.
 
     The groups contact, stem, heat and cure each give their first number, then their second one.
@@ -44,7 +45,7 @@ def large_numbers(summary: Json) -> list[LargeNumber]:
     return numbers or list(_stresses(summary))[:MOST]
 
 
-def loads(case: SweptCase, summary: Json) -> str:
+def loads(case: SweptCase, summary: Summary) -> str:
     """Return the largest force of a case and the sum of all forces, in sentences.
 
     Empty if a run stopped before its last load, if no part of the case is loaded, and if no load
@@ -76,7 +77,9 @@ def loads(case: SweptCase, summary: Json) -> str:
     return text
 
 
-def _number(section: str, key: str, numbers: Json, caption: str, detail: str = "") -> LargeNumber:
+def _number(
+    section: str, key: str, numbers: Numbers, caption: str, detail: str = ""
+) -> LargeNumber:
     """Return a number of a section as a large number."""
     text = _with_unit(section, key, numbers)
     value, sign, error = text.partition(" ± ")
@@ -86,13 +89,13 @@ def _number(section: str, key: str, numbers: Json, caption: str, detail: str = "
     return LargeNumber(value, unit, caption, f"± {error}" if sign else "", detail)
 
 
-def _with_unit(section: str, key: str, numbers: Json) -> str:
+def _with_unit(section: str, key: str, numbers: Numbers) -> str:
     """Return a number as text with its unit: ``8.2 ± 9.5 µm (not resolved)``."""
     q = TABLE[section][key]
     return q.with_unit(numbers, printed(q.shown))
 
 
-def _contacts(summary: Json) -> Iterator[LargeNumber]:
+def _contacts(summary: Summary) -> Iterator[LargeNumber]:
     """Slip and opening of the interfaces, and what other packages lead with."""
     for name, q in summary["interfaces"].items():
         yield from _captioned(name.replace("_", " "), q)
@@ -123,7 +126,7 @@ def _contacts(summary: Json) -> Iterator[LargeNumber]:
             yield LargeNumber("0", printed(TABLE["interfaces"]["slip_p99"].shown), caption)
 
 
-def _captioned(name: str, numbers: Json) -> Iterator[LargeNumber]:
+def _captioned(name: str, numbers: Numbers) -> Iterator[LargeNumber]:
     """Return the numbers of an interface that have a caption (`Quantity.caption`)."""
     quantities = TABLE["interfaces"]
     for key, quantity in quantities.items():
@@ -137,7 +140,7 @@ def _captioned(name: str, numbers: Json) -> Iterator[LargeNumber]:
         yield _number("interfaces", key, numbers, caption, detail)
 
 
-def _stem(summary: Json) -> Iterator[LargeNumber]:
+def _stem(summary: Summary) -> Iterator[LargeNumber]:
     """Subsidence of the stem."""
     stem = summary.get("stem", {})
     if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
@@ -145,7 +148,7 @@ def _stem(summary: Json) -> Iterator[LargeNumber]:
         yield _number("stem", "subsidence", stem, "subsidence of the stem", detail)
 
 
-def _heat(summary: Json) -> Iterator[LargeNumber]:
+def _heat(summary: Summary) -> Iterator[LargeNumber]:
     """Peak temperature of the bone with its duration, and the volume of dead bone."""
     regions = summary.get("thermal", {}).get("regions", {})
     bone = [q for q in regions.values() if "necrosis_47C_1min_volume" in q]  # heat can kill it
@@ -172,7 +175,7 @@ def _heat(summary: Json) -> Iterator[LargeNumber]:
     yield LargeNumber(f"{dead[rule]:,.0f}", "mm³", "dead bone", detail=detail)
 
 
-def _cure(summary: Json) -> Iterator[LargeNumber]:
+def _cure(summary: Summary) -> Iterator[LargeNumber]:
     """Least degree of cure."""
     for name, q in summary.get("cure", {}).items():
         # Rounded down: incomplete cure never reads as 100 %.
@@ -181,7 +184,7 @@ def _cure(summary: Json) -> Iterator[LargeNumber]:
         yield LargeNumber(f"{degree:g}", "%", caption, detail="Everywhere at least this much.")
 
 
-def _stresses(summary: Json) -> Iterator[LargeNumber]:
+def _stresses(summary: Summary) -> Iterator[LargeNumber]:
     """Stress of the regions, for cases without contact and heat."""
     for name, q in summary.get("regions", {}).items():
         caption = f"von Mises stress of {named(name)}"

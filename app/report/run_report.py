@@ -22,6 +22,7 @@ import meshes
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
+from app.case.summary import Numbers, Summary
 from app.foundation.errors import InputError, StoppedError, dealt, on_root
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
@@ -285,7 +286,7 @@ def _facts(folder: Path, record: Json) -> str:
     return " · ".join(filter(None, (folder.resolve().name, when and f"{when} UTC", program)))
 
 
-def _no_results(summary: Json) -> str:
+def _no_results(summary: Summary) -> str:
     """Return the cause of a failure and its remedy, in sentences."""
     verdicts = recorded(summary)
     if not verdicts:
@@ -297,7 +298,7 @@ def _no_results(summary: Json) -> str:
     return in_print(f"{words[0].upper()}{words[1:]}")
 
 
-def _status(summary: Json) -> list[Block]:
+def _status(summary: Summary) -> list[Block]:
     """Return the verdicts on a run: errors and warnings first, then checks, then notes."""
     status = summary["status"]
     verdicts = recorded(summary)
@@ -325,7 +326,7 @@ def _notes(notes: Sequence[str]) -> list[Block]:
     return page.folded(f"{len(notes)} notes on the input", bullets(notes))
 
 
-def _numbers(summary: Json, spread: InputSpread | None) -> list[Block]:
+def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
     """Return the numbers of the closing table, a column for each interface, region and so on."""
     blocks = _tables(summary, every=False, spread=spread)
     for stage, numbers in summary.get("cycles", {}).items():
@@ -344,9 +345,9 @@ def _numbers(summary: Json, spread: InputSpread | None) -> list[Block]:
     return blocks
 
 
-def _tables(summary: Json, every: bool, spread: InputSpread | None = None) -> list[Block]:
+def _tables(summary: Summary, every: bool, spread: InputSpread | None = None) -> list[Block]:
     """Return tables by section: of all numbers, or of the main ones with their spread."""
-    sections: dict[str, dict[str, Json]] = {}
+    sections: dict[str, dict[str, Numbers]] = {}
     for section, name, numbers in quantities.numbers_of(summary, parts=every):
         sections.setdefault(section, {})[name] = numbers
     blocks: list[Block] = []
@@ -378,9 +379,10 @@ def _label(q: Quantity) -> str:
     return f"{q.label} ({unit})" if unit else q.label
 
 
-def _unsettled(summary: Json) -> tuple[list[str], list[list[str]]]:
+def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the peaks that do not converge, by mesh."""
-    peaks = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
+    unsettled = summary.get("error", {}).get("unsettled", {})
+    peaks = {name: {size: value for size, value in pairs} for name, pairs in unsettled.items()}
     sizes = sorted({size for values in peaks.values() for size in values})
     rows = []
     for name, values in peaks.items():
@@ -391,14 +393,14 @@ def _unsettled(summary: Json) -> tuple[list[str], list[list[str]]]:
     return ["", *(f"{s:g} mm" for s in sizes)], rows
 
 
-def _necrosis(regions: dict[str, Json]) -> list[Block]:
+def _necrosis(regions: dict[str, Numbers]) -> list[Block]:
     bones, rows = text.necrosis(regions)
     measures = ("volume (mm³)", "depth (mm)")
     head = ["", *(f"{named(bone)}, {measure}" for bone in bones for measure in measures)]
     return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
 
 
-def _solver(case: SweptCase, summary: Json) -> list[Block]:
+def _solver(case: SweptCase, summary: Summary) -> list[Block]:
     """Return iterations and balances of each step, and seconds by phase."""
     parts = step_curves.steps(case.step_record)
     parts += page.titled("Sizes", page.pairs(summary.get("solver", {})))

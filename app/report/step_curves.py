@@ -7,11 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from app.case.quantities import FACTORS, STRESSED, TABLE, printed
+from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.plots.curves import Line, Panel, sparse
 from app.report import page
 from app.report.page import Block
-from app.report.sweep_results import Json, named
+from app.report.sweep_results import named
 from app.system.layout import plain
 
 # Quantities drawn, by key in history.csv: title, unit for people.
@@ -92,7 +93,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
     return panels
 
 
-def tension(summary: Json) -> list[Panel]:
+def tension(summary: Summary) -> list[Panel]:
     """Return the panel of the volume of cement over levels of tension; none below the first."""
     lines: list[Line] = []
     levels = [float(level) for level in STRESSED]

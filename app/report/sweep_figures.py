@@ -42,8 +42,10 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     for case in cases:
         for section in quantities.ADDED.values():
             leading = [q.key for q in quantities.TABLE[section.name].values() if q.headline]
-            owners = case.summary.get(section.name, {}) if section.leads else ()
-            names |= {f"{owner}.{key}": None for owner in owners for key in leading}
+            if section.leads:
+                numbers = quantities.numbers_of(case.summary)
+                owners = [owner for name, owner, _ in numbers if name == section.name]
+                names |= {f"{owner}.{key}": None for owner in owners for key in leading}
         for name in case.summary.get("interfaces", {}):
             names |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from app.case import quantities
+from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.results.reading import Results
@@ -106,7 +107,7 @@ class SweptCase:
         return [name for name, region in regions.items() if region.get("tissue") == "bone"]
 
     @cached_property
-    def summary(self) -> Json:
+    def summary(self) -> Summary:
         """Content of summary.json; empty if the case is not done or it cannot be read."""
         with suppress(OSError, ValueError, TypeError):
             return Results(self.folder).summary if self.done else {}

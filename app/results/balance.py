@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -146,7 +145,7 @@ class Balance:
         """Measure a restored state with updated displacements; collective."""
         self._last = self._measure(u, trial)
 
-    def _work_of(self, e: Elastic, strain: Expr) -> Any:
+    def _work_of(self, e: Elastic, strain: Expr) -> ufl.Form:
         body_forms, problem = self._problem.body_forms, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(

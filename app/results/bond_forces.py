@@ -8,9 +8,9 @@ count as traction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -19,6 +19,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from app.case.summary import Numbers
 from app.foundation.arrays import Field, Floats, Ints
 from app.laws.interface_laws import InterfaceStrength
 from app.laws.loads import Load
@@ -63,7 +64,9 @@ class _OnPiece(OnBody):
         """Return the measure of the facets of a boundary that belong to the piece, if any."""
         return self._surface.on(boundary, self._body)
 
-    def spread(self, density: Field, regions: Any) -> list[tuple[Expr, ufl.Measure]]:
+    def spread(
+        self, density: Field, regions: Sequence[str] | None
+    ) -> list[tuple[Expr, ufl.Measure]]:
         """Return nothing: loads on cells count as traction."""
         return []
 
@@ -116,7 +119,7 @@ class BondForces:
         known = [(i, b) for i, b in enumerate(self._bonds) if b.law.strength]
         return surface, {b.name: (i, _strength(b).index(*loads)) for i, b in known}
 
-    def numbers(self, strong: bool = False) -> dict[str, dict[str, Any]]:
+    def numbers(self, strong: bool = False) -> dict[str, Numbers]:
         """Published numbers by interface; collective.
 
         Args:
@@ -126,13 +129,13 @@ class BondForces:
         if not wanted:
             return {}
         pressures, shear = self._tractions()
-        by_interface = dict[str, dict[str, Any]]()
+        by_interface = dict[str, Numbers]()
         for b in wanted:
             surface = self._place.surfaces[b.name]
             means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
             values = tuple(map(surface.sharpened, means))
             index = _strength(b).index(*values)
-            of_parts = dict[str, dict[str, Any]]()
+            of_parts = dict[str, Numbers]()
             for part in (part for part in surface.parts if surface.weight[part].any()):
                 numbers = failing(surface, index, part)
                 if not b.law.strength:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from app.case.quantities import ADDED, NECROSIS, NOT_RESOLVED, TABLE, numbers_of
+from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, recorded
 from app.results.cycles import sentences
 from app.results.verdicts import ERRORS
@@ -63,7 +64,7 @@ def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: floa
     return line(HEAT, (number, *times, o.iterations, o.linear_iterations, *state))
 
 
-def report(summary: dict[str, Any], table: bool = True) -> None:
+def report(summary: Summary, table: bool = True) -> None:
     """Log the end of a run: its tables if wanted, its verdicts, and its main results last."""
     if table:
         log.info("%s", "\n".join(lines(summary)))
@@ -82,9 +83,9 @@ def report(summary: dict[str, Any], table: bool = True) -> None:
 # Main results
 
 
-def headline(summary: Mapping[str, Any]) -> Iterator[str]:
+def headline(summary: Summary) -> Iterator[str]:
     """Main results: motion of interfaces and stem, tension in the cement, temperature of bone."""
-    rows: dict[str, dict[str, dict[str, Any]]] = {}
+    rows: dict[str, dict[str, Numbers]] = {}
     for section, name, numbers in numbers_of(summary):
         rows.setdefault(section, {})[name] = numbers
     interfaces = rows.get("interfaces", {})
@@ -109,7 +110,7 @@ def headline(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"hottest bone: {hottest} in {name}"
 
 
-def _with_unit(section: str, key: str, numbers: Mapping[str, Any]) -> str:
+def _with_unit(section: str, key: str, numbers: Numbers) -> str:
     """Number with its error and unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
     q = TABLE[section][key]
     return q.with_unit(numbers, q.shown)
@@ -117,7 +118,7 @@ def _with_unit(section: str, key: str, numbers: Mapping[str, Any]) -> str:
 
 # Tables
 
-Rows = Mapping[str, Mapping[str, Any]]
+Rows = Mapping[str, Numbers]
 
 # By section of the summary: titles of columns, that of the names first, and their quantities.
 TABLES: dict[str, dict[str, str]] = {
@@ -169,7 +170,7 @@ SENTENCES = {
 }
 
 
-def lines(summary: Mapping[str, Any]) -> Iterator[str]:
+def lines(summary: Summary) -> Iterator[str]:
     """Lines of the closing tables: interfaces, regions, bonds, temperatures, dead bone, cure."""
     texts = [*_tables(summary)]
     yield from texts
@@ -177,8 +178,8 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield LEGEND
 
 
-def _tables(summary: Mapping[str, Any]) -> Iterator[str]:
-    rows: dict[str, dict[str, dict[str, Any]]] = {section: {} for section in TABLE}
+def _tables(summary: Summary) -> Iterator[str]:
+    rows: dict[str, dict[str, Numbers]] = {section: {} for section in TABLE}
     for section, name, numbers in numbers_of(summary):
         rows[section][name] = numbers
     for section in ("interfaces", "regions"):
@@ -215,7 +216,7 @@ def _table(section: str, rows: Rows) -> list[str]:
     columns = dict(_columns(section)) | {q.label: key for key, q in own.items() if q.compute}
     templates = list(filter(None, columns.values()))
 
-    def cell(template: str, numbers: Mapping[str, Any]) -> str:
+    def cell(template: str, numbers: Numbers) -> str:
         filled = re.sub(r"\w+", lambda key: own[key[0]].text(numbers), template)
         return filled.replace(NOT_RESOLVED, STAR)
 
@@ -243,7 +244,7 @@ def _necrosis(regions: Rows) -> list[str]:
     return layout.table(head, rows, units).splitlines() if bones else []
 
 
-def _sentence(section: str, name: str, numbers: Mapping[str, Any], text: str = "") -> str:
+def _sentence(section: str, name: str, numbers: Numbers, text: str = "") -> str:
     reached = (
         f", {part} % reached everywhere after {_with_unit(section, f'time_{part}', numbers)}"
         for part in (50, 90)
@@ -253,7 +254,7 @@ def _sentence(section: str, name: str, numbers: Mapping[str, Any], text: str = "
     return _filled(template, section, name, numbers, reached="".join(reached))
 
 
-def _filled(template: str, section: str, name: str, numbers: Mapping[str, Any], **more: str) -> str:
+def _filled(template: str, section: str, name: str, numbers: Numbers, **more: str) -> str:
     """A sentence with the numbers of a section in place of their names."""
     scalars = [key for key, q in TABLE[section].items() if not q.vector]
     texts = {key: _with_unit(section, key, numbers) for key in scalars}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Any
 
 from app.case.quantities import TABLE
+from app.case.summary import Numbers, StageCycles
 
 # Numbers of an interface where loads turn.
 OF_CYCLES = {"motion_p99", "inducible_p99", "dissipation"}
@@ -28,7 +28,7 @@ class Cycles:
         # Dissipation at every turn [N mm], and numbers of the last three.
         self.turns: dict[str, tuple[list[float], list[Turn]]] = {}
 
-    def add(self, stage: str, stem: Mapping[str, Any], interfaces: Mapping[str, Any]) -> None:
+    def add(self, stage: str, stem: Numbers, interfaces: Mapping[str, Numbers]) -> None:
         """Keep the numbers where the loads of a stage turn: peaks and valleys in turns."""
         kept = {
             name: {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
@@ -39,13 +39,16 @@ class Cycles:
         last.append(({"stem": dict(stem)} if stem else {}) | kept)
         del last[:-3]
 
-    def summary(self) -> dict[str, Any]:
-        """For each stage with two peaks at least, what `split` finds."""
-        turns = self.turns.items()
-        return {stage: split(*history) for stage, history in turns if len(history[0]) > 2}
+    def summary(self) -> dict[str, StageCycles]:
+        """Permanent and inducible motions (`split`) of each stage with at least two peaks."""
+        return {
+            stage: split(dissipated, last)
+            for stage, (dissipated, last) in self.turns.items()
+            if len(dissipated) > 2
+        }
 
 
-def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
+def split(spent: list[float], last: list[Turn]) -> StageCycles:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
 
     Args:
@@ -88,7 +91,7 @@ def trend(first: float, lost: list[float]) -> str:
     return "grows" if lost[-1] > lost[-2] else "falls"
 
 
-def rows(numbers: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
     """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
     for place, own in numbers.get("permanent", {}).items():
         for key in own:
@@ -97,14 +100,14 @@ def rows(numbers: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
             yield f"{name} ({q.shown})", q.text(own), q.text(numbers["inducible"][place])
 
 
-def friction(numbers: Mapping[str, Any]) -> Iterator[str]:
+def friction(numbers: StageCycles) -> Iterator[str]:
     """Sentence on the friction of a stage with cycles, if it has peaks and valleys."""
     if "trend" in numbers:
         lost = ", ".join(f"{d:.3g}" for d in numbers["dissipation"])
         yield f"dissipation per cycle {numbers['trend']}: {lost} N mm"
 
 
-def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
+def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:
     """A line for the log for each stage."""
     for stage, numbers in cycles.items():
         parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(numbers))

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
 
@@ -43,6 +43,8 @@ from app.case.quantities import (
     TRACTION,
     numbers_of,
 )
+from app.case.summary import Numbers, Summary
+from app.foundation.arrays import Floats
 
 # Mesh sizes over that of the run, of the companion for the error of the mesh and of those for the
 # error of the step.
@@ -77,8 +79,6 @@ CHANCE |= {"thermal.regions", "thermal.interfaces"}
 # Peaks that are compared with each other.
 ALIKE = ("gap_max", "slip_max")
 
-Numbers = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Companion:
@@ -102,8 +102,10 @@ class Companion:
 
 
 Orders = tuple[float, float]
-# Companions with the same numbers of theirs.
+# Companions with their sections, and with numbers of one owner.
+Solved = Sequence[tuple[Companion, Summary]]
 Others = Sequence[tuple[Companion, Numbers]]
+ErrorValue = float | list[float]
 
 
 def companions(case: Case) -> tuple[Companion, ...]:
@@ -140,7 +142,7 @@ def _companion(case: Case, coarsening: float, steps: float) -> Companion:
         s.model_copy(update={"increments": max(1, round(s.increments * steps))})
         for s in case.stages
     )
-    changed: dict[str, Any] = {"mesh": mesh, "stages": stages}
+    changed: dict[str, object] = {"mesh": mesh, "stages": stages}
     if case.time is not None:
         tolerance = case.time.tolerance / steps ** TOLERANCE_POWER[case.time.method]
         changed["time"] = case.time.model_copy(update={"tolerance": tolerance})
@@ -154,9 +156,7 @@ def error_sources(solved: Sequence[Companion]) -> str:
     return "time step" if any(s.duration for c in solved for s in c.case.stages) else "load step"
 
 
-def estimate(
-    run: Numbers, case: Case, solved: Sequence[tuple[Companion, Numbers]]
-) -> dict[str, list[list[float]]]:
+def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[float]]]:
     """Put an ``X_error`` beside each headline number X.
 
     Args:
@@ -216,7 +216,7 @@ def estimate(
     return {name: values for _, name, values in worst}
 
 
-def largest_of_units(summary: Numbers) -> dict[str, float]:
+def largest_of_units(summary: Summary) -> dict[str, float]:
     """Return the largest absolute value of the numbers of a summary, by unit."""
     largest: dict[str, float] = {}
     for section, _, numbers in numbers_of(summary, parts=True):
@@ -239,7 +239,7 @@ def is_zero(value: float, change: float, largest: float) -> bool:
     return size <= ROUNDING * largest or (size < SMALL * largest and change >= size)
 
 
-def _put_in_zones(run: Numbers, order: int, solved: Others) -> None:
+def _put_in_zones(run: Summary, order: int, solved: Solved) -> None:
     """Put errors beside the means of interfaces and the strain energy of Gruen zones."""
     for zone, numbers in run.get("gruen", {}).items():
         others = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
@@ -250,7 +250,7 @@ def _put_in_zones(run: Numbers, order: int, solved: Others) -> None:
         density = numbers["strain_energy_density"]
         relatives = [(c, o.get("strain_energy_density", {})) for c, o in others]
         errors = {region: _error(region, STRESS, order, density, relatives) for region in density}
-        known_errors = {region: e for region, e in errors.items() if e is not None}
+        known_errors = {region: e for region, e in errors.items() if isinstance(e, float)}
         if known_errors:
             numbers["strain_energy_density_error"] = known_errors
 
@@ -270,7 +270,7 @@ def _on_meshes(key: str, run: Numbers, case: Case, others: Others) -> list[list[
     return [[size, values[size]] for size in sorted(values)]
 
 
-def _error(key: str, orders: Orders, order: int, run: Numbers, others: Others) -> Any:
+def _error(key: str, orders: Orders, order: int, run: Numbers, others: Others) -> ErrorValue | None:
     """Error of one number or vector; None if it is unknown."""
     p = orders[order]
     factor = FACTORS[orders][order][0] if orders in FACTORS else 1 / (2**p - 1)
@@ -284,9 +284,9 @@ def _error(key: str, orders: Orders, order: int, run: Numbers, others: Others) -
     mesh, steps, last = known[-1]
     pairs = [(s, o) for c, s, o in [(1.0, 1.0, value), *known[:-1]] if c == mesh and s != steps]
     path = sum((o - last) / (1 / s - 1 / steps) for s, o in pairs)
-    by_mesh: Any = 0.0
+    by_mesh: Floats | float = 0.0
     coarser = [k for k in known if k[0] > LEAST and (k[1] <= 1 or not pairs)]
     if coarser:
         c, s, o = min(coarser, key=lambda k: k[0])
         by_mesh = factor * abs(value - (o - path * (1 / s - 1))) * (2**p - 1) / (c**p - 1)
-    return np.asarray(by_mesh + abs(path)).tolist()
+    return cast(ErrorValue, np.asarray(by_mesh + abs(path)).tolist())

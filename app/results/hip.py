@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from app.case.case import Case
 from app.case.femurs import IntactFemur
 from app.case.quantities import GAUGES
+from app.case.summary import Numbers, Zone
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
@@ -58,10 +59,10 @@ class StemMotion:
 
             self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
 
-    def __call__(self, side: str) -> dict[str, Any]:
+    def __call__(self, side: str) -> Numbers:
         """The numbers, for a hip of this side."""
         u, comm = _displacements(self._problem), self._problem.comm
-        displacements: dict[str, Any] = {}
+        displacements: Numbers = {}
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
             own = np.concatenate(comm.allgather(u[body, rows]))
             displacements[name] = [float(c) for c in own[first].mean(axis=0)]
@@ -86,7 +87,7 @@ class _Surface:
     comm: MPI.Comm
     x: Floats
     area: Floats
-    nodes: tuple[Any, Any]
+    nodes: tuple[Ints, Ints]
 
     def moved(self, u: Floats) -> Floats:
         """Displacements of the centres (f, 3), from those of `_displacements`; collective."""
@@ -145,7 +146,7 @@ def _displacements(problem: Problem) -> Floats:
 GAUGE = 5.0
 
 
-def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
+def of_femur(problem: Problem, case: Case) -> Numbers:
     """Motion of a femur's head, and strain of its cortex along z; nothing of others; collective.
 
     ``head_displacement`` (3,) [mm] is the mean over the head, or over the end of the neck.
@@ -163,9 +164,7 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
     outside = _surface(problem, f)
     strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
     moved = head.moved(_displacements(problem))
-    numbers: dict[str, Any] = {
-        "head_displacement": np.average(moved, axis=0, weights=head.area).tolist()
-    }
+    numbers: Numbers = {"head_displacement": np.average(moved, axis=0, weights=head.area).tolist()}
     for side, sign in (("lateral", -1.0), ("medial", 1.0)):
         for name, z in GAUGES.items():
             x, y, up = (outside.x - [0.0, 0.0, z]).T
@@ -182,21 +181,22 @@ def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
     mesh, space = problem.tagged.mesh, problem.space
     centres = np.vstack([np.zeros(3), np.eye(3)])[bodies.FACET_NODES[:, :3]].mean(axis=1)
 
-    def slopes(element: Any, values: Any) -> Floats:
+    def slopes(shape_functions: Floats, values: Floats) -> Floats:
         """Derivatives (f, 3, 3) of values at nodes (f, n, 3) in the reference cell."""
-        _, *dN = element.sub_elements[0].tabulate(1, centres)
-        return np.einsum("jfn,fni->fij", np.array(dN)[:, f.local], values)
+        return np.einsum("jfn,fni->fij", shape_functions[1:, f.local], values)
 
     u = _displacements(problem)[problem.bodies.of_region["cortical_bone"]]
-    x = mesh.geometry.x[mesh.geometry.dofmap[f.cells]]
-    J = slopes(mesh.ufl_domain().ufl_coordinate_element(), x)
-    du = slopes(space.ufl_element(), u[space.dofmap.list[f.cells]])
+    x = mesh.geometry.x[mesh.geometry.dofmap[f.cells]].astype(np.float64)
+    of_x, of_u = (
+        element.sub_elements[0].tabulate(1, centres)
+        for element in (mesh.ufl_domain().ufl_coordinate_element(), space.ufl_element())
+    )
+    J = slopes(of_x, x)
+    du = slopes(of_u, u[space.dofmap.list[f.cells]])
     return np.asarray((du @ np.linalg.inv(J))[:, 2, 2])
 
 
 # Gruen zones
-
-Zone = dict[str, Any]
 
 # A region with less than this part of a zone's bone has no numbers there: it is cancellous bone
 # that the mesh leaves between cement and cortex.
@@ -241,7 +241,7 @@ def by_zone(
 
 
 def zone_integrals(
-    problem: Problem, stresses: Stresses, region: str, zones: Zones, *densities: Any
+    problem: Problem, stresses: Stresses, region: str, zones: Zones, *densities: Floats | float
 ) -> Floats:
     """Integrals of densities (cells, points) over the zones in a region, zone 0 outside of all.
 

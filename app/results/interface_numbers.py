@@ -17,11 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from app.case.quantities import TABLE, computed
+from app.case.summary import Numbers
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
@@ -103,10 +104,10 @@ class ContactSamples:
         local, points = contact.local, contact.points
         surface = points.surface
 
-        def whole(values: Floats) -> Any:
+        def whole(values: Floats) -> Floats:
             return surface.spread(contact.whole(values))
 
-        def total(values: Floats) -> Any:
+        def total(values: Floats) -> Floats:
             """Amounts at the corners from amounts at the points, by area."""
             return whole(values / local.weight) * surface.weight
 
@@ -177,7 +178,7 @@ class ContactSamples:
         return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
 
     @cached_property
-    def numbers(self) -> dict[str, dict[str, Any]]:
+    def numbers(self) -> dict[str, Numbers]:
         """Motion, tractions and states of each interface, by its name; collective."""
         depths, sizes = overlap(self._contact, self._jump), self.facet_sizes
         return {
@@ -186,13 +187,13 @@ class ContactSamples:
         }
 
     @cached_property
-    def step_numbers(self) -> dict[str, dict[str, Any]]:
+    def step_numbers(self) -> dict[str, Numbers]:
         """Numbers computed at every step, the columns of history.csv among them."""
         wanted = {key for key, q in TABLE["interfaces"].items() if q.step_record} | OF_CYCLES
         return {c.name: _numbers(self, i, wanted) for i, c in enumerate(self.contacts)}
 
 
-def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
+def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> Numbers:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at, surface = s.interface == i, s.surfaces[i]
     parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.parts)}
@@ -234,10 +235,10 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     }
 
 
-def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> dict[str, Any]:
+def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> Numbers:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
     surface, contact = s.surfaces[i], s.contacts[i]
-    numbers: dict[str, Any] = {}  # of functions, what is asked for is computed
+    numbers: Numbers = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
     # In finite sliding a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if contact.between else ()
@@ -266,7 +267,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     return {key: value() if callable(value) else value for key, value in asked}
 
 
-def failing(surface: Surface, index: Floats, part: str) -> dict[str, Any]:
+def failing(surface: Surface, index: Floats, part: str) -> Numbers:
     """Failure indices at points (n,) or faces (n, 3) on a part of an interface.
 
     Their percentile, the share of the area beyond 1, and the load factor: by how much a traction

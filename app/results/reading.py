@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from functools import cached_property
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mpi4py import MPI  # before h5py, which may be built for MPI
 
@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from app.case.summary import Summary
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
@@ -58,9 +59,10 @@ class Results:
         return yaml_file.read(self.folder / "case.yaml").data
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """The content of summary.json, with its units under ``units``."""
-        return dict(json.loads((self.folder / "summary.json").read_text(encoding="utf-8")))
+        text = (self.folder / "summary.json").read_text(encoding="utf-8")
+        return cast(Summary, json.loads(text))
 
     @cached_property
     def step_record(self) -> dict[str, Floats]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from app.case.case import Case
+from app.case.summary import Summary
 from app.foundation.arrays import Floats, Ints
 
 if TYPE_CHECKING:
@@ -94,8 +95,8 @@ class Record:
         """Return a hook of stages that prepares a stage, then calls ``on_stage``."""
         return on_stage
 
-    def numbers(self) -> dict[str, Any]:
-        """Published numbers, merged into those of ``summary.json``; collective."""
+    def numbers(self) -> Summary:
+        """Sections of ``summary.json``, merged into those of the run; collective."""
         return {}
 
     def step_record(self) -> dict[str, float]:
@@ -132,12 +133,3 @@ def records(case: Case, followed: Followed) -> dict[str, Record]:
     """The records of a run; collective."""
     made = {name: make(case, followed) for name, make in MAKERS.items()}
     return {name: record for name, record in made.items() if record is not None}
-
-
-def merge(numbers: dict[str, Any], added: Mapping[str, Any]) -> None:
-    """Add numbers to others, section by section."""
-    for key, value in added.items():
-        if isinstance(value, Mapping):
-            merge(numbers.setdefault(key, {}), value)
-        else:
-            numbers[key] = value

@@ -15,12 +15,13 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from mpi4py import MPI
 
 from app import __version__
 from app.case import quantities
+from app.case.summary import Summary
 from app.foundation import files
 from app.foundation.errors import StoppedError, on_root
 from app.results.field_output import FieldGroup, Fields
@@ -56,6 +57,40 @@ def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
     on_root(comm, guarded, share=False)
 
 
+class Provenance(TypedDict):
+    """Content of ``provenance.json``.
+
+    Attributes:
+        mantle: Version of the program.
+        identity: Digests of the program and its libraries.
+        case: Path of the case.
+        case_sha256: Digest of the case.
+        based_on_sha256: Digests of the files that the case builds upon, by path.
+        overrides: Options ``--set``.
+        mesh_sha256: Digest of the mesh.
+        ranks: Number of ranks.
+        processor: Name of the processor.
+        python: Version of Python.
+        packages: Versions of the main libraries.
+        started: Time of the start (ISO 8601).
+        finished: Time of the end (ISO 8601).
+    """
+
+    mantle: str
+    identity: Mapping[str, str]
+    case: str
+    case_sha256: str
+    based_on_sha256: Mapping[str, str]
+    overrides: Sequence[str]
+    mesh_sha256: str
+    ranks: int
+    processor: str
+    python: str
+    packages: Mapping[str, str]
+    started: str
+    finished: str
+
+
 class Writer:
     """Writes a run directory step by step.
 
@@ -82,7 +117,7 @@ class Writer:
         folder: Path,
         resolved: str,
         fields: bool,
-        record: Callable[[], dict[str, Any]],
+        record: Callable[[], Provenance],
         again: bool = False,
     ) -> None:
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
@@ -145,7 +180,7 @@ class Writer:
         if self.fields:
             _write(self._comm, self.fields.close, "final.vtkhdf")
 
-    def add_row(self, row: dict[str, Any]) -> None:
+    def add_row(self, row: Mapping[str, float | None]) -> None:
         """Add a row to history.csv, which is written now and then; collective."""
         new = [name for name in row if name not in self.columns]
         if new:
@@ -166,7 +201,7 @@ class Writer:
 
         _write(self._comm, write, str(path))
 
-    def finish(self, summary: dict[str, Any], done: bool) -> None:
+    def finish(self, summary: Summary, done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
         if self.rows:
             self._table()
@@ -188,7 +223,7 @@ def provenance(
     overrides: Sequence[str],
     mesh_hash: str,
     started: datetime,
-) -> dict[str, Any]:
+) -> Provenance:
     """Provenance of a result.
 
     Digests are by name, of the case, then of the files that it builds upon, as they were read.

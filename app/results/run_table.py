@@ -4,21 +4,67 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from app.case import quantities
 from app.case.points import Point
+from app.case.summary import Summary
 from app.results.verdicts import notes_of
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 
-Row = dict[str, Any]
+
+class Row(TypedDict):
+    """A run in the table.
+
+    Attributes:
+        name: Name of the run.
+        overrides: Changed keys of the case, with their values.
+        status: Such as converged, not converged or stopped.
+        numbers: Headline numbers by full name, in the units of ``summary.json``.
+        errors: Their estimated errors, as far as they are known.
+        notes: Notes on the case.
+        unknowns: Number of unknowns; None if the run has no results, as for the next two.
+        newton_iterations: Number of Newton iterations.
+        linear_iterations: Number of Krylov iterations.
+        seconds: Wall time [s].
+        folder: Run directory, relative to that of the table.
+    """
+
+    name: str
+    overrides: dict[str, object]
+    status: str
+    numbers: dict[str, float]
+    errors: dict[str, float]
+    notes: list[str]
+    unknowns: int | None
+    newton_iterations: int | None
+    linear_iterations: int | None
+    seconds: float
+    folder: str
+
+
+class SweepRow(Row):
+    """A run in the table of a sweep.
+
+    Attributes:
+        part: Part of the sweep; empty if there is only one.
+        ranks: Number of ranks.
+        exit_code: Exit code of the run.
+        message: Reason of a failure, with the last lines of the log.
+    """
+
+    part: str
+    ranks: int
+    exit_code: int
+    message: str
+
 
 # Quantities that the text table shows, the first that a run has, and words around the unit.
 MOST = {"slip_p99": "slip, p99, on", "temperature_max": "in"}
 
 
-def row(point: Point, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
+def row(point: Point, summary: Summary, status: str, seconds: float) -> Row:
     """Row of the table.
 
     Args:
@@ -56,7 +102,7 @@ def csv(rows: Sequence[Row], keys: Sequence[str], first: str) -> str:
     return csv_text([_flat(r, keys, first) for r in rows])
 
 
-def _flat(row: Row, keys: Sequence[str], first: str) -> dict[str, Any]:
+def _flat(row: Row, keys: Sequence[str], first: str) -> dict[str, object]:
     numbers = {}
     for name, value in row["numbers"].items():
         unit = quantities.find(name).unit
@@ -89,7 +135,7 @@ def text(rows: Sequence[Row]) -> str:
     """Table as text: one line per run with its most informative number."""
     lines = []
     for r in rows:
-        counts = [r[key] for key in ("unknowns", "newton_iterations", "linear_iterations")]
+        counts = (r["unknowns"], r["newton_iterations"], r["linear_iterations"])
         result = most(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
     return layout.table(("case", "unknowns", "newton", "krylov", "wall", "most"), lines)

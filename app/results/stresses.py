@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from itertools import combinations
-from typing import Any
 
 import basix
 import numpy as np
@@ -13,6 +12,7 @@ from ufl import as_vector
 from ufl.core.expr import Expr
 
 from app.case.quantities import STRESSED, computed
+from app.case.summary import Numbers
 from app.foundation.arrays import Field, Floats
 from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
@@ -149,7 +149,7 @@ class Stresses:
         ε = self._elastic_strain(region)
         return np.asarray(np.einsum("cqij,cqij->cq", self._stress(region, ε), ε) / 2)
 
-    def region(self, region: str) -> dict[str, Any]:
+    def region(self, region: str) -> Numbers:
         """Published stresses of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.places(region)
@@ -161,7 +161,7 @@ class Stresses:
         mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
         values = self.whole(local)
-        extra: dict[str, Any] = computed("regions", self, region)
+        extra: Numbers = computed("regions", self, region)
         if region == "stem" and self._depth:
             x = self.whole(x.T).T
             outside = self._depth(x) < 0
@@ -184,7 +184,7 @@ class Stresses:
         """Values at the points of all ranks (k, n)."""
         return np.concatenate(self._problem.comm.allgather(rows), axis=1)
 
-    def _statistics(self, values: Floats) -> dict[str, Any]:
+    def _statistics(self, values: Floats) -> Numbers:
         """Published numbers of stresses and volumes at points, one row for each (6, n)."""
         mises, hoop, principal, least, mean, volume = values
         result = {

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,6 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
+from app.case.summary import Numbers, Thermal
 from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, ThermalNodes, region_nodes
@@ -117,14 +117,14 @@ class RegionTemperatures:
 
     # The summary
 
-    def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> dict[str, Any]:
+    def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> Numbers:
         """Extremes and mean [degC], and volumes warmer than each level; collective."""
         nodes = self.nodes
         heat = np.array([nodes.volume @ self.now, nodes.volume.sum()])
         comm.Allreduce(MPI.IN_PLACE, heat, MPI.SUM)
         peak, place, when = largest(comm, self.peak.value, nodes.x, self.peak.time)
         ends = maxima(comm, {"end": self.now, "minus lowest": -self.lowest})
-        result: dict[str, Any] = {
+        result: Numbers = {
             "temperature_max": peak - CELSIUS,
             "temperature_max_at": place,
             "temperature_max_time": when,
@@ -306,14 +306,14 @@ class ThermalRecord:
         return float(self._comm.allreduce(local, MPI.SUM))
 
     @property
-    def row_keys(self) -> dict[str, Any]:
+    def row_keys(self) -> dict[str, dict[str, Ints]]:
         """Keys of the regions' nodes."""
         nodes = node_keys(self._forms.space)
         return {"regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
 
     # The summary
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Thermal:
         """Section ``thermal`` of the summary; collective."""
         comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
         # Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank.
@@ -324,21 +324,22 @@ class ThermalRecord:
         ]
         surface = np.concatenate([np.zeros((0, 3, 3)), *faces])
         regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
-        result: dict[str, Any] = {
+        result: Thermal = {
             "regions": regions,
             "interfaces": {name: self._interface(name) for name in self._interfaces},
         }
         local = any(r.doses.forgotten for r in self.regions.values())
         if comm.allreduce(local, MPI.LOR):
-            return result | {"note": TIMELESS}
+            result["note"] = TIMELESS
+            return result
         for name, r in self.regions.items():
             regions[name] |= r.times(comm)
         for name in self.bone:
             regions[name] |= self.regions[name].dead(comm, cells[name], surface)
         return result
 
-    def _interface(self, name: str) -> dict[str, Any]:
-        result: dict[str, Any] = {}
+    def _interface(self, name: str) -> Numbers:
+        result: Numbers = {}
         for which, side in zip(SIDES, self._interfaces[name].sides, strict=True):
             peak, place, when = largest(
                 self._comm,
@@ -437,9 +438,9 @@ class CureRecord:
             result |= {f"{name} degree_min [-]": low, f"{name} degree_max [-]": high}
         return result
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Numbers]:
         """Section ``cure`` of the summary; collective. Times not reached are None."""
-        result: dict[str, dict[str, float | None]] = {}
+        result: dict[str, Numbers] = {}
         for name, r in self.regions.items():
             low, high = self._range(r)
             latest = maxima(self._comm, {**r.reached, "rate_max": r.fastest.value})

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from app.case import quantities
 from app.case.quantities import TABLE, in_print
+from app.case.summary import Numbers, Summary
 from app.foundation.errors import UnusableError
 from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 from app.results.damage import RESOLVED
@@ -41,7 +41,7 @@ STRAINS = (500.0, 2500.0)
 MOTION = 5.0
 
 
-Judge = Callable[[Mapping[str, Any]], Iterable[Verdict]]
+Judge = Callable[[Summary], Iterable[Verdict]]
 # What other packages find in the numbers of a run.
 _JUDGES: list[Judge] = []
 
@@ -52,23 +52,23 @@ def judge(function: Judge) -> Judge:
     return function
 
 
-def record(summary: dict[str, Any], notes: Sequence[Verdict]) -> None:
+def record(summary: Summary, notes: Sequence[Verdict]) -> None:
     """Put all verdicts on a run into its summary: on its numbers, then the notes on its case."""
     verdicts = [*of_numbers(summary), *notes]
     summary["verdicts"] = [verdict.record() for verdict in verdicts]
 
 
-def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
+def reasons_not_to_use(summary: Summary) -> list[str]:
     """Return the reasons not to use the numbers of a solved case; empty if they are sound."""
     return texts_of(recorded(summary), Severity.ERROR)
 
 
-def notes_of(summary: Mapping[str, Any]) -> list[str]:
+def notes_of(summary: Summary) -> list[str]:
     """Return the notes on the case of a run."""
     return texts_of(recorded(summary), Severity.NOTE)
 
 
-def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
+def check_usable(summaries: Mapping[Path, Summary]) -> None:
     """Refuse unusable results, by run directory.
 
     Raises:
@@ -80,7 +80,7 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
         raise UnusableError(bad)
 
 
-def of_numbers(summary: Mapping[str, Any]) -> list[Verdict]:
+def of_numbers(summary: Summary) -> list[Verdict]:
     """Return the verdicts on the numbers of a solved case."""
     solver = summary["solver"]
     memory = summary.get("memory")
@@ -116,13 +116,13 @@ def of_numbers(summary: Mapping[str, Any]) -> list[Verdict]:
     return [*verdicts, *_peaks(summary)]
 
 
-def unbalanced(summary: Mapping[str, Any]) -> list[str]:
+def unbalanced(summary: Summary) -> list[str]:
     """Return the balances above their limit; NaN counts as above."""
     b = summary.get("balance", {})
     return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
 
 
-def too_far(summary: Mapping[str, Any]) -> list[str]:
+def too_far(summary: Summary) -> list[str]:
     """Return the interfaces on which bodies slip farther than their facets are wide."""
     return [
         name
@@ -131,7 +131,7 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _balances(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+def _balances(summary: Summary) -> Iterator[Verdict]:
     """Balances of forces and of heat."""
     balance = summary["balance"]
     defects = {name: f"{name} {balance[name]:.1e}" for name in BALANCES if name in balance}
@@ -155,7 +155,7 @@ def _balances(summary: Mapping[str, Any]) -> Iterator[Verdict]:
             yield Verdict(text, HEAT, severity=Severity.GOOD)
 
 
-def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+def _physiology(summary: Summary) -> Iterator[Verdict]:
     """Motion of the head and strain of the cortex that are not those of a loaded living femur."""
     femur = summary.get("femur")
     loaded = summary.get("section_loads", [])
@@ -176,7 +176,7 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
 
 
-def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
+def _crack(name: str, q: Numbers) -> Verdict:
     """Damage of an interface; a warning if the mesh does not resolve the zone where it breaks."""
     own = TABLE["interfaces"]
     keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
@@ -192,7 +192,7 @@ def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
     return Verdict(in_print(text), "cohesion", severity=Severity.GOOD)
 
 
-def _contact(interfaces: Mapping[str, Any]) -> Verdict:
+def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
     """Penetration of the bodies, and what the numbers of interfaces leave out."""
 
     def length(key: str) -> str:
@@ -216,7 +216,7 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
     return Verdict(text, CONTACT, severity=Severity.GOOD)
 
 
-def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
+def _by_facets(name: str, q: Numbers) -> Verdict:
     """The largest pressure of an interface, where straight facets decide it."""
     most = TABLE["interfaces"]["pressure_max"].text(q)
     part = TABLE["interfaces"]["pressure_by_facets"].text(q)
@@ -228,11 +228,11 @@ def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
     return Verdict(text, "pressure", cure, Severity.WARNING)
 
 
-def _is_steep(q: Mapping[str, Any]) -> bool:
+def _is_steep(q: Numbers) -> bool:
     return bool(q.get("pressure_max", 0.0) > STEEP * q.get("pressure_mean_max", np.inf))
 
 
-def _steep(name: str, q: Mapping[str, Any]) -> Verdict:
+def _steep(name: str, q: Numbers) -> Verdict:
     """The largest pressure of an interface, where it is far above the mean at its point."""
     most, mean = (TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max"))
     text = (
@@ -242,17 +242,18 @@ def _steep(name: str, q: Mapping[str, Any]) -> Verdict:
     return Verdict(text, "pressure", severity=Severity.WARNING)
 
 
-def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
+def _mesh_and_step(summary: Summary) -> Verdict:
     """Estimated error of mesh and step."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
         text = "errors are not estimated; run with --error"
         return Verdict(text, BOTH, severity=Severity.PLAIN)
-    largest = largest_of_units(dict(summary))
+    largest = largest_of_units(summary)
     shares: dict[str, float] = {}
     zero: list[str] = []
-    for section in ("interfaces", "regions"):
-        for name, q in summary.get(section, {}).items():
+    owners = {"interfaces": summary.get("interfaces", {}), "regions": summary.get("regions", {})}
+    for section, numbers_by_owner in owners.items():
+        for name, q in numbers_by_owner.items():
             for key in filter(PERCENTILE.search, q):
                 error = q.get(f"{key}_error")
                 if error is None or not q[key] or key not in TABLE[section]:
@@ -278,7 +279,7 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
     return Verdict(text, source, severity=Severity.PLAIN)
 
 
-def _peaks(summary: Mapping[str, Any]) -> list[Verdict]:
+def _peaks(summary: Summary) -> list[Verdict]:
     """Peaks that change most with the mesh, with their values on every mesh solved."""
     lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import logging
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 
 from app.case.case import Case
 from app.case.quantities import TABLE
+from app.case.summary import EstimatedErrors, Summary
 from app.foundation.errors import ConvergenceError, GeometryError, StoppedError, agree
 from app.results import error_estimate
 from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units
@@ -40,8 +40,8 @@ NEGLIGIBLE = 0.1
 
 
 def add_errors(
-    summary: dict[str, Any], case: Case, companions: Sequence[Companion], model: Model
-) -> dict[str, Any]:
+    summary: Summary, case: Case, companions: Sequence[Companion], model: Model
+) -> EstimatedErrors:
     """Solve the companions of a run and put errors beside the numbers of its summary; collective.
 
     A companion that cannot be solved is left out.
@@ -52,7 +52,7 @@ def add_errors(
     Raises:
         StoppedError: A signal stopped a companion.
     """
-    solved: list[tuple[Companion, dict[str, Any]]] = []
+    solved: list[tuple[Companion, Summary]] = []
     failed: list[str] = []
     for companion in companions:
         begin = clock.perf_counter()
@@ -80,7 +80,7 @@ def add_errors(
 
 def numbers_with_errors(
     comm: MPI.Comm, options: dict[str, str], stop: Callable[[], str], case: Case
-) -> dict[str, Any]:
+) -> Summary:
     """Solve a case and its companions; return its numbers with their errors; collective.
 
     Raises:
@@ -93,7 +93,7 @@ def numbers_with_errors(
     return numbers
 
 
-def choose(case: Case, solve: Callable[[Case], Any], longest: float | None) -> tuple[Case, str]:
+def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) -> tuple[Case, str]:
     """The case on the mesh that is accurate enough in the least time, and why; collective.
 
     ``solve`` returns the numbers of a case with their errors. Cheap runs begin at twice the mesh
@@ -161,9 +161,9 @@ def _on(case: Case, size: float, order: int) -> Case:
     return case.model_copy(update={"mesh": mesh, "output": output})
 
 
-def relative_errors(summary: Mapping[str, Any]) -> list[tuple[float, str, Orders]]:
+def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
     """Relative error, name and orders of each number that counts: the headlines of interfaces."""
-    largest = largest_of_units(dict(summary))
+    largest = largest_of_units(summary)
     errors: list[tuple[float, str, Orders]] = []
     for interface, numbers in summary["interfaces"].items():
         for key, q in TABLE["interfaces"].items():
@@ -177,7 +177,7 @@ def relative_errors(summary: Mapping[str, Any]) -> list[tuple[float, str, Orders
     return errors
 
 
-def reached(chosen: str, summary: Mapping[str, Any]) -> str:
+def reached(chosen: str, summary: Summary) -> str:
     """A sentence on what was asked for, chosen and reached."""
     errors = relative_errors(summary)
     if not errors:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 from mpi4py import MPI
 
@@ -47,19 +47,49 @@ class DamagedError(InputError):
     """A file is not a complete checkpoint."""
 
 
+class Header(TypedDict):
+    """Header of a checkpoint.
+
+    Attributes:
+        mantle: Version of the program.
+        case: Data of the case that its states depend on.
+        mesh: Digest of the mesh.
+        ranks: Number of ranks that wrote it.
+        stage: Number of the stage, from 0.
+        stage_name: Name of the stage.
+        step: Number of recorded steps.
+        time: Time of the last step.
+        seconds: Wall time by phase [s].
+        written: Time of writing (ISO 8601).
+        format: Version of the file layout.
+    """
+
+    mantle: str
+    case: dict[str, object]
+    mesh: str
+    ranks: int
+    stage: int
+    stage_name: str
+    step: int
+    time: float
+    seconds: dict[str, float]
+    written: NotRequired[str]
+    format: NotRequired[int]
+
+
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint; ``header`` has version, case, mesh, stage, step and times of its run."""
+    """A checkpoint that was read: file, header and saved state (`numerics.saved_state`)."""
 
     path: Path
-    header: Mapping[str, Any]
-    state: Mapping[str, Any]
+    header: Header
+    state: Mapping[str, object]
 
 
 # Files
 
 
-def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> None:
+def write(comm: MPI.Comm, path: Path, header: Header, state: object) -> None:
     """Write a checkpoint: a new file, flushed to disk and renamed; collective.
 
     Raises:
@@ -102,7 +132,7 @@ def read(path: Path) -> Checkpoint:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
 
-        def with_rows(data: dict[str, Any]) -> Any:
+        def with_rows(data: dict[str, list[str]]) -> Rows | dict[str, list[str]]:
             return Rows(*(arrays[name] for name in data[ROWS])) if ROWS in data else data
 
         header = json.loads(arrays["header"].tobytes(), object_hook=with_rows)
@@ -168,16 +198,16 @@ def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
     log.warning("%s:\n%s", other, "\n".join(differ))
 
 
-def described(case: Case) -> dict[str, Any]:
+def described(case: Case) -> dict[str, object]:
     """All data of a case that its states depend on."""
     data = plain(case)
     data.pop("title", None)
     data["output"] = {"probes": data.get("output", {}).get("probes", {})}
-    data["geometry"].pop("path", None)  # the mesh has a digest of its own, wherever it lies
+    data["geometry"].pop("path", None)  # the mesh has a digest, wherever it lies
     return dict(json.loads(json.dumps(data)))
 
 
-def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+def _leaves(data: object, key: str = "") -> Iterator[tuple[str, object]]:
     if isinstance(data, list) and any(isinstance(v, dict | list) for v in data):
         data = dict(enumerate(data))
     if isinstance(data, dict) and data:
@@ -200,7 +230,7 @@ class CheckpointWriter:
         self._folder, self._restored_from = folder, saved
         self._comm = model.tagged.mesh.comm
         self._options = case.output.checkpoint
-        self._last: tuple[dict[str, Any], Any] | None = None
+        self._last: tuple[Header, object] | None = None
         self._saved, self._when = 0, clock.monotonic()
 
     def resume(self) -> int:
@@ -227,7 +257,7 @@ class CheckpointWriter:
         )
         return int(header["stage"])
 
-    def _fill(self, saved: Checkpoint, parts: dict[str, Any]) -> None:
+    def _fill(self, saved: Checkpoint, parts: dict[str, object]) -> None:
         """Fill the parts; raise InputError for a checkpoint of another mesh or other unknowns."""
         mesh, stage = saved.header["mesh"], saved.header["stage"]
         here, stages = self._model.mesh_hash, len(self._model.scene.stages)
@@ -247,9 +277,9 @@ class CheckpointWriter:
                 "allowed: cases of the same interfaces, heat and cure"
             ) from error
 
-    def _now(self, k: int) -> tuple[dict[str, Any], Any]:
+    def _now(self, k: int) -> tuple[Header, object]:
         """Header and state of the step last recorded, in stage k."""
-        header = {
+        header: Header = {
             "mantle": __version__,
             "case": described(self._case),
             "mesh": self._model.mesh_hash,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from app.case.case import Case, LoadedCase, PlannedRun, dump
 from app.case.geometries import MeshFile
+from app.case.summary import Summary
 from app.foundation.errors import InputError
 from app.results.verdicts import check_usable
 from app.soundness import memory
@@ -32,7 +32,7 @@ def finished(folder: Path, case: Case) -> bool:
     return same and not newer
 
 
-def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, dict[str, Any]]:
+def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, Summary]:
     """Summaries of the finished ones among some runs, by folder."""
     return {
         folder: folders.read_json(folder / "summary.json")

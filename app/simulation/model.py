@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from typing import Any
 
 from mpi4py import MPI
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 import meshes
 from app.case.case import Case
+from app.case.summary import Summary, merge
 from app.foundation.errors import on_root
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
@@ -25,7 +25,7 @@ from app.results.bond_forces import BondForces
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples
-from app.results.records import Followed, Record, merge, records
+from app.results.records import Followed, Record, records
 from app.results.stresses import Stresses
 from app.results.surface_parts import Surface
 from app.scene.scene import Scene, Stage, build_scene
@@ -56,7 +56,7 @@ COARSER = 2.0
 TOLERANCE = 1e-4
 
 
-def _nothing(*_: Any) -> None:
+def _nothing(*_: object) -> None:
     """Ignore the arguments."""
 
 
@@ -278,16 +278,17 @@ class Model:
             self._steppers.others = steppers(stages, self, self._steppers.load)
         return self._steppers.run(stages, on_stage, checkpoint_point, resume())
 
-    def saved_parts(self) -> dict[str, Any]:
+    def saved_parts(self) -> dict[str, object]:
         """All state that later steps depend on, in the order in which it is restored."""
-        parts = dict(self.records) | {
+        parts: dict[str, object] = {
+            **self.records,
             "mechanical_path": self.mechanical_path,
             "thermal": self.thermal,
             "heat_stepper": self._steppers.heat,
             "load_stepper": self._steppers.load,
             "creep_stepper": self._steppers.creep,
         }
-        return parts | {f"stepper of {key}": own for key, own in self._steppers.others.items()}
+        return parts | {f"stepper of {key}": s for key, s in self._steppers.others.items()}
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
         """States of earlier models and, for large models, a start from a cheaper one."""
@@ -317,9 +318,9 @@ class Model:
 
     # Published numbers of the state last committed
 
-    def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
+    def numbers(self, samples: ContactSamples | None) -> Summary:
         """All published numbers; collective."""
-        numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
+        numbers: Summary = {"interfaces": {}, "regions": {}, "stem": {}}
         m = self.mechanical_path
         if m:
             elastic = m.problem.scene.elastic
@@ -338,24 +339,26 @@ class Model:
                 numbers["femur"] = femur
         t = self.thermal
         if t:
-            numbers["thermal"] = t.record.summary() | {"flows": t.flows}
+            numbers["thermal"] = {**t.record.summary(), "flows": t.flows}
             if t.cure:
                 numbers["cure"] = t.cure.summary()
-        numbers |= self._places(samples)
+        self._add_places(numbers, samples)
         for record in self.records.values():
             merge(numbers, record.numbers())
         return numbers
 
-    def _places(self, samples: ContactSamples | None) -> dict[str, Any]:
-        """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
+    def _add_places(self, numbers: Summary, samples: ContactSamples | None) -> None:
+        """Add numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
-        places = {key: notes[key] for key in ("mantle", "layers") if key in notes}
+        if "mantle" in notes:
+            numbers["mantle"] = notes["mantle"]
+        if "layers" in notes:
+            numbers["layers"] = notes["layers"]
         m = self.mechanical_path
         if m and m.zones:
-            places["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
-        return places
+            numbers["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
 
-    def relative(self, case: Case) -> dict[str, Any]:
+    def relative(self, case: Case) -> Summary:
         """Solve a companion case; returns its numbers; collective."""
         other = self._other(case, Timing("estimating errors"))
         last: TrialState | None = None
@@ -385,7 +388,7 @@ def cheaper(case: Case, unknowns: int) -> Case | None:
     return case.model_copy(update={"mesh": mesh, "solver": solver})
 
 
-def _stiffness(case: Case) -> tuple[Any, ...]:
+def _stiffness(case: Case) -> tuple[object, ...]:
     """All data of a case that the stiffness of the bonded model and its solver depend on."""
     solver = case.solver.model_copy(update={"augmentation_factor": 1.0, "tolerance": 0.0})
     stages = [stage.name for stage in case.stages]
@@ -394,7 +397,7 @@ def _stiffness(case: Case) -> tuple[Any, ...]:
     return *bodies, moved, case.faces, solver, stages
 
 
-def _matrices(case: Case) -> tuple[Any, ...]:
+def _matrices(case: Case) -> tuple[object, ...]:
     """All data of a case that its matrices and compiled forms depend on."""
     loads = [(name, load.place) for name, load in case.loads.items()]
     contacts = [name for name, law in case.interfaces.items() if law.can_part]

@@ -7,14 +7,14 @@ import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from app.case.case import Case
 from app.case.quantities import TABLE
 from app.case.section_loads import section_loads
-from app.foundation.arrays import Ints
+from app.case.summary import Numbers, Summary, merge
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import StoppedError
 from app.foundation.verdict import Verdict
 from app.heat.nodes import Probes
@@ -23,7 +23,6 @@ from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.cycles import Cycles
 from app.results.interface_numbers import ContactSamples
-from app.results.records import merge
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
 from app.simulation.model import Model
@@ -59,6 +58,8 @@ class AcceptedStep:
     row: Mapping[str, float | None]
 
 
+# Row in history.csv: numbers by column title, with units.
+Row = dict[str, float | None]
 OnAccepted = Callable[[AcceptedStep], None]
 
 
@@ -101,7 +102,7 @@ class Recorder:
         self._timing, self._begin = timing, begin
         about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self.balance: Balance | None = None
-        self._critical: dict[str, Any] = {}
+        self._critical: dict[str, float] = {}
         self._probes: Probes | None = None
         m = model.mechanical_path
         if m:
@@ -114,14 +115,14 @@ class Recorder:
             p = m.problem
             self._probes = Probes(model.tagged, p.space, p.bodies.of_region, probes)
         self.samples: ContactSamples | None = None
-        self.contact_state: dict[str, Any] = {}
+        self.contact_state: dict[str, Floats | Ints] = {}
         self.time = 0.0
         self.step_count = self.fields_at = self.whole_steps = 0
         self.total = Effort()
         self._stage = Stage(name="rest")
         self.cycles = Cycles()
-        self.valley: dict[str, Any] = {}
-        self.mechanical_row: dict[str, Any] = {}
+        self.valley: dict[str, Floats] = {}
+        self.mechanical_row: Row = {}
 
     @property
     def row_keys(self) -> dict[str, Ints]:
@@ -139,7 +140,10 @@ class Recorder:
             trial = m.problem.trial(u, q) if q is not None else None
             self.balance.go_on(u, trial)
             if trial is not None:
-                trial = replace(trial, law=replace(trial.law, **self.contact_state))
+                pressures = self.contact_state["pressures"].astype(np.float64)
+                status = self.contact_state["status"].astype(np.int64)
+                law = replace(trial.law, pressures=pressures, status=status)
+                trial = replace(trial, law=law)
                 since = self.valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
         if self.writer.fields and not self.writer.field_steps:
@@ -180,7 +184,7 @@ class Recorder:
                 self._row(step)
                 self._line(step)
 
-    def _turn(self, step: LoadStep, stem: Mapping[str, Any], trial: TrialState | None) -> None:
+    def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
         turn = self._stage.turn(step.time)
         if self._stage.ways == self._stage.cycles or not step.whole or not turn:
@@ -208,8 +212,8 @@ class Recorder:
         left = self._timing.seconds.get("solve", 0.0) * rate
         log.info("%s", text.step_line(step, fractions, deepest, wall, left))
 
-    def _row_of(self, step: LoadStep, balance: Balance) -> dict[str, Any]:
-        row: dict[str, Any] = {
+    def _row_of(self, step: LoadStep, balance: Balance) -> Row:
+        row: Row = {
             "newton [-]": step.outcome.iterations,
             "krylov [-]": step.outcome.linear_iterations,
             "residual [-]": step.outcome.residuals[-1],
@@ -230,14 +234,14 @@ class Recorder:
         for name, q in (self.samples.step_numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
         for name, q in m.bonds.numbers(strong=True).items() if m else ():
-            own = [c for c in TABLE["bonds"].values() if c.step_record]
-            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
+            columns = [c for c in TABLE["bonds"].values() if c.step_record]
+            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
 
     def _row(self, step: LoadStep) -> None:
         self.time = step.time
         self.step_count += 1
-        row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self.mechanical_row
+        row: Row = {"step": self.step_count, "time [-]": step.time, **self.mechanical_row}
         t = self._model.thermal
         if t:
             row |= t.row()
@@ -273,7 +277,7 @@ class Recorder:
             self._fields()
         self.writer.last_fields()
 
-    def summary(self, status: str, total: Effort | None) -> dict[str, Any]:
+    def summary(self, status: str, total: Effort | None) -> Summary:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self.total
         m = model.mechanical_path
@@ -282,7 +286,7 @@ class Recorder:
         b, t = self.balance, model.thermal
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
         balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
-        numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
+        numbers: Summary = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples)
             cycles = self.cycles.summary()
@@ -291,7 +295,7 @@ class Recorder:
             sections = section_loads(self._case, model.scene.load_time(self.time))
             if sections:
                 numbers["section_loads"] = [asdict(section) for section in sections]
-        result = {
+        result: Summary = {
             "status": status,
             "title": self._case.title,
             "units": UNITS,
@@ -315,11 +319,10 @@ class Recorder:
                 result["interfaces"][name]["critical_friction"] = value
         cpu, memory = comm.allgather(self._timing.cpu), comm.allreduce(peak_memory())
         per_unknown = round(1e3 * memory / sum(sizes.values()), 2)
-        return result | {
-            "timing": self.seconds(),
-            "cpu": {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]},
-            "memory": {"peak": round(memory, 1), "per_unknown": per_unknown},
-        }
+        result["timing"] = self.seconds()
+        result["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
+        result["memory"] = {"peak": round(memory, 1), "per_unknown": per_unknown}
+        return result
 
     def seconds(self) -> dict[str, float]:
         """Wall seconds so far, by phase."""
@@ -335,8 +338,9 @@ class Recorder:
             m.problem.set_time(self.time)
 
         def finish() -> None:
-            verdicts = {"verdicts": [verdict.record() for verdict in why]}
-            self.writer.finish(self.summary(status, None) | verdicts, done=False)
+            summary = self.summary(status, None)
+            summary["verdicts"] = [verdict.record() for verdict in why]
+            self.writer.finish(summary, done=False)
 
         for write in (self.flush, finish) if self.step_count else (finish,):
             try:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
 from app.case.case import LoadedCase, PlannedRun, dump
 from app.case.run_options import CheckpointOptions
+from app.case.summary import Summary
 from app.foundation.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -157,7 +157,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
     runs = setup.loaded.runs(output)
     mark = output / "DONE"
     on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)
-    summaries: dict[Path, dict[str, Any]] = {}
+    summaries: dict[Path, Summary] = {}
     if not setup.force and setup.restart in ("", "auto"):
         summaries = on_root(comm, lambda: finished_runs.summaries(runs)) or {}
         log.info("%d of %d variations are finished already", len(summaries), len(runs))
@@ -197,7 +197,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
     verdicts.check_usable(summaries)
 
 
-def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> dict[str, Any]:
+def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> Summary:
     """Solve a variation; returns its summary, empty if it does not converge; collective."""
     on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
     on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
@@ -285,7 +285,7 @@ class _CaseRun:
             self._recorder.close("stopped", failure.verdicts)
             raise StoppedError([*failure.verdicts, *lines]) from failure
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Summary:
         """Solve all stages and write the results; returns the summary; collective.
 
         Raises:

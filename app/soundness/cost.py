@@ -6,9 +6,10 @@ import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from app.case.case import Case
+from app.case.summary import Mantle
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
@@ -272,7 +273,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     return "\n".join(lines)
 
 
-def _mantle(note: Mapping[str, Any]) -> str:
+def _mantle(note: Mantle) -> str:
     """A line on the thickness of the cement."""
     t = note["thickness"]
     return (

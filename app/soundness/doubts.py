@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable
 
 from app.case.case import Case
 from app.case.quantities import largest
+from app.case.summary import Summary
 from app.foundation.verdict import Verdict, note
 from app.laws.materials import Material
 
 # Strains beyond small-strain elasticity of any material.
 STRAIN = 0.05
 
-Doubt = Callable[[Case, Mapping[str, Any]], Iterable[Verdict]]
+Doubt = Callable[[Case, Summary], Iterable[Verdict]]
 # What other packages doubt of the numbers of a case.
 _DOUBTERS: list[Doubt] = []
 
@@ -25,7 +25,7 @@ def doubter(function: Doubt) -> Doubt:
     return function
 
 
-def doubts(case: Case, numbers: Mapping[str, Any]) -> list[Verdict]:
+def doubts(case: Case, numbers: Summary) -> list[Verdict]:
     """Return notes on results: strains that are not small, laws beyond their stresses."""
     notes = [verdict for doubt in _DOUBTERS for verdict in doubt(case, numbers)]
     for name, q in numbers["regions"].items():

@@ -21,13 +21,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import pytest
 
 import configs
 from app.campaigns.work_precision import fitted_order
 from app.case.case import PlannedRun, load
+from app.case.summary import Summary
 from app.foundation.errors import (
     ConvergenceError,
     GeometryError,
@@ -125,7 +126,7 @@ class SolvedRun:
     exit_code: int = 0
     message: str = ""
     seconds: float = 0.0
-    summary: Mapping[str, Any] = field(default_factory=dict)
+    summary: Summary = field(default_factory=lambda: Summary())
 
 
 @dataclass(frozen=True)
