@@ -14,8 +14,8 @@ failed or changed one is::
     folder/snakemake.log        the output of Snakemake
 
 Runs that may share a stiffness (`PlannedRun.share`) are variations of one process, or of as many as
-keep the cores busy. The last of these files bear its id, and the run directories stand inside its
-own.
+keep the cores busy. The last of these files have the id of this process. The run directories are
+inside the folder of the process.
 """
 
 from __future__ import annotations
@@ -236,9 +236,9 @@ def _text(runs: Sequence[BatchRun]) -> str:
     _, base = split(data)
     variations = {}
     for r in runs:
-        _, own = split(plain(r.planned.case))
-        keys = [key for key in base | own if base.get(key) != own.get(key)]
-        variations[r.id] = {key: own.get(key) for key in keys}
+        _, values = split(plain(r.planned.case))
+        keys = [key for key in base | values if base.get(key) != values.get(key)]
+        variations[r.id] = {key: values.get(key) for key in keys}
     return yaml_file.to_yaml(data | {"variations": variations})
 
 

@@ -76,8 +76,8 @@ def execute(
     Raises:
         KeyboardInterrupt: By SIGINT, SIGTERM or SIGHUP; running cases have saved their state.
     """
-    # If this process is killed, Snakemake starts nothing more. Running cases continue under their
-    # own locks, which the next batch waits for.
+    # If this process is killed, Snakemake starts nothing more. Running cases continue and
+    # keep their locks, for which the next batch waits.
     command = ["setpriv", "--pdeathsig", "KILL", sys.executable, "-m", "snakemake"]
     command += ["--snakefile", str(SNAKEFILE), "--keep-going", "--rerun-incomplete"]
     command += ["--nolock", "--scheduler", "greedy"]  # a killed Snakemake would leave its lock
@@ -93,7 +93,7 @@ def execute(
     # Snakemake needs a writable cache even where home is not.
     environ["XDG_CACHE_HOME"] = str(folder.resolve() / ".snakemake")
     with _interruptible(), (folder / "snakemake.log").open("w") as said:
-        # In its own session: this process gets Ctrl-C and passes it on once.
+        # In a separate session: this process gets Ctrl-C and passes it on once.
         child = subprocess.Popen(
             command,
             cwd=folder,

@@ -81,8 +81,8 @@ def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]
         names = ", ".join(filter(None, lines))
         raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
     most = QUICK if options.tier == "quick" else None
-    own = [runs[:most] for name, runs in lines.items() if not name or options.pattern in name]
-    return [r for runs in own for r in runs]
+    selected = [runs for name, runs in lines.items() if not name or options.pattern in name]
+    return [r for runs in selected for r in runs[:most]]
 
 
 def _study_run(result: Result) -> StudyRun:
@@ -143,8 +143,8 @@ def _measure(
         points.append(wp.compare(point, reference))
     exponents = {}
     for line in dict.fromkeys(r.line for r in curve):
-        own = [i for i, r in enumerate(curve) if r.line == line]
-        exponents[line] = wp.exponent([curve[i].x for i in own], [points[i] for i in own])
+        on_line = [i for i, r in enumerate(curve) if r.line == line]
+        exponents[line] = wp.exponent([curve[i].x for i in on_line], [points[i] for i in on_line])
     front = wp.pareto([r.time for r in curve], [p.bound for p in points])
     return Measured(name, quantities.find(name), compared, reference, points, exponents, front)
 
@@ -200,10 +200,10 @@ def _costs(
         if error <= level:
             costs.append(f"{percent(level)} costs {time} ({at})")
             continue
-        uncertainty = max(m.own for m in measured)
+        uncertainty = max(m.uncertainty for m in measured)
         why = f"is reached by no run (closest {percent(error)} in {time}, {at})"
         if uncertainty > level:
-            why = f"is below the reference's own {percent(uncertainty)}"
+            why = f"is below the uncertainty of the reference, {percent(uncertainty)}"
         costs.append(f"{percent(level)} {why}")
         break
     return f"{what} within {', '.join(costs)}"

@@ -49,9 +49,9 @@ def varying_lines(report: Report) -> dict[str, list[int]]:
     runs, lines = report.runs, dict.fromkeys(r.line for r in report.runs)
     by_line = {name: [i for i, r in enumerate(runs) if r.line == name] for name in lines}
     return {
-        name: own
-        for name, own in by_line.items()
-        if all(runs[i].x and not runs[i].key.startswith("mesh.") for i in own)
+        name: indices
+        for name, indices in by_line.items()
+        if all(runs[i].x and not runs[i].key.startswith("mesh.") for i in indices)
     }
 
 
@@ -90,8 +90,8 @@ def _against_time(report: Report, axes: Axes, m: Measured) -> None:
         curves.front(axes, times, [error[i] or EXACT for i in m.front], "Pareto front")
     _limits(axes, report, error)
     curves.level(axes, report.target, f"target {percent(report.target)}")
-    if m.own:
-        curves.band(axes, axes.get_ylim()[0], m.own, "uncertainty of the reference")
+    if m.uncertainty:
+        curves.band(axes, axes.get_ylim()[0], m.uncertainty, "uncertainty of the reference")
     if all(e is None for e in error):
         curves.remark(axes, "no known error")
 
@@ -101,9 +101,9 @@ def _line(
 ) -> None:
     """Draw the k-th line with labels; failed runs are crosses at the top, orders at the bottom."""
     words = name.replace("_", " ")
-    own = [i for i, r in enumerate(report.runs) if r.line == name]
+    indices = [i for i, r in enumerate(report.runs) if r.line == name]
     good = {}
-    for i in own:
+    for i in indices:
         e = error[i]
         time = report.runs[i].time
         if e is not None and time is not None:
@@ -117,13 +117,13 @@ def _line(
             curves.hollow(axes, time, e, k)
     text = exponent_text(report, m, name)
     if text:
-        letter = "h" if report.runs[own[0]].key == "mesh.size" else "x"
+        letter = "h" if report.runs[indices[0]].key == "mesh.size" else "x"
         order = text if text == NOT_CONVERGING else rf"$\sim {letter}^{{{text}}}$"
         row = 0.02 + 0.055 * (len(m.exponents) - 1 - k)
         text = f"{words}: {order}"
         colour = figures.colour(k)
         axes.text(0.02, row, text, transform=axes.transAxes, color=colour, fontsize=8)
-    failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]
+    failed = [r.result for r in (report.runs[i] for i in indices) if r.result.exit_code]
     curves.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
 
 
@@ -149,13 +149,13 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Axes, m: Mea
         away = report.target * abs(value)
         label = f"reference ± {percent(report.target)}"
         curves.band(axes, value - away, value + away, label)
-    for k, (name, own) in enumerate(lines.items()):
-        values = {i: m.points[i].value for i in own}
+    for k, (name, indices) in enumerate(lines.items()):
+        values = {i: m.points[i].value for i in indices}
         known = {i: factor * v for i, v in values.items() if v is not None}
         drawn += known.values()
         x = [report.runs[i].x or 0.0 for i in known]
         curves.draw_line(axes, Line(name.replace("_", " "), k, x, list(known.values())))
-        failed = [report.runs[i].x or 0.0 for i in own if report.runs[i].result.exit_code]
+        failed = [report.runs[i].x or 0.0 for i in indices if report.runs[i].result.exit_code]
         curves.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
     curves.span_decades(axes, drawn)
 
@@ -163,6 +163,6 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Axes, m: Mea
 def _label(report: Report, lines: dict[str, list[int]]) -> str:
     """Names and units of the varied numbers: ``penalty, augmentation (MPa/mm)``."""
     names: dict[str, dict[str, None]] = {}
-    for run in (report.runs[own[0]] for own in lines.values()):
+    for run in (report.runs[indices[0]] for indices in lines.values()):
         names.setdefault(run.unit, {})[re.sub(r".*\.", "", run.key)] = None
     return ", ".join(", ".join(n) + (f" ({unit})" if unit else "") for unit, n in names.items())

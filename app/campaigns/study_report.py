@@ -71,14 +71,14 @@ class Measured:
     front: list[int]
 
     @property
-    def own(self) -> float:
+    def uncertainty(self) -> float:
         """Relative uncertainty of the reference; 0 without one that is not 0."""
         known = self.reference is not None and self.reference.value
         return self.reference.uncertainty / abs(known) if self.reference and known else 0.0
 
     @property
     def errors(self) -> list[float | None]:
-        """Error of each point, at least the reference's own; None if unknown."""
+        """Error of each point, at least the uncertainty of the reference; None if unknown."""
         return [p.bound for p in self.points]
 
 
@@ -130,9 +130,9 @@ def describe(reference: ReferenceValue | None, q: Quantity) -> str:
         return f"{text}, given"
     if reference.method == "of one run":
         return f"{text}, of one run: errors are those of the method"
-    own = percent(reference.uncertainty / abs(reference.value)) if reference.value else "?"
+    relative = percent(reference.uncertainty / abs(reference.value)) if reference.value else "?"
     order = "" if reference.order is None else f", observed order {reference.order:.1f}"
-    return f"{text} ± {own} ({reference.method}{order})"
+    return f"{text} ± {relative} ({reference.method}{order})"
 
 
 def table(report: Report) -> str:

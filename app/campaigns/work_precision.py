@@ -66,7 +66,7 @@ class ErrorPoint:
 
     @property
     def bound(self) -> float | None:
-        """Upper bound of the error: at least the reference's own; None if unknown."""
+        """Upper bound of the error: at least the uncertainty of the reference; None if unknown."""
         return None if self.error is None else max(self.error, self.uncertainty)
 
     @property

@@ -16,7 +16,7 @@ from typing import Any, TypedDict, cast
 Numbers = dict[str, Any]
 
 
-class Thermal(TypedDict, total=False):
+class ThermalNumbers(TypedDict, total=False):
     """Numbers of heat.
 
     Attributes:
@@ -51,7 +51,7 @@ class Zone(TypedDict, total=False):
     bone_mass_change: dict[str, float]
 
 
-class Mantle(TypedDict, total=False):
+class MantleNumbers(TypedDict, total=False):
     """Thickness of the cement mantle.
 
     Attributes:
@@ -87,7 +87,7 @@ class StageCycles(TypedDict, total=False):
     trend: str
 
 
-class Remodelling(TypedDict):
+class RemodellingNumbers(TypedDict):
     """Remodelling of bone.
 
     Attributes:
@@ -102,7 +102,7 @@ class Remodelling(TypedDict):
     mass: dict[str, float]
 
 
-class Solver(TypedDict, total=False):
+class SolverNumbers(TypedDict, total=False):
     """Size and effort of a run.
 
     Attributes:
@@ -197,19 +197,19 @@ class Summary(TypedDict, total=False):
     regions: dict[str, Numbers]
     stem: Numbers
     femur: Numbers
-    mantle: Mantle
+    mantle: MantleNumbers
     layers: Numbers
     gruen: dict[str, Zone]
-    thermal: Thermal
+    thermal: ThermalNumbers
     cure: dict[str, Numbers]
     creep: dict[str, float]
     cycles: dict[str, StageCycles]
     fatigue: dict[str, Numbers]
-    remodelling: Remodelling
+    remodelling: RemodellingNumbers
     section_loads: list[Numbers]
     probes: dict[str, dict[str, list[float]]]
     balance: dict[str, float]
-    solver: Solver
+    solver: SolverNumbers
     timing: dict[str, float]
     cpu: dict[str, float]
     memory: Memory

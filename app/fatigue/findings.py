@@ -98,8 +98,9 @@ def _strength(name: str, q: Numbers, unsettled: Mapping[str, list[list[float]]])
     texts = []
     severity = Severity.PLAIN
     for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
-        own, key = q[part] if part else q, f"{name}_{part}" if part else name
-        text = f"{100 * own['failure_probability']:.2g} %"
+        numbers = q[part] if part else q
+        key = f"{name}_{part}" if part else name
+        text = f"{100 * numbers['failure_probability']:.2g} %"
         if part:
             text += f" at its {part}"
         (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))

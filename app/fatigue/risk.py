@@ -193,8 +193,9 @@ def turning_in(tagged: TaggedMesh, region: str) -> Floats:
     360 degrees inside.
     """
     mesh = tagged.mesh
-    own = tagged.cell_tags.find(tagged.regions[region])
-    nodes = mesh.geometry.dofmap[own[own < mesh.topology.index_map(3).size_local]]
+    cells = tagged.cell_tags.find(tagged.regions[region])
+    owned = cells[cells < mesh.topology.index_map(3).size_local]
+    nodes = mesh.geometry.dofmap[owned]
     element = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
     _, *dN = element.tabulate(1, CORNERS[EDGES[:, :2]].mean(axis=1))
     J = np.einsum("cni,jen->ceij", mesh.geometry.x[nodes], np.array(dN))

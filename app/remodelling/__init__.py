@@ -1,4 +1,4 @@
-"""Remodelling: bone whose density follows its strain energy, in stages of its own.
+"""Remodelling: bone whose density follows its strain energy, in separate stages.
 
 `laws` has the keys and the formula, `stimulus` the stimulus, `intact_femur` its reference before
 surgery. `stepper` advances the density in time, `bone` sums the mass, `findings` has faults and

@@ -63,8 +63,8 @@ def carried(stimulus: Floats, forms: BodyForms, ours: BodyForms) -> Floats:
     columns = []
     for k, region in enumerate(forms.by_density):
         values = stimulus[:, k]
-        own = forms.vertices(region)
-        corners, known = (forms.mesh.comm.allgather(v[own]) for v in (x, values))
+        vertices = forms.vertices(region)
+        corners, known = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
         columns.append(interpolated(np.concatenate(corners), np.concatenate(known), to))
     return np.column_stack(columns)
 

@@ -32,7 +32,7 @@ class Remodelling(Section):
     """Bone whose density follows its strain energy in stages with `remodels`."""
 
     law: Law
-    """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a law of one's own. A region
+    """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a section `law`. A region
     starts with the density of its modulus, if it has two of the axial one; all its moduli change
     alike."""
     regions: Annotated[_Names, Field(min_length=1)] | None = None

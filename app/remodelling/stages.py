@@ -20,7 +20,7 @@ STAGES = StageKind(
     key="remodels",
     doc="Time in which bone remodels under the load cases of `remodelling`. Its steps are chosen "
     "by their error. Fields are written at the end of each of `increments` equal parts.",
-    no_cycle_table="has load cases of its own",
+    no_cycle_table="applies the load cases of section `remodelling`",
     loads=lambda case: _law(case).load_cases[-1],
     solves=lambda case: SOLVES * len(_law(case).load_cases),
 )

@@ -45,7 +45,7 @@ class Stimulus:
         if length is None:
             return lambda given: given
         m = self.bone.forms
-        own = m.scalars.dofmap.index_map.size_local
+        owned = m.scalars.dofmap.index_map.size_local
         slopes = [ufl.grad(f(m.scalars)) for f in (ufl.TrialFunction, ufl.TestFunction)]
         dx = m.cells()(m.tagged.regions[region])
         A = assembled_matrix(m.form(m.constant(length**2) * ufl.inner(*slopes) * dx))
@@ -53,14 +53,14 @@ class Stimulus:
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         volume = self.bone.volume[:, m.by_density.index(region)]
         volume = np.where(volume > 0, volume, 1.0)
-        A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:own], comm=A.comm))
+        A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:owned], comm=A.comm))
         inverse = Inverse(A, lambda: 0, {"pc_type": "jacobi"})
 
         def filtered(given: Floats) -> Floats:
             b, x = A.createVecs()
-            b.array[:] = (volume * given)[:own]
+            b.array[:] = (volume * given)[:owned]
             inverse.solve(b, x, 1e-10)
-            return m.vertex_sums(np.arange(own, dtype=np.int32), x.array_r)
+            return m.vertex_sums(np.arange(owned, dtype=np.int32), x.array_r)
 
         return filtered
 
@@ -88,7 +88,7 @@ class Stimulus:
             problem.update_displacements(*solver.u_and_q())
             energy += bone.integrals(bone.stresses.energy_density)
         S = energy / np.maximum(len(cases) * bone.volume * bone.forms.density, TINY)
-        return np.array([f(own) for f, own in zip(self._filters, S.T, strict=True)]).T
+        return np.array([f(values) for f, values in zip(self._filters, S.T, strict=True)]).T
 
     def follow_density(self) -> None:
         """Take the stiffness from the density."""

@@ -1,6 +1,6 @@
-r"""Balances: of force, moment and energy, from forms of their own, and of heat.
+r"""Balances of force, moment and energy from separate forms, and of heat.
 
-The heat integrator's own sum of a step of length Δt with weights :math:`b_i` is exact for the
+The heat integrator's sum of a step of length Δt with weights :math:`b_i` is exact for the
 discrete solution, to the solver's tolerance,
 
 .. math:: E(t) - E(0) = \sum_{steps} Δt \sum_i b_i \sum_c Q_c(t_i),

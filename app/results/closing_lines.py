@@ -212,26 +212,26 @@ def _columns(section: str) -> Mapping[str, str]:
 
 def _table(section: str, rows: Rows) -> list[str]:
     """A table of a section; quantities added by other packages stand on the right."""
-    own = TABLE[section]
-    columns = dict(_columns(section)) | {q.label: key for key, q in own.items() if q.compute}
+    known = TABLE[section]
+    columns = dict(_columns(section)) | {q.label: key for key, q in known.items() if q.compute}
     templates = list(filter(None, columns.values()))
 
     def cell(template: str, numbers: Numbers) -> str:
-        filled = re.sub(r"\w+", lambda key: own[key[0]].text(numbers), template)
+        filled = re.sub(r"\w+", lambda key: known[key[0]].text(numbers), template)
         return filled.replace(NOT_RESOLVED, STAR)
 
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
-    units = ["", *(own[c.split()[0]].shown for c in templates)]
+    units = ["", *(known[c.split()[0]].shown for c in templates)]
     return layout.table(list(columns), cells, units).splitlines() if rows else []
 
 
 def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
     """Regions of bone, and volume and depth of their dead parts by criterion [mm3, mm]."""
-    own = TABLE["thermal.regions"]
+    known = TABLE["thermal.regions"]
     bones = [name for name, q in regions.items() if "necrosis_47C_1min_volume" in q]
     columns = [(regions[name], what) for name in bones for what in ("volume", "depth")]
     rows = [
-        [words, *(own[f"necrosis_{rule}_{what}"].text(q) for q, what in columns)]
+        [words, *(known[f"necrosis_{rule}_{what}"].text(q) for q, what in columns)]
         for rule, words in NECROSIS.items()
     ]
     return bones, rows

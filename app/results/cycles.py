@@ -35,7 +35,7 @@ class Cycles:
             for name, numbers in interfaces.items()
         }
         spent, last = self.turns.setdefault(stage, ([], []))
-        spent.append(sum(own.get("dissipation", 0.0) for own in kept.values()))
+        spent.append(sum(numbers.get("dissipation", 0.0) for numbers in kept.values()))
         last.append(({"stem": dict(stem)} if stem else {}) | kept)
         del last[:-3]
 
@@ -63,12 +63,12 @@ def split(spent: list[float], last: list[Turn]) -> StageCycles:
     *_, low, high = last if len(spent) % 2 else last[:-1]
     permanent: Turn = {}
     inducible: Turn = {}
-    for place, own in low.items():
+    for place, numbers in low.items():
         if place == "stem":
-            permanent[place] = own
-            inducible[place] = {key: high[place][key] - value for key, value in own.items()}
-        elif "motion_p99" in own:  # of sides that do not slide far
-            permanent[place] = {"motion_p99": own["motion_p99"]}
+            permanent[place] = numbers
+            inducible[place] = {key: high[place][key] - value for key, value in numbers.items()}
+        elif "motion_p99" in numbers:  # absent with finite sliding
+            permanent[place] = {"motion_p99": numbers["motion_p99"]}
             inducible[place] = {"motion_p99": high[place]["inducible_p99"]}
     lost = [b - a for a, b in pairwise(spent[::2])]
     return {
@@ -93,11 +93,11 @@ def trend(first: float, lost: list[float]) -> str:
 
 def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
     """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
-    for place, own in numbers.get("permanent", {}).items():
-        for key in own:
+    for place, permanent in numbers.get("permanent", {}).items():
+        for key in permanent:
             q = TABLE["stem" if place == "stem" else "interfaces"][key]
             name = key if place == "stem" else f"motion p99 of {place}"
-            yield f"{name} ({q.shown})", q.text(own), q.text(numbers["inducible"][place])
+            yield f"{name} ({q.shown})", q.text(permanent), q.text(numbers["inducible"][place])
 
 
 def friction(numbers: StageCycles) -> Iterator[str]:

@@ -208,7 +208,7 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
             if change > UNSETTLED * size:
                 unsettled.append((change / max(size, abs(coarser)), f"{name}.{k}", values))
     _put_in_zones(run, order, solved)
-    typical = {like: float(np.median(own)) for like, own in changes.items()}
+    typical = {like: float(np.median(of_class)) for like, of_class in changes.items()}
     for numbers, key, p in raised:
         least = FACTORS[p][order][1] * typical[LIKE.get(p, p)] * abs(numbers[key])
         numbers[f"{key}_error"] = max(numbers[f"{key}_error"], least)
@@ -243,10 +243,10 @@ def _put_in_zones(run: Summary, order: int, solved: Solved) -> None:
     """Put errors beside the means of interfaces and the strain energy of Gruen zones."""
     for zone, numbers in run.get("gruen", {}).items():
         others = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
-        for name, own in numbers["interfaces"].items():
-            orders = {k: MOTION for k in own if k.endswith("_mean")}
+        for name, at_interface in numbers["interfaces"].items():
+            orders = {k: MOTION for k in at_interface if k.endswith("_mean")}
             relatives = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
-            _put(own, orders, order, relatives)
+            _put(at_interface, orders, order, relatives)
         density = numbers["strain_energy_density"]
         relatives = [(c, o.get("strain_energy_density", {})) for c, o in others]
         errors = {region: _error(region, STRESS, order, density, relatives) for region in density}

@@ -1,4 +1,4 @@
-"""The fields of a run on one grid, where bodies that can part have nodes of their own.
+"""Fields of a run on one grid, where bodies that can separate have separate nodes.
 
 A node of the mesh appears once for every body that meets there, so that gaps and temperature jumps
 are visible. Bodies of the mechanics are not those of the heat: a bonded interface may resist heat
@@ -41,7 +41,7 @@ class OutputNodes:
     body: Ints  # of each node (n,)
     dof: Ints  # its row in the space the grid was made from, ghosts too (n,)
     cell: Ints  # one that has it (n,)
-    ends: Ints  # vertices of that cell: the node's own, twice, or those of its edge (n, 2)
+    ends: Ints  # vertices of that cell: the node itself, twice, or the ends of its edge (n, 2)
 
 
 class Fields:
@@ -85,7 +85,7 @@ class Fields:
         self._file = GridFile(self._comm, self._path, self._grid, steps)
 
     def close(self) -> None:
-        """Write the last step to a file of its own, for readers without time; on rank 0.
+        """Write the last step to a separate file, for readers without time; on rank 0.
 
         Raises:
             OSError: It cannot be written.
@@ -155,12 +155,12 @@ class HeatFields:
         return fields, {}
 
     def _of_regions(self, nodes: OutputNodes, values: Mapping[str, Floats]) -> Floats:
-        """Values of the regions' own nodes at the nodes of the grid, zero elsewhere; collective."""
+        """Values by region and node at the nodes of the grid, zero elsewhere; collective."""
         values_of_bodies = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
-        for region, own in values.items():
+        for region, of_region in values.items():
             at = self._record.regions[region].nodes
             self._work.x.array[:] = 0.0
-            self._work.x.array[at.dof] = own
+            self._work.x.array[at.dof] = of_region
             self._work.x.scatter_forward()
             # Regions of one body agree on the nodes that they share.
             values_of_bodies[at.body] = np.maximum(values_of_bodies[at.body], self._work.x.array)
@@ -218,7 +218,7 @@ class MechanicalFields:
         for m in scene.motions:
             at = nodes.body == self.bodies.of_region[m.region]
             R = scene.rotation(m, self._problem.time)
-            if np.isfinite(scene.moduli[m.region]):  # deforms in its own axes
+            if np.isfinite(scene.moduli[m.region]):  # its displacement is in rotated axes
                 u[at] = u[at] @ R.T
             u[at] += (x[at] - m.about) @ (R.T - np.eye(3))
         point: dict[str, Floats] = {"displacement": u, **_named(σ)}
@@ -267,14 +267,14 @@ class MechanicalFields:
         for body in range(len(self.bodies.names)):
             sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
             sums[:] = 0.0
-            for region, own in self._stresses.cells.items():
+            for region, owned in self._stresses.cells.items():
                 if self.bodies.of_region[region] != body:
                     continue
                 σ = _components(self._stresses.evaluate(region))
-                mean[own] = self._stresses.shares[region] @ σ
+                mean[owned] = self._stresses.shares[region] @ σ
                 at_nodes = extrapolated(σ, self._stresses.points[region], X)
                 volume = self._stresses.places(region)[1].sum(axis=1)
-                at = dofs[own].ravel()
+                at = dofs[owned].ravel()
                 # A column at a time takes a tenth of the time of np.add.at.
                 for k in range(len(COMPONENTS)):
                     weighted = at_nodes[..., k] * volume[:, None]

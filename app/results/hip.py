@@ -64,8 +64,8 @@ class StemMotion:
         u, comm = _displacements(self._problem), self._problem.comm
         displacements: Numbers = {}
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
-            own = np.concatenate(comm.allgather(u[body, rows]))
-            displacements[name] = [float(c) for c in own[first].mean(axis=0)]
+            ends = np.concatenate(comm.allgather(u[body, rows]))
+            displacements[name] = [float(c) for c in ends[first].mean(axis=0)]
         at = self._nearest
         if at is None:
             return displacements
@@ -82,7 +82,7 @@ class StemMotion:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Facets of all ranks: centres (f, 3) [mm], areas (f,), and nodes of this rank's own."""
+    """Facets of all ranks: centres (f, 3) [mm], areas (f,), and nodes of this rank's facets."""
 
     comm: MPI.Comm
     x: Floats
@@ -108,8 +108,8 @@ def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
     dofs = problem.space.dofmap.list[f.cells][:, :4]
     dofs = np.take_along_axis(dofs, bodies.FACET_NODES[f.local, :3], axis=1)
     body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
-    own = corners.mean(axis=1), np.linalg.norm(normal, axis=1) / 2
-    x, area = (np.concatenate(problem.comm.allgather(part)) for part in own)
+    local = corners.mean(axis=1), np.linalg.norm(normal, axis=1) / 2
+    x, area = (np.concatenate(problem.comm.allgather(part)) for part in local)
     return _Surface(problem.comm, x, area, (body[:, None], dofs))
 
 

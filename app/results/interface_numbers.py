@@ -1,8 +1,8 @@
 """Published numbers of interfaces.
 
 All functions are collective and return the same plain values on every rank. Maxima, percentiles,
-means, areas and fractions of a hip leave out rim and tip, which have numbers of their own; sums are
-of the whole. Percentiles are weighted by area; maxima are reported beside them because peaks at
+means, areas and fractions of a hip leave out rim and tip, which have separate numbers. Sums are of
+the whole. Percentiles are weighted by area; maxima are reported beside them because peaks at
 edges grow with refinement.
 
 Maxima and percentiles of tractions are of point values, recovered from forces over areas
@@ -342,7 +342,7 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
         q.array[:] = jump.ravel()
         B.mult(q, u)
         start, end = (k // 3 for k in u.getOwnershipRange())
-        own = (nodes >= start) & (nodes < end)
-        moved[body, own] = u.array.reshape(-1, 3)[nodes[own] - start]
+        owned = (nodes >= start) & (nodes < end)
+        moved[body, owned] = u.array.reshape(-1, 3)[nodes[owned] - start]
     moved = contact.comm.allreduce(moved)
     return moved[bodies[:, 1:], place] - moved[bodies[:, :1], place]

@@ -36,24 +36,24 @@ class RegionCells:
         self._spread = fem.Function(forms.space)
 
     def _at_corners(self, dof: Ints, values: Floats, away: float) -> Floats:
-        """Values of own nodes at the corners of cells (m, 4), ``away`` elsewhere; collective."""
+        """Values of owned nodes at the corners of cells (m, 4), ``away`` elsewhere; collective."""
         self._spread.x.array[:] = away
         self._spread.x.array[dof] = values
         self._spread.x.scatter_forward()
         return np.asarray(self._spread.x.array[self._dofs])
 
     def faces(self, dof: Ints) -> Floats:
-        """Faces with all corners among own nodes (f, 3, 3) [mm], on every rank; collective."""
+        """Faces with all corners among owned nodes (f, 3, 3) [mm], on every rank; collective."""
         on = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
         return np.concatenate(self._comm.allgather(self._x[:, _FACES][on]))
 
     def volume(self, dof: Ints, level: Floats) -> float:
-        """Volume where a level, known at own nodes (n,), is not negative [mm3]; collective."""
+        """Volume where a level, known at owned nodes (n,), is not negative [mm3]; collective."""
         share = positive_share(self._at_corners(dof, level, -1.0))
         return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
 
     def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
-        """Depth to which a level, known at own nodes (n,), is not negative [mm]; collective.
+        """Depth to which a level, known at owned nodes (n,), is not negative [mm]; collective.
 
         It is measured from the triangles of a surface (f, 3, 3) [mm], at least one.
         """

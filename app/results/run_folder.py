@@ -172,7 +172,7 @@ class Writer:
             self.field_steps += 1
 
     def last_fields(self) -> None:
-        """Write the last written step of the fields to a file of its own; collective.
+        """Write the last written step of the fields to a separate file; collective.
 
         Raises:
             StoppedError: The disk is full.

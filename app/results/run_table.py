@@ -14,7 +14,7 @@ from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 
 
-class Row(TypedDict):
+class RunRow(TypedDict):
     """A run in the table.
 
     Attributes:
@@ -44,7 +44,7 @@ class Row(TypedDict):
     folder: str
 
 
-class SweepRow(Row):
+class SweepRow(RunRow):
     """A run in the table of a sweep.
 
     Attributes:
@@ -64,7 +64,7 @@ class SweepRow(Row):
 MOST = {"slip_p99": "slip, p99, on", "temperature_max": "in"}
 
 
-def row(point: Point, summary: Summary, status: str, seconds: float) -> Row:
+def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
     """Row of the table.
 
     Args:
@@ -97,12 +97,12 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> Row:
     }
 
 
-def csv(rows: Sequence[Row], keys: Sequence[str], first: str) -> str:
+def csv(rows: Sequence[RunRow], keys: Sequence[str], first: str) -> str:
     """Table as CSV, with the overrides of some keys; ``first`` is the title of the names."""
     return csv_text([_flat(r, keys, first) for r in rows])
 
 
-def _flat(row: Row, keys: Sequence[str], first: str) -> dict[str, object]:
+def _flat(row: RunRow, keys: Sequence[str], first: str) -> dict[str, object]:
     numbers = {}
     for name, value in row["numbers"].items():
         unit = quantities.find(name).unit
@@ -123,7 +123,7 @@ def _flat(row: Row, keys: Sequence[str], first: str) -> dict[str, object]:
     }
 
 
-def write_variations(rows: Sequence[Row], folder: Path) -> list[Row]:
+def write_variations(rows: Sequence[RunRow], folder: Path) -> list[RunRow]:
     """Write ``variations.json`` and ``variations.csv``; return the rows."""
     keys = list(dict.fromkeys(key for r in rows for key in r["overrides"]))
     write_json(folder / "variations.json", rows)
@@ -131,7 +131,7 @@ def write_variations(rows: Sequence[Row], folder: Path) -> list[Row]:
     return [*rows]
 
 
-def text(rows: Sequence[Row]) -> str:
+def text(rows: Sequence[RunRow]) -> str:
     """Table as text: one line per run with its most informative number."""
     lines = []
     for r in rows:

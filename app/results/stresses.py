@@ -71,8 +71,8 @@ class Stresses:
         self._relative: dict[str, Floats] = {}
         self.follow_density(every=True)
         self._places: dict[str, tuple[Floats, Floats]] = {}
-        # Regions share the form of their strain, but for those with free strain.
-        self._own: dict[str, fem.Expression] = {}
+        # Forms of the elastic strain of regions with free strain. The others share one form.
+        self._with_free_strain: dict[str, fem.Expression] = {}
         self._moved = fem.Function(problem.space)
         self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
@@ -80,7 +80,8 @@ class Stresses:
                 e.eigenstrains or e.region in body_forms.free_strain
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-                self._own[e.region] = self._expression(body_forms.elastic_strain(e, displacement))
+                elastic_strain = body_forms.elastic_strain(e, displacement)
+                self._with_free_strain[e.region] = self._expression(elastic_strain)
 
     def follow_density(self, every: bool = False) -> None:
         """Update the stiffness that follows a density, or of `every` region where it varies."""
@@ -96,7 +97,7 @@ class Stresses:
     def _elastic_strain(self, region: str) -> Floats:
         """Strain of a region's law for the stress, without thermal or other free strain [-]."""
         problem, cells = self._problem, self.cells[region]
-        expression = self._own.get(region)
+        expression = self._with_free_strain.get(region)
         if expression is None:
             displacement = problem.displacements()[problem.bodies.of_region[region]]
             expression, self._moved.x.array[:] = self._strain, displacement.x.array
@@ -105,7 +106,7 @@ class Stresses:
         return expression.eval(problem.tagged.mesh, cells).reshape(len(cells), -1, 3, 3)
 
     def evaluate(self, region: str) -> Floats:
-        """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        """Stress at the quadrature points of a region's owned cells (cells, points, 3, 3) [MPa]."""
         stress_history = self._stress_histories.get(region)
         if stress_history:
             σ, at = stress_history.stress(region), self.points[region]
@@ -128,12 +129,12 @@ class Stresses:
         return σ * self._relative[region][..., None, None] if region in self._relative else σ
 
     def varying_moduli(self) -> dict[str, Floats]:
-        """Mean Young's modulus of own cells (cells,) [MPa], of regions where it varies."""
+        """Mean Young's modulus of owned cells (cells,) [MPa], of regions where it varies."""
         of = {e.region: e.moduli[0] for e in self._problem.scene.elastic}
         return {r: of[r] * (g * self.shares[r]).sum(1) for r, g in self._relative.items()}
 
     def mean(self, region: str) -> Floats:
-        """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
+        """Mean stress of a region's owned cells (cells, 3, 3) [MPa]."""
         return np.einsum("q,cqij->cij", self.shares[region], self.evaluate(region))
 
     def places(self, region: str) -> tuple[Floats, Floats]:
@@ -222,10 +223,10 @@ def _moduli_by_energy(e: Elastic) -> Floats:
 
     # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b), and ψ(2 a) = 4 ψ(a).
     one = np.eye(6)
-    own = np.array([energy(a) for a in one])
-    work = np.diag(2 * own)
+    single = np.array([energy(a) for a in one])
+    work = np.diag(2 * single)
     for i, j in combinations(range(6), 2):
-        work[i, j] = work[j, i] = energy(one[i] + one[j]) - own[i] - own[j]
+        work[i, j] = work[j, i] = energy(one[i] + one[j]) - single[i] - single[j]
     # Each of the last three stands for two entries of the tensors.
     entries = np.zeros((6, 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):

@@ -129,8 +129,8 @@ class Surface:
         self._pieces = cut(levels, len(x))
         self._sharp = points.faces[self.triangles].min(axis=1) > 0
         hats = {part: self._hats(pieces) for part, pieces in self._pieces.items()}
-        own = np.maximum(sum(hats.values()), np.finfo(float).tiny)
-        self.weight = {part: points.weight * hat / own for part, hat in hats.items()}
+        total = np.maximum(sum(hats.values()), np.finfo(float).tiny)
+        self.weight = {part: points.weight * hat / total for part, hat in hats.items()}
 
     @property
     def parts(self) -> list[str]:

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.case.summary import Numbers, Thermal
+from app.case.summary import Numbers, ThermalNumbers
 from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, ThermalNodes, region_nodes
@@ -309,11 +309,11 @@ class ThermalRecord:
     def row_keys(self) -> dict[str, dict[str, Ints]]:
         """Keys of the regions' nodes."""
         nodes = node_keys(self._forms.space)
-        return {"regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
+        return {"regions": {region: nodes[at.dof] for region, at in self._nodes.items()}}
 
     # The summary
 
-    def summary(self) -> Thermal:
+    def summary(self) -> ThermalNumbers:
         """Section ``thermal`` of the summary; collective."""
         comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
         # Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank.
@@ -324,7 +324,7 @@ class ThermalRecord:
         ]
         surface = np.concatenate([np.zeros((0, 3, 3)), *faces])
         regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
-        result: Thermal = {
+        result: ThermalNumbers = {
             "regions": regions,
             "interfaces": {name: self._interface(name) for name in self._interfaces},
         }
@@ -394,7 +394,7 @@ class CureRecord:
     cubic of time over degree, from degrees and rates at both ends.
 
     Args:
-        degrees: Degree of cure at this rank's own nodes of each curing region (n,).
+        degrees: Degree of cure at the owned nodes of each curing region (n,).
         keys: Keys of these nodes (n,).
     """
 

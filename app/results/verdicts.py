@@ -178,9 +178,9 @@ def _physiology(summary: Summary) -> Iterator[Verdict]:
 
 def _crack(name: str, q: Numbers) -> Verdict:
     """Damage of an interface; a warning if the mesh does not resolve the zone where it breaks."""
-    own = TABLE["interfaces"]
+    table = TABLE["interfaces"]
     keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
-    damaged, broken, never, zone, elements = (own[key].text(q) for key in keys)
+    damaged, broken, never, zone, elements = (table[key].text(q) for key in keys)
     text = f"{name} is damaged on {damaged} mm^2, of which {broken} are broken"
     if q["unbonded_fraction"]:
         text += f"; {never} % was never bonded"

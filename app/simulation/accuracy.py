@@ -1,4 +1,4 @@
-"""Runs beside a run, without folders of their own: for its errors, and to choose its mesh.
+"""Auxiliary runs without run directories: for the errors of a run, and to choose its mesh.
 
 ``output.error``: companions (`results.error_estimate`) of a run, solved by models that share its
 meshes and matrices.

@@ -131,8 +131,9 @@ class _Deck:
         for name in self.tagged.boundaries:
             yield from self._surface(name, boundary_facets(self.tagged, name))
         for i in self.scene.contacts:
-            for side, own, other in (("slave", i.slave, i.master), ("master", i.master, i.slave)):
-                f = facets_between(self.tagged, own, other)
+            sides = (("slave", i.slave, i.master), ("master", i.master, i.slave))
+            for side, inside, outside in sides:
+                f = facets_between(self.tagged, inside, outside)
                 yield from self._surface(f"{i.name}_{side}", f)
             stiff = i.law.layer[0] if i.law.layer else STIFF
             yield f"*SURFACE INTERACTION, NAME={i.name}"

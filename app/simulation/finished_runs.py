@@ -53,7 +53,7 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
     """
     if restart not in ("", "auto") and case.config.variations:
         raise InputError(
-            "--restart FILE: each variation has its own checkpoint; use --restart auto"
+            "--restart FILE: a checkpoint belongs to one variation; use --restart auto"
         )
     memory.check(case.file, case.config)
     runs = case.runs(output)

@@ -166,7 +166,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
         for folder, old in summaries.items()
     }
 
-    def write() -> list[run_table.Row]:
+    def write() -> list[run_table.RunRow]:
         return run_table.write_variations([rows[f] for f in runs if f in rows], output)
 
     for number, (folder, run) in enumerate(runs.items(), start=1):

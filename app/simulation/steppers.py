@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from app.case.run_options import Stage
-    from app.simulation.model import Model
     from app.stepping.load_steps import LoadStepper
     from app.stepping.stages import StageStepper
 
-# Makes the stepper of a model; collective. Its attribute ``saved`` names its saved state.
-StepperMaker = Callable[["Model", "LoadStepper"], "StageStepper"]
+# Makes the stepper of a `simulation.model.Model`, which imports this module; collective. The
+# attribute ``saved`` of the stepper names its saved state.
+StepperMaker = Callable[[Any, "LoadStepper"], "StageStepper"]
 # By key of the stages.
 MAKERS: dict[str, StepperMaker] = {}
 
@@ -29,7 +29,7 @@ def add_stepper(key: str, make: StepperMaker) -> None:
 
 
 def steppers(
-    stages: Iterable[Stage], model: Model, load_stepper: LoadStepper
+    stages: Iterable[Stage], model: Any, load_stepper: LoadStepper
 ) -> dict[str, StageStepper]:
     """The steppers that stages need, by key; collective."""
     keys = dict.fromkeys(stage.other.key for stage in stages if stage.other)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
-from app.case.summary import Mantle
+from app.case.summary import MantleNumbers
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
@@ -273,7 +273,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     return "\n".join(lines)
 
 
-def _mantle(note: Mantle) -> str:
+def _mantle(note: MantleNumbers) -> str:
     """A line on the thickness of the cement."""
     t = note["thickness"]
     return (

@@ -157,8 +157,8 @@ def _contradictions_in(
 def _moved(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors on supports of regions that move as a whole, notes on loads of those that stay.
 
-    An error, too, where nothing says how a rigid region turns on which another slides far: a turn
-    that is found feels contact where it was before it slid.
+    It is also an error if the rotation of a rigid region with finite sliding is not prescribed.
+    A computed rotation would use the contact points from before the sliding.
     """
     errors: list[Verdict] = []
     notes: list[Verdict] = []
