@@ -119,7 +119,7 @@ def test_study_ignores_accidentally_accurate_runs() -> None:
         SimpleNamespace(line="P2", key="mesh.size", label=f"{h} mm", time=t)
         for h, t in ((8, 1.0), (6, 2.0), (4, 4.0), (2, 8.0))
     ]
-    measured = SimpleNamespace(errors=[0.04, 0.012, 0.03, 0.015], own=0.012, reference=None)
+    measured = SimpleNamespace(errors=[0.04, 0.012, 0.03, 0.015], uncertainty=0.012, reference=None)
     assert study._costs(0.05, "slip", runs, [measured]) == (  # type: ignore[arg-type, list-item]
         "slip within 5 % costs 1.0 s (P2 at 8 mm), 2 % costs 8.0 s (P2 at 2 mm), "
         "1 % is below the uncertainty of the reference, 1.2 %"
