@@ -224,7 +224,7 @@ class Bearing:
         arm, rotated = s.arm[rows], rotation_vector(now @ before.T)
         torque = np.cross(arm, self._weight[:, None] * s.friction[rows]).sum(axis=0)
         centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
-        if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in its own axes
+        if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in the axes of the body
             centre = now @ centre
         spent = np.column_stack([s.dissipation[rows], self._weight * s.path[rows]])
         dose = (spent - self.slave_amounts[:, 0]) / self._slave.areas[:, None]

@@ -105,16 +105,16 @@ class AutocatalyticKinetics:
         levels = {f"limit_{k}": a for k, (_, a) in enumerate(pairs)}
 
         def laws(x: dict[str, Expr]) -> list[Expr]:
-            """Rate, its derivatives by degree and temperature, and the limit with its own."""
+            """Rate and limit with their derivatives by degree and temperature."""
             a, T = variable(x["a"]), variable(x["T"])
             limit = as_ufl(1.0)
             if pairs:
                 limit = forms.piecewise_linear(T, [x[k] for k in knots], [x[k] for k in levels])
             rate = forms.autocatalytic_rate(a, T, limit, *(x[k] for k in orders))
-            found = [rate, diff(rate, a), diff(rate, T)]
-            found += [limit, diff(limit, T)] if pairs else []
-            # Labels of variables differ from run to run: without them compiled code is found again.
-            return [strip_variables(expand_derivatives(e)) for e in found]
+            expressions = [rate, diff(rate, a), diff(rate, T)]
+            expressions += [limit, diff(limit, T)] if pairs else []
+            # Labels of variables differ from run to run: without them compiled code is used again.
+            return [strip_variables(expand_derivatives(e)) for e in expressions]
 
         constants: dict[str, Any] = orders | knots | levels
         self._limited = bool(pairs)
@@ -182,11 +182,11 @@ class AutocatalyticKinetics:
 
         Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds:
         ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
-        root. With m > 1 a long step may have several; one of them is found.
+        root. With m > 1 a long step may have several; one of them is returned.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.log(share) - np.log1p(-share)
-        found = np.zeros((3, len(rows)))
+        rates = np.zeros((3, len(rows)))
         moving = np.arange(len(rows))
         for _ in range(_ITERATIONS):
             if not len(moving):
@@ -196,7 +196,7 @@ class AutocatalyticKinetics:
             share = _logistic(at)
             reacted = room[moving] * share
             f, f_a, f_T = rates(rows[moving], reacted)
-            found[:, moving] = f, f_a, f_T
+            rates[:, moving] = f, f_a, f_T
             with np.errstate(divide="ignore", invalid="ignore"):
                 value = np.log(reacted / (h * f))
                 slope = (1 - share) * (1 - reacted * f_a / f)
@@ -206,7 +206,7 @@ class AutocatalyticKinetics:
             s[moving] = at + step
             going = ~(np.abs(step) <= _CONVERGED) & (high[moving] - low[moving] > _CONVERGED)
             moving = moving[going]
-        return room * _logistic(np.clip(s, low, high)), *found
+        return room * _logistic(np.clip(s, low, high)), *rates
 
 
 Kinetics = AutocatalyticKinetics | PrescribedKinetics
@@ -265,12 +265,12 @@ def _logistic(s: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class CuringNodes:
-    """Own nodes of a curing region.
+    """Owned nodes of a curing region.
 
     Attributes:
         region: Its name.
         body: Thermal body whose temperature they have.
-        dof: Own nodes, rising (n,).
+        dof: Owned nodes, rising (n,).
         heat: Heat that each releases from degree 0 to 1 (n,) [N mm].
         adiabatic_rise: Adiabatic temperature rise of the region by that heat [K].
         kinetics: How they cure.
@@ -318,20 +318,20 @@ class CureHeat:
         return bool(self._forms.comm.allreduce(all(map(admissible, start)), op=MPI.LAND))
 
     def at(self, T: Floats) -> list[Degrees]:
-        """Degrees of cure for temperatures of own nodes of each body (b, n) [K].
+        """Degrees of cure for temperatures of owned nodes of each body (b, n) [K].
 
         A steady state keeps its initial degrees: all heat of cure is already released.
         """
         here = [T[n.body, n.dof] for n in self.nodes]
         if self._last is None or not all(map(np.array_equal, here, self._last[0])):
             if np.isinf(self._h):
-                found = [Degrees(a, np.zeros_like(a)) for a in self._start]
+                degrees = [Degrees(a, np.zeros_like(a)) for a in self._start]
             else:
-                found = [
-                    n.kinetics.update(a, own, self._h, self._seconds)
-                    for n, a, own in zip(self.nodes, self._start, here, strict=True)
+                degrees = [
+                    n.kinetics.update(a, t, self._h, self._seconds)
+                    for n, a, t in zip(self.nodes, self._start, here, strict=True)
                 ]
-            self._last = here, found
+            self._last = here, degrees
         return self._last[1]
 
     def released(self, T: Floats) -> list[Floats]:
@@ -343,14 +343,14 @@ class CureHeat:
         ]
 
     def heats(self, T: Floats) -> Floats:
-        """Heat released at own nodes of each body (b, n) [N mm/s]."""
+        """Heat released at owned nodes of each body (b, n) [N mm/s]."""
         total = self._forms.zeros()
         for n, heat in zip(self.nodes, self.released(T), strict=True):
             total[n.body, n.dof] += heat
         return total
 
     def growth(self, T: Floats) -> dict[int, Floats]:
-        """Derivative of released heat by temperature at own nodes of curing bodies [N mm/(s K)]."""
+        """Derivative of released heat by temperature at owned nodes of bodies [N mm/(s K)]."""
         total = self._forms.zeros()
         for n, d in zip(self.nodes, self.at(T), strict=True):
             total[n.body, n.dof] += 1 / self._h * n.heat * d.by_temperature

@@ -58,22 +58,22 @@ class HeatForms:
         self._volumes: dict[str, Floats] = {}
 
     def zeros(self) -> Floats:
-        """Zeros at own nodes of each body (b, n)."""
+        """Zeros at owned nodes of each body (b, n)."""
         return np.zeros((len(self._bodies.names), self.owned))
 
     # Where
 
     def cells(self, region: str) -> NDArray[np.int32]:
         """Cells of a region that this rank owns."""
-        found = self._tagged.cell_tags.find(self._tagged.regions[region])
-        return np.asarray(found[found < self._mesh.topology.index_map(3).size_local])
+        cells = self._tagged.cell_tags.find(self._tagged.regions[region])
+        return np.asarray(cells[cells < self._mesh.topology.index_map(3).size_local])
 
     def held_nodes(self, condition: FixedTemperature) -> Bools:
-        """Own nodes of each body that have a given temperature (b, n); collective."""
+        """Owned nodes of each body that have a given temperature (b, n); collective."""
         held = self.zeros() > 0
         if condition.boundary:
-            found = facets_by_body(self._tagged, self._bodies, condition.boundary)
-            for b, facets in found.items():
+            by_body = facets_by_body(self._tagged, self._bodies, condition.boundary)
+            for b, facets in by_body.items():
                 nodes = fem.locate_dofs_topological(self.space, 2, facets)
                 held[b, nodes[nodes < self.owned]] = True
         for region in condition.regions or ():
@@ -81,7 +81,7 @@ class HeatForms:
         return held
 
     def values(self, field: Field, nodes: Ints) -> Floats:
-        """A field at some own nodes, zero at the others (owned,); collective.
+        """A field at some owned nodes, zero at the others (owned,); collective.
 
         Raises:
             InputError: The field cannot be evaluated there.
@@ -94,18 +94,18 @@ class HeatForms:
     # Lumped, by body
 
     def volumes(self, region: str) -> Floats:
-        """Volume of a region at each own node [mm3]."""
+        """Volume of a region at each owned node [mm3]."""
         if region not in self._volumes:
             self._volumes[region] = self._nodal(self._power() * self._dx(region))
         return self._volumes[region]
 
     def sizes(self, condition: HeatFlux | HeatSource) -> Floats:
-        """Area [mm2] or volume [mm3] of a condition at own nodes of each body (b, n)."""
+        """Area [mm2] or volume [mm3] of a condition at owned nodes of each body (b, n)."""
         power = self._power()
         return self._lumped(condition, lambda measure: power * measure)
 
     def exchange(self, condition: Convection | Perfusion) -> Floats:
-        """Heat per kelvin exchanged with surroundings at own nodes (b, n) [N mm/(s K)]."""
+        """Heat per kelvin exchanged with surroundings at owned nodes (b, n) [N mm/(s K)]."""
         # The derivative of the potential at a temperature of 1 K: the sums of rows.
         θ = fem.Function(self.space)
         θ.x.array[:] = 1

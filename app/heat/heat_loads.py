@@ -18,7 +18,7 @@ from app.scene.scene import Scene
 
 @dataclass(frozen=True)
 class SurfaceExchange:
-    """Exchange with surroundings at a temperature [K]: of own nodes (b, n) [N mm/(s K)]."""
+    """Exchange with surroundings at a temperature [K]: of owned nodes (b, n) [N mm/(s K)]."""
 
     name: str
     outside: float
@@ -30,7 +30,7 @@ class FrictionHeating:
     """Heat of friction, set from outside.
 
     Attributes:
-        nodal: Heat into own nodes of each body (b, n) [N mm/s].
+        nodal: Heat into owned nodes of each body (b, n) [N mm/s].
         flows: Heat of each interface, by its name in the balance, over all ranks [N mm/s].
     """
 
@@ -44,8 +44,8 @@ class MeanExchange:
 
     Attributes:
         matrix: Heat out of nodes by their temperatures (n, n) [N mm/(s K)].
-        body: Thermal body of own nodes on such surfaces, else 0 (n,).
-        slaves: Own nodes of the slave side of each interface.
+        body: Thermal body of owned nodes on such surfaces, else 0 (n,).
+        slaves: Owned nodes of the slave side of each interface.
     """
 
     matrix: PETSc.Mat
@@ -53,23 +53,23 @@ class MeanExchange:
     slaves: dict[str, Ints]
 
     def heats(self, T: Floats) -> Floats:
-        """Heat out of own nodes of each body at temperatures [K], both (b, n) [N mm/s]."""
+        """Heat out of owned nodes of each body at temperatures [K], both (b, n) [N mm/s]."""
         x, y = self.matrix.createVecs()
         at = self.body, np.arange(len(self.body))
         x.array[:] = T[at]
         self.matrix.mult(x, y)
-        found = np.zeros_like(T)
-        found[at] = y.array
-        return found
+        heat = np.zeros_like(T)
+        heat[at] = y.array
+        return heat
 
 
 class HeatLoads:
     """Fluxes, sources, convection and perfusion of a scene.
 
     Attributes:
-        heating: Fluxes and sources, with their heat into own nodes of bodies (b, n) [N mm/s].
+        heating: Fluxes and sources, with their heat into owned nodes of bodies (b, n) [N mm/s].
         exchange: Convection and perfusion.
-        per_kelvin: Heat exchanged with all surroundings at own nodes (b, n) [N mm/(s K)].
+        per_kelvin: Heat exchanged with all surroundings at owned nodes (b, n) [N mm/(s K)].
 
     Raises:
         InputError: A boundary does not exist, or a field cannot be evaluated.
@@ -89,26 +89,26 @@ class HeatLoads:
         self.per_kelvin = sum((e.per_kelvin for e in self.exchange), self._none)
 
     def heats(self, seconds: float) -> Floats:
-        """Heat into own nodes of each body at a time (b, n) [N mm/s]."""
+        """Heat into owned nodes of each body at a time (b, n) [N mm/s]."""
         return sum(
             (multiplier(c.time_course, seconds) * nodal for c, nodal in self.heating), self._none
         )
 
     def exchanged(self, T: Floats) -> Floats:
-        """Heat that own nodes at temperatures [K] give to surroundings (b, n) [N mm/s]."""
+        """Heat that owned nodes at temperatures [K] give to surroundings (b, n) [N mm/s]."""
         return sum((e.per_kelvin * (T - e.outside) for e in self.exchange), self._none)
 
 
 class FixedTemperatures:
-    """Given temperatures at own nodes.
+    """Given temperatures at owned nodes.
 
     Where several bodies have given temperatures at a node, the body of lowest number is the base:
-    the continuous temperature is its own (`meshes.contact_points`). Of two on one body the later
-    one in the case applies.
+    the continuous temperature is that of the body (`meshes.contact_points`). Of two on one body the
+    later one in the case applies.
 
     Attributes:
         conditions: The conditions.
-        of_body: Number of the condition at own nodes of each body, or -1 (b, n).
+        of_body: Number of the condition at owned nodes of each body, or -1 (b, n).
         base: The same for the continuous temperature (n,).
 
     Raises:
@@ -135,7 +135,7 @@ class FixedTemperatures:
                     self.of_body[b, jumps.dof[p]] = condition
 
     def values(self, seconds: float) -> Floats:
-        """Given temperature of each condition at own nodes (s + 1, n) [K]; the last row is zero."""
+        """Given temperatures by condition at owned nodes (s + 1, n) [K]; the last row is zero."""
         factors = [multiplier(c.time_course, seconds) for c in self.conditions]
         return np.array([*factors, 0.0])[:, None] * self._values
 
@@ -145,8 +145,8 @@ class FixedTemperatures:
 
     def blocks(self, values: Floats, jumps: TemperatureJumps | None) -> list[Floats]:
         """Given continuous temperature (n,) and jumps [K], zero elsewhere."""
-        found = [values[self.base, self._nodes]]
+        given = [values[self.base, self._nodes]]
         if jumps is not None:
             master, slave = (values[jumps.given[:, k], jumps.dof] for k in (0, 1))
-            found.append(slave - master)
-        return found
+            given.append(slave - master)
+        return given

@@ -61,10 +61,10 @@ class HeatEvaluation:
 
     Attributes:
         given: The state, and pressures and heat of friction, which are set from outside.
-        T: Temperature of own nodes of each body (b, n) [K].
+        T: Temperature of owned nodes of each body (b, n) [K].
         lacking: Residual heat, without interfaces (b, n) [N mm/s].
         parts: Terms of that residual but conduction, by body [N mm/s].
-        flux: Heat flux at own points, and its derivatives (`TemperatureJumps.flux`).
+        flux: Heat flux at owned points, and its derivatives (`TemperatureJumps.flux`).
     """
 
     given: list[Floats]
@@ -80,7 +80,7 @@ class ImplicitStep(System):
     Attributes:
         operators: The operators of heat.
         seconds: Time at the end of the solve last begun [s].
-        vectors: Makes new vectors: temperature of own nodes, and with jumps those of own points.
+        vectors: Makes new vectors: temperature of owned nodes, with jumps also of owned points.
     """
 
     prefix = "mantle_heat_"
@@ -143,8 +143,8 @@ class ImplicitStep(System):
         """Prepare a solve; False if it starts from inadmissible degrees of cure; collective.
 
         Args:
-            start: Temperatures of own nodes, and with jumps those of own points, at the start [K].
-            degrees: Degrees of cure at its start, of own nodes of each curing region.
+            start: Temperatures of owned nodes, with jumps also of owned points, at the start [K].
+            degrees: Degrees of cure at its start, of owned nodes of each curing region.
             h: Its length [s]; infinite for a steady state.
             seconds: Time at its end, since the start of the run.
 
@@ -264,7 +264,7 @@ class ImplicitStep(System):
         self._blocks.set(by_jump, cure.growth(here.T) if cure else {})
 
     def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
-        """Degrees of cure in a state, of own nodes of each curing region."""
+        """Degrees of cure in a state, of owned nodes of each curing region."""
         cure = self.operators.cure
         return [d.degree for d in cure.at(self.operators.nodal(x))] if cure else []
 
@@ -290,23 +290,23 @@ class ImplicitStep(System):
         of the solver.
         """
         here, o = self.at(x), self.operators
-        found: dict[str, float] = {}
+        heats: dict[str, float] = {}
         for c, nodal in o.loads.heating:
-            found[c.name] = multiplier(c.time_course, self.seconds) * float(nodal.sum())
+            heats[c.name] = multiplier(c.time_course, self.seconds) * float(nodal.sum())
         for e in o.loads.exchange:
-            found[e.name] = float((e.per_kelvin * (e.outside - here.T)).sum())
+            heats[e.name] = float((e.per_kelvin * (e.outside - here.T)).sum())
         if o.cure:
             for n, heat in zip(o.cure.nodes, o.cure.released(here.T), strict=True):
-                found[f"cure {n.region}"] = float(heat.sum())
+                heats[f"cure {n.region}"] = float(heat.sum())
         lacking = here.lacking.copy()
         if (j := o.jumps) and here.flux:
             q = j.weight * here.flux[0]
             np.add.at(lacking, (j.bodies[:, 0], j.dof), q)
             np.add.at(lacking, (j.bodies[:, 1], j.dof), -q)
         for s, held in enumerate(o.fixed.conditions):
-            found[held.name] = float(lacking[o.fixed.of_body == s].sum())
-        sums = self.comm.allreduce(np.array(list(found.values())))
-        every = dict(zip(found, map(float, sums), strict=True))
+            heats[held.name] = float(lacking[o.fixed.of_body == s].sum())
+        sums = self.comm.allreduce(np.array(list(heats.values())))
+        every = dict(zip(heats, map(float, sums), strict=True))
         return every | (o.friction.flows if o.friction else {})
 
     def through(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:

@@ -41,7 +41,7 @@ class HeatMatrices:
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
         jumps: The jumps, if there are any.
-        held: Own nodes whose continuous temperature is given.
+        held: Owned nodes whose continuous temperature is given.
     """
 
     def __init__(self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, held: Bools) -> None:
@@ -112,7 +112,7 @@ class HeatMatrices:
         """Complete the Jacobian [N mm/(s K)]; collective.
 
         ``by_jump`` is what interfaces add to the diagonal of the jumps, ``growth`` the derivative
-        by temperature of the heat released at own nodes, for some bodies.
+        by temperature of the heat released at owned nodes, for some bodies.
         """
         if growth:
             new = self._diagonal.copy()

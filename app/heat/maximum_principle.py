@@ -46,7 +46,7 @@ class MaximumPrinciple:
 
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
-        capacity: Capacity of own nodes in each body, zero where it has none (b, n).
+        capacity: Capacity of owned nodes in each body, zero where it has none (b, n).
         data: Initial and surrounding temperatures [K].
         heated: Whether cure or friction heat.
     """
@@ -75,7 +75,7 @@ class MaximumPrinciple:
         return np.inf if self.heated else self.data_high
 
     def see(self, given: Floats, heats: Floats) -> None:
-        """Include given temperatures [K] and heat into own nodes [N mm/s]; collective."""
+        """Include given temperatures [K] and heat into owned nodes [N mm/s]; collective."""
         ends = [-given.min(initial=np.inf), given.max(initial=-np.inf)]
         ends += [-heats.min(initial=0.0), heats.max(initial=0.0)]
         over_all = np.array(ends)

@@ -1,7 +1,7 @@
 """Nodes of regions, of the two sides of interfaces, and named points in the temperature field.
 
 A node belongs to the rank that owns it, whoever owns the cells around it. A region's nodes have
-their shares of its volume; where the temperature jumps, each side has its own value.
+their shares of its volume; where the temperature jumps, each side has a value.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ def region_nodes(
 ) -> dict[str, ThermalNodes]:
     """Nodes of regions, with the body of each region; collective."""
     x = forms.space.tabulate_dof_coordinates()
-    found = {}
+    nodes = {}
     for region in regions:
         volume = forms.volumes(region)
         dof = np.flatnonzero(volume > 0)
-        found[region] = ThermalNodes(of_region[region], dof, x[dof], volume[dof])
-    return found
+        nodes[region] = ThermalNodes(of_region[region], dof, x[dof], volume[dof])
+    return nodes
 
 
 # One side of an interface: rows of nodes by region.
@@ -120,8 +120,9 @@ class Probes:
         self._comm = tagged.mesh.comm
         self._mine: list[tuple[int, int, Ints, Floats]] = []
         for k, (name, probe) in enumerate(probes.items()):
-            if (found := _locate(tagged, name, probe)) is not None:
-                cell, region, share = found
+            location = _locate(tagged, name, probe)
+            if location is not None:
+                cell, region, share = location
                 dofs = space.dofmap.list[cell].astype(np.int64)
                 table = space.element.basix_element.tabulate(0, share[None, 1:])
                 self._mine.append((k, of_region[region], dofs, table.ravel()[: len(dofs)]))

@@ -45,7 +45,7 @@ class HeatOperators:
         loads: Heat sources and exchange with surroundings.
         fixed: Given temperatures.
         jumps: The temperature jumps, if an interface has a finite conductance.
-        capacity: Heat capacity of own nodes in each body (b, n) [N mm/K].
+        capacity: Heat capacity of owned nodes in each body (b, n) [N mm/K].
         reference: Temperature at which heat is zero [K].
         cure: Heat of cure, if anything cures.
         friction: Heat of friction, if an interface has any.
@@ -92,7 +92,7 @@ class HeatOperators:
 
     @cached_property
     def row_keys(self) -> Ints:
-        """Keys of own nodes."""
+        """Keys of owned nodes."""
         return node_keys(self.forms.space)[: self.forms.owned]
 
     def block_keys(self) -> list[Ints]:
@@ -102,7 +102,7 @@ class HeatOperators:
         return [self.row_keys, *jumps, *curing]
 
     def initial(self) -> Floats:
-        """Temperature of own nodes of each body at the start (b, n) [K].
+        """Temperature of owned nodes of each body at the start (b, n) [K].
 
         Regions of different temperature in perfect contact get the mean by capacity at shared
         nodes, which conserves heat. Given temperatures apply from the start.
@@ -117,7 +117,7 @@ class HeatOperators:
         return np.where(fixed.of_body >= 0, fixed.by_body(fixed.values(0.0)), T)
 
     def added(self, τ: PETSc.Vec | None) -> Floats:
-        """Temperature of own nodes of each body due to jumps (b, n) [K]."""
+        """Temperature of owned nodes of each body due to jumps (b, n) [K]."""
         added = self.forms.zeros()
         if self.jumps is not None:
             for b, B in self.jumps.moves.items():
@@ -126,10 +126,10 @@ class HeatOperators:
         return added
 
     def nodal(self, x: Sequence[PETSc.Vec]) -> Floats:
-        """Temperature of own nodes of each body (b, n) [K], meaningless outside the body.
+        """Temperature of owned nodes of each body (b, n) [K], meaningless outside the body.
 
         Args:
-            x: Temperature of own nodes, and with jumps those of own points.
+            x: Temperature of owned nodes, and with jumps those of owned points.
         """
         return x[0].array_r + self.added(x[-1])
 

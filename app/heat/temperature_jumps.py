@@ -35,19 +35,19 @@ class TemperatureJumps:
     Attributes:
         points: All points, replicated; component 0 of data by component.
         mine: Rows of ``points`` that this rank owns (n,).
-        dof: Own node of each own point (n,).
-        interface: Number of the own points' interfaces in ``scene.thermal_contacts`` (n,).
-        bodies: Thermal bodies (master, slave) of own points (n, 2).
-        weight: Areas of own points (n,) [mm2].
-        held: Whether both sides of own points have given temperatures (n,).
+        dof: Owned node of each owned point (n,).
+        interface: Number of the owned points' interfaces in ``scene.thermal_contacts`` (n,).
+        bodies: Thermal bodies (master, slave) of owned points (n, 2).
+        weight: Areas of owned points (n,) [mm2].
+        held: Whether both sides of owned points have given temperatures (n,).
         given: Their conditions (master, slave), -1 where the jump is free (n, 2).
         moves: B_b of each body whose temperature includes jumps.
-        pressure: Contact pressure at own points (n,) [MPa], set from outside.
-        friction: Friction heat per area at own points (n,) [N/(mm s)], set from outside.
+        pressure: Contact pressure at owned points (n,) [MPa], set from outside.
+        friction: Friction heat per area at owned points (n,) [N/(mm s)], set from outside.
         share: Share of it that enters the slave (n,).
 
     Args:
-        held: Condition with a given temperature at own nodes of each body, or -1 (b, n).
+        held: Condition with a given temperature at owned nodes of each body, or -1 (b, n).
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -71,9 +71,9 @@ class TemperatureJumps:
         self.given = self.points.given[self.mine, 0]
         self.held = self.given[:, 0] >= 0
         # Temperature has one component where displacement has three.
-        own = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
-        row, column = entries.row[own] // 3 - begin, entries.column[own] // 3
-        body, value = entries.body[own], entries.value[own]
+        owned = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
+        row, column = entries.row[owned] // 3 - begin, entries.column[owned] // 3
+        body, value = entries.body[owned], entries.value[owned]
         self.moves: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
             i = body == b
@@ -95,7 +95,7 @@ class TemperatureJumps:
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
-        """Heat q from master to slave [N/(mm s)] at jumps τ of own points [K], dq/dτ and dq/dp."""
+        """Heat q from master to slave [N/(mm s)] at owned jumps τ [K], dq/dτ and dq/dp."""
         q, by_jump, by_pressure = self._law(p=self.pressure, τ=τ)
         return q, by_jump, by_pressure
 
@@ -104,8 +104,8 @@ def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
     """Given temperatures at the vertices of interfaces, as supports hold displacement."""
     start = forms.space.dofmap.index_map.local_range[0]
     dof, first = np.unique(facets.dofs[:, :3], return_index=True)
-    own = (dof >= start) & (dof < start + forms.owned)
-    node, vertex = dof[own] - start, facets.vertices.ravel()[first[own]]
+    owned = (dof >= start) & (dof < start + forms.owned)
+    node, vertex = dof[owned] - start, facets.vertices.ravel()[first[owned]]
     body, row = np.nonzero(held[:, node] >= 0)
     columns = gather(forms.comm, vertex[row], body, held[body, node[row]])
     rigid = np.zeros(len(columns[0]), dtype=bool)

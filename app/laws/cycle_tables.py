@@ -79,8 +79,8 @@ class CycleTable(Section):
         import numpy as np
 
         time = self.times[0] + s * (self.times[-1] - self.times[0])
-        found = (self.columns.get(name) for name in names)
-        return [float(np.interp(time, self.times, values)) if values else 0.0 for values in found]
+        columns = (self.columns.get(name) for name in names)
+        return [float(np.interp(time, self.times, values)) if values else 0.0 for values in columns]
 
 
 def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:

@@ -130,13 +130,13 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
         if not isinstance(value, str):
             return np.full(len(x), value)
         try:
-            found = evaluate(value, x)
-            if mark is not None and len(found):
-                for k in {int(found.argmin()), int(found.argmax())}:
+            values = evaluate(value, x)
+            if mark is not None and len(values):
+                for k in {int(values.argmin()), int(values.argmax())}:
                     place = ", ".join(f"{c:g}" for c in x[k])
-                    bounds, shown = mark.constant, f"{found[k]:g} at ({place}) mm"
-                    bounds.check(found[k], shown, bounds.unit)
-            return found
+                    bounds, shown = mark.constant, f"{values[k]:g} at ({place}) mm"
+                    bounds.check(values[k], shown, bounds.unit)
+            return values
         except (InputError, PydanticCustomError) as error:
             raise InputError(f"{key}: {error}") from error
 

@@ -106,18 +106,18 @@ class OnBody:
         body_forms = self._body_forms
         if regions is None:
             regions = [e.region for e in body_forms.scene.elastic]
-        own = [r for r in regions if body_forms.bodies.of_region[r] == self._body]
-        if not own:
+        of_body = [r for r in regions if body_forms.bodies.of_region[r] == self._body]
+        if not of_body:
             return []
         degree = 2 * body_forms.scene.order + 2
         element = basix.ufl.quadrature_element("tetrahedron", value_shape=(3,), degree=degree)
         b = fem.Function(fem.functionspace(body_forms.mesh, element))
-        cells = np.sort(np.concatenate([body_forms.region_cells(r) for r in own]))
+        cells = np.sort(np.concatenate([body_forms.region_cells(r) for r in of_body]))
         everywhere(
             body_forms.mesh.comm, lambda: b.interpolate(lambda x: density(x.T).T, cells0=cells)
         )
         dx = body_forms.cells()
-        return [(b, dx(body_forms.tagged.regions[r], degree=degree)) for r in own]
+        return [(b, dx(body_forms.tagged.regions[r], degree=degree)) for r in of_body]
 
 
 class BodyForms:
@@ -221,7 +221,7 @@ class BodyForms:
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
     def places(self, region: str, points: Floats, weights: Floats) -> tuple[Floats, Floats]:
-        """Positions (cells, points, 3) [mm] and volumes of points of a region's own cells."""
+        """Positions (cells, points, 3) [mm] and volumes of points of a region's owned cells."""
         element = self.mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
         N, *dN = element.tabulate(1, points)
         x = self.mesh.geometry.x[self.mesh.geometry.dofmap[self.region_cells(region)]]
@@ -232,7 +232,7 @@ class BodyForms:
         return places, np.asarray(measure * weights / weights.sum())
 
     def relative_stiffness(self, e: Elastic, points: Floats) -> Floats:
-        """Stiffness over its largest at points of a region's own cells (cells, points); collective.
+        """Stiffness over its largest at points of owned cells of a region (c, p); collective.
 
         At the first order, where strains are constant in a cell, its mean over the cell (cells, 1).
         """
@@ -258,7 +258,7 @@ class BodyForms:
         return np.asarray(np.clip(density(changing.law, E), *changing.bounds))
 
     def vertices(self, region: str) -> NDArray[np.int32]:
-        """Vertices of a region's own cells (cells, 4), as numbered in `scalars`."""
+        """Vertices of a region's owned cells (cells, 4), as numbered in `scalars`."""
         return self.scalars.dofmap.list[self.region_cells(region)]
 
     def vertex_sums(self, vertices: NDArray[np.int32], values: Any) -> Floats:
@@ -270,9 +270,9 @@ class BodyForms:
         return np.array(total.array)
 
     def density_at(self, region: str, points: Floats, density: Floats) -> Floats:
-        """A density at the vertices (n, r) at points of a region's own cells (cells, points)."""
-        own = density[:, self.by_density.index(region)]
-        return np.asarray(own[self.vertices(region)] @ hats(points).T)
+        """A density at the vertices (n, r) at points of a region's owned cells (cells, points)."""
+        nodal = density[:, self.by_density.index(region)]
+        return np.asarray(nodal[self.vertices(region)] @ hats(points).T)
 
     def follow_density(self) -> None:
         """Set the moduli that follow densities to those of them; collective."""
@@ -296,14 +296,14 @@ class BodyForms:
         return self._relative.get(e.region, 1) * e.energy(ε, *self._constants[e.region])
 
     def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
-        """Measure of a region, by its own tag or another.
+        """Measure of a region, by its tag or another one.
 
         Turning fibres and moduli that vary get a fixed degree: UFL would choose more than 20 for
         the former, with the same errors.
         """
-        own = dx(self.tagged.regions[e.region] if tag is None else tag)
+        measure = dx(self.tagged.regions[e.region] if tag is None else tag)
         varies = e.varies or (e.fibre and e.fibre.turns)
-        return own(degree=self._degree(e)) if varies else own
+        return measure(degree=self._degree(e)) if varies else measure
 
     def _degree(self, e: Elastic) -> int:
         by_density = e.modulus_field or e._density

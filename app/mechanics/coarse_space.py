@@ -103,28 +103,28 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
     frame, modes = _frame(contact.points.x), constraints.modes
     rigid = {r.region for r in problem.scene.rigid}
-    # Rows of nodal components, of own unknowns and of jumps.
-    found: list[list[Triplets]] = [[_dense(np.zeros((0, 0)), 0)] for _ in range(3)]
-    nodal, others, jumps = found
+    # Rows of nodal components, of owned unknowns and of jumps.
+    triplets: list[list[Triplets]] = [[_dense(np.zeros((0, 0)), 0)] for _ in range(3)]
+    nodal, others, jumps = triplets
     first, stiffest = 0, _stiffest(problem)
     for body, name in enumerate(problem.bodies.names):
-        own = _components(problem, contact, body)
+        of_body = _components(problem, contact, body)
         master, slave = (contact.local.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
-            others.append(_dense(_unknowns(problem, own)[:, None] * (modes.T @ frame), first))
+            others.append(_dense(_unknowns(problem, of_body)[:, None] * (modes.T @ frame), first))
             slides = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
             jumps.append(_dense(slides, first))
             first += 6
             continue
         for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
-            inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
+            inside = at_nodes[0][of_body.any(axis=1)] if boxes is large else at_points[0][sign != 0]
             used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
             place = first + 3 * (np.cumsum(used) - 1)
-            nodal.append(_hats(at_nodes, place, used, own.astype(float)))
+            nodal.append(_hats(at_nodes, place, used, of_body.astype(float)))
             jumps.append(_hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1)))
             first += 3 * int(used.sum())
-    entries = [tuple(map(np.concatenate, zip(*parts, strict=True))) for parts in found]
+    entries = [tuple(map(np.concatenate, zip(*parts, strict=True))) for parts in triplets]
     # A motion belongs to the rank that has most of it; columns are in the order of the ranks.
     votes = sum(np.bincount(j, minlength=first) for _, j, _ in entries)
     owner = np.argmax(comm.allgather(votes), axis=0)
@@ -171,24 +171,24 @@ def _frame(x: Floats) -> Floats:
 
 
 def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
-    """Own nodal components of a body that no jump moves (n, 3); collective."""
+    """Owned nodal components of a body that no jump moves (n, 3); collective."""
     cells = problem.bodies.of_tag[cell_tags(problem.tagged)] == body
     nodes = touched_nodes(problem.space, cells)
-    own = np.repeat(nodes[:, None], 3, axis=1)
+    unmoved = np.repeat(nodes[:, None], 3, axis=1)
     if body in contact.coupling.jump_to_displacement:
         # There nodes are those of the other bodies.
         rows = contact.coupling.jump_to_displacement[body].getValuesCSR()[0]
-        own &= (np.diff(rows) == 0).reshape(-1, 3)
-    return own
+        unmoved &= (np.diff(rows) == 0).reshape(-1, 3)
+    return unmoved
 
 
 def _unknowns(problem: Problem, components: Bools) -> Bools:
-    """Own unknowns that the given nodal components depend on."""
-    found = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
+    """Owned unknowns that the given nodal components depend on."""
+    reached = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
     vector = problem.stiffness.K.createVecLeft()
     for mode in problem.stiffness.constraints.modes:
         vector.array[:] = mode
         nodal = problem.stiffness.constraints.expand(vector)
         nodal.array[~components.ravel()] = 0
-        found |= problem.stiffness.constraints.vector(nodal).array != 0
-    return found
+        reached |= problem.stiffness.constraints.vector(nodal).array != 0
+    return reached

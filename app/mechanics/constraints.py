@@ -3,7 +3,7 @@ r"""Constraints: from nodal displacements to independent unknowns.
 The displacement of all nodes is U = P ũ. Mostly P is the identity. The nodes of a rigid region move
 by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its supports determine come
 first, and then they are held like any supported component. Nodes that supports hold along other
-directions than x, y, z have unknowns along axes of their own (`scene.frames`).
+directions than x, y, z have unknowns along local axes (`scene.frames`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FOLLOWS = -2
 
 
 def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -> Ints:
-    """Support that holds each own component in a stage, -1 where none does (nodes, 3).
+    """Support that holds each owned component in a stage, -1 where none does (nodes, 3).
 
     Components are along the axes of the node. Where supports on several bodies hold a node, the
     body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
@@ -41,8 +41,8 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
     scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
     space, index_map = body_forms.space, body_forms.space.dofmap.index_map
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
-    rows, places = frames.own(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
-    own = support[rows]
+    rows, places = frames.owned(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
+    of_frames = support[rows]
     holding = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
@@ -52,7 +52,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
         for region in sorted(rigid.intersection(bodies.names[body].split(" + "))):
             moved = touched_nodes(space, tags == tagged.regions[region])
             support[: len(moved)][moved] = -1
-            own[moved[rows]] = -1
+            of_frames[moved[rows]] = -1
         for s in holding:
             f = patches[s]
             mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
@@ -61,29 +61,32 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
                 support[nodes, c] = s
         if frames:
             mine = frames.support(places, body, holding)
-            own = np.where(mine >= 0, mine, own)
-    support[rows] = own
+            of_frames = np.where(mine >= 0, mine, of_frames)
+    support[rows] = of_frames
     return support[: index_map.size_local]
 
 
 def _prescribed_values(
-    scene: Scene, space: fem.FunctionSpace, own: Ints, axes: Floats | None
+    scene: Scene, space: fem.FunctionSpace, support_of: Ints, axes: Floats | None
 ) -> Floats:
-    """Displacement of own nodes by each support at full amplitude (s, n, 3) [mm]; collective.
+    """Displacement of owned nodes by each support at full amplitude (s, n, 3) [mm]; collective.
 
-    ``own`` is the support of each own component (n, 3), ``axes`` the axes of the components
-    (n, 3, 3), None for x, y, z.
+    Args:
+        scene: The scene.
+        space: Space of the displacement.
+        support_of: Support of each owned component (n, 3).
+        axes: Axes of the components (n, 3, 3), None for x, y, z.
     """
-    x = space.tabulate_dof_coordinates()[: len(own)]
+    x = space.tabulate_dof_coordinates()[: len(support_of)]
 
     def values() -> Floats:
-        result = np.zeros((len(scene.supports), *own.shape))
+        result = np.zeros((len(scene.supports), *support_of.shape))
         for s, term in enumerate(scene.supports):
-            rows = np.flatnonzero((own == s).any(axis=1))
+            rows = np.flatnonzero((support_of == s).any(axis=1))
             values = term.values(x[rows])
             if axes is not None:
                 values = np.einsum("nic,ni->nc", axes[rows], values)
-            result[s, rows] = np.where(own[rows] == s, values, 0.0)
+            result[s, rows] = np.where(support_of[rows] == s, values, 0.0)
         return result
 
     return everywhere(space.mesh.comm, values)
@@ -92,16 +95,16 @@ def _prescribed_values(
 class Constraints:
     """Unknowns ũ of the displacement U = P ũ of all nodes, with the supports of a stage.
 
-    P is a matrix where nodes have axes of their own or regions are rigid, else the identity. A
-    rigid region has six unknowns on rank 0 in place of its nodes.
+    P is a matrix where nodes have local axes or regions are rigid, else the identity. A rigid
+    region has six unknowns on rank 0 in place of its nodes.
 
     Attributes:
-        transforms: Whether P is not the identity.
+        transforms: True if P is not the identity.
         follows: True if the pattern of P changes as surfaces slide on each other.
-        constrained: Own unknowns that supports hold (n,).
-        unit: Values of the own unknowns by each support at full amplitude (s, n).
-        reacting: Own nodal components through which supports act (3 own nodes,).
-        modes: The six rigid modes of the whole model in own unknowns (6, n).
+        constrained: Owned unknowns that supports hold (n,).
+        unit: Values of the owned unknowns by each support at full amplitude (s, n).
+        reacting: Owned nodal components through which supports act (3 owned nodes,).
+        modes: The six rigid modes of the whole model in owned unknowns (6, n).
 
     Raises:
         InputError: Supports of a rigid region contradict each other.
@@ -111,7 +114,7 @@ class Constraints:
         self, body_forms: BodyForms, stage: int, frames: Frames | None, followers: Followers | None
     ) -> None:
         scene, space = body_forms.scene, body_forms.space
-        own = _support_of_dofs(body_forms, stage, frames)
+        support_of = _support_of_dofs(body_forms, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
         self._P0: PETSc.Mat | None = None
@@ -120,21 +123,21 @@ class Constraints:
         self.follows = bool(followers and followers.deformable)
         self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
-            self._transform(body_forms, own, frames)
+            self._transform(body_forms, support_of, frames)
             self._P0 = self._P
             self.follow()
             return
-        self.constrained: Bools = own.ravel() >= 0
-        prescribed = _prescribed_values(scene, space, own, None)
-        self.unit = prescribed.reshape(len(prescribed), own.size)
+        self.constrained: Bools = support_of.ravel() >= 0
+        prescribed = _prescribed_values(scene, space, support_of, None)
+        self.unit = prescribed.reshape(len(prescribed), support_of.size)
         self.reacting: Bools = self.constrained
-        x = space.tabulate_dof_coordinates()[: len(own)]
+        x = space.tabulate_dof_coordinates()[: len(support_of)]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
-    def _transform(self, body_forms: BodyForms, own: Ints, frames: Frames | None) -> None:
-        """Build P, from the supports that hold own components (nodes, 3); collective."""
+    def _transform(self, body_forms: BodyForms, support_of: Ints, frames: Frames | None) -> None:
+        """Build P, from the supports that hold owned components (nodes, 3); collective."""
         scene, tagged, space = body_forms.scene, body_forms.tagged, body_forms.space
-        comm, nodes = tagged.mesh.comm, len(own)
+        comm, nodes = tagged.mesh.comm, len(support_of)
         x = space.tabulate_dof_coordinates()[:nodes]
         region = np.full(nodes, -1, dtype=np.int64)
         for k, body in enumerate(scene.rigid):
@@ -147,20 +150,20 @@ class Constraints:
             region[self._followers.owned_following] = FOLLOWS
         free = np.flatnonzero(region == -1)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
-        turned = np.zeros(nodes, dtype=bool)
+        oblique = np.zeros(nodes, dtype=bool)
         if frames:
-            rows, places = frames.own(space.dofmap.index_map)
-            axes[rows], turned[rows] = frames.axes[places], region[rows] == -1
+            rows, places = frames.owned(space.dofmap.index_map)
+            axes[rows], oblique[rows] = frames.axes[places], region[rows] == -1
         moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
         n = 3 * len(free) + (6 * len(moving) if comm.rank == 0 else 0)
         start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
         self.constrained = np.zeros(n, dtype=bool)
-        self.constrained[: 3 * len(free)] = (own[free] >= 0).ravel()
-        prescribed = _prescribed_values(scene, space, own, axes)
+        self.constrained[: 3 * len(free)] = (support_of[free] >= 0).ravel()
+        prescribed = _prescribed_values(scene, space, support_of, axes)
         self.unit = np.zeros((len(prescribed), n))
         self.unit[:, : 3 * len(free)] = prescribed[:, free].reshape(len(prescribed), 3 * len(free))
-        reacting = (own >= 0) & (region == -1)[:, None]
-        reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
+        reacting = (support_of >= 0) & (region == -1)[:, None]
+        reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
         self.modes = np.zeros((6, n))
         modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
         self.modes[:, : 3 * len(free)] = modes.reshape(-1, 6).T
@@ -168,13 +171,13 @@ class Constraints:
         entries = np.zeros((nodes, 3, 6))
         columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
         entries[free, :, 0] = 1
-        columns[turned, :, :3] = columns[turned, :, 0][:, None]
-        entries[turned, :, :3] = axes[turned]
+        columns[oblique, :, :3] = columns[oblique, :, 0][:, None]
+        entries[oblique, :, :3] = axes[oblique]
         for k, name in enumerate(moving):
             here, place = np.flatnonzero(region == k), tail + 6 * k
             columns[here] = place + np.arange(6)
             entries[here], rank = self._add_rigid(
-                comm, scene, name, place, x[here], axes[here], own[here], prescribed[:, here]
+                comm, scene, name, place, x[here], axes[here], support_of[here], prescribed[:, here]
             )
             reacting[here] |= rank > 0
         self.reacting = reacting.ravel()
@@ -191,14 +194,20 @@ class Constraints:
         place: int,
         x: Floats,
         axes: Floats,
-        own: Ints,
+        support_of: Ints,
         prescribed: Floats,
     ) -> tuple[Floats, int]:
-        """Set the unknowns of a rigid region, from its n own nodes; collective.
+        """Set the unknowns of a rigid region, from its n owned nodes; collective.
 
-        The six begin at ``place``. ``x`` are positions (n, 3) [mm], ``axes`` those of the
-        components (n, 3, 3), ``own`` the support of each component (n, 3), ``prescribed`` the
-        displacement by each support (s, n, 3).
+        Args:
+            comm: Communicator of the mesh.
+            scene: The scene.
+            region: Name of the region.
+            place: Number of the first of the six unknowns.
+            x: Positions of the nodes (n, 3) [mm].
+            axes: Axes of their components (n, 3, 3).
+            support_of: Support of each component (n, 3).
+            prescribed: Displacement by each support (s, n, 3) [mm].
 
         Returns:
             Displacement of the nodes by the unknowns (n, 3, 6), and the constrained unknowns.
@@ -206,7 +215,7 @@ class Constraints:
         points = gather(comm, x)[0]
         centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
         local = rigid_modes((x - centre) / scale)
-        held = own >= 0
+        held = support_of >= 0
         along = (axes.swapaxes(1, 2) @ local)[held]
         rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
         motion = scene.motion_of((region,))
@@ -260,21 +269,21 @@ class Constraints:
         return self._P.transposeMatMult(C) if self._P else C
 
     def at(self, nodes: Ints) -> PETSc.Mat:
-        """Rows of P of own nodes, zero in constrained columns; collective."""
+        """Rows of P of owned nodes, zero in constrained columns; collective."""
         assert self._P
         rows = self._P.getOwnershipRange()[0] + 3 * nodes[:, None] + np.arange(3)
         rows = rows.ravel().astype(PETSc.IntType)
-        found = self._P.createSubMatrix(PETSc.IS().createGeneral(rows, comm=self._P.comm))
-        free = found.createVecRight()
+        rows_of_P = self._P.createSubMatrix(PETSc.IS().createGeneral(rows, comm=self._P.comm))
+        free = rows_of_P.createVecRight()
         free.array[:] = ~self.constrained
-        found.diagonalScale(None, free)
-        return found
+        rows_of_P.diagonalScale(None, free)
+        return rows_of_P
 
     def given(self, nodes: Ints, axes: Floats) -> Bools:
-        """Mask of the components of own nodes that supports prescribe (n, 3); collective.
+        """Mask of the components of owned nodes that supports prescribe (n, 3); collective.
 
         Args:
-            nodes: Own nodes (n,).
+            nodes: Owned nodes (n,).
             axes: Axes of the components, as columns (n, 3, 3).
         """
         if not self._P:
@@ -285,8 +294,8 @@ class Constraints:
         shape = 3 * len(nodes), int(columns.max(initial=0)) + 1
         rows = csr_array((values, columns, start), shape=shape)
         blocks = axes.swapaxes(1, 2), np.arange(len(nodes)), np.arange(len(nodes) + 1)
-        turn = bsr_array(blocks, shape=(shape[0], shape[0])).tocsr()
-        sizes = abs(turn @ rows).max(axis=1).toarray()
+        to_axes = bsr_array(blocks, shape=(shape[0], shape[0])).tocsr()
+        sizes = abs(to_axes @ rows).max(axis=1).toarray()
         return np.asarray(sizes.reshape(-1, 3) < _HELD)
 
     def vector(self, f: PETSc.Vec) -> PETSc.Vec:
@@ -304,11 +313,11 @@ class Constraints:
     def carry(self, u: PETSc.Vec, old: Constraints) -> None:
         """Transform the motions of rigid regions from the old axes to these."""
         for place, basis in self._bases.items():
-            own = slice(place, place + 6)
-            u.array[own] = basis.T @ old._bases[place] @ u.array[own]
+            six = slice(place, place + 6)
+            u.array[six] = basis.T @ old._bases[place] @ u.array[six]
 
     def contract(self, nodal: Floats) -> PETSc.Vec:
-        """Find ũ from U = P ũ at own nodes (3 nodes) by the normal equations; collective.
+        """Find ũ from U = P ũ at owned nodes (3 nodes) by the normal equations; collective.
 
         Nodes that follow others do not count: P^T P is the identity then but for a 6 x 6 block on
         rank 0 per rigid region, which block Jacobi solves exactly.

@@ -308,11 +308,12 @@ class ContactInterfaces:
     def pair_at(self, jump: Floats) -> None:
         """Pair the points with finite sliding, at jumps (n, 3) [mm]: gaps, normals, reference."""
         assert self.finite_sliding is not None
-        rows, local, found = self.finite_sliding.rows, self.local, self.finite_sliding.pair(jump)
-        local.normals[rows, 0] = found.normal
+        rows, local = self.finite_sliding.rows, self.local
+        closest = self.finite_sliding.pair(jump)
+        local.normals[rows, 0] = closest.normal
         self.law.set_normals(rows)
         self._paired_at, gap = jump.copy(), self._clearance.copy()
-        gap[rows] += found.gap - np.einsum("pi,pi->p", found.normal, jump[rows])
+        gap[rows] += closest.gap - np.einsum("pi,pi->p", closest.normal, jump[rows])
         self.gap = gap_vectors(local.normals, gap)
 
     def pair(self, trial: TrialState) -> bool:
@@ -350,11 +351,11 @@ class ContactInterfaces:
 
     def opening(self, jump: Floats) -> Floats:
         """Jumps (n, 3) with the initial gap; in finite sliding along the normal alone."""
-        found = jump + self.gap
+        gaps = jump + self.gap
         if self.finite_sliding is not None:
             rows, n = self.finite_sliding.rows, self.local.normals[self.finite_sliding.rows, 0]
-            found[rows] = np.einsum("pi,pi->p", found[rows], n)[:, None] * n
-        return found
+            gaps[rows] = np.einsum("pi,pi->p", gaps[rows], n)[:, None] * n
+        return gaps
 
     def constrain(self, on: bool) -> bool:
         """Constrain interfaces that have to close to hold a body, or release all; collective.

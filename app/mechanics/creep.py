@@ -92,8 +92,8 @@ class CreepState:
 
     def elastic_strain(self, stress: Floats) -> float:
         """Largest equivalent stress over Young's modulus; collective."""
-        found = (von_mises(stress) / self._modulus).max(initial=0.0)
-        return float(self._comm.allreduce(max(found, NO_STRAIN), MPI.MAX))
+        strain = (von_mises(stress) / self._modulus).max(initial=0.0)
+        return float(self._comm.allreduce(max(strain, NO_STRAIN), MPI.MAX))
 
     def crept(self, taken: Floats) -> Floats:
         """Equivalent creep strain (n,) that takes a stress (n, 6) [MPa]."""
@@ -112,14 +112,14 @@ class CreepState:
     @property
     def three_G(self) -> Floats:
         """Three times the shear modulus at the current cure (n,) [MPa]."""
-        found = self._stiff.copy()
+        modulus = self._stiff.copy()
         for region, here in self.of.items():
             g = self._body_forms.growth.get(region)
             if g is not None:
                 cells = self._body_forms.region_cells(region)
                 at = g.function_space.dofmap.list[cells]
-                found[here] *= (g.x.array[at] @ self._shape.T).ravel()
-        return found
+                modulus[here] *= (g.x.array[at] @ self._shape.T).ravel()
+        return modulus
 
     def relaxed(self, trial: Floats, length: float) -> Floats:
         """Stress that creep takes in a step, from its trial stress (n, 6) [MPa]."""

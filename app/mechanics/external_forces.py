@@ -26,7 +26,7 @@ from app.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Action:
-    """Forces on own nodal components (3 nodes,) and on own jumps (3 points,) [N]."""
+    """Forces on owned nodal components (3 nodes,) and on owned jumps (3 points,) [N]."""
 
     nodal: Floats
     jump: Floats
@@ -48,9 +48,9 @@ class Forces:
     ) -> None:
         self._body_forms, self._bodies, self._contact = body_forms, body_forms.bodies, contact
         self.comm, self._given = body_forms.mesh.comm, scene.loads
-        found: dict[Load, Action] = known._full if known else {}
+        actions: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
-            at_full(s): found.get(at_full(s)) or self.action(nodal_forces(s, body_forms).items())
+            at_full(s): actions.get(at_full(s)) or self.action(nodal_forces(s, body_forms).items())
             for s in scene.loads
         }
         self._loads = [(load, self._full[at_full(load)]) for load in scene.loads]
@@ -116,7 +116,7 @@ class Forces:
         ]
 
     def on_bodies(self, time: float, motions: Floats) -> Floats:
-        """Work of the loads in motions of own nodes (n, 3, k), by body (bodies, k); collective."""
+        """Work of the loads in motions (n, 3, k) of owned nodes, (bodies, k); collective."""
         work = np.zeros((len(self._bodies.names), motions.shape[2]))
         flat = motions.reshape(-1, motions.shape[2])
         for load in self._given:
@@ -125,7 +125,7 @@ class Forces:
         return np.asarray(self.comm.allreduce(work))
 
     def most_work(self, time: float, motion: Floats) -> float:
-        """Work of the loads if each acted along a motion of own nodes [N mm]; collective.
+        """Work of the loads if each acted along a motion of owned nodes [N mm]; collective.
 
         Nothing cancels: the rounding of the work is a part of it. The motion of each body
         (bodies, n, 3) is in mm.

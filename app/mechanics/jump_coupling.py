@@ -26,7 +26,7 @@ class JumpCoupling:
     Args:
         entries: Displacement of each body by all jumps.
         number: Number of each contact point in the order of the ranks.
-        own: Number of contact points of this rank.
+        owned: Number of contact points of this rank.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class JumpCoupling:
         constraints: Constraints,
         entries: Entries,
         number: Ints,
-        own: int,
+        owned: int,
     ) -> None:
         comm, index_map = body_forms.mesh.comm, body_forms.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
@@ -47,7 +47,7 @@ class JumpCoupling:
             column = 3 * number[column // 3] + column % 3
             local = (row >= start) & (row < end)
             self.jump_to_displacement[body] = from_triplets(
-                comm, end - start, 3 * own, row[local] - start, column[local], value[local]
+                comm, end - start, 3 * owned, row[local] - start, column[local], value[local]
             )
             moved: Bools = np.isin(
                 np.concatenate([np.arange(start // 3, end // 3), index_map.ghosts]),

@@ -187,10 +187,10 @@ class WarmStart:
     def _scaled(self, state: Neighbour, here: Causes, sizes: Floats) -> Neighbour:
         """A state times the factor that brings its loads and gaps nearest to those here."""
         x, causes = state
-        own, towards = (
+        square, product = (
             float((self._products(causes, other) / sizes)[:2].sum()) for other in (causes, here)
         )
-        factor = towards / own if own > 0 and towards > 0 else 1.0
+        factor = product / square if square > 0 and product > 0 else 1.0
         forces, gaps, friction = causes
         return x * factor, (factor * forces, factor * gaps, friction)
 

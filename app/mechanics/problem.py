@@ -170,8 +170,8 @@ class Problem:
 
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Set the unknowns to the restored displacement and jumps; collective."""
-        own = 3 * self.space.dofmap.index_map.size_local
-        nodal = self.sliding.taken_up() if self.sliding else self.u.x.array[:own]
+        owned = 3 * self.space.dofmap.index_map.size_local
+        nodal = self.sliding.taken_up() if self.sliding else self.u.x.array[:owned]
         self.stiffness.constraints.contract(nodal).copy(u)
         if self.contact:
             assert q is not None
@@ -336,8 +336,8 @@ class Problem:
     def update_displacements(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Update the displacement of each body from the unknowns."""
         nodal = self.stiffness.constraints.expand(u)
-        own = nodal.getLocalSize()
-        self.u.x.petsc_vec.array[:own] = nodal.array
+        owned = nodal.getLocalSize()
+        self.u.x.petsc_vec.array[:owned] = nodal.array
         self.u.x.scatter_forward()
         if self.contact is None:
             return
@@ -345,7 +345,7 @@ class Problem:
         for body, B in self.contact.coupling.jump_to_displacement.items():
             B.mult(q, extra)
             function = self.moved[body]
-            function.x.petsc_vec.array[:own] = nodal.array + extra.array
+            function.x.petsc_vec.array[:owned] = nodal.array + extra.array
             function.x.scatter_forward()
 
     @property

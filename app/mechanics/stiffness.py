@@ -29,7 +29,7 @@ class Stiffness:
         pairings: Number of these by new pairs of surfaces alone.
         stage: The stage whose supports are active.
         followers: Nodes of surfaces with finite sliding, if there are any.
-        frames: Nodes with axes of their own, if a support needs them.
+        frames: Nodes with local axes, if a support needs them.
         constraints: Map from unknowns to nodal displacements.
         rows: Global numbers of the constrained rows of this rank.
         reactions: These rows before they are constrained: the reactions to displacements.

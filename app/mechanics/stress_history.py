@@ -196,7 +196,7 @@ class StressHistory:
         return {body: assembled_vector(form) for body, form in self._forces.items()}
 
     def stress(self, region: str) -> Floats:
-        """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        """Stress at the quadrature points of a region's owned cells (cells, points, 3, 3) [MPa]."""
         dofs = self.stress_at_points.function_space.dofmap.list[self._cells[region]]
         σ = np.zeros((*dofs.shape, 3, 3))
         components = self.stress_at_points.x.array.reshape(-1, 6)[dofs]
@@ -205,7 +205,7 @@ class StressHistory:
 
     @property
     def row_keys(self) -> Ints:
-        """Keys of the quadrature points of own cells."""
+        """Keys of the quadrature points of owned cells."""
         dofs = self.stress_at_points.function_space.dofmap.list
         number = self._body_forms.mesh.topology.original_cell_index
         keys = np.full(len(self.stress_at_points.x.array) // 6, LEFT_OUT, dtype=np.int64)
@@ -282,8 +282,8 @@ class StressHistory:
 
     def state(self) -> tuple[Any, ...]:
         """The committed state, for `return_to`."""
-        own = self.stress_at_points, *self._before.values()
-        return [f.x.array.copy() for f in own], self.creep and self.creep.state()
+        functions = self.stress_at_points, *self._before.values()
+        return [f.x.array.copy() for f in functions], self.creep and self.creep.state()
 
     def return_to(self, state: tuple[Any, ...]) -> None:
         """Return to an earlier state, with the same cure."""

@@ -49,7 +49,7 @@ class BondedSystem(System):
     """Displacement alone: no interface can move."""
 
     prefix = "mantle_"
-    # The equations are linear: one linear solve, to the solver's own limit.
+    # The equations are linear: one linear solve, to the limit of the solver.
     newton: Options = {"ksp_rtol": 1e-14}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:

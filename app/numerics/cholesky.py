@@ -107,8 +107,8 @@ def library() -> Any:
             ffi = cffi.FFI()
             ffi.cdef(CALLS)
             ffi.set_source(name, f"#include <{HEADER}>\n{SOURCE}", libraries=["cholmod"])
-            with tempfile.TemporaryDirectory(dir=folder) as own, captured("cffi"):
-                os.replace(ffi.compile(tmpdir=own), path)
+            with tempfile.TemporaryDirectory(dir=folder) as build, captured("cffi"):
+                os.replace(ffi.compile(tmpdir=build), path)
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec and spec.loader
         module = importlib.util.module_from_spec(spec)
@@ -193,14 +193,14 @@ class Cholesky:
         """The upper triangle for CHOLMOD, and arrays that have to live as long."""
         p, i = A.indptr.astype(np.int64), A.indices.astype(np.int64)
         ffi, lib = self._ffi, self._lib
-        found = ffi.new("cholmod_sparse *")
-        (found.nrow, found.ncol), found.nzmax = A.shape, A.nnz
-        found.p, found.i = (ffi.cast("void *", v.ctypes.data) for v in (p, i))
-        found.x = ffi.NULL if pattern else ffi.cast("void *", A.data.ctypes.data)
-        found.stype, found.itype = 1, lib.CHOLMOD_LONG
-        found.xtype = lib.CHOLMOD_PATTERN if pattern else lib.CHOLMOD_REAL
-        found.packed, found.sorted = 1, 0
-        return found, (p, i, A)
+        matrix = ffi.new("cholmod_sparse *")
+        (matrix.nrow, matrix.ncol), matrix.nzmax = A.shape, A.nnz
+        matrix.p, matrix.i = (ffi.cast("void *", v.ctypes.data) for v in (p, i))
+        matrix.x = ffi.NULL if pattern else ffi.cast("void *", A.data.ctypes.data)
+        matrix.stype, matrix.itype = 1, lib.CHOLMOD_LONG
+        matrix.xtype = lib.CHOLMOD_PATTERN if pattern else lib.CHOLMOD_REAL
+        matrix.packed, matrix.sorted = 1, 0
+        return matrix, (p, i, A)
 
     def _ordering(self, rows: csr_array) -> Ints:
         """Nested dissection of the graph of nodes of A, in postorder; the other columns stay last.
@@ -264,9 +264,9 @@ class Cholesky:
         """The first unknowns :math:`A^{-1} (b - E x)` (n,), with b as last reduced."""
         self._half[self._n : self._n + self._empty] = 0.0
         self._half[self._n + self._empty :] = x
-        found = np.empty(self._n)
-        found[self._order[: self._n]] = self._solve(self._lib.CHOLMOD_Lt, self._half)[: self._n]
-        return found
+        unknowns = np.empty(self._n)
+        unknowns[self._order[: self._n]] = self._solve(self._lib.CHOLMOD_Lt, self._half)[: self._n]
+        return unknowns
 
     def _solve(self, which: int, b: Floats) -> Floats:
         """Solution of L x = b or L^T x = b, in the order of the factors."""
@@ -275,7 +275,7 @@ class Cholesky:
         right.nrow = right.nzmax = right.d = len(b)
         right.ncol, right.xtype = 1, lib.CHOLMOD_REAL
         right.x = ffi.cast("void *", b.ctypes.data)
-        found = lib.cholmod_l_solve(which, self._L, right, self._common)
-        x = self._array("double", found.x, len(b)).copy()
-        lib.cholmod_l_free_dense(ffi.new("cholmod_dense **", found), self._common)
+        solution = lib.cholmod_l_solve(which, self._L, right, self._common)
+        x = self._array("double", solution.x, len(b)).copy()
+        lib.cholmod_l_free_dense(ffi.new("cholmod_dense **", solution), self._common)
         return np.asarray(x)

@@ -48,7 +48,7 @@ from app.numerics.factor import library
 from app.numerics.lifetime import python_mat
 from app.numerics.paired_compliance import PairedCompliance
 from app.numerics.root_work import blas_threads, cores, wait
-from app.numerics.substructures import Substructures, own_rows, unknowns_of
+from app.numerics.substructures import Substructures, owned_rows, unknowns_of
 from app.numerics.system import MatrixFree, Measure, Reduced
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
@@ -120,8 +120,8 @@ class Condensed:
         matrices = contact.parts()
         self._comm = matrices[0].comm.tompi4py()
         self._threads = cores(self._comm)
-        self._jumps, self._own = matrices[2].getSize()[0], matrices[2].getLocalSize()[0]
-        self._sizes = self._comm.gather(self._own)
+        self._jumps, self._local_size = matrices[2].getSize()[0], matrices[2].getLocalSize()[0]
+        self._sizes = self._comm.gather(self._local_size)
         self._kept = self._followed()
         self._bodies = Substructures(matrices, self._kept)
         self._current = self._factored = -1
@@ -147,8 +147,8 @@ class Condensed:
         ties = self._contact.pair_matrices()
         if ties is None:
             return None
-        every = self._comm.gather(own_rows(ties[0]))
-        return vstack(every, format="csr")[:, unknowns_of(self._kept)] if every else None
+        parts = self._comm.gather(owned_rows(ties[0]))
+        return vstack(parts, format="csr")[:, unknowns_of(self._kept)] if parts else None
 
     def renew(self) -> None:
         """Condense the bodies if their stiffness has changed; collective."""
@@ -187,12 +187,12 @@ class Condensed:
             with blas_threads(self._threads):
                 self._factor(self._single, self._B)
 
-    def _gathered(self, own: Floats) -> Floats:
+    def _gathered(self, local: Floats) -> Floats:
         """Values of all ranks one after the other, on rank 0; collective."""
         if self._comm.size == 1:
-            return own
-        every = self._comm.gather(own.ravel())
-        return np.concatenate(every) if every else own
+            return local
+        every = self._comm.gather(local.ravel())
+        return np.concatenate(every) if every else local
 
     def _set_rows(self, T: Floats, B: Floats) -> None:
         """Set the blocks, and the directions in which they tell the jump.
@@ -245,26 +245,26 @@ class Condensed:
         """S dq, the forces at local points by jumps of the bodies in equilibrium; collective."""
         return self._on_root(lambda every: self._S @ every, dq)
 
-    def _on_root(self, function: Callable[..., Floats], *own: Floats) -> Floats:
-        """Own part of jumps, a function of values of all ranks that rank 0 computes; collective."""
-        every = [self._gathered(v) for v in own]
+    def _on_root(self, function: Callable[..., Floats], *local: Floats) -> Floats:
+        """Owned part of jumps that rank 0 computes from the values of all ranks; collective."""
+        every = [self._gathered(v) for v in local]
         if self._comm.rank:
             return self._scattered(None)
         with blas_threads(self._threads):
             return self._scattered(function(*every))
 
     def _scattered(self, jumps: Floats | None) -> Floats:
-        """Own part of the jumps of all ranks, which rank 0 has; collective."""
+        """Owned part of the jumps of all ranks, which rank 0 has; collective."""
         if self._comm.size == 1:
             assert jumps is not None
             return jumps
         wait(self._comm)
-        own = np.empty(self._own)
-        self._comm.Scatterv([jumps, self._sizes] if jumps is not None else None, own)
-        return own
+        local = np.empty(self._local_size)
+        self._comm.Scatterv([jumps, self._sizes] if jumps is not None else None, local)
+        return local
 
     def pulled(self, ru: Floats) -> Floats:
-        """Forces on own jumps that forces on own displacements cause, C^T K^-1 r_u; collective."""
+        """Forces C^T K^-1 r_u on owned jumps by forces on owned displacements; collective."""
         self._given = self._bodies.reduce(ru)
         if self._given is None:
             return self._scattered(None)
@@ -350,8 +350,8 @@ class JumpSystem(MatrixFree, Reduced):
         x[0].array[:] -= self._condensed.moved(self._start - q.array_r)
         q.copy(x[1])
 
-    def _size(self, own: Floats) -> float:
-        return math.sqrt(self.comm.allreduce(float(own @ own)))
+    def _size(self, local: Floats) -> float:
+        return math.sqrt(self.comm.allreduce(float(local @ local)))
 
     # As a system
 

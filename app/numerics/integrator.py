@@ -102,10 +102,10 @@ def step(
         weights = dt * method.a[i]
         h = float(weights[i])
         start = _add(y, weights[:i], slopes)
-        found = solve(start, h, seconds + c * dt, _add(start, *_along(known, c, h)))
-        if found is None:
+        solution = solve(start, h, seconds + c * dt, _add(start, *_along(known, c, h)))
+        if solution is None:
             return None
-        end = found
+        end = solution
         slope = _slope(start, end, h)
         slopes.append(slope)
         known.append((c, slope))
@@ -119,10 +119,10 @@ def step(
 
 def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:
     """Rate of change of a state, from an implicit step short beside all time scales [s]."""
-    found = solve(y, shortest, seconds + shortest, y)
-    if found is None:
+    solution = solve(y, shortest, seconds + shortest, y)
+    if solution is None:
         return None
-    return _slope(y, found, shortest)
+    return _slope(y, solution, shortest)
 
 
 def first_step(slope: State, norm: Norm, longest: float) -> float:

@@ -85,7 +85,7 @@ class Linear:
         if len(blocks) == 1 and system.inverses:
             self.options |= SYMMETRIC
         self._inverses: list[Inverse] = []
-        self._own: list[PETSc.PC] = []
+        self._separate: list[PETSc.PC] = []
         # Preconditioners of contact blocks, by SOR unless they are factored.
         self._interfaces: list[PETSc.PC] = []
         self.factored = False
@@ -107,16 +107,16 @@ class Linear:
         self._system.jacobian(x)
         self.matrix.assemble()
         given = PETSc.Options(ksp.getOptionsPrefix()).getAll()
-        own: list[PETSc.PC] = []
+        separate: list[PETSc.PC] = []
         with self._timing.phase("factorize"):
             if self._split and pc.getType() == "fieldsplit":
                 parts = self._gauss_seidel(pc, given)
-                own = [parts[n] for n in KEPT if n in parts and n not in self._system.inverses]
+                separate = [parts[n] for n in KEPT if n in parts and n not in self._system.inverses]
             elif len(self._names) == 1 and self._system.inverses:
                 pc = self._shared(self._names[0], given)
                 parts = {self._names[0]: pc}
             else:
-                own, parts = [pc], {" and ".join(BLOCKS.get(n, n) for n in self._names): pc}
+                separate, parts = [pc], {" and ".join(BLOCKS.get(n, n) for n in self._names): pc}
             coarse = self._system.coarse_space() if self._split else None
             if coarse is not None:
                 self._deflated = Deflated(pc, self._names, self._system.coarse_space)
@@ -126,14 +126,14 @@ class Linear:
             pc.setUp()
             pc.setUpOnBlocks()
         self._interfaces = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
-        for part in own:
+        for part in separate:
             part.setReusePreconditioner(True)
-        self._own = own
+        self._separate = separate
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
         log.info("solver: %s%s", self._described(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
-        """Blocks in turn, each by its own preconditioner or a shared one."""
+        """Gauss-Seidel over the blocks, each with a separate or a shared preconditioner."""
         fields = self.matrix.getNestISs()[0]
         pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
         parts = {}
@@ -162,7 +162,7 @@ class Linear:
             self._excess = self._spent = self._gained = 0.0
             for inverse in self._inverses:
                 inverse.refresh()
-            for pc in self._own:
+            for pc in self._separate:
                 pc.setReusePreconditioner(False)
                 pc.setUp()
                 pc.setReusePreconditioner(True)

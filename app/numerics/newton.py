@@ -217,8 +217,8 @@ class Solver:
         self._reducing = inverse.reduced if inverse else None
         self.reduced: Solver | None = None
         if self._reducing is not None:
-            own = tolerance, max_iterations, linear, options, timing, stop
-            self.reduced = Solver(self._reducing, *own)
+            settings = tolerance, max_iterations, linear, options, timing, stop
+            self.reduced = Solver(self._reducing, *settings)
         snes = self.snes = PETSc.SNES().create(system.comm)
         snes.setOptionsPrefix(system.prefix)
         snes.setFunction(weak(self._function), self.vector())

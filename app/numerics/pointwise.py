@@ -109,11 +109,11 @@ class Pointwise:
         self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
         for function in self._inputs.values():
             function.x.array[:] = 1
-        found = find(comm, note)
-        if found is None:
-            found = self._compile(comm, build)
-            _keep(comm, note, found[0])
-        kernel, symbol, self._module = found
+        compiled = find(comm, note)
+        if compiled is None:
+            compiled = self._compile(comm, build)
+            _keep(comm, note, compiled[0])
+        kernel, symbol, self._module = compiled
         inputs = [self._inputs[name]._cpp_object for name in kernel.inputs]
         self._expression = CompiledExpression(self._module.ffi, symbol, inputs)
         self._shapes, self.outputs = kernel.shapes, kernel.outputs
@@ -125,7 +125,7 @@ class Pointwise:
         if not isinstance(built, Mapping):
             built = {str(k): e for k, e in enumerate(built)}
         built = {name: ufl.as_ufl(e) for name, e in built.items()}  # some are numbers
-        # The labels of variables differ from run to run; without them the code is found again.
+        # The labels of variables differ from run to run; without them compiled code is used again.
         every = map_expr_dags(_WithoutVariables(), list(built.values()))
         together = ufl.as_vector([c for e in every for c in _components(e)])
         options = {"scalar_type": np.float64}
@@ -162,13 +162,13 @@ class Pointwise:
         """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""
         self.set(rows, **values)
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
-        found = np.zeros((len(cells), self._size))
+        values_at = np.zeros((len(cells), self._size))
         if len(cells):
-            self._expression.evaluate(self._mesh, cells, found)
+            self._expression.evaluate(self._mesh, cells, values_at)
         parts, begin = [], 0
         for shape in self._shapes:
             end = begin + math.prod(shape)
-            parts.append(found[:, begin:end].reshape(len(cells), *shape))
+            parts.append(values_at[:, begin:end].reshape(len(cells), *shape))
             begin = end
         return parts
 
@@ -208,12 +208,12 @@ def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
 
 def find(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | None:
     """Noted code of a law, its expression and module; None if missing on any rank; collective."""
-    found = None
+    compiled = None
     damaged = OSError, ValueError, TypeError, KeyError, AttributeError, ImportError, RecursionError
     with suppress(*damaged):
         if note is not None:
-            found = _load(json.loads(note.read_text()))
-    return found if comm.allreduce(found is not None, MPI.LAND) else None
+            compiled = _load(json.loads(note.read_text()))
+    return compiled if comm.allreduce(compiled is not None, MPI.LAND) else None
 
 
 def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:

@@ -47,10 +47,10 @@ MULTIGRID: Options = {
     "mg_levels_ksp_type": "richardson",
     "mg_levels_ksp_max_it": 1,
     # Full steps: 1.5 of one saves an eighth of the iterations on one rank, and diverges on two,
-    # where a sweep of each rank's own part overshoots.
+    # where a sweep of the local part of each rank overshoots.
     "mg_levels_pc_type": "sor",
 }
-# Second order: its own smoother, and first order on the same mesh below, factored or by two cycles
+# Second order: a smoother, and first order on the same mesh below, factored or by two cycles
 # of the above. The smoother needs products with the matrix alone, which blocks of three make twice
 # as fast: 70 iterations of a bonded hip of 153 000 unknowns take 3.5 CPU s, 87 with sweeps 6.9.
 BY_DEGREE: Options = {
@@ -130,7 +130,7 @@ class CoarseOrder:
     def prolongation(self) -> PETSc.Mat:
         """The interpolation, decoupled between constrained and free unknowns; collective.
 
-        The stiffness decouples them too, so constrained vertices keep a diagonal of their own.
+        The stiffness decouples them too, so constrained vertices keep a diagonal.
         """
         fine, coarse = fem.Function(self._fine), fem.Function(self.space)
         held, below = (f.x.petsc_vec for f in (fine, coarse))
@@ -266,7 +266,7 @@ class Inverse:
 
 
 def configure(pc: PETSc.PC, options: Options) -> None:
-    """Set up a preconditioner by PETSc options under a prefix of its own."""
+    """Set up a preconditioner by PETSc options under its prefix."""
     with options_set(pc.getOptionsPrefix(), options):
         pc.setFromOptions()
         # Inner solvers read their options at setup, while these are set.

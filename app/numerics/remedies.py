@@ -83,14 +83,14 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
     Returns:
         The augmentation of the solution; Newton and Krylov iterations.
     """
-    found, reached = solver.x.copy(), len(solver.residuals)
+    coarse, reached = solver.x.copy(), len(solver.residuals)
     default = contact.law.default_augmentation_ratio()
     contact.law.scale_augmentation(default)
     log.info("     converged: refining with augmentation %.3g r, the default", default)
     spent = solver.run()
     if solver.converged:
         return default, spent
-    found.copy(solver.x)
+    coarse.copy(solver.x)
     contact.law.scale_augmentation(solver.augmentation)
     del solver.residuals[reached:], solver.changes[reached:]
     solver.converged = True
@@ -203,5 +203,5 @@ def failure_text(solver: Solver) -> str:
 
 
 def _values(contact: Contact) -> str:
-    found = contact.augmentation().values()
-    return f" (up to {max(found):.3g} MPa/mm)" if found else ""
+    values = contact.augmentation().values()
+    return f" (up to {max(values):.3g} MPa/mm)" if values else ""

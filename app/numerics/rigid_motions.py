@@ -86,7 +86,7 @@ def describe(
         return []
     Q = np.linalg.qr(free)[0]
     known = np.zeros((len(Q), 0))
-    found: dict[tuple[int, ...], list[str]] = {}
+    motions_of: dict[tuple[int, ...], list[str]] = {}
     for bodies, k, v in _named(centres, origin, size):
         if known.shape[1] == Q.shape[1]:
             break
@@ -94,14 +94,14 @@ def describe(
         if np.linalg.norm(Q.T @ v) ** 2 < WITHIN or np.linalg.norm(rest) ** 2 < NEW:
             continue
         known = np.column_stack([known, rest / np.linalg.norm(rest)])
-        found.setdefault(bodies, []).append(DIRECTIONS[k])
+        motions_of.setdefault(bodies, []).append(DIRECTIONS[k])
     # Motions along no axis.
     left = Q - known @ (known.T @ Q)
     u, s, _ = np.linalg.svd(left, full_matrices=False)
     for v in u.T[: Q.shape[1] - known.shape[1]][s[: Q.shape[1] - known.shape[1]] > NEW]:
         body = int(np.argmax(np.linalg.norm(v.reshape(-1, 6), axis=1)))
-        found.setdefault((body,), []).append(_oblique(v[6 * body : 6 * body + 6]))
-    return [_sentence([names[b] for b in bodies], words) for bodies, words in found.items()]
+        motions_of.setdefault((body,), []).append(_oblique(v[6 * body : 6 * body + 6]))
+    return [_sentence([names[b] for b in bodies], words) for bodies, words in motions_of.items()]
 
 
 def _named(
@@ -123,13 +123,13 @@ def _named(
 
 
 def _oblique(v: Floats) -> str:
-    turns = np.linalg.norm(v[3:]) > np.linalg.norm(v[:3])
-    axis = v[3:] if turns else v[:3]
+    rotates = np.linalg.norm(v[3:]) > np.linalg.norm(v[:3])
+    axis = v[3:] if rotates else v[:3]
     axis = axis / np.linalg.norm(axis)
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))]) + 0.0
     k = int(np.argmax(axis))
     text = "xyz"[k] if axis[k] > ALIGNED else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
-    return f"turn about an axis along {text}" if turns else f"move along {text}"
+    return f"turn about an axis along {text}" if rotates else f"move along {text}"
 
 
 def _sentence(names: Sequence[str], words: Sequence[str]) -> str:

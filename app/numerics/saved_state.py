@@ -2,7 +2,7 @@
 
 A class names its public attributes: ``saved = ("jump", "force")``. Numbers, texts and None
 are the same on all ranks. Lists, dicts and dataclasses are saved item by item, other
-objects by their own list.
+objects by the attributes that they list.
 Arrays and functions are by contact point, node or cell: ``row_keys``, of the object or of its
 owner, numbers their rows, so that any number of ranks finds them again. It is one array of keys, or
 a dict or list of them for attributes and items with different keys. Keys come from the numbers of
@@ -52,7 +52,7 @@ class Rows:
 def collect(value: Any, keys: Any = None) -> Any:
     """Copy the saved attributes of an object: dicts, lists, plain values, and arrays as `Rows`.
 
-    ``keys`` are those of the rows of its arrays, unless it has its own.
+    ``keys`` are the keys of the rows of its arrays, unless it has `row_keys`.
     """
     if isinstance(value, fem.Function):
         return _rows(_by_node(value), keys)
@@ -71,39 +71,39 @@ def collect(value: Any, keys: Any = None) -> Any:
     return value
 
 
-def fill(value: Any, found: Any, keys: Any = None) -> Any:
+def fill(value: Any, state: Any, keys: Any = None) -> Any:
     """Fill an object from a saved state; return it or its replacement.
 
     Raises:
         AttributeError, LookupError, TypeError, ValueError: The state does not fit the object.
     """
     if isinstance(value, fem.Function):
-        own = keys != LEFT_OUT
-        _by_node(value)[own] = found.of(keys[own])
+        saved = keys != LEFT_OUT
+        _by_node(value)[saved] = state.of(keys[saved])
         return value
-    if isinstance(value, np.ndarray) or isinstance(found, Rows):
-        rows = found.of(keys)
+    if isinstance(value, np.ndarray) or isinstance(state, Rows):
+        rows = state.of(keys)
         if value is not None and rows.shape != value.shape:
             raise ValueError("rows have another shape")
         return rows
     names = _names(value)
     if names:
         keys = getattr(value, "row_keys", keys)
-        new = {name: fill(getattr(value, name), found[name], _inner(keys, name)) for name in names}
+        new = {name: fill(getattr(value, name), state[name], _inner(keys, name)) for name in names}
         if not hasattr(value, "saved"):
             return replace(value, **new)
         for name, v in new.items():
             setattr(value, name, v)
         return value
-    if isinstance(found, dict):
+    if isinstance(state, dict):
         old = value or {}
-        return {name: fill(old.get(name), v, _inner(keys, name)) for name, v in found.items()}
-    if isinstance(found, list):
-        here = [*(value or ()), *[None] * (len(found) - len(value or ()))]
-        items = enumerate(zip(here, found, strict=True))
+        return {name: fill(old.get(name), v, _inner(keys, name)) for name, v in state.items()}
+    if isinstance(state, list):
+        here = [*(value or ()), *[None] * (len(state) - len(value or ()))]
+        items = enumerate(zip(here, state, strict=True))
         new_items = [fill(v, f, _inner(keys, k)) for k, (v, f) in items]
         return tuple(new_items) if isinstance(value, tuple) else new_items
-    return found
+    return state
 
 
 def restore(value: Any) -> None:

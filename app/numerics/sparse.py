@@ -31,7 +31,7 @@ def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
 def from_triplets(
     comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats
 ) -> PETSc.Mat:
-    """Matrix from triplets (own local rows, global columns), duplicates summed; collective."""
+    """Matrix from triplets (owned local rows, global columns), duplicates summed; collective."""
     order = np.lexsort((j, i))
     i, j = i[order], j[order]
     new = np.ones(len(i), dtype=bool)
@@ -45,7 +45,7 @@ def from_triplets(
 def from_rows(
     comm: MPI.Comm, sizes: tuple[int, int], start: NDArray, columns: NDArray, values: Floats
 ) -> PETSc.Mat:
-    """Matrix from compressed own rows and its sizes on this rank; collective."""
+    """Matrix from compressed owned rows and its sizes on this rank; collective."""
     A = PETSc.Mat().createAIJ(
         ((sizes[0], None), (sizes[1], None)),
         csr=(
@@ -56,7 +56,7 @@ def from_rows(
         comm=comm,
     )
     A.assemble()
-    # Ranks set their own rows only: no messages about others.
+    # Ranks set their owned rows only: no messages about others.
     A.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
     return A
 
@@ -71,7 +71,7 @@ def renew(A: PETSc.Mat, B: PETSc.Mat, anew: bool) -> None:
 
 
 def diagonal(comm: MPI.Comm, values: Floats) -> PETSc.Mat:
-    """Diagonal matrix of own values (n,); collective."""
+    """Diagonal matrix of owned values (n,); collective."""
     n = len(values)
     start = comm.exscan(n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
     return from_rows(comm, (n, n), np.arange(n + 1), start + np.arange(n), values)
@@ -88,7 +88,7 @@ def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
 
 
 def block_diagonal(comm: MPI.Comm, n: int) -> PETSc.Mat:
-    """Matrix with a dense 3 x 3 block for each own point; collective."""
+    """Matrix with a dense 3 x 3 block for each owned point; collective."""
     return from_rows(comm, (3 * n, 3 * n), *_csr(comm, np.ones((n, 3, 3))))
 
 

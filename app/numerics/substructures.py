@@ -51,7 +51,7 @@ class Substructures:
 
     def renew(self, matrices: Matrices) -> None:
         """Set the matrices; collective. The factors are analysed if the pattern is another."""
-        k, c, d = (own_rows(A) for A in matrices)
+        k, c, d = (owned_rows(A) for A in matrices)
         pattern = k.indptr, k.indices, c.indptr, c.indices
         known = self._pattern is not None and all(map(np.array_equal, self._pattern, pattern))
         known = self.comm.allreduce(known, MPI.LAND)
@@ -77,14 +77,14 @@ class Substructures:
         self._place = np.full(k.shape[1], -1)
         self._place[shared] = np.arange(self._shared)
         self._place[kept] = np.arange(self._shared, self._first_jump)
-        own = self._place[3 * low : 3 * high]
-        self._inside, self._outside = np.flatnonzero(own < 0), np.flatnonzero(own >= 0)
-        self._own_place = own[self._outside]
+        owned = self._place[3 * low : 3 * high]
+        self._inside, self._outside = np.flatnonzero(owned < 0), np.flatnonzero(owned >= 0)
+        self._owned_place = owned[self._outside]
         self._column = np.full(k.shape[1], -1, dtype=np.int32)
         self._column[3 * low + self._inside] = np.arange(len(self._inside))
 
     def _interior(self, A: csr_array) -> csr_array:
-        """The interior's rows of own ones; on one rank these are often all."""
+        """The interior's rows of the owned ones; on one rank often all."""
         return A[self._inside] if len(self._outside) else A
 
     def _meet(self, k: csr_array, c: csr_array) -> None:
@@ -100,7 +100,7 @@ class Substructures:
         self._column[outside] = n + self._local[self._place[outside]]
 
     def _interior_rows(self, k: csr_array, c: csr_array) -> csr_array:
-        """The interior's rows, its own columns first, then those of the border that it meets."""
+        """The interior's rows; its columns first, then the columns of the border that it meets."""
         n, first = len(self._inside), int(np.searchsorted(self._met, self._first_jump))
         k = csr_array((k.data, self._column[k.indices], k.indptr), shape=(n, n + first))
         columns = self._local[self._first_jump + c.indices] - first
@@ -108,20 +108,20 @@ class Substructures:
         return csr_array(hstack([k, c], format="csr"))
 
     def _border_entries(self, k: csr_array, c: csr_array, d: csr_array, low: int) -> coo_array:
-        """Entries of the border's rows and columns on rank 0, own ones elsewhere; collective."""
+        """Entries of the border's rows and columns: all on rank 0, else owned ones; collective."""
         a, b, e = k[self._outside].tocoo(), c[self._outside].tocoo(), d.tocoo()
         column = self._place[a.col]
         keep = column >= 0
-        coupled = self._own_place[b.row], self._first_jump + b.col
-        rows = [self._own_place[a.row[keep]], *coupled, self._first_jump + low + e.row]
+        coupled = self._owned_place[b.row], self._first_jump + b.col
+        rows = [self._owned_place[a.row[keep]], *coupled, self._first_jump + low + e.row]
         columns = [column[keep], *coupled[::-1], self._first_jump + e.col]
         data = [a.data[keep], b.data, b.data, e.data]
         arrays = tuple(np.concatenate(v) for v in (rows, columns, data))
         every = self.comm.gather(arrays) or [arrays]
         i, j, values = (np.concatenate(v) for v in zip(*every, strict=True))
-        found = coo_array((values, (i, j)), shape=(self._border, self._border))
-        found.sum_duplicates()
-        return found
+        entries = coo_array((values, (i, j)), shape=(self._border, self._border))
+        entries.sum_duplicates()
+        return entries
 
     def _analyse(self) -> None:
         kind = library()
@@ -181,26 +181,26 @@ class Substructures:
         """Forces on the last unknowns when those before are in equilibrium; collective.
 
         Args:
-            r: Forces on own rows of K.
+            r: Forces on owned rows of K.
 
         Returns:
             They are :math:`r_l - E^T A^{-1} r` on rank 0, None elsewhere.
         """
         total = np.zeros(self._border)
         total[self._met] = self._factor.reduce(r[self._inside])
-        total[self._own_place] += r[self._outside]
-        found = np.empty_like(total) if self.comm.rank == 0 else None
-        self.comm.Reduce(total, found)
-        if found is None:
+        total[self._owned_place] += r[self._outside]
+        forces = np.empty_like(total) if self.comm.rank == 0 else None
+        self.comm.Reduce(total, forces)
+        if forces is None:
             return None
-        shared, last = found[: self._shared], found[self._shared :]
+        shared, last = forces[: self._shared], forces[self._shared :]
         if self._shared:
             self._half = blas.dtrsv(self._L, shared, lower=1)
             last = last - self._X.T @ self._half
         return last
 
     def expand(self, x: Floats | None) -> Floats:
-        """Own unknowns of K under the forces last reduced, by the last ones x; collective.
+        """Owned unknowns of K under the forces last reduced, by the last ones x; collective.
 
         Args:
             x: Last unknowns on rank 0, None elsewhere.
@@ -213,13 +213,13 @@ class Substructures:
                 border[: self._shared] = blas.dtrsv(self._L, left, lower=1, trans=1)
         wait(self.comm)
         self.comm.Bcast(border)
-        own = np.empty(len(self._inside) + len(self._outside))
-        own[self._inside] = self._factor.expand(border[self._met])
-        own[self._outside] = border[self._own_place]
-        return own
+        unknowns = np.empty(len(self._inside) + len(self._outside))
+        unknowns[self._inside] = self._factor.expand(border[self._met])
+        unknowns[self._outside] = border[self._owned_place]
+        return unknowns
 
 
-def own_rows(A: PETSc.Mat) -> csr_array:
+def owned_rows(A: PETSc.Mat) -> csr_array:
     """Rows of a matrix that this rank has, with all columns."""
     starts, columns, values = A.getValuesCSR()
     return csr_array((values, columns, starts), shape=(len(starts) - 1, A.getSize()[1]))
@@ -233,7 +233,7 @@ def unknowns_of(nodes: Ints) -> Ints:
 def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Ints:
     """Nodes between the interiors of all ranks, sorted; collective.
 
-    ``k`` are own rows of K, ``starts`` the first nodes of the ranks and the number of all nodes,
+    ``k`` are owned rows of K, ``starts`` the first nodes of the ranks and the number of all nodes,
     ``kept`` the nodes that are kept.
     """
     if comm.size == 1:
@@ -247,10 +247,10 @@ def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Int
     pairs = pairs[(pairs[:, 0] < pairs[:, 1]) & ~np.isin(pairs, kept).any(axis=1)]
     pairs = np.concatenate(comm.allgather(pairs))
     ranks = np.searchsorted(starts, pairs, side="right") - 1
-    found: list[Ints] = [np.zeros(0, dtype=np.int64)]
+    covers: list[Ints] = [np.zeros(0, dtype=np.int64)]
     for of in np.unique(ranks, axis=0):
-        found.append(vertex_cover(pairs[(ranks == of).all(axis=1)]))
-    return np.unique(np.concatenate(found))
+        covers.append(vertex_cover(pairs[(ranks == of).all(axis=1)]))
+    return np.unique(np.concatenate(covers))
 
 
 def vertex_cover(pairs: Ints) -> Ints:

@@ -1,6 +1,6 @@
 """Systems of equations as the solver sees them: blocks of unknowns, residual, Jacobian.
 
-A system defines its own linear algebra: its blocks, their preconditioners, the limit of its
+A system defines its linear algebra: its blocks, their preconditioners, the limit of its
 residual. Block order is that of the Gauss-Seidel preconditioner.
 """
 
@@ -173,7 +173,7 @@ class Exact(Preconditioner, Protocol):
 
 
 class MatrixFree(System, Exact, Protocol):
-    """A system that is the operator (MATPYTHON) and the inverse (PCPYTHON) of its own Jacobian.
+    """A system that is operator (MATPYTHON) and inverse (PCPYTHON) of its Jacobian.
 
     Attributes:
         operator: The Jacobian, which calls ``mult``.

@@ -183,7 +183,7 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
 def facets_by_body(
     tagged: TaggedMesh, bodies: Bodies, boundary: str
 ) -> dict[int, NDArray[np.int32]]:
-    """Own facets of a boundary by body, the same bodies on all ranks; collective."""
+    """Owned facets of a boundary by body, the same bodies on all ranks; collective."""
     f = boundary_facets(tagged, boundary)
     body = bodies.of_tag[cell_tags(tagged)[f.cells]]
     present = set().union(*tagged.mesh.comm.allgather({int(b) for b in np.unique(body)}))
@@ -235,8 +235,8 @@ def contact_facets(
                 [np.full_like(f.cells, tagged.regions[c.master[0]]), tags[f.cells]]
             )
         numbers, dofs, x, inside = facet_nodes(tagged, space, f)
-        own = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
-        rows.append((*own, stiffness[sides]))
+        columns = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
+        rows.append((*columns, stiffness[sides]))
     return sorted_facets(*gather(comm, *map(np.concatenate, zip(*rows, strict=True))))
 
 
@@ -262,9 +262,9 @@ def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[
     """Facets between regions, with the cell inside, which this rank owns."""
     facets, pairs = _interior(tagged)
     tags = cell_tags(tagged)[pairs]
-    own, other = (np.isin(tags, [tagged.regions[r] for r in side]) for side in (inside, outside))
-    found = own & other[:, ::-1] & (pairs < tagged.mesh.topology.index_map(3).size_local)
-    rows, side = np.nonzero(found)
+    near, far = (np.isin(tags, [tagged.regions[r] for r in side]) for side in (inside, outside))
+    owned = near & far[:, ::-1] & (pairs < tagged.mesh.topology.index_map(3).size_local)
+    rows, side = np.nonzero(owned)
     facets, cells = facets[rows], pairs[rows, side]
     return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), pairs[rows, 1 - side])
 
@@ -283,7 +283,7 @@ def nodes_on(tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Int
 
 
 def touched_nodes(space: fem.FunctionSpace, cells: Bools) -> Bools:
-    """Whether own nodes of a vector space belong to such cells of any rank (n,); collective."""
+    """Whether owned nodes of a vector space belong to such cells of any rank (n,); collective."""
     marks = fem.Function(space)
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[np.flatnonzero(cells)])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)

@@ -52,7 +52,7 @@ class Frames:
     acts: Bools
     along: Bools
 
-    def own(self, index_map: IndexMap) -> tuple[Ints, Ints]:
+    def owned(self, index_map: IndexMap) -> tuple[Ints, Ints]:
         """Local numbers of owned nodes, and their indices here."""
         low, high = index_map.local_range
         places = np.flatnonzero((self.node >= low) & (self.node < high))
@@ -66,10 +66,10 @@ class Frames:
             bodies: The bodies (m,), or one.
             order: Active supports; later ones override earlier ones.
         """
-        found = np.full((len(places), 3), -1, dtype=np.int64)
+        supports = np.full((len(places), 3), -1, dtype=np.int64)
         for s in order:
-            found[self.acts[places, bodies, s][:, None] & self.along[places, s]] = s
-        return found
+            supports[self.acts[places, bodies, s][:, None] & self.along[places, s]] = s
+        return supports
 
 
 def held_at(
@@ -84,14 +84,14 @@ def held_at(
     tags = cell_tags(tagged)
     vertices, first = np.unique(facets.vertices, return_index=True)
     none = np.zeros(0, dtype=np.int64)
-    found: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
+    entries: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
     for s, support in enumerate(supports):
         f = boundary_facets(tagged, support.boundary)
         corners = facet_nodes(tagged, space, f)[0].ravel()
         near = np.isin(corners, vertices)
         owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)[near]
-        found.append((corners[near], owners, np.full(len(owners), s)))
-    columns = map(np.concatenate, zip(*found, strict=True))
+        entries.append((corners[near], owners, np.full(len(owners), s)))
+    columns = map(np.concatenate, zip(*entries, strict=True))
     number, body, support_of = gather(tagged.mesh.comm, *columns)
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
     vertex, body = keys.T
@@ -123,20 +123,20 @@ def frames_of(
         return None
     comm, tags = tagged.mesh.comm, cell_tags(tagged)
     at = NODES[: 3 + 3 * (scene.order > 1)]
-    found = []
+    facets = []
     for s in supports:
         f = boundary_facets(tagged, s.boundary)
         _, dofs, x, inside = facet_nodes(tagged, space, f)
         body = np.broadcast_to(bodies.of_tag[tags[f.cells]][:, None], dofs.shape)
         place = np.einsum("qn,fni->fqi", shape_functions(at, x.shape[1]), x)
         n = nodal_normals(x, inside, at)
-        found.append((dofs.ravel(), body.ravel(), place.reshape(-1, 3), n.reshape(-1, 3)))
-    near = np.concatenate([f[0] for f, s in zip(found, supports, strict=True) if s.normal])
+        facets.append((dofs.ravel(), body.ravel(), place.reshape(-1, 3), n.reshape(-1, 3)))
+    near = np.concatenate([f[0] for f, s in zip(facets, supports, strict=True) if s.normal])
     node = np.unique(gather(comm, near)[0])
     acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
     places = np.zeros((len(node), 3))
     held = np.zeros((len(node), len(supports), 3, 3))
-    for k, (s, rows) in enumerate(zip(supports, found, strict=True)):
+    for k, (s, rows) in enumerate(zip(supports, facets, strict=True)):
         here = np.isin(rows[0], node)
         dof, body, x, n = gather(comm, *(r[here] for r in rows))
         at_node = np.searchsorted(node, dof)
@@ -184,12 +184,12 @@ def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Flo
 def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
     """Sets of supports active on one body in one stage; `acts` is (bodies, supports)."""
     stages = range(len(scene.stages))
-    found = {
+    groups = {
         tuple(int(s) for s in np.flatnonzero(of_body) if scene.holds(scene.supports[s], k))
         for of_body in acts
         for k in stages
     }
-    return sorted(found - {()})
+    return sorted(groups - {()})
 
 
 def _axes(

@@ -366,21 +366,21 @@ def _loads(
         return (load.named(name),)
     motion = motions[force.follows] if force.follows else None
     # Nodes of an elastic region that turns have axes that turn with it.
-    own = next((m for m in motions.values() if m.boundary == force.boundary), None)
+    local = next((m for m in motions.values() if m.boundary == force.boundary), None)
 
     def component(k: int, time: float) -> float:
         s, part = cycle_phase(stages, time)
         F = force.force_at(s)
         factor = part if force.cycle_table else amplitude(force.history, time)
         in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))
-        return float((own.rotation_at(s, part).T @ in_space if own else in_space)[k])
+        return float((local.rotation_at(s, part).T @ in_space if local else in_space)[k])
 
-    found = []
+    parts = []
     for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
         part = force.named(name, force=axis, cycle_table=None, follows=None, history=None)
         part._value = partial(component, k)
-        found.append(part)
-    return tuple(found)
+        parts.append(part)
+    return tuple(parts)
 
 
 def _thermal(region: Any, name: str) -> Thermal:

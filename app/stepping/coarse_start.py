@@ -74,7 +74,7 @@ class CoarseModelStart:
         self._past.append(time)
 
     def _jump(self, time: float) -> Floats:
-        """Jumps of own points at a time, interpolated (n, 3) [mm]."""
+        """Jumps of owned points at a time, interpolated (n, 3) [mm]."""
         if self._coarse is None:
             contact, self._coarse = self._contact, self._make()
             source = self._coarse.problem.contact
@@ -146,7 +146,7 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     for i, triangles in enumerate(source.triangles):
         here = np.flatnonzero(target.interface[mine] == i)
         if len(here) and len(triangles):
-            found, weights = nearest(target.x[mine[here]], source.surface.x[triangles])
-            entries.append((np.repeat(here, 3), triangles[found].ravel(), weights.ravel()))
+            index, weights = nearest(target.x[mine[here]], source.surface.x[triangles])
+            entries.append((np.repeat(here, 3), triangles[index].ravel(), weights.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
     return csr_array((values, (rows, columns)), shape=(len(mine), len(source.surface.weight)))

@@ -74,14 +74,14 @@ class ContactHeat:
         if t is not None:
             name = [scene.thermal_contacts[i].name for i in t.interface]
             keys = zip(name, t.points.vertex[t.mine], strict=True)
-            found = np.array([known.get(key, -1) for key in keys], dtype=np.int64)
-            on = np.flatnonzero(found >= 0)
-            row, corner, value = on, found[on], np.ones(len(on))
+            positions = np.array([known.get(key, -1) for key in keys], dtype=np.int64)
+            on = np.flatnonzero(positions >= 0)
+            row, corner, value = on, positions[on], np.ones(len(on))
             if surface.shares is not None:
                 shares = surface.shares[corner].tocoo()
                 row, corner, value = on[shares.row], shares.col, shares.data
             column = number[corner]
-            self.pressed = from_triplets(comm, len(found), self._n, row, column, value)
+            self.pressed = from_triplets(comm, len(positions), self._n, row, column, value)
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
         """Set the temperatures of the mechanics."""
@@ -138,7 +138,7 @@ class ContactHeat:
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the pressure at own points by equilibrium and by the jump (n, 3)."""
+        """Derivatives of the pressure at owned points by equilibrium and by the jump (n, 3)."""
         force = _normal(trial.law, self._contact.local.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
@@ -178,7 +178,7 @@ def _heats(
     vertices, first = np.unique(facets.vertices, return_index=True)
     dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range
-    own = (dof >= start) & (dof < end)
+    owned = (dof >= start) & (dof < end)
     shares = {f.name: f.slave_share for f in scene.friction_heat}
     β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
     body_of = operators.bodies.of_region
@@ -186,12 +186,12 @@ def _heats(
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
     sizes = problem.comm, operators.forms.owned, len(contact.local)
-    found = []
+    heats = []
     for b in range(len(operators.bodies.names)):
         share = sum(np.where(body[points.interface] == b, s, 0.0) for body, s in sides)
-        values = (points.weight * share)[own]
-        found.append(from_triplets(*sizes, dof[own] - start, number[own], values))
-    return found
+        values = (points.weight * share)[owned]
+        heats.append(from_triplets(*sizes, dof[owned] - start, number[owned], values))
+    return heats
 
 
 def _normal(law: PointForces, normals: Floats) -> Floats:

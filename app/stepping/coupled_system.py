@@ -57,7 +57,7 @@ class CoupledSystem(ContactSystem):
         fresh = list(self.blocks().values())
         self._up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
         # With expansion pressures depend directly on temperatures too.
-        self._own = [
+        self._thermal_blocks = [
             [matrix_sum(pair) for pair in zip(row, more, strict=True)]
             for row, more in zip(heat.matrices(), back, strict=False)
         ] or heat.matrices()
@@ -100,7 +100,7 @@ class CoupledSystem(ContactSystem):
         """Blocks of heat, of mechanics, and of their coupling."""
         none: list[PETSc.Mat | None] = [None] * self._n
         down = self._down or [none, none]
-        top = [[*a, *b] for a, b in zip(self._own, self._up, strict=True)]
+        top = [[*a, *b] for a, b in zip(self._thermal_blocks, self._up, strict=True)]
         return [*top, *([*a, *b] for a, b in zip(down, super().matrices(), strict=True))]
 
     def options(self, linear: str) -> dict[str, Options]:
@@ -128,8 +128,10 @@ class CoupledSystem(ContactSystem):
         self._heat.jacobian(x[: self._n])
         up, back = self._from_motion(trial, x)
         _copy(up, self._up)
-        for total, own, more in zip(self._own, self._heat.matrices(), back, strict=False):
-            for S, A, B in zip(total, own, more, strict=True):
+        for total, blocks, more in zip(
+            self._thermal_blocks, self._heat.matrices(), back, strict=False
+        ):
+            for S, A, B in zip(total, blocks, more, strict=True):
                 S.zeroEntries()
                 S.axpy(1.0, A, structure=SUBSET)
                 S.axpy(1.0, B, structure=SUBSET)
@@ -144,7 +146,7 @@ class CoupledSystem(ContactSystem):
         return super().settle(x[self._n :])
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """Sizes of heat and forces, each with its own scale."""
+        """Sizes of heat and forces, each with its scale."""
         heat = self._heat.measure(x[: self._n], f[: self._n])[0]
         noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
         heat = replace(heat, rounding=heat.rounding + noise)
@@ -159,15 +161,15 @@ class CoupledSystem(ContactSystem):
         problem, sizes = self._problem, [v.getSizes() for v in self.blocks().values()]
         assert problem.thermal_strain is not None
         rows = problem.thermal_strain.stiffness(moves, problem.stiffness, self.contact)
-        found: list[list[PETSc.Mat]] = []
+        blocks: list[list[PETSc.Mat]] = []
         for row, height in zip(rows, sizes[self._n :], strict=True):
-            found.append([])
+            blocks.append([])
             for A, width in zip(row, sizes[: self._n], strict=False):
                 if A is None:
                     A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=self.comm)
                     A.assemble()
-                found[-1].append(-1.0 * A)
-        return found
+                blocks[-1].append(-1.0 * A)
+        return blocks
 
     def _from_heat(self) -> list[list[PETSc.Mat]]:
         """Rows of displacement and jumps, columns of the heat."""
@@ -194,7 +196,7 @@ class CoupledSystem(ContactSystem):
     def _from_motion(
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
-        """Rows of the heat: columns of the mechanics, and additions to its own columns."""
+        """Rows of the heat: columns of the mechanics, and additions to the columns of the heat."""
         power = self._point_rows(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._heat.operators.jumps, self.exchange.pressed

@@ -94,8 +94,8 @@ class CreepStepper:
 
     def _size(self, taken: Floats) -> float:
         """Largest creep strain that takes a stress (n, 6) [MPa]; collective."""
-        found = float(self._creep.crept(taken).max(initial=0.0))
-        return float(self._problem.comm.allreduce(found, MPI.MAX))
+        largest = float(self._creep.crept(taken).max(initial=0.0))
+        return float(self._problem.comm.allreduce(largest, MPI.MAX))
 
     def step(self, stage: Stage, h: float) -> float:
         """Solve a step, not yet committed; its error over the tolerance; collective.

@@ -49,7 +49,7 @@ BISECTIONS = 40
 def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, Floats]:
     """Energy that damage spends in a step to a state [N mm]; collective.
 
-    And its derivative by own jumps (3 n,) [N].
+    And its derivative by owned jumps (3 n,) [N].
     """
     contact = problem.contact
     if contact is None or q is None or not contact.law.internal_variables:
@@ -248,7 +248,7 @@ class EnergyControl(MatrixFree):
         energy.set(self._energy_by(a))
 
     def renew(self) -> None:
-        """Do nothing: the inverse of the given system is its own solver's."""
+        """Do nothing: the solver of the given system renews its inverse."""
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Set the Jacobian at the state of the last residual; solve for the load."""

@@ -59,7 +59,7 @@ class HeatState:
         solver: Solver of heat, or of heat and mechanics.
         coupled: Heat and mechanics in one system, if heat depends on contact.
         outcome: Outcome of the last solve.
-        state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
+        state: Temperatures of owned nodes, jumps of owned points [K], owned degrees of cure.
         seconds: Time since the start of the run [s].
         total: Counts of steps and iterations so far.
     """
@@ -86,7 +86,7 @@ class HeatState:
 
     @property
     def row_keys(self) -> dict[str, list[Ints]]:
-        """Keys of own nodes and points, by block."""
+        """Keys of owned nodes and points, by block."""
         blocks = self.operators.block_keys()
         return {"state": blocks, "slope": blocks}
 
@@ -122,12 +122,12 @@ class HeatState:
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
         """Solve a stage; with mechanics the work of friction is one more part of the state."""
-        n, own, coupled = len(self.vectors()), len(self.state), self.coupled
-        if not self.step.begin(start[:n], start[n:own], h, seconds):
+        n, parts, coupled = len(self.vectors()), len(self.state), self.coupled
+        if not self.step.begin(start[:n], start[n:parts], h, seconds):
             return None
         self.put(guess)
         if coupled is not None:
-            coupled.begin(seconds, h, start[own])
+            coupled.begin(seconds, h, start[parts])
             if not self.outcome.converged:
                 coupled.restore(self.solver.blocks())
         self.outcome = solve(self.solver)
@@ -170,24 +170,24 @@ class HeatState:
             method = METHODS[name]
             while True:
                 self._stages = []
-                found = integrator.step(method, state, slope, dt, self.seconds, self._solve)
+                solution = integrator.step(method, state, slope, dt, self.seconds, self._solve)
                 T = self.operators.nodal(self.vectors())
-                within = found is None or not principle.outside(T)
+                within = solution is None or not principle.outside(T)
                 if within or not principle.correct(T):
                     break
-            if within and (found is not None or not fixed):
+            if within and (solution is not None or not fixed):
                 break
-        return (found, method) if found is not None else None
+        return (solution, method) if solution is not None else None
 
-    def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
+    def accept(self, solution: integrator.StageStep, method: Method, dt: float) -> HeatStep:
         """Commit a step."""
         heats = {
             name: dt * sum(method.a[-1] * [stage[name] for stage in self._stages])
             for name in self._stages[-1]
         }
         self.operators.principle.take_back(self.operators.nodal(self.vectors()))
-        own = slice(len(self.state))
-        self.state, self.slope = found.state[own], found.slope[own]
+        parts = slice(len(self.state))
+        self.state, self.slope = solution.state[parts], solution.slope[parts]
         self.seconds += dt
         self.total.steps += 1
         return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
@@ -195,11 +195,11 @@ class HeatState:
     def solve_steady(self) -> HeatStep | None:
         """Solve for the steady state; None if it does not converge."""
         self._stages = []
-        found = self._solve(self._with_work(self.state), np.inf, self.seconds, self.state)
-        if found is None:
+        state = self._solve(self._with_work(self.state), np.inf, self.seconds, self.state)
+        if state is None:
             return None
-        found = found[: len(self.state)]
-        self.state, self.slope = found, [np.zeros_like(part) for part in found]
+        state = state[: len(self.state)]
+        self.state, self.slope = state, [np.zeros_like(part) for part in state]
         self.total.steps += 1
         return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
 
@@ -219,25 +219,25 @@ class HeatState:
         return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
 
     def temperatures(self) -> Floats:
-        """Temperatures of own nodes of each body (b, n) [K]."""
+        """Temperatures of owned nodes of each body (b, n) [K]."""
         return self._nodal(self.state)
 
     def slopes(self) -> Floats:
-        """Rates of change of temperature at own nodes of each body (b, n) [K/s]."""
+        """Rates of change of temperature at owned nodes of each body (b, n) [K/s]."""
         return self._nodal(self.slope)
 
     def degrees(self) -> dict[str, Floats]:
-        """Degrees of cure of own nodes of each curing region."""
+        """Degrees of cure of owned nodes of each curing region."""
         n = len(self.vectors())
         return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
 
     def rates(self) -> dict[str, Floats]:
-        """Rates of cure of own nodes of each curing region [1/s]."""
+        """Rates of cure of owned nodes of each curing region [1/s]."""
         n = len(self.vectors())
         return {c.region: a for c, a in zip(self._curing, self.slope[n:], strict=True)}
 
     def _nodal(self, state: State) -> Floats:
-        """Temperatures of own nodes of each body in a state (b, n) [K]."""
+        """Temperatures of owned nodes of each body in a state (b, n) [K]."""
         x = self.step.vectors()
         for v, values in zip(x, state, strict=False):
             v.array[:] = values

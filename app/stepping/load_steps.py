@@ -91,7 +91,7 @@ class LoadProgress(Progress):
     Attributes:
         energy: Fracture energy of the next step where the load follows it, 0 where it is given.
         most: Largest part of the path that has been reached.
-        handed: Part of the path at which no step of given energy was found, last.
+        handed: Last part of the path at which no step of given energy converged.
     """
 
     energy: float = 0.0
@@ -207,11 +207,11 @@ class LoadStepper:
         part = 100 * (time - int(time)) or 100
         where = f"stage '{stage.name}' at {part:.3g} % of it"
         if trial is not None:
-            found = (
+            result = (
                 held_by_facets(problem, trial) or runaway(problem, trial) or self._cover.left(trial)
             )
-            if found:
-                raise ConvergenceError(replace(found, where=where))
+            if result:
+                raise ConvergenceError(replace(result, where=where))
         problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:
@@ -419,7 +419,7 @@ class GivenEnergy:
             p.energy, p.step, p.handed = 0.0, self._path.whole, p.done
             return
         text = (
-            f"no state was found in which interfaces have used up {p.energy:.3g} N mm more; the "
+            f"in no state have interfaces used up {p.energy:.3g} N mm more; the "
             f"load has reached {100 * max(p.most, p.done):.3g} % of the stage"
         )
         where = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"

@@ -1,6 +1,6 @@
 """Block on an incline: at rest below the angle of friction, and sliding above it.
 
-A block rests on a ramp with an inclination a under its own weight. Equilibrium asks for the ratio
+A block rests on a ramp with an inclination a under its weight. Equilibrium asks for the ratio
 
     T / N = tan a
 

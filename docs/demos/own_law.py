@@ -1,4 +1,4 @@
-"""A law of one's own: an elastic layer between two blocks.
+"""A law of the user: an elastic layer between two blocks.
 
 A thin layer transmits a traction in proportion to the jump between its sides, t = k [u]. A law is
 one class with its keys and its formula, in UFL; mantle finds the derivative. Two blocks with the
