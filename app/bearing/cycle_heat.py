@@ -80,7 +80,7 @@ class CycleHeat(Record):
             begin = max(self.time, math.ceil(step.time) - 1)
             part, middle = stage.cycles * (step.time - begin), (step.time + begin) / 2
             self.steps.append(self._state(part, middle, pressure, spent - self.dissipated))
-            if step.whole and stage.turn(step.time):
+            if step.whole and stage.reversal(step.time):
                 self.cycle, self.steps = self.steps, []
         else:
             self.cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]

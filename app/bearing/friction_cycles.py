@@ -251,7 +251,7 @@ class Bearing:
         energy = self.master_amounts[:, 0, 0].sum()
         row = (phase - self.cycle_start, *torque, *centre, energy)
         self.cycle_rows.append([float(v) for v in row])
-        reversal = stage.turn(time) if whole else 0
+        reversal = stage.reversal(time) if whole else 0
         if reversal and (reversal % 2 or stage.ways == stage.cycles):
             self.slave_amounts[:, 2] = spent - self.slave_amounts[:, 1]
             self.slave_amounts[:, 1] = spent

@@ -289,7 +289,7 @@ class MeshFile(Shape):
         return tuple(self.interfaces[name] for name in self._apart)
 
     def parted(self, names: Iterable[str]) -> MeshFile:
-        """The same with the interfaces whose sides slide far."""
+        """The same with the interfaces that have finite sliding."""
         copy = self.model_copy()
         copy._apart = tuple(names)
         return copy

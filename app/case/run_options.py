@@ -113,7 +113,7 @@ class Stage(Section):
         """Number of monotonic load segments in the stage; of cycle tables, of cycles."""
         return self.cycles if self._repeats else 2 * self.cycles - 1
 
-    def turn(self, time: float) -> int:
+    def reversal(self, time: float) -> int:
         """Number of the load reversal at a time: 1 at the first peak, 0 if there is none."""
         way = self.ways * (time - math.ceil(time) + 1)
         return round(way) if abs(way - round(way)) < 1e-6 else 0

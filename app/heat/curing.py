@@ -186,7 +186,7 @@ class AutocatalyticKinetics:
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.log(share) - np.log1p(-share)
-        rates = np.zeros((3, len(rows)))
+        at_rows = np.zeros((3, len(rows)))
         moving = np.arange(len(rows))
         for _ in range(_ITERATIONS):
             if not len(moving):
@@ -196,7 +196,7 @@ class AutocatalyticKinetics:
             share = _logistic(at)
             reacted = room[moving] * share
             f, f_a, f_T = rates(rows[moving], reacted)
-            rates[:, moving] = f, f_a, f_T
+            at_rows[:, moving] = f, f_a, f_T
             with np.errstate(divide="ignore", invalid="ignore"):
                 value = np.log(reacted / (h * f))
                 slope = (1 - share) * (1 - reacted * f_a / f)
@@ -206,7 +206,7 @@ class AutocatalyticKinetics:
             s[moving] = at + step
             going = ~(np.abs(step) <= _CONVERGED) & (high[moving] - low[moving] > _CONVERGED)
             moving = moving[going]
-        return room * _logistic(np.clip(s, low, high)), *rates
+        return room * _logistic(np.clip(s, low, high)), *at_rows
 
 
 Kinetics = AutocatalyticKinetics | PrescribedKinetics

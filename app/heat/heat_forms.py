@@ -34,7 +34,7 @@ from meshes.distribute import TaggedMesh
 
 Condition = HeatFlux | HeatSource | Convection | Perfusion
 
-# Degree of quadrature where fibres turn: UFL would choose 20, with the same fluxes to 0.01 %.
+# Degree of quadrature where fibres are curved: UFL would choose 20, with the same fluxes to 0.01 %.
 TURNING_DEGREE = 2
 
 
@@ -140,7 +140,7 @@ class HeatForms:
         k = [self._constant(value) for value in conductor.conductivities]
         m = conductor.fibre.direction(self._mesh, self._constant) if conductor.fibre else None
         dx = self._dx(conductor.region)
-        if conductor.fibre and conductor.fibre.turns:
+        if conductor.fibre and conductor.fibre.curved:
             dx = dx(degree=TURNING_DEGREE)
         potential = conductor.potential(ufl.grad(θ), k, m) * dx
         hessian = ufl.derivative(ufl.derivative(potential, θ, v), θ, ufl.TrialFunction(self.space))

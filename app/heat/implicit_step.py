@@ -62,14 +62,14 @@ class HeatEvaluation:
     Attributes:
         given: The state, and pressures and heat of friction, which are set from outside.
         T: Temperature of owned nodes of each body (b, n) [K].
-        lacking: Residual heat, without interfaces (b, n) [N mm/s].
+        residual_heat: Residual heat, without interfaces (b, n) [N mm/s].
         parts: Terms of that residual but conduction, by body [N mm/s].
         flux: Heat flux at owned points, and its derivatives (`TemperatureJumps.flux`).
     """
 
     given: list[Floats]
     T: Floats
-    lacking: Floats
+    residual_heat: Floats
     parts: list[Floats]
     flux: tuple[Floats, Floats, Floats] | None
 
@@ -229,29 +229,29 @@ class ImplicitStep(System):
         terms += [-o.cure.heats(T)] if o.cure else []
         terms += [-o.friction.nodal] if o.friction else []
         terms += [o.exchange.heats(T - o.reference)] if o.exchange else []
-        lacking = np.empty_like(T)
+        residual_heat = np.empty_like(T)
         above, flow = self._work
         for b, K in enumerate(o.principle.matrices):
             above.array[:] = T[b] - o.reference
             K.mult(above, flow)
-            lacking[b] = flow.array_r
+            residual_heat[b] = flow.array_r
         for term in terms:
-            lacking += term
+            residual_heat += term
         parts = [of_body for term in terms for of_body in term]
         flux = o.jumps.flux(given[1]) if o.jumps else None
         if o.jumps and flux:
             parts.append(o.jumps.weight * flux[0])
-        self._last = HeatEvaluation([a.copy() for a in given], T, lacking, parts, flux)
+        self._last = HeatEvaluation([a.copy() for a in given], T, residual_heat, parts, flux)
         return self._last
 
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
         """Residual heat, zero where temperatures are given [N mm/s]."""
         here, j = self.at(x), self.operators.jumps
-        f[0].array[:] = np.where(self._held, 0.0, here.lacking.sum(axis=0))
+        f[0].array[:] = np.where(self._held, 0.0, here.residual_heat.sum(axis=0))
         if j is not None and here.flux:
             total = -j.weight * here.flux[0]
             for b, B in j.moves.items():
-                self._work[1].array[:] = here.lacking[b]
+                self._work[1].array[:] = here.residual_heat[b]
                 moved = f[1].duplicate()
                 B.multTranspose(self._work[1], moved)
                 total += moved.array
@@ -275,7 +275,7 @@ class ImplicitStep(System):
         alone, which is large and cancels in a state that hardly changes.
         """
         here = self.at(x)
-        parts = [np.where(self._held, here.lacking.sum(axis=0), 0.0), *here.parts]
+        parts = [np.where(self._held, here.residual_heat.sum(axis=0), 0.0), *here.parts]
         noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
         local = np.array([float(a @ a) for a in (*parts, *noise)])
         norms = np.sqrt(np.array(self.comm.allreduce(local, MPI.SUM)))
@@ -298,13 +298,13 @@ class ImplicitStep(System):
         if o.cure:
             for n, heat in zip(o.cure.nodes, o.cure.released(here.T), strict=True):
                 heats[f"cure {n.region}"] = float(heat.sum())
-        lacking = here.lacking.copy()
+        residual_heat = here.residual_heat.copy()
         if (j := o.jumps) and here.flux:
             q = j.weight * here.flux[0]
-            np.add.at(lacking, (j.bodies[:, 0], j.dof), q)
-            np.add.at(lacking, (j.bodies[:, 1], j.dof), -q)
+            np.add.at(residual_heat, (j.bodies[:, 0], j.dof), q)
+            np.add.at(residual_heat, (j.bodies[:, 1], j.dof), -q)
         for s, held in enumerate(o.fixed.conditions):
-            heats[held.name] = float(lacking[o.fixed.of_body == s].sum())
+            heats[held.name] = float(residual_heat[o.fixed.of_body == s].sum())
         sums = self.comm.allreduce(np.array(list(heats.values())))
         every = dict(zip(heats, map(float, sums), strict=True))
         return every | (o.friction.flows if o.friction else {})

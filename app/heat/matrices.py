@@ -6,7 +6,7 @@ With A_b = M_b/h + K_b + R_b of each body, the blocks are
           \qquad \sum_b B_b^T A_b B_b - W \, ∂q/∂τ.
 
 Rows and columns of given temperatures and jumps are zero but for their diagonal. To the first block
-comes the exchange of surfaces that slide far; what it is by jumps of nodes there is left out.
+comes the exchange of surfaces with finite sliding, without its part by jumps of nodes.
 """
 
 from __future__ import annotations

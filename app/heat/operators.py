@@ -49,7 +49,7 @@ class HeatOperators:
         reference: Temperature at which heat is zero [K].
         cure: Heat of cure, if anything cures.
         friction: Heat of friction, if an interface has any.
-        exchange: That of surfaces that slide far, once it is known.
+        exchange: Exchange of surfaces with finite sliding, once it is set.
         principle: The conduction matrices, corrected where necessary.
 
     Raises:

@@ -112,10 +112,10 @@ def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]
         except PydanticCustomError as error:
             wrong(i, (error.context or {})["text"])
         for column, before in table[-1].items() if table else ():
-            turn = math.degrees(abs(here[column] - before))
+            angle = math.degrees(abs(here[column] - before))
             if column == "time" and here[column] <= before:
                 wrong(i, f"its time is not above {before:g} s, that of the row before")
-            if column in ROTATIONS and turn > 180 * (1 + 1e-9):
-                wrong(i, f"{column} turns by {turn:.4g} degrees in a row; expected at most 180")
+            if column in ROTATIONS and angle > 180 * (1 + 1e-9):
+                wrong(i, f"{column} changes by {angle:.4g} degrees in a row; expected at most 180")
         table.append(here)
     return {column: tuple(row[column] for row in table) for column in units}

@@ -23,7 +23,7 @@ class Straight(Section):
 
     kind: ClassVar[str] = "straight"
     # True if the direction varies in space.
-    turns: ClassVar[Literal[False]] = False
+    curved: ClassVar[Literal[False]] = False
     through: ClassVar[Vector] = (0.0, 0.0, 0.0)
 
     axis: Axis = (0.0, 0.0, 1.0)
@@ -37,7 +37,7 @@ class Straight(Section):
 class Circumferential(Section):
     """Fibres around an axis, like hoops. The axis must be outside the region."""
 
-    turns: ClassVar[Literal[True]] = True
+    curved: ClassVar[Literal[True]] = True
 
     kind: Literal["circumferential"] = "circumferential"
     axis: Axis = (0.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Motions of regions that turn far: their angles through a cycle, about a point."""
+"""Motions of regions with large rotations: angles through a cycle, about a point."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ class Rotation(Section):
     """Given angles about the axes of space.
 
     `axes: yxz` is R = R_y(a_y) R_x(a_x) R_z(a_z): about z first, then about x and at last about y,
-    all fixed in space; or about y first, then about axes that turn with the region.
+    all fixed in space. The same rotation is about y first, then about axes that rotate with the
+    region.
     """
 
     axes: Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
     """Order of the product, the first letter outermost."""
     cycle_table: CycleTable
-    """Its angles: of the columns `rotation x`, `rotation y`, `rotation z`; zero of one it lacks."""
+    """Angles in the columns `rotation x`, `rotation y`, `rotation z`; a missing column is zero."""
 
     @model_validator(mode="after")
-    def _turns(self) -> Rotation:
+    def _rotates(self) -> Rotation:
         columns = self.cycle_table.columns
         if not columns.keys() & {*ROTATIONS}:
             text = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
@@ -68,11 +69,11 @@ class Motion(Named):
             s: Phase in the cycle, from 0 to 1.
             part: Ramp factor of the angles, from 0 to 1.
         """
-        from scipy.spatial.transform import Rotation as Turn
+        from scipy.spatial.transform import Rotation as Rotations
 
         if self.rotation is None:
-            return Turn.identity().as_matrix()
+            return Rotations.identity().as_matrix()
         columns = [f"rotation {axis}" for axis in self.rotation.axes]
         angles = [part * angle for angle in self.rotation.cycle_table.at(columns, s)]
         # Capital letters are axes that rotate with the region.
-        return Turn.from_euler(self.rotation.axes.upper(), angles).as_matrix()
+        return Rotations.from_euler(self.rotation.axes.upper(), angles).as_matrix()

@@ -126,8 +126,8 @@ class BodyForms:
     Attributes:
         bodies: Regions by body.
         timing: Where the time that compiling takes is noted.
-        varying_degree: Degree of quadrature where stress is path-dependent, fibres turn or the
-            modulus varies: a constant stiffness needs one less.
+        varying_degree: Degree of quadrature where stress is path-dependent, fibres are curved or
+            the modulus varies: a constant stiffness needs one less.
         space: Displacement space.
         u: The continuous displacement.
         springs: Stiffness of each elastic foundation.
@@ -302,7 +302,7 @@ class BodyForms:
         the former, with the same errors.
         """
         measure = dx(self.tagged.regions[e.region] if tag is None else tag)
-        varies = e.varies or (e.fibre and e.fibre.turns)
+        varies = e.varies or (e.fibre and e.fibre.curved)
         return measure(degree=self._degree(e)) if varies else measure
 
     def _degree(self, e: Elastic) -> int:

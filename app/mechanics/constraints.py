@@ -220,7 +220,7 @@ class Constraints:
         rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
         motion = scene.motion_of((region,))
         if motion:
-            # Its turn is given: no turn besides, and no way either if that is held.
+            # The rotation is prescribed, and so is the translation if `translation: held`.
             place_of = rigid_modes((np.array(motion.about) - centre)[None] / scale)[0]
             given = (
                 np.eye(6)[3:]

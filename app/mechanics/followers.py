@@ -52,8 +52,8 @@ def refuse_motions(body_forms: BodyForms) -> None:
     for m in scene.driven:
         if not any(m.region in c.master for c in finitely_sliding(scene).values()):
             raise InputError(
-                f"motions.{m.name}.region: {m.region} is elastic, and nothing softer slides far on "
-                "it; expected the stiffer side of an interface with `sliding: finite`"
+                f"motions.{m.name}.region: {m.region} is elastic, and no softer body slides on it; "
+                "expected the stiffer side of an interface with `sliding: finite`"
             )
         body = bodies.of_region[m.region]
         for load in scene.loads:
@@ -65,7 +65,7 @@ def refuse_motions(body_forms: BodyForms) -> None:
                     on |= set(facets_by_body(body_forms.tagged, bodies, boundary))
             if load.fixed_in_space and body in on:
                 raise InputError(
-                    f"loads.{load.name}: acts on {m.region}, which turns; expected forces on "
+                    f"loads.{load.name}: acts on {m.region}, which rotates; expected forces on "
                     f"'{m.boundary}' alone, or pressures"
                 )
 

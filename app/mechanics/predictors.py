@@ -3,7 +3,7 @@
 Contact with friction is homogeneous of degree one. Without gaps, loads that grow in proportion from
 zero make the state grow with them, so that from the second step on the straight line through the
 states before is the exact answer; where loads and gaps of two variations differ by a common factor,
-the scaled state is. Where the load turns, or points open or begin to slip, these are near the
+the scaled state is. Where the load reverses, or points open or begin to slip, these are near the
 answer at best: a predicted state is used only if its residual is below that of the last state.
 
 Every variation is solved from rest, for friction has a memory; others only provide guesses.
@@ -55,7 +55,7 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads turn, as where a stage begins: line through the states one and two cycles before,
+    Where loads reverse or a stage begins: line through the states one and two cycles before,
     or the best state in the span of all, which is exact where loads of two stages are proportional
     (one Newton iteration instead of eight).
 
@@ -63,8 +63,8 @@ class Extrapolation:
     debonding.yaml 105 instead of 79, head_cup.yaml 169 instead of 139.
     """
 
-    def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
-        self._solver, self._last_turn = solver, last_turn
+    def __init__(self, solver: Solver, last_reversal: Callable[[float], float]) -> None:
+        self._solver, self._last_reversal = solver, last_reversal
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
@@ -77,7 +77,7 @@ class Extrapolation:
         if len(self._trail) < 2:
             return
         (t0, x0), (t1, x1) = self._trail[-2:]
-        if t0 >= self._last_turn(time) - 1e-9:
+        if t0 >= self._last_reversal(time) - 1e-9:
             s = (time - t1) / (t1 - t0)
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)

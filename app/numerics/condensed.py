@@ -21,7 +21,7 @@ of a belt that only contact holds. The bodies are then joined by weak springs in
 
 so that unbalanced forces move the free bodies until contact stops them.
 
-Rigid motions that nothing resists, columns of Z, need other springs: a frictionless stem may turn
+Rigid motions that nothing resists, columns of Z, need other springs: a frictionless stem may rotate
 about its axis. With springs along these motions only, T S + B + s Z Z^T, the step is exact, because
 balanced forces cause no such motion.
 Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors

@@ -1,8 +1,8 @@
 r"""Deflation: a preconditioner that solves for a coarse space of motions exactly.
 
-A body that slides on its interfaces, or bends away from them, meets little resistance, and a
-preconditioner that treats displacement and jumps in turn hardly reduces such motions: Krylov
-methods stall until they have resolved each of them. With Z the motions and A the Jacobian, a
+A body that slides on its interfaces, or bends away from them, meets little resistance. A
+preconditioner that treats displacement and jumps one after the other hardly reduces such motions:
+Krylov methods stall until they have resolved each of them. With Z the motions and A the Jacobian, a
 preconditioner M becomes (A-DEF1, Tang et al. 2009, https://doi.org/10.1007/s10915-009-9272-6)
 
 .. math:: Q + M (1 - A Q), \qquad Q = Z (Z^T A Z)^{-1} Z^T.

@@ -34,7 +34,7 @@ def rigid_modes(x: NDArray[np.floating]) -> Floats:
 
 def rotation_vector(R: Floats) -> Floats:
     """Vector (3,) of a rotation (3, 3) by less than half a turn [rad]."""
-    from scipy.spatial.transform import Rotation  # imported late: few cases turn anything
+    from scipy.spatial.transform import Rotation  # imported late: few cases rotate a region
 
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 

@@ -119,7 +119,7 @@ class Stresses:
     def _stress(self, region: str, ε: Floats) -> Floats:
         """Stress of a region's elastic strain at its points (cells, points, 3, 3) [MPa]."""
         e = next(e for e in self._problem.scene.elastic if e.region == region)
-        turning = e.fibre if e.fibre is not None and e.fibre.turns is True else None
+        turning = e.fibre if e.fibre is not None and e.fibre.curved is True else None
         if turning:  # in axes that turn with it
             Q = turning.frames(self.places(region)[0]).reshape(ε.shape)
             ε = Q.swapaxes(2, 3) @ ε @ Q
@@ -215,7 +215,7 @@ def _moduli(e: Elastic) -> Floats:
 
 
 def _moduli_by_energy(e: Elastic) -> Floats:
-    fibre = e.fibre.axis if e.fibre and not e.fibre.turns else (0.0, 0.0, 1.0)
+    fibre = e.fibre.axis if e.fibre and not e.fibre.curved else (0.0, 0.0, 1.0)
 
     def energy(strain: Floats) -> float:
         ε = elasticity.symmetric([float(c) for c in strain])

@@ -165,7 +165,7 @@ class Scene:
         """Rotation of a motion at a time (3, 3); without a motion none."""
         return np.eye(3) if motion is None else motion.rotation_at(*cycle_phase(self.stages, time))
 
-    def turns(self, k: int, part: float) -> int:
+    def rotation_substeps(self, k: int, part: float) -> int:
         """Sub-steps per increment of stage k that keep every rotation below `largest_step`."""
         times = [k + i * part for i in range(round(1 / part) + 1)]
         most = 1
@@ -175,8 +175,8 @@ class Scene:
             most = max(most, math.ceil(max(angles) / m.largest_step - 1e-9))
         return most
 
-    def last_turn(self, time: float) -> float:
-        """The last time before a time at which loads turn, or a stage begins."""
+    def last_reversal(self, time: float) -> float:
+        """The last time before a time at which loads reverse or a stage begins."""
         k = max(math.ceil(time) - 1, 0)
         ways = self.stages[k].ways
         return k + (math.ceil((time - k) * ways - 1e-9) - 1) / ways
@@ -232,7 +232,7 @@ def scene_of(
         order: Polynomial order of the displacement, 1 or 2.
         interfaces: Law of each interface. Regions that touch without an interface are bonded.
         sides: Regions on the two sides of each interface.
-        faces: Boundaries of the two sides of interfaces that slide far, if their law names none.
+        faces: Boundaries of both sides of finite sliding, if the law names none.
         supports: Supports by name.
         loads: Loads by name.
         motions: Motions by name.
@@ -365,7 +365,7 @@ def _loads(
     if force is None:
         return (load.named(name),)
     motion = motions[force.follows] if force.follows else None
-    # Nodes of an elastic region that turns have axes that turn with it.
+    # Nodes of an elastic region that rotates have axes that rotate with it.
     local = next((m for m in motions.values() if m.boundary == force.boundary), None)
 
     def component(k: int, time: float) -> float:

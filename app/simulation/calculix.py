@@ -93,7 +93,7 @@ def _refused(case: Case) -> list[Fault]:
         elif law.initial_gap[0]:
             no("a gap", "interfaces", name, "gap")
         if name in case.faces:
-            no("sides that slide far", "interfaces", name, "sliding")
+            no("finite sliding", "interfaces", name, "sliding")
     for name, support in case.supports.items():
         if support.is_spring is True or support.normal is not None:
             no("springs to the ground, and rollers along a normal", "supports", name)
@@ -222,7 +222,7 @@ def _material(e: Elastic) -> Iterator[str]:
     yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"
     yield f"{_real(*constants[:8])},\n{_real(constants[8])}"
     axis = np.array(e.fibre.axis)
-    if not e.fibre.turns:
+    if not e.fibre.curved:
         other = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         yield f"*ORIENTATION, NAME={e.region}, SYSTEM=RECTANGULAR\n{_real(*axis, *other)}"
     else:

@@ -186,11 +186,11 @@ class Recorder:
 
     def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
-        turn = self._stage.turn(step.time)
-        if self._stage.ways == self._stage.cycles or not step.whole or not turn:
+        reversal = self._stage.reversal(step.time)
+        if self._stage.ways == self._stage.cycles or not step.whole or not reversal:
             return  # cycle tables have no valleys
         self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
-        if trial is not None and turn % 2 == 0:
+        if trial is not None and reversal % 2 == 0:
             self.valley = {"jump": trial.jump.copy()}
 
     def heat(self, step: LoadStep, accepted: HeatStep) -> None:

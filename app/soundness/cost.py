@@ -223,7 +223,7 @@ def solves(case: Case) -> tuple[int, int]:
     scene, steps = build_scene(case), 0
     for k, stage in enumerate(scene.stages):
         number = stage.increments * stage.ways
-        steps += 0 if stage.duration else number * scene.turns(k, 1 / number)
+        steps += 0 if stage.duration else number * scene.rotation_substeps(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
     steps += sum(stage.other.solves(case) for stage in case.stages if stage.other)
     if _proportional(case):

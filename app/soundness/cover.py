@@ -65,7 +65,7 @@ class Cover:
             if angle > TIPPED:
                 text = (
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
-                    "degrees where it slides far, and its surface does not turn with it"
+                    "degrees; with finite sliding its surface does not rotate with it"
                 )
                 cure = "supports that keep it upright, or a motion of the master"
                 return Verdict(text, cure=cure)

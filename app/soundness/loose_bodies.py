@@ -214,7 +214,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
             continue
         pressed = (trial.law.pressures[here] > 0).any()
         if term.between and any(problem.comm.allgather(bool(pressed))):
-            continue  # it slides far
+            continue  # finite sliding
         how = (
             f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
             "of the interface's size"
@@ -229,7 +229,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         if largest > NOT_SMALL * size + LEVER * given:
             cure = (
                 "a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
-                "bodies slide far"
+                "slip is larger than a facet"
             )
             text = f"displacements are no longer small: {text}"
             return Verdict(text, cure=cure, code=Reason.LARGE_DISPLACEMENT)

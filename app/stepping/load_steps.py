@@ -123,7 +123,7 @@ class LoadStepper:
 
     def __post_init__(self) -> None:
         """Put extrapolation before the other predictors."""
-        self._line = Extrapolation(self.solver, self.problem.scene.last_turn)
+        self._line = Extrapolation(self.solver, self.problem.scene.last_reversal)
         self.predictors = (self._line, *self.predictors)
         self.progress, self._cover = LoadProgress(), Cover(self.problem)
 
@@ -146,7 +146,7 @@ class LoadStepper:
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time, up to its creep."""
         whole, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
-        whole /= self.problem.scene.turns(k, whole)
+        whole /= self.problem.scene.rotation_substeps(k, whole)
         if not self.progress.step:
             self.progress = LoadProgress(whole)
 

@@ -136,7 +136,7 @@ def same(
             # Gap and slip are one vector; rounding alone has no scale.
             jump = max(float(np.abs(gap).max()), NOTHING * float(np.abs(u).max()))
             fields = {"pressure": (pressure, peak), "shear": (shear, peak)}
-            if f"{name}_slip" in other.point_fields:  # not where sides slide far
+            if f"{name}_slip" in other.point_fields:  # not with finite sliding
                 slip = other.at_interface(name, "slip", step) * lengths
                 jump = max(jump, float(np.abs(slip).max()))
                 fields["slip"] = (slip[k] @ R.T, jump)

@@ -53,8 +53,8 @@ x[:] = radius[:, None] * direction / np.linalg.norm(direction, axis=1)[:, None]
 polyethylene = Isotropic(youngs_modulus="1 GPa", poisson_ratio=0.4)
 faces = ("ball_surface", "cup_surface")
 bearing = Coulomb(friction_coefficient=mu, sliding="finite", between=faces)
-turn = Rotation(axes="xyz", cycle_table=["time [s], rotation z [deg]", "0, 0", "1, 20"])
-spin = Motion(region="ball", about="[0, 0, 0] mm", rotation=turn)
+rotation = Rotation(axes="xyz", cycle_table=["time [s], rotation z [deg]", "0, 0", "1, 20"])
+spin = Motion(region="ball", about="[0, 0, 0] mm", rotation=rotation)
 scene = scene_of(
     regions={"ball": Rigid(rigid=True), "cup": polyethylene},
     interfaces={"bearing": bearing},

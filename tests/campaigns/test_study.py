@@ -327,7 +327,7 @@ ELSEWHERE = {
     *("unbonded_fraction", "area_damaged", "area_broken", "damage_mean", "zone_length"),
     *("zone_elements", "strength_fraction", "failure_index_max", "failure_index_p99"),
     *("failure_load_factor", *(f"volume_over_{s}_MPa" for s in (3, 5, 7, 9, 11))),
-    # Of sides that slide far.
+    # Of finite sliding.
     *(f"{name}.{axis}" for name in ("torque", "centre") for axis in "xyz"),
     *("torque_size", "torque_along", "torque_max", "eccentricity", "dissipation_cycle"),
     *("slid_max", "slid_mean", "slid_max_master", "friction_power", "temperature_swing"),

@@ -254,15 +254,15 @@ def test_followers_of_a_rigid_master_are_paired_without_assembly() -> None:
     [
         (
             ["loads.hip.boundary=head_surface"],
-            r"^loads\.hip: acts on head, which turns; expected forces on 'head_bore' alone",
+            r"^loads\.hip: acts on head, which rotates; expected forces on 'head_bore' alone",
         ),
         (
             ["loads.weight={kind: body_force, density: [0 N/mm^3, 0 N/mm^3, -1e-4 N/mm^3]}"],
-            r"^loads\.weight: acts on head, which turns",
+            r"^loads\.weight: acts on head, which rotates",
         ),
         (
             ["motions.ball.region=liner", "motions.ball.boundary=liner_outer"],
-            r"^motions\.ball\.region: liner is elastic, and nothing softer slides far on it",
+            r"^motions\.ball\.region: liner is elastic, and no softer body slides on it",
         ),
     ],
 )
