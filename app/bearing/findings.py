@@ -35,7 +35,7 @@ def _heat(case: Case) -> Iterable[Fault]:
     if not sliding or all(region.thermal is None for region in regions):
         return
     moved = [*(case.motions or {}).values(), *(case.loads or {}).values()]
-    cyclic = any(getattr(part, "cycle_table", None) is not None for part in moved)
+    cyclic = any(part is not None and part.cycle is not None for part in moved)
     for name, law in laws.items():
         heats = law.heated_by_friction is not None
         path = ("interfaces", name, "friction_heating" if heats else "conductance")

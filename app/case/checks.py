@@ -290,9 +290,9 @@ def _sliding(case: Any) -> Iterable[Fault]:
                 text = f"{motion.region} is rigid and moves as a whole; leave `boundary` out"
             yield Fault(("motions", name, "region"), text)
     motions = tuple(case.motions or ())
-    cyclic = any(motion.cycle_table for _, _, motion in _entries(case, "motions"))
+    cyclic = any(motion.cycle for _, _, motion in _entries(case, "motions"))
     for _, name, load in _entries(case, "loads"):
-        cyclic |= getattr(load, "cycle_table", None) is not None
+        cyclic |= load.cycle is not None
         followed = getattr(load, "follows", None)
         if followed is not None and followed not in motions:
             text = f"there is no motion '{followed}'{did_you_mean(followed, motions)}"

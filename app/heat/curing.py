@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 
@@ -116,7 +115,7 @@ class AutocatalyticKinetics:
             # Labels of variables differ from run to run: without them compiled code is used again.
             return [strip_variables(expand_derivatives(e)) for e in expressions]
 
-        constants: dict[str, Any] = orders | knots | levels
+        constants = orders | knots | levels
         self._limited = bool(pairs)
         self._laws = Pointwise(comm, nodes, dict.fromkeys(["a", "T", *constants], 1), laws)
         self._laws.set(**constants)
@@ -244,7 +243,7 @@ def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Poi
 
     ``expansion`` is the coefficient of thermal expansion [1/K], n the ``nodes`` on this rank.
     """
-    constants: dict[str, Any] = {
+    constants = {
         "gel": cure.gel,
         "expansion": expansion,
         "shrinkage": cure.shrinkage,

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -19,6 +18,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
+from ufl.core.expr import Expr
 
 from app.foundation.arrays import Bools, Field, Floats, Ints
 from app.foundation.dolfinx_features import exterior_facets
@@ -112,10 +112,10 @@ class HeatForms:
         potential = heat.exchange(θ, self._constant(condition.coefficient), self._constant(0.0))
         return self._lumped(condition, lambda measure: ufl.derivative(potential * measure, θ))
 
-    def _power(self) -> Any:
+    def _power(self) -> Expr:
         return heat.heating_power(self._constant(1.0), ufl.TestFunction(self.space))
 
-    def _lumped(self, condition: Condition, form: Callable[[ufl.Measure], Any]) -> Floats:
+    def _lumped(self, condition: Condition, form: Callable[[ufl.Measure], ufl.Form]) -> Floats:
         total = self.zeros()
         if condition.boundary is not None:
             places = list(self._ds(condition.boundary).items())
@@ -163,18 +163,18 @@ class HeatForms:
             for b, facets in facets_by_body(self._tagged, self._bodies, boundary).items()
         }
 
-    def _constant(self, value: Any) -> fem.Constant:
+    def _constant(self, value: float) -> fem.Constant:
         return fem.Constant(self._mesh, np.asarray(value, dtype=default_scalar_type))
 
     def compiling(self) -> AbstractContextManager[None]:
         """Count the time of a block as compilation."""
         return self._timing.phase("compile", "heat")
 
-    def _form(self, form: Any) -> fem.Form:
+    def _form(self, form: ufl.Form) -> fem.Form:
         with self.compiling():
             return fem.form(form)
 
-    def _nodal(self, form: Any) -> Floats:
+    def _nodal(self, form: ufl.Form) -> Floats:
         vector = assemble_vector(self._form(form))
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         values: Floats = vector.array[: self.owned].copy()

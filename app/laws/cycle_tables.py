@@ -45,7 +45,7 @@ class CycleTable(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_rows(cls, value: Any, info: ValidationInfo) -> object:
+    def _of_rows(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, CycleTable):
             return value
         section, name = value if isinstance(value, dict) else {"rows": value}, ""

@@ -54,7 +54,7 @@ def table_of(law: str | DensityLaw) -> tuple[str, Table]:
     return LAWS[law] if isinstance(law, str) else (law.density, law.ranges)
 
 
-def modulus(law: str | DensityLaw, density: Any) -> Any:
+def modulus(law: str | DensityLaw, density: Floats) -> Floats:
     """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
     import numpy as np
 
@@ -64,7 +64,7 @@ def modulus(law: str | DensityLaw, density: Any) -> Any:
     return a[k] + b[k] * rho ** c[k]
 
 
-def density(law: str | DensityLaw, modulus: Any) -> Any:
+def density(law: str | DensityLaw, modulus: Floats) -> Floats:
     """Density [g/cm3] for Young's moduli [MPa]; the law must increase."""
     import numpy as np
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, Discriminator, PlainSerializer, Tag
 
@@ -11,6 +11,8 @@ from app.schema.section import TAG, Kinds, Section, Triple
 from app.schema.units import Axis, Length
 
 if TYPE_CHECKING:
+    from dolfinx import fem
+    from dolfinx.mesh import Mesh
     from ufl.core.expr import Expr
 
     from app.foundation.arrays import Floats
@@ -29,7 +31,7 @@ class Straight(Section):
     axis: Axis = (0.0, 0.0, 1.0)
     """Direction; a vector of any length except zero."""
 
-    def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Any:
+    def direction(self, mesh: Mesh, constant: Callable[[Vector], fem.Constant]) -> Expr:
         """Unit direction (3,) on a mesh, in UFL; axis and point are UFL constants."""
         return constant(self.axis)
 
@@ -49,7 +51,7 @@ class Circumferential(Section):
     )
     """A point on the axis."""
 
-    def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Expr:
+    def direction(self, mesh: Mesh, constant: Callable[[Vector], fem.Constant]) -> Expr:
         """Unit direction (3,) on a mesh, in UFL; axis and point are UFL constants."""
         from ufl import SpatialCoordinate
 

@@ -94,6 +94,7 @@ class Convection(Named):
 
     role: ClassVar[Literal["exchanges"]] = "exchanges"
     regions: ClassVar[None] = None
+    time_course: ClassVar[None] = None
 
     kind: Literal["convection"] = "convection"
     boundary: Name
@@ -133,6 +134,7 @@ class Perfusion(Named):
 
     role: ClassVar[Literal["exchanges"]] = "exchanges"
     boundary: ClassVar[None] = None
+    time_course: ClassVar[None] = None
 
     kind: Literal["perfusion"] = "perfusion"
     regions: Annotated[tuple[Name, ...], ITEMS]

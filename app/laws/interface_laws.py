@@ -163,7 +163,7 @@ class InterfaceLaw(Extensible):
 
     @model_validator(mode="before")
     @classmethod
-    def _small(cls, value: Any) -> Any:
+    def _small(cls, value: object) -> object:
         for key in ("sliding", *FINITE) if isinstance(value, dict) else ():
             if key in value and key not in cls.model_fields:
                 fail(f"kind: {value.get('kind')} {SMALL}", at=(key,))
@@ -240,7 +240,7 @@ class InterfaceLaw(Extensible):
             (n, v) for n, v in self._added_fields().items() if not self._varies(n, v)
         )
 
-    def _added_fields(self) -> dict[str, Any]:
+    def _added_fields(self) -> dict[str, float | str | Patches]:
         """Fields added by the subclass."""
         names = type(self).model_fields.keys() - InterfaceLaw.model_fields
         return {name: getattr(self, name) for name in sorted(names)}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
@@ -16,9 +16,14 @@ from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, sho
 from app.schema.units import Dimension, ForceVector, Length, Stress
 
 if TYPE_CHECKING:
+    from dolfinx import fem
+    from ufl import Form, Measure
     from ufl.core.expr import Expr
 
-    from app.foundation.arrays import Floats
+    from app.foundation.arrays import Field, Floats
+
+    # Work as a UFL form; 0 if the load does not act on the body.
+    Work = Form | Literal[0]
 
 ForceDensityField = Annotated[
     float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))
@@ -53,6 +58,30 @@ class Patch:
     moments: Floats
 
 
+class LoadedBody(Protocol):
+    """One body as loads see it, in UFL: see `mechanics.body_forms.OnBody`.
+
+    Attributes:
+        x: Position (3,) [mm].
+        n: Outward unit normal (3,).
+    """
+
+    x: Expr
+    n: Expr
+
+    def constant(self, value: Floats | float) -> fem.Constant:
+        """Constant in UFL."""
+
+    def patch(self, boundary: str) -> Patch:
+        """Area, centroid and second moments of a boundary; collective."""
+
+    def ds(self, boundary: str) -> Measure | None:
+        """Measure of the facets of a boundary that belong to the body, if any."""
+
+    def spread(self, density: Field, regions: Sequence[str] | None) -> list[tuple[Expr, Measure]]:
+        """Field (3,) and measure of each of the body's regions, all by default."""
+
+
 class Load(Extensible, Named):
     """Base of the loads: work in a displacement, times a load history.
 
@@ -74,7 +103,7 @@ class Load(Extensible, Named):
     """Where its values are from. A change of one of them removes status and source below it."""
 
     @property
-    def place(self) -> tuple[Any, ...]:
+    def place(self) -> tuple[str, str | None, tuple[str, ...] | None]:
         """Kind, boundary and regions. Loads that agree in these share their forms."""
         keys = dict(self)
         return self.kind, keys.get("boundary"), keys.get("regions")
@@ -100,6 +129,11 @@ class Load(Extensible, Named):
         """Point at which the resultant acts [mm]; None if no point is given."""
         return None
 
+    @property
+    def cycle(self) -> CycleTable | None:
+        """Cycle table of its values; None without."""
+        return None
+
     def density_at(self, x: Floats) -> Floats:
         """Force per volume at points (n, 3) [N/mm3]."""
         return 0.0 * x
@@ -112,12 +146,12 @@ class Load(Extensible, Named):
         """
         return None
 
-    def work(self, v: Expr, on: Any) -> Any:
+    def work(self, v: Expr, on: LoadedBody) -> Work:
         """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none.
 
         Args:
             v: Displacement (3,), in UFL.
-            on: The body: its position x, normal n, measures, fields (`mechanics.body_forms`).
+            on: The body.
         """
         raise NotImplementedError
 
@@ -151,7 +185,7 @@ class Force(Load):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_components(cls, value: Any) -> Any:
+    def _of_components(cls, value: object) -> object:
         cycle_table = isinstance(value, dict) and value.get("cycle_table") is not None
         return {"force": "[0, 0, 0] N"} | value if cycle_table else value
 
@@ -183,6 +217,11 @@ class Force(Load):
         """The key `at`."""
         return self.at
 
+    @property
+    def cycle(self) -> CycleTable | None:
+        """The key `cycle_table`."""
+        return self.cycle_table
+
     def moving_force(self, driven: Container[str | None]) -> Force | None:
         """Return the force if it has a cycle table, or it or its boundary has a motion."""
         moves = self.cycle_table or self.follows or self.boundary in driven
@@ -201,7 +240,7 @@ class Force(Load):
         """Resultant at full amplitude, or at the end of the cycle table [N]."""
         return self.force_at(1.0)
 
-    def work(self, v: Expr, on: Any) -> Any:
+    def work(self, v: Expr, on: LoadedBody) -> Work:
         """Work of a traction that varies linearly over the boundary."""
         import numpy as np
 
@@ -233,7 +272,7 @@ class Pressure(Load):
         """The key `pressure`."""
         return self.pressure
 
-    def work(self, v: Expr, on: Any) -> Any:
+    def work(self, v: Expr, on: LoadedBody) -> Work:
         """Work of a traction along the normal."""
         from forms import loads
 
@@ -268,7 +307,7 @@ class BodyForce(Load):
         columns = [field(f"{key}[{i}]", value)(x) for i, value in enumerate(self.density)]
         return np.stack(columns, axis=1)
 
-    def work(self, v: Expr, on: Any) -> Any:
+    def work(self, v: Expr, on: LoadedBody) -> Work:
         """Work of the force density in the body's regions."""
         from forms import loads
 

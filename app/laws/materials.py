@@ -95,6 +95,9 @@ class Material(OfRegion):
     refused: ClassVar[tuple[str, ...]] = ()
     # The field that gives the stiffness, if one does.
     modulus_field: ClassVar[ModulusField | None] = None
+    if TYPE_CHECKING:
+        # Fibre direction; None without one.
+        fibre: Fibre | None
 
     material: Text | None = None
     """Material of the library (`mantle explain materials`); other keys change it."""
@@ -128,8 +131,8 @@ class Elastic(Material):
     deforms: ClassVar[Literal[True]] = True
     moves_rigidly: ClassVar[Literal[False]] = False
     if TYPE_CHECKING:
-        # None if isotropic.
-        fibre: Fibre | None
+        # None without creep.
+        creep: Creep | None
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; their sum acts."""
@@ -168,7 +171,7 @@ class Elastic(Material):
 
         return np.ones(len(x))
 
-    def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
+    def energy(self, ε: Expr, coefficients: Sequence[Expr], fibre: Expr | None) -> Expr:
         """Strain energy density ψ(ε) [MPa], in UFL.
 
         Args:
@@ -259,6 +262,7 @@ class TransverselyIsotropic(Elastic):
     """Transversely isotropic linear elasticity, with one fibre direction."""
 
     has_fibre: ClassVar[bool] = True
+    creep: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["transversely_isotropic"] = "transversely_isotropic"
     axial_youngs_modulus: Modulus
@@ -335,6 +339,7 @@ class Rigid(Material):
     deforms: ClassVar[Literal[False]] = False
     moves_rigidly: ClassVar[Literal[True]] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion", "cure")
+    fibre: ClassVar[None] = None  # type: ignore[misc]
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Marks the region as rigid; must be true."""
@@ -347,6 +352,7 @@ class Conductor(Material):
     moves_rigidly: ClassVar[Literal[False]] = False
     only_conducts: ClassVar[bool] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion",)
+    fibre: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal

@@ -56,7 +56,7 @@ class Motion(Named):
     """Largest rotation in a load step; larger steps are divided."""
 
     @property
-    def cycle_table(self) -> CycleTable | None:
+    def cycle(self) -> CycleTable | None:
         """Cycle table of its angles."""
         return self.rotation.cycle_table if self.rotation else None
 

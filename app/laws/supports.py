@@ -166,7 +166,7 @@ class Foundation(Named):
         """Axes along which it constrains the model."""
         return "".join(axis for axis, k in zip("xyz", self.stiffness, strict=True) if k > 0.0)
 
-    def energy(self, v: Expr, k: Any) -> Expr:
+    def energy(self, v: Expr, k: Expr) -> Expr:
         """Energy per area in a displacement v (3,) [N/mm]; the stiffness k is a UFL constant."""
         from forms import loads
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, Discriminator, Tag, model_validator
 
@@ -90,7 +90,7 @@ class Thermal(OfRegion):
         mean = (k[0] * k[1] ** 2) ** (1 / 3) if len(k) > 1 else k[0]
         return math.sqrt(mean * self.capacity)
 
-    def potential(self, g: Expr, conductivities: Sequence[Any], fibre: Any) -> Expr:
+    def potential(self, g: Expr, conductivities: Sequence[Expr], fibre: Expr | None) -> Expr:
         """Potential of conduction for a temperature gradient g (3,) [K/mm]; see `forms.heat`."""
         from forms import heat
 

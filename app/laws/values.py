@@ -15,6 +15,9 @@ from app.schema.section import ITEMS, TAG, Section, Text, fail
 from app.schema.units import Dimension, NonNegativeInteger, Number, Part, PositiveLength
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from app.foundation.arrays import Field, Floats
 
 StiffnessField = Annotated[
@@ -54,7 +57,7 @@ class Patches(Section):
         # Cubes of space, cut by the surface; the shift keeps their faces off planes of meshes.
         shift = (0.6180339887, 0.7548776662, 0.5698402910)
         cubes = np.floor(x / self.patch + shift).astype(np.int64).astype(np.uint64)
-        chance: Any = np.full(len(x), self.seed, dtype=np.uint64)
+        chance: NDArray[np.uint64] = np.full(len(x), self.seed, dtype=np.uint64)
         for cube in cubes.T:  # SplitMix64 (Steele, Lea and Flood 2014)
             chance = (chance ^ cube) + np.uint64(0x9E3779B97F4A7C15)
             chance = (chance ^ (chance >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

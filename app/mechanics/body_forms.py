@@ -22,7 +22,7 @@ from dolfinx import default_scalar_type, fem, la
 from dolfinx.fem import IntegralType
 from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
@@ -163,6 +163,7 @@ class BodyForms:
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
         changing = [e for e in scene.elastic if e._density]
         self.by_density = tuple(e.region for e in changing)
+        # None without such regions.
         self.density_at_start: Any = None
         self.density: Any = None
         if changing:
@@ -212,11 +213,11 @@ class BodyForms:
         """Measure of the facets of a boundary that belong to a body, if any."""
         return self._surface.on(boundary, body)
 
-    def constant(self, value: Any) -> fem.Constant:
+    def constant(self, value: ArrayLike) -> fem.Constant:
         """A constant, in UFL."""
         return fem.Constant(self.mesh, np.asarray(value, dtype=default_scalar_type))
 
-    def _region_constants(self, e: Elastic) -> tuple[Sequence[Any], Any]:
+    def _region_constants(self, e: Elastic) -> tuple[Sequence[fem.Constant], Expr | None]:
         coefficients = [self.constant(c) for c in e.coefficients]
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
@@ -252,7 +253,8 @@ class BodyForms:
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
-        changing: Any = e._density
+        changing = e._density
+        assert changing is not None
         x = self.scalars.tabulate_dof_coordinates()
         E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
         return np.asarray(np.clip(density(changing.law, E), *changing.bounds))
@@ -261,7 +263,7 @@ class BodyForms:
         """Vertices of a region's owned cells (cells, 4), as numbered in `scalars`."""
         return self.scalars.dofmap.list[self.region_cells(region)]
 
-    def vertex_sums(self, vertices: NDArray[np.int32], values: Any) -> Floats:
+    def vertex_sums(self, vertices: NDArray[np.int32], values: Floats) -> Floats:
         """Sums of the values of all ranks at vertices of this one, ghosts too (n,); collective."""
         total = la.vector(self.scalars.dofmap.index_map)
         np.add.at(total.array, vertices, values)
@@ -291,7 +293,7 @@ class BodyForms:
 
     # Energies
 
-    def energy_density(self, e: Elastic, ε: Any) -> Any:
+    def energy_density(self, e: Elastic, ε: Expr) -> Expr:
         """Strain energy density of a region for an elastic strain [MPa]."""
         return self._relative.get(e.region, 1) * e.energy(ε, *self._constants[e.region])
 
@@ -309,7 +311,7 @@ class BodyForms:
         by_density = e.modulus_field or e._density
         return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
-    def elastic_strain(self, e: Elastic, v: Any) -> Any:
+    def elastic_strain(self, e: Elastic, v: Expr) -> Expr:
         """Strain of a displacement minus the region's eigenstrains and thermal strain."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
@@ -318,7 +320,7 @@ class BodyForms:
             ε = ε - elasticity.isotropic_strain(self.free_strain[e.region])
         return ε
 
-    def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
+    def body_energy(self, body: int, v: Expr, dx: ufl.Measure) -> ufl.Form:
         """Energy of a body (strain, foundations) in its displacement v [N mm].
 
         Path-dependent regions are left out.
@@ -336,7 +338,7 @@ class BodyForms:
                 total += f.energy(v, k) * ds
         return total
 
-    def tangent_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
+    def tangent_energy(self, body: int, v: Expr, dx: ufl.Measure) -> ufl.Form:
         """Energy of a body whose second derivative is its stiffness at the current cure."""
         total = self.body_energy(body, v, dx)
         for e in self.scene.elastic:
@@ -412,7 +414,7 @@ class BodyForms:
             {c: c for c in form.constants()},
         )
 
-    def form(self, form: Any) -> fem.Form:
+    def form(self, form: ufl.Form) -> fem.Form:
         """Compile a form, counting the time."""
         with self.timing.phase("compile", "forces"):
             return fem.form(form)

@@ -28,7 +28,9 @@ from meshes.contact_facets import gather
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
 _HELD = 1e-9
-# In place of a rigid region: nodes that follow others.
+# In place of a rigid region: nodes that move freely.
+FREE = -1
+# The same: nodes that follow others.
 FOLLOWS = -2
 
 
@@ -135,56 +137,72 @@ class Constraints:
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
     def _transform(self, body_forms: BodyForms, support_of: Ints, frames: Frames | None) -> None:
-        """Build P, from the supports that hold owned components (nodes, 3); collective."""
-        scene, tagged, space = body_forms.scene, body_forms.tagged, body_forms.space
-        comm, nodes = tagged.mesh.comm, len(support_of)
+        """Build P, from the supports that hold owned components (nodes, 3); collective.
+
+        The unknowns of a rank are three for each free node. Rank 0 has six more for each region
+        that moves as a rigid body.
+        """
+        scene, space = body_forms.scene, body_forms.space
+        comm, nodes = body_forms.mesh.comm, len(support_of)
         x = space.tabulate_dof_coordinates()[:nodes]
-        region = np.full(nodes, -1, dtype=np.int64)
-        for k, body in enumerate(scene.rigid):
-            region[touched_nodes(space, cell_tags(tagged) == tagged.regions[body.region])] = k
-        rigid = len(scene.rigid)
-        for k, m in enumerate(scene.driven, rigid):
-            there = nodes_on(tagged, space, str(m.boundary))
-            region[there[there < nodes]] = k
-        if self._followers:
-            region[self._followers.owned_following] = FOLLOWS
-        free = np.flatnonzero(region == -1)
+        region = self._rigid_region_of(body_forms, nodes)
+        moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
+        free = np.flatnonzero(region == FREE)
+        free_unknowns = 3 * len(free)
+        n = free_unknowns + (6 * len(moving) if comm.rank == 0 else 0)
+        start, first_rigid = comm.exscan(n) or 0, comm.bcast(free_unknowns)
+
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         oblique = np.zeros(nodes, dtype=bool)
         if frames:
             rows, places = frames.owned(space.dofmap.index_map)
-            axes[rows], oblique[rows] = frames.axes[places], region[rows] == -1
-        moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
-        n = 3 * len(free) + (6 * len(moving) if comm.rank == 0 else 0)
-        start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
-        self.constrained = np.zeros(n, dtype=bool)
-        self.constrained[: 3 * len(free)] = (support_of[free] >= 0).ravel()
+            axes[rows], oblique[rows] = frames.axes[places], region[rows] == FREE
+
+        # Free nodes: supports, prescribed values and rigid modes.
         prescribed = _prescribed_values(scene, space, support_of, axes)
+        self.constrained = np.zeros(n, dtype=bool)
+        self.constrained[:free_unknowns] = (support_of[free] >= 0).ravel()
         self.unit = np.zeros((len(prescribed), n))
-        self.unit[:, : 3 * len(free)] = prescribed[:, free].reshape(len(prescribed), 3 * len(free))
-        reacting = (support_of >= 0) & (region == -1)[:, None]
-        reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
+        self.unit[:, :free_unknowns] = prescribed[:, free].reshape(len(prescribed), free_unknowns)
         self.modes = np.zeros((6, n))
         modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
-        self.modes[:, : 3 * len(free)] = modes.reshape(-1, 6).T
+        self.modes[:, :free_unknowns] = modes.reshape(-1, 6).T
+        reacting = (support_of >= 0) & (region == FREE)[:, None]
+        reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
+
+        # Rows of P by node and component: one entry, with local axes three, in a rigid region six.
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
         entries = np.zeros((nodes, 3, 6))
-        columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
+        columns[free, :, 0] = start + np.arange(free_unknowns).reshape(-1, 3)
         entries[free, :, 0] = 1
         columns[oblique, :, :3] = columns[oblique, :, 0][:, None]
         entries[oblique, :, :3] = axes[oblique]
         for k, name in enumerate(moving):
-            here, place = np.flatnonzero(region == k), tail + 6 * k
+            here, place = np.flatnonzero(region == k), first_rigid + 6 * k
             columns[here] = place + np.arange(6)
             entries[here], rank = self._add_rigid(
                 comm, scene, name, place, x[here], axes[here], support_of[here], prescribed[:, here]
             )
             reacting[here] |= rank > 0
         self.reacting = reacting.ravel()
-        keep = columns.reshape(-1, 6) >= 0
-        pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
-        places, values = columns.reshape(-1, 6)[keep], entries.reshape(-1, 6)[keep]
+
+        used = columns.reshape(-1, 6) >= 0
+        pointer = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+        places, values = columns.reshape(-1, 6)[used], entries.reshape(-1, 6)[used]
         self._P = from_rows(comm, (3 * nodes, n), pointer, places, values)
+
+    def _rigid_region_of(self, body_forms: BodyForms, nodes: int) -> Ints:
+        """Rigid region or driven boundary of owned nodes by number, FREE or FOLLOWS (nodes,)."""
+        scene, tagged, space = body_forms.scene, body_forms.tagged, body_forms.space
+        region = np.full(nodes, FREE, dtype=np.int64)
+        for k, body in enumerate(scene.rigid):
+            region[touched_nodes(space, cell_tags(tagged) == tagged.regions[body.region])] = k
+        for k, motion in enumerate(scene.driven, len(scene.rigid)):
+            there = nodes_on(tagged, space, str(motion.boundary))
+            region[there[there < nodes]] = k
+        if self._followers:
+            region[self._followers.owned_following] = FOLLOWS
+        return region
 
     def _add_rigid(
         self,

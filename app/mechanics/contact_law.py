@@ -10,7 +10,6 @@ import sys
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
@@ -18,7 +17,7 @@ import numpy as np
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.laws import interface_laws
 from app.laws.interface_laws import DEFAULT_AUGMENTATION, AtPoint, InterfaceLaw
 from app.mechanics.contact_points import ContactState, LocalPoints
@@ -145,7 +144,7 @@ class PointLaw:
         self._factor, self._groups = factor, self._known[forms]
         self._laws = [(law, points.interface == i) for i, law in enumerate(laws)]
         for rows, law, compiled, _ in self._groups:
-            constants: dict[str, Any] = {name: values[name][rows] for name in law.values}
+            constants = {name: values[name][rows] for name in law.values}
             compiled.set(**constants)
         self.internal_variables = {
             k: shape for law in laws for k, shape in law.internal_variables.items()
@@ -308,15 +307,19 @@ class PointLaw:
     ) -> dict[str, Floats]:
         r"""Evaluate a law, with its force along prescribed tangential jumps.
 
-        Equilibrium does not give this force F_h, because supports bear the rest. The law gives it,
-        :math:`F_h = H P(F + F_h)` with H the projector on these directions. Newton's method starts
-        far along the slip, so that it approaches F_h from the states of slip. A point that is held
-        at rest keeps its last friction.
+        Supports bear a part of the force along a prescribed jump, so that equilibrium does not give
+        it. The law gives this force F_h:
+
+        .. math:: F_h = H P(F + M F_h),
+
+        with H the projector on the prescribed directions and M the share of the multiplier. Where
+        the jump changes in the step, Newton's method solves for F_h at each point. Where the jump
+        is at rest, F_h is the friction of the last converged state.
 
         Args:
             rows: Local points of the law (n,).
             compiled: The law.
-            inputs: Its inputs by name, without F_h in the force.
+            inputs: Inputs of the law by name, without F_h in the force.
             last: Friction in the last converged state (n, 3) [MPa].
 
         Returns:
@@ -325,31 +328,24 @@ class PointLaw:
         H = self._points.along[rows]
         if not H.any():
             return compiled.named(**inputs)
-        share, given = self.multiplier_share[rows], inputs["force"]
-        slip = np.einsum("pij,pj->pi", H, inputs["jump"] - inputs["old"])
-        size = np.linalg.norm(slip, axis=1)
-        extent = np.linalg.norm(inputs["jump"], axis=1) + np.linalg.norm(inputs["old"], axis=1)
-        moves = size > AT_REST * extent
-        scale = np.linalg.norm(given, axis=1) + inputs["r"] * np.linalg.norm(
-            inputs["jump"] + inputs["gap"], axis=1
-        )
-        direction = slip / np.where(moves, size, 1.0)[:, None]
-        last = np.einsum("pij,pj->pi", H, last)
-        held = np.where(moves[:, None], FAR * scale[:, None] * direction, last)
+        M = self.multiplier_share[rows]
+        slides, scale, F_h = _held_force(H, inputs, last)
         for _ in range(LOCAL):
-            total = given + np.einsum("pij,pj->pi", share, held)
-            response = compiled.named(**(inputs | {"force": total}))
+            force = inputs["force"] + np.einsum("pij,pj->pi", M, F_h)
+            response = compiled.named(**(inputs | {"force": force}))
             if "by_jump" in response:
+                # A traction that depends on the jump alone.
                 return response
-            slope = response["by_multiplier"]
-            matrix = np.eye(3) - np.where(moves[:, None, None], H @ slope @ share @ H, 0.0)
-            missing = np.einsum("pij,pj->pi", H, response["force"]) - held
-            missing = np.where(moves[:, None], missing, 0.0)
-            if (np.abs(missing).max(axis=1) <= AT_REST * scale).all():
+            P_F = response["by_multiplier"]
+            jacobian = np.eye(3) - np.where(slides[:, None, None], H @ P_F @ M @ H, 0.0)
+            residual = np.einsum("pij,pj->pi", H, response["force"]) - F_h
+            residual = np.where(slides[:, None], residual, 0.0)
+            if (np.abs(residual).max(axis=1) <= AT_REST * scale).all():
                 break
-            held = held + np.linalg.solve(matrix, missing[:, :, None])[:, :, 0]
-        follows = np.where(moves[:, None, None], np.linalg.solve(matrix, H @ slope), 0.0)
-        return response | {"by_multiplier": slope + slope @ share @ follows}
+            F_h = F_h + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0]
+        # Implicit derivative of F_h by the multiplier F.
+        F_h_by_F = np.where(slides[:, None, None], np.linalg.solve(jacobian, H @ P_F), 0.0)
+        return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
 
     def _touch(
         self,
@@ -408,6 +404,33 @@ class PointLaw:
         out.status[constrained] = STICK
 
 
+def _held_force(
+    H: Floats, inputs: Mapping[str, Floats], last: Floats
+) -> tuple[Bools, Floats, Floats]:
+    """Start of Newton's method for the force along prescribed tangential jumps.
+
+    It is far along the slip, so that all iterates slip.
+
+    Args:
+        H: Projectors on the prescribed directions (n, 3, 3).
+        inputs: Inputs of the law by name.
+        last: Friction in the last converged state (n, 3) [MPa].
+
+    Returns:
+        Mask of the points whose prescribed jump changes (n,), size of the trial force (n,) [MPa],
+        and first force (n, 3) [MPa]. At points at rest this is the last friction.
+    """
+    jump, old = inputs["jump"], inputs["old"]
+    slip = np.einsum("pij,pj->pi", H, jump - old)
+    size = np.linalg.norm(slip, axis=1)
+    slides = size > AT_REST * (np.linalg.norm(jump, axis=1) + np.linalg.norm(old, axis=1))
+    opening = np.linalg.norm(jump + inputs["gap"], axis=1)
+    scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
+    direction = slip / np.where(slides, size, 1.0)[:, None]
+    at_rest = np.einsum("pij,pj->pi", H, last)
+    return slides, scale, np.where(slides[:, None], FAR * scale[:, None] * direction, at_rest)
+
+
 def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     """The law of n points with the same number m of faces, normals (n, m, 3)."""
     faces = [f"normal_{k}" for k in range(normals.shape[1])]
@@ -430,7 +453,7 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     sizes |= {name: int(np.prod(shape)) for name, shape in law.internal_variables.items()}
     note = _note(law, f"{law.form} {len(faces)}")
     compiled = Pointwise(comm, len(normals), sizes, build, note)
-    constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
+    constant = {f: normals[:, k] for k, f in enumerate(faces)}
     dual = np.linalg.pinv(normals).transpose(0, 2, 1)
     constant |= {d: dual[:, k] for k, d in enumerate(duals)}
     compiled.set(**constant)

@@ -20,6 +20,9 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms, hats
 
+# Equivalent creep strain (n,) [-], cycles or seconds so far, dissipated work [N mm].
+CreepValues = tuple[Floats, float, float]
+
 # Strain that counts as none.
 NO_STRAIN = 1e-30
 # Stress that counts as none [MPa].
@@ -180,10 +183,10 @@ class CreepState:
         self.dissipated += float(self._comm.allreduce(work.sum()))
         self.elapsed += self.length
 
-    def state(self) -> tuple[Floats, float, float]:
-        """What is committed."""
+    def state(self) -> CreepValues:
+        """The committed values, for `return_to`."""
         return self.strain, self.elapsed, self.dissipated
 
-    def return_to(self, state: tuple[Floats, float, float]) -> None:
+    def return_to(self, state: CreepValues) -> None:
         """Return to an earlier state."""
         self.strain, self.elapsed, self.dissipated = state

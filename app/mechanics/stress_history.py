@@ -19,7 +19,6 @@ Degrees, moduli and free strains live at the vertices; stress at quadrature poin
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -29,13 +28,14 @@ import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.laws.cure import Cure
 from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms, assembled_vector
-from app.mechanics.creep import CreepState
+from app.mechanics.creep import CreepState, CreepValues
 from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
 from forms import cure, elasticity, loads
@@ -118,7 +118,7 @@ class StressHistory:
             }
         self._rest = self.state()
 
-    def _stress_of(self, e: Elastic, ε: Any, sign: int) -> Any:
+    def _stress_of(self, e: Elastic, ε: Expr, sign: int) -> Expr:
         """Stress of a strain, with the step's free strain added or subtracted."""
         if e.region in self._rise:
             ε = ε + sign * elasticity.isotropic_strain(self._rise[e.region])
@@ -126,7 +126,7 @@ class StressHistory:
             lambda x: self._body_forms.energy_density(e, x), ε
         )
 
-    def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
+    def _regions(self, body: int) -> list[tuple[Elastic, ufl.Measure]]:
         degree = self._body_forms.path_dependent_degree
         return [
             (e, self._measure(self._body_forms.tagged.regions[r], degree=degree))
@@ -134,14 +134,14 @@ class StressHistory:
             if self._body[r] == body
         ]
 
-    def internal_work(self, body: int, v: Any, stress: fem.Function | None = None) -> Any:
+    def internal_work(self, body: int, v: Expr, stress: fem.Function | None = None) -> ufl.Form:
         """Work of the stress of a body, or another stress there, in a displacement v [N mm]."""
         σ = elasticity.symmetric(list(self.stress_at_points if stress is None else stress))
         return sum(
             loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
         )
 
-    def complementary_energy(self) -> Any:
+    def complementary_energy(self) -> ufl.Form:
         """Energy that the stress would have in elastic regions of the current moduli [N mm]."""
         body_forms, σ = self._body_forms, elasticity.symmetric(list(self.stress_at_points))
         return sum(
@@ -152,7 +152,7 @@ class StressHistory:
             for e, dx in self._regions(b)
         )
 
-    def _prestress(self, body: int, v: Any) -> Any:
+    def _prestress(self, body: int, v: Expr) -> ufl.Form:
         ε = elasticity.strain(self._before[body])
         held = sum(
             loads.mechanical_work(self._stress_of(e, ε, 1), elasticity.strain(v)) * dx
@@ -280,23 +280,23 @@ class StressHistory:
         if c:
             self.relax(np.zeros_like(c.taken), 0.0)
 
-    def state(self) -> tuple[Any, ...]:
+    def state(self) -> tuple[list[Floats], CreepValues | None]:
         """The committed state, for `return_to`."""
         functions = self.stress_at_points, *self._before.values()
-        return [f.x.array.copy() for f in functions], self.creep and self.creep.state()
+        return [f.x.array.copy() for f in functions], self.creep.state() if self.creep else None
 
-    def return_to(self, state: tuple[Any, ...]) -> None:
+    def return_to(self, state: tuple[list[Floats], CreepValues | None]) -> None:
         """Return to an earlier state, with the same cure."""
         functions = self.stress_at_points, *self._before.values()
         for f, values in zip(functions, state[0], strict=True):
             f.x.array[:] = values
-        if self.creep:
+        if self.creep and state[1] is not None:
             self.creep.return_to(state[1])
 
 
 def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
     """Compiled modulus over the final one by degree of cure, at every vertex of this rank."""
-    constants: dict[str, Any] = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
+    constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(
         comm,
         nodes,

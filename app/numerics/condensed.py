@@ -195,30 +195,34 @@ class Condensed:
         return np.concatenate(every) if every else local
 
     def _set_rows(self, T: Floats, B: Floats) -> None:
-        """Set the blocks, and the directions in which they tell the jump.
+        """Set the blocks, and divide the directions u of the jumps into direct and coupled ones.
 
-        Where a point sticks, or slides without opening, u^T T = 0 and u^T B is along u.
+        A direction is direct if u^T T = 0 and u^T B = b u^T: the row of the Jacobian then gives
+        u^T dq = u^T r / b. This holds where a point sticks, or slides without opening. The factors
+        have the coupled directions only.
         """
-        U, size, _ = np.linalg.svd(T)
-        U = U.transpose(0, 2, 1)
-        forces = U @ B
-        along = np.einsum("pai,pai->pa", forces, U)
-        across = np.linalg.norm(forces - along[..., None] * U, axis=2)
-        known = ((size <= NOTHING) & (across <= NOTHING * np.abs(along)) & (along != 0)).ravel()
-        self._T, self._B, directions = _blocks(T), _blocks(B), _blocks(U)
-        self._known, self._free = directions[known], directions[~known]
-        self._along = along.ravel()[known]
+        # Left singular vectors of T, as rows of u (n, 3, 3).
+        left, singular, _ = np.linalg.svd(T)
+        u = left.transpose(0, 2, 1)
+        uB = u @ B
+        b = np.einsum("pai,pai->pa", uB, u)
+        rest = np.linalg.norm(uB - b[..., None] * u, axis=2)
+        parallel = (rest <= NOTHING * np.abs(b)) & (b != 0)
+        direct = ((singular <= NOTHING) & parallel).ravel()
+        self._T, self._B, directions = _blocks(T), _blocks(B), _blocks(u)
+        self._direct, self._coupled = directions[direct], directions[~direct]
+        self._b = b.ravel()[direct]
 
     def _factor(self, S: NDArray[np.floating], B: csr_array) -> None:
-        """Factor T S + B in the other directions, in the precision of S."""
-        free = self._free
-        if not free.shape[0]:
+        """Factor T S + B in the coupled directions, in the precision of S."""
+        u = self._coupled
+        if not u.shape[0]:
             return
-        moved = np.ascontiguousarray((free.astype(S.dtype) @ S).T)
-        G = (free @ self._T).astype(S.dtype) @ moved
-        G += (free @ B @ free.T).toarray().astype(S.dtype)
+        S_u = np.ascontiguousarray((u.astype(S.dtype) @ S).T)
+        G = (u @ self._T).astype(S.dtype) @ S_u
+        G += (u @ B @ u.T).toarray().astype(S.dtype)
         if self._unresisted.shape[1]:
-            Z = (free @ self._unresisted).astype(S.dtype)
+            Z = (u @ self._unresisted).astype(S.dtype)
             G += S.dtype.type(SPRINGS * np.abs(self._S.diagonal()).mean()) * (Z @ Z.T)
         getrf, self._getrs = get_lapack_funcs(("getrf", "getrs"), (G,))
         self._lu, self._pivots, _ = getrf(G.T, overwrite_a=True)  # in Fortran's order
@@ -305,13 +309,14 @@ class Condensed:
         return np.asarray(self._T @ (self._S @ dq) + self._B @ dq)
 
     def _by_factors(self, r: Floats) -> Floats:
-        dq = self._known.T @ ((self._known @ r) / self._along)
-        if self._free.shape[0]:
+        """Solution of (T S + B) dq = r: the direct directions, then the coupled ones."""
+        dq = self._direct.T @ ((self._direct @ r) / self._b)
+        if self._coupled.shape[0]:
             # Beyond the range of single precision no step solves, and double precision takes over.
             with np.errstate(over="ignore", invalid="ignore"):
-                left = (self._free @ (r - self._times(dq))).astype(self._lu.dtype)
-            solved, _ = self._getrs(self._lu, self._pivots, left, trans=1)
-            dq += self._free.T @ solved.astype(float)
+                rest = (self._coupled @ (r - self._times(dq))).astype(self._lu.dtype)
+            solved, _ = self._getrs(self._lu, self._pivots, rest, trans=1)
+            dq += self._coupled.T @ solved.astype(float)
         return np.asarray(dq)
 
 

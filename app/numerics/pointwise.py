@@ -144,7 +144,7 @@ class Pointwise:
         )
         return kernel, symbol, module
 
-    def set(self, rows: Ints | None = None, **values: Floats | float) -> None:
+    def set(self, rows: Ints | None = None, /, **values: Floats | float) -> None:
         """Set inputs, scalar, (n,) or (n, size), at all points or some rows; others keep theirs."""
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         for name, value in values.items():
@@ -158,7 +158,7 @@ class Pointwise:
         """As a call, at all points, by name."""
         return dict(zip(self.outputs, self(None, **values), strict=True))
 
-    def __call__(self, rows: Ints | None = None, **values: Floats) -> list[Floats]:
+    def __call__(self, rows: Ints | None = None, /, **values: Floats) -> list[Floats]:
         """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""
         self.set(rows, **values)
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]

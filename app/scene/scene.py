@@ -29,7 +29,7 @@ from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.loads import Load
-from app.laws.materials import Elastic, Region, Rigid
+from app.laws.materials import Elastic, Material, Region, Rigid
 from app.laws.motions import Motion
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
@@ -284,9 +284,9 @@ def scene_of(
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
         creeps=tuple(
-            creep.named(e.region)
+            e.creep.named(e.region)
             for e in elastic
-            if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in stages)
+            if e.creep is not None and any(stage.creep for stage in stages)
         ),
         time=(time or TimeOptions()) if thermal else None,
     )
@@ -346,7 +346,7 @@ def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
 
 def _cycle_tables(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[CycleTable]:
     parts = *motions.values(), *loads.values()
-    return [c for part in parts if (c := getattr(part, "cycle_table", None))]
+    return [part.cycle for part in parts if part.cycle is not None]
 
 
 def _with_cycle_tables(stages: Sequence[Stage], tables: Sequence[CycleTable]) -> tuple[Stage, ...]:
@@ -383,11 +383,12 @@ def _loads(
     return tuple(parts)
 
 
-def _thermal(region: Any, name: str) -> Thermal:
-    thermal: Thermal = region.thermal
+def _thermal(region: Material, name: str) -> Thermal:
+    thermal = region.thermal
+    assert thermal is not None
     fibre = None
     if thermal.conductivity is None:
-        fibre = getattr(region, "fibre", None) or thermal.fibre or Straight()
+        fibre = region.fibre or thermal.fibre or Straight()
     return thermal.named(name, fibre=fibre)
 
 

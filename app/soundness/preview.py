@@ -144,12 +144,8 @@ def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
         lists = []
-        tables = {
-            name: cycle_table for name, m in case.motions.items() if (cycle_table := m.cycle_table)
-        }
-        loads = {
-            name: getattr(load, "cycle_table", None) or load for name, load in case.loads.items()
-        }
+        tables = {name: m.cycle for name, m in case.motions.items() if m.cycle is not None}
+        loads = {name: load.cycle or load for name, load in case.loads.items()}
         parts: Any
         for section, parts in (("regions", case.regions), ("motions", tables), ("loads", loads)):
             names = [name for name, part in parts.items() if part.status == status]
@@ -273,7 +269,7 @@ def warnings(case: Case) -> list[Verdict]:
             text = f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
             notes.append(note(text))
     for name, motion in case.motions.items():
-        columns = motion.cycle_table.columns if motion.cycle_table else {}
+        columns = motion.cycle.columns if motion.cycle else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
         if 0.0 < largest < math.radians(0.5):
             text = "all angles are below 0.5 degrees: radians by mistake?"

@@ -178,7 +178,7 @@ def _moved(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
         on = {boundary for boundary, pieces in parts.boundaries.items() if turning & pieces.keys()}
         held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
         loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
-        if held and motion.cycle_table:
+        if held and motion.cycle:
             text = f"{motion.region} turns, and supports hold it ({held})"
             cure = "expected `translation: held` instead"
             errors.append(Verdict(text, f"motions.{name}.region", cure))

@@ -209,7 +209,7 @@ class HeatState:
     def events(self) -> tuple[float, ...]:
         """Times that no step may cross [s]."""
         scene, cure = self.operators.scene, self.operators.cure
-        times = [t for c in scene.heat for t, _ in getattr(c, "time_course", None) or ()]
+        times = [t for c in scene.heat for t, _ in c.time_course or ()]
         curing = cure.events if cure else ()
         return tuple(sorted({*times, *curing}))
 
