@@ -16,8 +16,8 @@ Softening is linear or exponential:
 
 Damage never falls. An undamaged point is a spring in tension and in compression. A damaged point
 also has exact contact with Coulomb friction :math:`d μ p` on its debonded area:
-:math:`F = T + P(F - T + r D)`, :math:`T = (1 - d) K D^+` (after Alfano and Sacco 2006, who let the
-slip be elastic).
+:math:`F = T + P(F - T + r D)`, :math:`T = (1 - d) K D^+`. It is the law of Alfano and Sacco (2006)
+without its elastic slip.
 """
 
 from __future__ import annotations

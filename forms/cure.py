@@ -44,8 +44,8 @@ def prescribed_rate(r: Scalar, total: Scalar, initial: Scalar) -> Scalar:
     """Prescribed rate of cure [1/s]: (1 - initial) r / total.
 
     Args:
-        r: The given course at this time [1/s].
-        total: Its integral over all time.
+        r: Prescribed rate at this time [1/s].
+        total: Integral of the prescribed rate over all time [-].
         initial: Degree of cure at the start; at the end it is one.
     """
     return (1 - initial) * r / total
@@ -81,10 +81,10 @@ def free_strain_increment(
     .. math:: Δe = α_T (T - T_{gel}) - \frac s3 \frac{(a - a_{gel})_+ - (a_{old} - a_{gel})_+}
               {1 - a_{gel}}
 
-    :math:`T_{gel}` is the temperature at which the material is first solid in the step: the one at
-    its start, or at gelation if gelation happens within the step (T linear in a). Before gelation
-    the paste flows and keeps no strain. Temperature and shrinkage enter by increments, because the
-    modulus changes with time: Stańczyk and Telega, Eng Trans 51 (2003) 267.
+    :math:`T_{gel}` is the temperature at which the material is first solid in the step. If gelation
+    happens within the step, it is the temperature there, with T linear in a; else that at the
+    start. Before gelation the paste flows and keeps no strain. Temperature and shrinkage enter by
+    increments, because the modulus changes with time: Stańczyk and Telega, Eng Trans 51 (2003) 267.
 
     Args:
         a_old: Degree of cure before the step.

@@ -1,9 +1,14 @@
 r"""Heat at interfaces: conductance, flux, friction heat, entropy production.
 
-Symbols: θ temperature of the master side, θ' of the slave side [K], jump τ = θ' - θ, p contact
-pressure [MPa], positive in compression, h conductance [N/(mm s K)], q heat from master to slave per
-area [N/(mm s)], D friction heat per area [N/(mm s)]. Equations are those of Rakotomanana and
-Ramaniraka's paper, three of them corrected:
+Symbols:
+
+* θ, θ': temperature of the master side, of the slave side [K]; jump τ = θ' - θ
+* p: contact pressure [MPa], positive in compression
+* h: conductance [N/(mm s K)]
+* q: heat from master to slave per area [N/(mm s)]
+* D: friction heat per area [N/(mm s)]
+
+Equations are from Rakotomanana and Ramaniraka's paper, three of them corrected:
 
 * Eq. 14 prints two signs for the heat into the slave: q' = -κ δθ/θ' and, from the potential ψ_c,
   q' = +κ δθ/θ', with δθ = θ - θ'. Only the second produces entropy, q' δθ/θ' >= 0. The first is the

@@ -1,8 +1,8 @@
 """Bearings: friction, wear and heat through the cycles of finite sliding.
 
-`laws` has the key of wear, `friction_cycles` follows torque, slid distance and wear, `cycle_heat`
-sets the mean heat of a cycle, `findings` has the faults and verdicts. Importing the package
-registers it; the core, which pairs and solves finite sliding, does not know it.
+`laws` has the key of wear. `friction_cycles` records torque, slid distance and wear. `cycle_heat`
+sets the mean heat of a cycle. `findings` has the faults and verdicts. Importing the package
+registers it. The core, which pairs and solves finite sliding, does not know it.
 """
 
 from __future__ import annotations

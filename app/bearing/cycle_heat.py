@@ -1,8 +1,8 @@
 r"""Heat of finite sliding: friction and exchange, averaged over a cycle of the tables.
 
 Temperature takes minutes and a cycle seconds. Heat is therefore computed from the means of a cycle,
-on each surface in the axes of its body. With D the friction power per cycle, β the part of it that
-enters the slave, h the conductance and Π of the current pairs (`mechanics.pairs`),
+on each surface in the axes of its body. D is the friction power per cycle, β the part of it that
+enters the slave and h the conductance. With Π of the current pairs (`mechanics.pairs`),
 
 .. math:: Q_s = β \overline{D}, \quad Q_m = (1 - β) \overline{Π^T D}, \quad
           X = \overline{E^T h W E}, \quad E = (1, -Π),

@@ -9,6 +9,8 @@ from app.case.case import Case
 from app.case.checks import check
 from app.case.summary import Summary
 from app.foundation.verdict import Severity, Verdict
+from app.laws.loads import Load
+from app.laws.motions import Motion
 from app.results.verdicts import judge
 from app.schema.yaml_file import Fault
 
@@ -34,6 +36,7 @@ def _heat(case: Case) -> Iterable[Fault]:
     regions = [region for region in case.regions.values() if region is not None]
     if not sliding or all(region.thermal is None for region in regions):
         return
+    moved: list[Motion | Load | None]
     moved = [*(case.motions or {}).values(), *(case.loads or {}).values()]
     cyclic = any(part is not None and part.cycle is not None for part in moved)
     for name, law in laws.items():

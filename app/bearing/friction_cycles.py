@@ -1,8 +1,8 @@
 r"""Friction of finite sliding through its cycles: torque, position, slid distance, wear and power.
 
-Wear is Archard's, a depth :math:`k \int p\,ds` on either side: k/μ times the energy dissipated per
-area. It is known at the slave's points, and handed to the nodes of the master in the master's axes,
-where both touched in the middle of each step.
+Wear follows Archard's law, a depth :math:`k \int p\,ds` on either side. This is k/μ times the
+energy dissipated per area. It is known at the slave's points. The nodes of the master receive it in
+the master's axes, where both sides touch in the middle of each step.
 """
 
 from __future__ import annotations

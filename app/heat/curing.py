@@ -1,8 +1,8 @@
 """Degree of cure: a state of every node of a curing region, advanced node by node; its heat.
 
 The degree of cure at the end of an implicit step follows from the temperature there,
-a(T) = a* + h f(a, T). A node that stands for the volume V releases Q V (a(T) - a*)/h: whatever the
-step, the heat released is that of the change of a.
+a(T) = a* + h f(a, T). A node that stands for the volume V releases the power Q V (a(T) - a*)/h. For
+any step the heat released is thus the heat of the change of a.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Degrees:
 
 
 def admissible(degrees: Floats) -> bool:
-    """Whether every degree lies in [0, 1] up to rounding.
+    """Return True if every degree is in [0, 1] up to rounding.
 
     A stage of too long a time step may start from one that does not.
     """
@@ -179,9 +179,9 @@ class AutocatalyticKinetics:
     ) -> tuple[Floats, Floats, Floats, Floats]:
         r"""Reacted part at some nodes, with the rate and its derivatives by degree and temperature.
 
-        Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds:
-        ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
-        root. With m > 1 a long step may have several; one of them is returned.
+        The unknown of Newton's method is s with a = a* + (a_max - a*) / (1 + exp(-s)), between
+        bounds. ln(a - a*) - ln(h f) is nearly linear in s at both ends. For m <= 1 it increases, so
+        that there is one root. For m > 1 a long step may have several; one of them is returned.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.log(share) - np.log1p(-share)
@@ -267,12 +267,12 @@ class CuringNodes:
     """Owned nodes of a curing region.
 
     Attributes:
-        region: Its name.
+        region: Name of the region.
         body: Thermal body whose temperature they have.
         dof: Owned nodes, rising (n,).
         heat: Heat that each releases from degree 0 to 1 (n,) [N mm].
         adiabatic_rise: Adiabatic temperature rise of the region by that heat [K].
-        kinetics: How they cure.
+        kinetics: Kinetics of their cure.
     """
 
     region: str

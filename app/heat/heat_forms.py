@@ -1,9 +1,9 @@
 """The forms of heat on the mesh: conduction, exchange with surroundings, lumped volumes and areas.
 
-Temperature is piecewise linear, on curved cells too. All but conduction is lumped: a node has the
-integral of its shape function over a region or over a body's part of a boundary, and laws hold at
-nodes. Capacity and exchange then have no off-diagonal entries, which would let temperatures
-overshoot in short steps; densities and fluxes that vary in space are evaluated at nodes.
+Temperature is piecewise linear, on curved cells too. All terms but conduction are lumped: a node
+has the integral of its shape function over a region, or over a body's part of a boundary. Capacity
+and exchange then have no off-diagonal entries, which would let temperatures overshoot in short
+steps. Densities and fluxes that vary in space are evaluated at nodes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Bools, Field, Floats, Ints
@@ -163,7 +163,7 @@ class HeatForms:
             for b, facets in facets_by_body(self._tagged, self._bodies, boundary).items()
         }
 
-    def _constant(self, value: float) -> fem.Constant:
+    def _constant(self, value: ArrayLike) -> fem.Constant:
         return fem.Constant(self._mesh, np.asarray(value, dtype=default_scalar_type))
 
     def compiling(self) -> AbstractContextManager[None]:

@@ -145,7 +145,7 @@ class ImplicitStep(System):
         Args:
             start: Temperatures of owned nodes, with jumps also of owned points, at the start [K].
             degrees: Degrees of cure at its start, of owned nodes of each curing region.
-            h: Its length [s]; infinite for a steady state.
+            h: Length of the interval [s]; infinite for a steady state.
             seconds: Time at its end, since the start of the run.
 
         Raises:
@@ -271,8 +271,8 @@ class ImplicitStep(System):
     def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> list[Measure]:
         """Size of a residual f of a state x [N mm/s]; collective.
 
-        Its scale is that of the heat stored, supplied and transferred, not that of conduction
-        alone, which is large and cancels in a state that hardly changes.
+        The scale is the heat stored, supplied and transferred. Conduction alone is no scale: it is
+        large and cancels in a state that hardly changes.
         """
         here = self.at(x)
         parts = [np.where(self._held, here.residual_heat.sum(axis=0), 0.0), *here.parts]

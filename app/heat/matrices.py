@@ -111,8 +111,9 @@ class HeatMatrices:
     def set(self, by_jump: Floats | None, growth: Mapping[int, Floats]) -> None:
         """Complete the Jacobian [N mm/(s K)]; collective.
 
-        ``by_jump`` is what interfaces add to the diagonal of the jumps, ``growth`` the derivative
-        by temperature of the heat released at owned nodes, for some bodies.
+        Args:
+            by_jump: Part of the interfaces in the diagonal of the jumps.
+            growth: Derivative by temperature of the heat released at owned nodes, by body.
         """
         if growth:
             new = self._diagonal.copy()
@@ -152,8 +153,8 @@ class KeptFactors:
     """Context of a PCPYTHON: factors of the matrix of some earlier solve, while they pay off.
 
     From one implicit solve to the next the matrix changes little: not at all in equal time steps,
-    on the diagonal where something cures. Old factors then precondition the new matrix at the price
-    of some more Krylov iterations; when these have cost as much as new factors, they are rebuilt.
+    and on the diagonal where something cures. Old factors then precondition the new matrix, with
+    some more Krylov iterations. The factors are rebuilt when these have cost as much.
 
     Attributes:
         made: Number of factorizations.

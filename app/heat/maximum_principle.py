@@ -1,15 +1,14 @@
 r"""Discrete maximum principle: correct conduction that violates it, on any mesh.
 
 On tetrahedra with obtuse dihedral angles conduction has positive off-diagonal entries
-:math:`k_{ij}`: heat flows from cold to warm along those edges, and in short steps temperatures
-leave the extremes of the data. Where a solution does, the edges of its nodes are removed by a
-diffusion
+:math:`k_{ij}`. Heat then flows from cold to warm along those edges, and in short steps temperatures
+leave the extremes of the data. At such nodes the edges are removed by a diffusion
 
 .. math:: k_{ij} (e_i - e_j)(e_i - e_j)^T,
 
 which is symmetric, conserves heat and leaves a constant temperature unchanged (Kuzmin and Turek,
-doi:10.1006/jcph.2001.6955, there for all edges). With all edges of a node removed its backward
-Euler value lies between those around and before it.
+doi:10.1006/jcph.2001.6955, there for all edges). Without its edges the backward Euler value of a
+node is between the values around it and before.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ class MaximumPrinciple:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
         capacity: Capacity of owned nodes in each body, zero where it has none (b, n).
         data: Initial and surrounding temperatures [K].
-        heated: Whether cure or friction heat.
+        heated: True if cure or friction heats.
     """
 
     saved = ("flagged", "data_low", "data_high", "heated", "cooled")
@@ -86,7 +85,7 @@ class MaximumPrinciple:
         self.heated = self.heated or heating > ZERO * cooling
 
     def outside(self, T: Floats) -> bool:
-        """Whether any temperature of a body (b, n) [K] is out of bounds; collective."""
+        """Return True if a temperature of a body (b, n) [K] is out of bounds; collective."""
         return bool(self._comm.allreduce(bool(self._offending(T).any()), MPI.LOR))
 
     def correct(self, T: Floats) -> bool:

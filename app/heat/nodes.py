@@ -67,11 +67,11 @@ Side = Mapping[str, Ints]
 
 
 class InterfaceNodes:
-    """Nodes that the regions on the two sides of an interface share, or those of both if apart.
+    """Nodes shared by the regions on both sides of an interface, or of both sides if apart.
 
     Attributes:
         sides: Nodes of the first and the second side.
-        apart: Whether they share none: bodies meshed apart.
+        apart: True if the sides share no nodes: bodies meshed apart.
 
     Args:
         faces: Nodes of the two boundaries of bodies meshed apart.

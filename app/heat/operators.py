@@ -1,7 +1,7 @@
 r"""Heat operators of a scene on its mesh: constant but for corrections of conduction.
 
-With T_b = θ + B_b τ the temperature of body b (see `heat.temperature_jumps`), the residual heat of
-its nodes over an interval h that started at T* is
+The temperature of body b is T_b = θ + B_b τ (see `heat.temperature_jumps`). Over an interval h that
+started at T*, the residual heat of its nodes is
 
 .. math:: r_b = M_b (T_b - T_b^*)/h + K_b T_b + R_b (T_b - T_a) - f_b
 
@@ -157,9 +157,9 @@ class InitialJump:
 
     Their interface immediately takes the mean of both temperatures, weighted by the effusivities
     :math:`e = \sqrt{k c}` (two half-spaces, Carslaw & Jaeger, section 2.15). Nodes there begin at
-    the mean by capacity instead, which conserves heat, and approach that temperature within some
-    ratios of the capacity and conduction of a node. Until then their temperature is an artefact of
-    the mesh, and that of half-spaces is reported.
+    the mean by capacity instead, which conserves heat. They approach the mean by effusivity within
+    some multiples of a node's capacity over its conduction. Until then their temperature is an
+    artefact of the mesh, and the temperature of half-spaces is reported.
     """
 
     def __init__(self, operators: HeatOperators) -> None:

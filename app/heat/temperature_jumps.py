@@ -39,12 +39,12 @@ class TemperatureJumps:
         interface: Number of the owned points' interfaces in ``scene.thermal_contacts`` (n,).
         bodies: Thermal bodies (master, slave) of owned points (n, 2).
         weight: Areas of owned points (n,) [mm2].
-        held: Whether both sides of owned points have given temperatures (n,).
-        given: Their conditions (master, slave), -1 where the jump is free (n, 2).
+        held: True where both sides of an owned point have given temperatures (n,).
+        given: Conditions at master and slave of owned points, -1 where the jump is free (n, 2).
         moves: B_b of each body whose temperature includes jumps.
         pressure: Contact pressure at owned points (n,) [MPa], set from outside.
         friction: Friction heat per area at owned points (n,) [N/(mm s)], set from outside.
-        share: Share of it that enters the slave (n,).
+        share: Share of the friction heat that enters the slave (n,).
 
     Args:
         held: Condition with a given temperature at owned nodes of each body, or -1 (b, n).

@@ -11,6 +11,8 @@ from app.schema.section import ITEMS, TAG, Extensible, Four, Section, Truth
 from app.schema.units import Dimension, Modulus, Number, Stress
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from app.foundation.arrays import Floats
 
 # Smaller densities of a law are taken as this [g/cm3].
@@ -54,23 +56,23 @@ def table_of(law: str | DensityLaw) -> tuple[str, Table]:
     return LAWS[law] if isinstance(law, str) else (law.density, law.ranges)
 
 
-def modulus(law: str | DensityLaw, density: Floats) -> Floats:
+def modulus(law: str | DensityLaw, density: ArrayLike) -> Floats:
     """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
     import numpy as np
 
     rho = np.maximum(density, LEAST)
     start, a, b, c = np.transpose(table_of(law)[1])
     k = np.maximum(np.searchsorted(start, rho) - 1, 0)
-    return a[k] + b[k] * rho ** c[k]
+    return np.asarray(a[k] + b[k] * rho ** c[k])
 
 
-def density(law: str | DensityLaw, modulus: Floats) -> Floats:
+def density(law: str | DensityLaw, modulus: ArrayLike) -> Floats:
     """Density [g/cm3] for Young's moduli [MPa]; the law must increase."""
     import numpy as np
 
     start, a, b, c = np.transpose(table_of(law)[1])
     k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST) ** c, modulus) - 1, 0)
-    return ((modulus - a[k]) / b[k]) ** (1 / c[k])
+    return np.asarray(((np.asarray(modulus) - a[k]) / b[k]) ** (1 / c[k]))
 
 
 @dataclass(frozen=True)

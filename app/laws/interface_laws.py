@@ -164,7 +164,9 @@ class InterfaceLaw(Extensible):
     @model_validator(mode="before")
     @classmethod
     def _small(cls, value: object) -> object:
-        for key in ("sliding", *FINITE) if isinstance(value, dict) else ():
+        if not isinstance(value, dict):
+            return value
+        for key in ("sliding", *FINITE):
             if key in value and key not in cls.model_fields:
                 fail(f"kind: {value.get('kind')} {SMALL}", at=(key,))
         return value

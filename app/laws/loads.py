@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from app.foundation.arrays import Field, Floats
 
     # Work as a UFL form; 0 if the load does not act on the body.
-    Work = Form | Literal[0]
+    Work: TypeAlias = Form | Literal[0]
 
 ForceDensityField = Annotated[
     float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))
@@ -186,8 +186,9 @@ class Force(Load):
     @model_validator(mode="before")
     @classmethod
     def _of_components(cls, value: object) -> object:
-        cycle_table = isinstance(value, dict) and value.get("cycle_table") is not None
-        return {"force": "[0, 0, 0] N"} | value if cycle_table else value
+        if isinstance(value, dict) and value.get("cycle_table") is not None:
+            return {"force": "[0, 0, 0] N"} | value
+        return value
 
     @model_validator(mode="after")
     def _one_cycle_table(self) -> Force:

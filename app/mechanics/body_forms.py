@@ -1,8 +1,12 @@
 """The forms of a scene on its mesh: energies of bodies, work of loads, assembled pieces.
 
-All forms are linear in the displacement: the stiffness of all bodies with a continuous
-displacement u, the stiffness of the cells that touch the jumps of one body (the strip), one vector
-per load. `mechanics.problem` combines them with the contact law.
+All forms are linear in the displacement:
+
+- the stiffness of all bodies with a continuous displacement u,
+- the stiffness of the cells that touch the jumps of one body (the strip),
+- one vector per load.
+
+`mechanics.problem` combines them with the contact law.
 """
 
 from __future__ import annotations
@@ -249,7 +253,9 @@ class BodyForms:
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)
-        return np.average(values, axis=1, weights=volumes, keepdims=True) if mean else values
+        if not mean:
+            return values
+        return np.asarray(np.average(values, axis=1, weights=volumes, keepdims=True))
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""

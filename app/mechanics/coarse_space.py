@@ -88,9 +88,9 @@ def _dense(values: Floats, first: int) -> Triplets:
 def sliding_motions(problem: Problem) -> CoarseSpace:
     """Smooth sliding motions of one body past the others, of displacement and jumps; collective.
 
-    A deformable body has those of hat functions on boxes about the interfaces: large boxes with all
-    they contain, and small ones along the interfaces of all bodies but the stiffest (where all move
-    together nothing slides). A rigid one has six.
+    A deformable body has the motions of hat functions on boxes about the interfaces. Large boxes
+    contain the whole body. Small boxes along the interfaces are for all bodies but the stiffest,
+    since nothing slides where all bodies move together. A rigid body has six motions.
     """
     contact = problem.contact
     assert contact is not None

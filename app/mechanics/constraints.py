@@ -1,9 +1,9 @@
 r"""Constraints: from nodal displacements to independent unknowns.
 
 The displacement of all nodes is U = P ũ. Mostly P is the identity. The nodes of a rigid region move
-by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its supports determine come
-first, and then they are held like any supported component. Nodes that supports hold along other
-directions than x, y, z have unknowns along local axes (`scene.frames`).
+by :math:`t + ω × (x - c)`. Its six parameters are rotated so that the parameters determined by
+supports come first. These are then held like any supported component. Nodes that supports hold
+along other directions than x, y, z have unknowns along local axes (`scene.frames`).
 """
 
 from __future__ import annotations

@@ -1,18 +1,19 @@
 r"""Contact: unknown jumps at contact points, coupled to the bonded displacement.
 
-With U_b = u + B_b q the displacement of body b, q the jumps (three per contact point) and K_b the
-stiffness of body b, the equilibrium of a linear scene reads
+The displacement of body b is U_b = u + B_b q, with q the jumps, three per contact point. K_b is the
+stiffness of the body. The equilibrium of a linear scene is
 
 .. math:: K u + C q = f, \qquad C^T u + D q - f_q + W F = 0,
           \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
 
-W the areas of the contact points and F their forces. W is diagonal, so the second line gives F and
-the law F = P(F + r D(q)) becomes one equation per point, with e = C^T u + D q - f_q:
+with W the areas of the contact points and F their forces. W is diagonal: the second line gives F.
+The law F = P(F + r D(q)) then becomes one equation per point, with e = C^T u + D q - f_q:
 
 .. math:: e + W P(-e/W + r D(q)) = 0.
 
-Its Jacobian rows are (1 - P') [C^T, D] + r W P'. Open points (P' = 0) are plain equilibrium, points
-that stick (P' = 1) say that the jump does not change: all points sticking is the bonded problem.
+Its Jacobian rows are (1 - P') [C^T, D] + r W P'. At open points (P' = 0) the row is equilibrium. At
+points that stick (P' = 1) the row keeps the jump. If all points stick, the problem is the bonded
+one.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ class TrialState:
     def _closed(self, step: Floats) -> Bools:
         """Faces that are closed after a step (n, 3).
 
-        At an edge the tangential direction is along it: a point that friction on one face holds
-        against another has a force across the edge too, but no slip there.
+        At an edge the tangential direction is along the edge. If friction on one face holds the
+        point against another face, there is a force across the edge too, but no slip.
         """
         gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.local.normals)
         nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
@@ -108,8 +109,8 @@ class TrialState:
     def slip(self, friction: Floats) -> Floats:
         """Irreversible tangential motion, under friction (n, 3) [MPa]: (n, 3) [mm].
 
-        That of contact, d_T of eq. 3 without what is elastic, is a state: it has no history. Large
-        slip is the sum of the steps.
+        In contact it is d_T of eq. 3 without its elastic part. It is a state and has no history. In
+        finite sliding it is the sum over the steps.
         """
         c = self.contact
         slid = self.sliding(self.jump - self._elastic(friction))
@@ -132,15 +133,16 @@ class TrialState:
         """State of the points after a converged step: jump, tractions, path, dissipation.
 
         A point that ends a step in contact slides by the tangential part of the step: the motion
-        for which the law computes its friction. What an open point moves is on no path.
+        for which the law computes its friction. The motion of open points is not on the path.
 
-        Dissipation is the implicit sum, new friction times the step's slip, which the incremental
-        potential (eq. 55) makes non-negative at each point; the trapezoidal rule is negative when
-        friction reverses. Work is trapezoidal, so that the energy balance closes.
+        Dissipation is the implicit sum: new friction times the slip of the step. The incremental
+        potential (eq. 55) makes it non-negative at each point. The trapezoidal rule would be
+        negative when friction reverses. Work is trapezoidal, so that the energy balance closes.
 
-        Contact without tension does no work in its total gap (jump and initial gap; a changing gap
-        does work in the jump), so ``contact_work`` is the error of load steps in which points close
-        or open. In it is the energy of a layer across, which is released when it opens.
+        Contact without tension does no work in its total gap, the sum of jump and initial gap. (A
+        changing initial gap does work in the jump.) ``contact_work`` is therefore the error of load
+        steps in which points close or open. It contains the normal energy of a layer, which is
+        released when the layer opens.
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.local.weight
         step, opening = self.jump - c.reference, c.opening(self.jump)
@@ -403,8 +405,8 @@ class ContactInterfaces:
     def free_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
 
-        In such a motion bodies slide along all their faces, touching or not, and no touching point
-        with friction slides: forces and gaps do not change. An example is the rotation of a
+        In such a motion bodies slide along all their faces, touching or not. No touching point with
+        friction slides. Forces and gaps do not change. An example is the rotation of a
         frictionless stem about its axis. Motions have the components of `relative_motion`. There
         are none with finite sliding or mean jumps.
 

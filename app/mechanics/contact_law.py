@@ -1,7 +1,7 @@
 """Interface laws at the contact points of one rank: UFL in, arrays out; their trial stiffness.
 
-Points with the same number of faces and laws of the same form share one compiled law; a scene
-without friction or without edges never compiles the others.
+Points with the same number of faces and laws of the same form share one compiled law. A scene
+without friction, or without edges, never compiles these laws.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ class PointForces:
 
     Attributes:
         force: Interface force per area (n, 3) [MPa].
-        by_multiplier: Its generalized derivative by the multiplier (n, 3, 3) [-].
-        by_jump: Its generalized derivative by the jump (n, 3, 3) [MPa/mm].
-        stiffness: That of the trial force (n,) [MPa/mm].
+        by_multiplier: Generalized derivative of the force by the multiplier (n, 3, 3) [-].
+        by_jump: Generalized derivative of the force by the jump (n, 3, 3) [MPa/mm].
+        stiffness: Stiffness of the trial force (n,) [MPa/mm].
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         internal_variables: New values of the internal variables of the laws, by name: (n, ...).
-        rubbed: Energy per area that friction of contact beside a law dissipates in the step
+        rubbed: Energy per area that friction of the debonded area dissipates in the step
             (n,) [N/mm].
         outputs: Values of `OUTPUTS`, by name: (n, ...); 0 for laws without them.
     """
@@ -83,8 +83,8 @@ class PointForces:
     def resisted(self) -> Floats:
         """Part of a change of the jump that is resisted (n, 3, 3) [-].
 
-        Of contact it is the first derivative, of what else resists its share beside the trial
-        force.
+        For contact it is the derivative by the multiplier. The law adds its stiffness over the sum
+        of its stiffness and that of the trial force.
         """
         of_law, r = self.by_law, self.stiffness[:, None]
         sizes, axes = np.linalg.eigh((of_law + of_law.transpose(0, 2, 1)) / 2)
@@ -93,7 +93,7 @@ class PointForces:
 
 
 # Rows of points with the same number of faces and laws of the same form, with their compiled law
-# and that of contact beside it.
+# and the compiled contact law of the debonded area.
 Group = tuple[Ints, InterfaceLaw, Pointwise, Pointwise | None]
 
 
@@ -101,18 +101,20 @@ class PointLaw:
     """Laws of the interfaces at the contact points of this rank, during one run.
 
     Attributes:
-        can_open, frictional, has_contact, dissipates: Whether the law of each point can open, has
-            friction, is contact or has contact beside it, declares what it dissipates (n,).
+        can_open: True where the law can open (n,).
+        frictional: True where the law has friction (n,).
+        has_contact: True where the law is contact, or has contact of the debonded area (n,).
+        dissipates: True where the law declares the energy that it dissipates (n,).
         internal_variables: Shapes of the internal variables of the laws, by name.
         constrained: Points that stick, whatever their law (n,).
         opened: Points without contact force, whatever their law (n,). Layers and cohesion act.
         local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
-        stiffness: The one in force (n,) [MPa/mm].
-        compliance: That of the elastic layer in series (n, 3, 3) [mm/MPa].
+        stiffness: Current stiffness of the trial force (n,) [MPa/mm].
+        compliance: Compliance of the elastic layer in series (n, 3, 3) [mm/MPa].
         multiplier_share: Factor of the equilibrium force in the trial force (n, 3, 3): 1 without
             a layer.
-        slides: Whether contact tells the slip, or the law does (n,).
+        slides: True where the slip follows from contact, False where the law returns it (n,).
         frozen: True while the internal variables of the laws stay at the last state.
     """
 
@@ -155,7 +157,7 @@ class PointLaw:
         touch = [law.is_contact or law.debonded_contact is not None for law in laws]
         self.has_contact = np.array(touch)[points.interface]
         self.dissipates = np.array([law.dissipates for law in laws])[points.interface]
-        # Of laws that have contact beside them.
+        # Friction coefficient of the debonded area.
         self._friction = values.get("friction_coefficient", np.zeros(len(points)))
         self.constrained = np.zeros(len(points), dtype=bool)
         self.opened = np.zeros(len(points), dtype=bool)

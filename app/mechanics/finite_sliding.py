@@ -43,7 +43,7 @@ class Paired:
 
     Attributes:
         gap: Distance from the surface (m,) [mm].
-        normal: Its unit normal (m, 3).
+        normal: Unit normal of the surface (m, 3).
         arm: From the centre of the body to the point of its surface (m, 3) [mm].
     """
 

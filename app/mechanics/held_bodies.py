@@ -28,7 +28,7 @@ def held_motions(
 
     Args:
         body_forms: Supports, foundations and bodies.
-        stiffness: Its stage decides which supports are active.
+        stiffness: Stiffness of the stage whose supports are active.
         centre: Point about which bodies rotate (3,) [mm].
         size: Length by which rotations are divided [mm].
     """

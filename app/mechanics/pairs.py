@@ -1,13 +1,13 @@
 r"""Pairs of surfaces in finite sliding: closest points, dual mortar rows, smooth gaps and normals.
 
-Points are in the axes of the master: its surface never changes, and its trees are built once. The
-slave's nodes follow it by :math:`u_s = Π u_m`, with
+Points are in the axes of the master, so that its surface never changes and its trees are built
+once. The slave's nodes follow the master by :math:`u_s = Π u_m`, with
 
 .. math:: Π = D^{-1} M, \quad M_{jk} = \int ψ_j N_k(\hat x), \quad D_j = W_j = \int N_j,
           \quad ψ_j = 4 N_j - 1,
 
-the integrals over the slave's flat facets, x̂ the point of the master closest to x. ψ is dual to N
-on a facet, so that D is diagonal, and rows of Π sum to 1.
+The integrals are over the slave's flat facets; x̂ is the point of the master closest to x. ψ is dual
+to N on a facet. D is therefore diagonal, and rows of Π sum to 1 (Wohlmuth 2000).
 """
 
 from __future__ import annotations
@@ -130,8 +130,9 @@ class SmoothSurface:
 
         .. math:: g = (x - p)·n - \frac{\sum_i L_i (x_i - p)·n_i}{1 + |\sum_i L_i n_i|}
 
-        of the closest point p of a flat facet: what the surface rises over the facet is about half
-        of what its tangent planes at the vertices x_i do, on spheres and cylinders exactly this.
+        p is the closest point of a flat facet, n_i are the normals at its vertices x_i. The smooth
+        surface rises over the facet by about half of the rise of its tangent planes at the
+        vertices. On spheres and cylinders the formula is exact.
         """
         facet, at, _ = self.closest(points)
         mean, p = self._mean(self.normals, facet, at), self._mean(self.x, facet, at)
@@ -151,8 +152,13 @@ class SmoothSurface:
     ) -> tuple[Floats, Floats]:
         """Points on the facets (p, 3) and the part there of integrals of densities (n, k) (p, k).
 
-        What is deposited from these leaves no holes on a surface of smaller facets. ``x`` is where
-        the nodes have moved (n, 3); points without a density are left out.
+        Deposits from these points leave no holes on a surface of smaller facets. Points without a
+        density are left out.
+
+        Args:
+            density: Densities at the nodes (n, k).
+            quadrature: Points per facet: 12, 48, 192 ...
+            x: Moved nodes (n, 3) [mm]; None if they have not moved.
         """
         at, weight = rule(quadrature)
         used = density[self.triangles].any(axis=(1, 2))
@@ -173,8 +179,8 @@ def mortar(
 ) -> Pairs:
     """Rows of Π.
 
-    A node has a mortar row where all its facets face the master within ``reach`` [mm]: a row of
-    which the master covers a part is wrong, not small.
+    A node has a mortar row if all its facets face the master within ``reach`` [mm]. A row that the
+    master covers in part would be wrong, not small.
 
     Args:
         x: Nodes of the slave in the axes of the master (n, 3) [mm].

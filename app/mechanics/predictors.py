@@ -1,12 +1,13 @@
 """Predictors: the start of a load step from earlier states, of this run or of other variations.
 
-Contact with friction is homogeneous of degree one. Without gaps, loads that grow in proportion from
-zero make the state grow with them, so that from the second step on the straight line through the
-states before is the exact answer; where loads and gaps of two variations differ by a common factor,
-the scaled state is. Where the load reverses, or points open or begin to slip, these are near the
-answer at best: a predicted state is used only if its residual is below that of the last state.
+Contact with friction is homogeneous of degree one. Without gaps, a state thus grows in proportion
+to loads that grow from zero. From the second step on, the straight line through the states before
+is then exact. If loads and gaps of two variations differ by a common factor, the scaled state is
+exact. Otherwise, where the load reverses, or points open or begin to slip, these states are
+approximate. A predicted state is used only if its residual is below that of the last state.
 
-Every variation is solved from rest, for friction has a memory; others only provide guesses.
+Every variation is solved from rest, because friction depends on the load history. Other variations
+only provide guesses.
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads reverse or a stage begins: line through the states one and two cycles before,
-    or the best state in the span of all, which is exact where loads of two stages are proportional
-    (one Newton iteration instead of eight).
+    Where loads reverse or a stage begins, the start is on the line through the states one and two
+    cycles before, or the best state in the span of all. The latter is exact if the loads of two
+    stages are proportional: one Newton iteration instead of eight.
 
     Without extrapolation sliding_block.yaml takes 306 Newton iterations instead of 79,
     debonding.yaml 105 instead of 79, head_cup.yaml 169 instead of 139.
@@ -126,7 +127,7 @@ def imbalance(solver: Solver, x: PETSc.Vec) -> float:
 
 
 def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
-    """Whether two states are equal; collective."""
+    """Return True if two states are equal; collective."""
     return bool((a - b).norm() == 0.0)
 
 

@@ -11,9 +11,9 @@ with
 - K, C, D: the elastic energy of the bodies (`BodyForms.body_energy`), its derivatives by u and q
   (`Stiffness.K`, `JumpCoupling.C`, `JumpCoupling.D`). They change when a region sets or its density
   changes (`update_stiffness`, `follow_density`) or when supports do (`set_stage`).
-- f, f_q: the forces on u and q (`Forces.at`, by `set_time`): work of the loads (`Load.work`),
-  eigenstrains, thermal expansion (`set_temperature`, `ThermalStrain`), and the stress history of
-  regions that set or creep (`update_stiffness`, `StressHistory`).
+- f, f_q: the forces on u and q (`Forces.at`, by `set_time`). They are the work of the loads
+  (`Load.work`), eigenstrains, thermal expansion (`set_temperature`, `ThermalStrain`), and the
+  stress history of regions that set or creep (`update_stiffness`, `StressHistory`).
 - e: the equilibrium of the contact points (`JumpCoupling.equilibrium`); W their areas.
 - F: the forces of contact and other laws at equilibrium and jumps (`ContactInterfaces.trial`, by
   `PointLaw.evaluate` from `InterfaceLaw.response`). See `mechanics.contact` for F = P(-e/W + r D).

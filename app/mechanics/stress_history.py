@@ -1,14 +1,14 @@
 r"""Stress history of path-dependent regions: those that cure, creep, or both.
 
 While cement cures its stiffness grows from nearly nothing, so that strains of the liquid leave no
-stress; once set it creeps. The law is a rate,
+stress. Set cement creeps. The law is a rate,
 
 .. math:: \dot σ = g(α)\, C : (\dot ε - \dot e^* I - \dot e_c),
 
-with α the degree of cure, g the modulus over the final one, e* the free strain (expansion and
-shrinkage) since gelation and e_c the creep strain of `mechanics.creep`. Over a step g is the mean
-of its values at both ends, second order in the step. For the step's equilibrium the region is a
-body of stiffness g C under the forces
+with α the degree of cure and g the modulus over the final one. e* is the free strain (expansion and
+shrinkage) since gelation, e_c the creep strain of `mechanics.creep`. Over a step g is the mean of
+its values at both ends, second order in the step. For the step's equilibrium the region is a body
+of stiffness g C under the forces
 
 .. math:: -\int (σ - R) : ε(v) + \int g\, C : (ε(u) + Δe^* I) : ε(v)
 
@@ -165,7 +165,7 @@ class StressHistory:
 
         Args:
             degrees: Degree of cure at the vertices of each curing region [-].
-            strains: Its free strain accumulated since gelation at the vertices [-].
+            strains: Free strain since gelation at the vertices of each curing region [-].
         """
         self._new |= {
             r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())

@@ -1,8 +1,8 @@
 r"""Thermal expansion: the forces of temperatures on the bodies.
 
-A region swells by :math:`e = α (θ - θ_{ref})`, linear between the vertices. Its elastic strain is
-ε(u) - e I (the paper's energy, eq. 51, leaves the second term out), so that with constant moduli
-the forces are G e with a matrix G for each region, assembled once.
+A region swells by :math:`e = α (θ - θ_{ref})`, linear between the vertices. The elastic strain is
+ε(u) - e I; the paper's energy, eq. 51, leaves the second term out. With constant moduli the forces
+are G e, with a matrix G for each region that is assembled once.
 """
 
 from __future__ import annotations

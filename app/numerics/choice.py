@@ -34,7 +34,7 @@ class SolverChoice:
         size: Unknowns of displacement.
         jumps: Unknowns of jumps.
         solves: Number of solves.
-        setting: Whether the stiffness changes, so that the bodies are factored for each.
+        setting: True if the stiffness changes, so that the bodies are factored for each solve.
         memory: Memory of a rank [byte].
         ranks: Number of ranks.
         entries: Entries of all factors of the bodies; estimated if they are not known.
@@ -65,7 +65,7 @@ class SolverChoice:
 
     @property
     def fits(self) -> bool:
-        """Whether there is the memory for condensation."""
+        """True if the memory suffices for condensation."""
         return self.needed < MEMORY * self.memory
 
     def condenses(self, linear: str) -> bool:

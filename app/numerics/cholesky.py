@@ -1,12 +1,11 @@
 """Sparse Cholesky factors by CHOLMOD that stop before the last unknowns.
 
-PETSc takes no ordering of ours and shows no block of a factor. cffi compiles the calls at first
-use, in the cache of compiled forms.
+PETSc accepts no ordering from outside and shows no block of a factor. The module therefore calls
+CHOLMOD directly. cffi compiles the calls at first use, in the cache of compiled forms.
 
-CHOLMOD has no call for a Schur complement, but makes one on its way: before it factors the last
-supernode, the block of this supernode holds :math:`-E^T A^{-1} E`. The first pivot of the block is
--1 here, so that LAPACK stops there at once and CHOLMOD calls its error handler, which copies the
-block.
+CHOLMOD has no call for a Schur complement, but computes one: before it factors the last supernode,
+the block of this supernode holds :math:`-E^T A^{-1} E`. The first pivot of the block is set to -1,
+so that LAPACK stops there at once. CHOLMOD then calls its error handler, which copies the block.
 """
 
 from __future__ import annotations
@@ -227,7 +226,7 @@ class Cholesky:
         return np.append(unknowns, np.arange(n, n + self._empty + self._m))
 
     def fits(self, rows: csr_array) -> bool:
-        """Whether a matrix has the pattern that was analysed."""
+        """Return True if a matrix has the pattern that was analysed."""
         return all(map(np.array_equal, self._pattern, (rows.indptr, rows.indices)))
 
     def factorize(self, rows: csr_array) -> Floats:

@@ -1,21 +1,21 @@
 r"""Static condensation: the displacement is eliminated once, exactly; Newton solves for the jumps.
 
-`Condensed` is the inverse of the Jacobian of displacement and jumps, `JumpSystem` the system of the
-jumps alone. Both are solved by the same loop (`numerics.newton`): first the jumps, whose iterations
-need no solution with the factors of the bodies; then the whole system from there, which tests the
-residual of all equations. Without the first loop assembly and solution of the bundled cases take a
-fifth (debonding.yaml) to half (head_cup.yaml) longer.
+`Condensed` is the inverse of the Jacobian of displacement and jumps. `JumpSystem` is the system of
+the jumps alone. The same loop solves both (`numerics.newton`). The first loop is for the jumps: its
+iterations need no solution with the factors of the bodies. The second loop starts from there on the
+whole system and tests the residual of all equations. Without the first loop, assembly and solution
+of the bundled cases take a fifth (debonding.yaml) to half (head_cup.yaml) longer.
 
 The Jacobian of contact, with T and B blocks of contact points, is
 
 .. math:: J = \begin{pmatrix} K & C \\ T C^T & T D + B \end{pmatrix}, \qquad S = D - C^T K^{-1} C,
 
-so that a step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C dq. The ranks share
-the elimination of the displacement (`numerics.substructures`). S is on rank 0, which solves for the
-jumps of all ranks, and stays for all steps, stages and variations of one stiffness.
+A step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C dq. The ranks share the
+elimination of the displacement (`numerics.substructures`). S is on rank 0, which solves for the
+jumps of all ranks. It is kept for all steps, stages and variations of one stiffness.
 
-T S + B is singular in a state that holds a body in some directions only, such as the first iterate
-of a belt that only contact holds. The bodies are then joined by weak springs in this step,
+T S + B is singular in a state that holds a body in some directions only. An example is the first
+iterate of a belt that only contact holds. Weak springs then join the bodies in this step,
 
 .. math:: (T S + B + \varepsilon \, diag(S)) dq = r_q,
 
@@ -24,8 +24,9 @@ so that unbalanced forces move the free bodies until contact stops them.
 Rigid motions that nothing resists, columns of Z, need other springs: a frictionless stem may rotate
 about its axis. With springs along these motions only, T S + B + s Z Z^T, the step is exact, because
 balanced forces cause no such motion.
-Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
-(`numerics.paired_compliance`).
+
+With finite sliding, unknowns that points follow come directly before the jumps. New pairs then
+change S, but no factors (`numerics.paired_compliance`).
 """
 
 from __future__ import annotations

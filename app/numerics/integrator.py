@@ -1,9 +1,9 @@
 r"""Implicit integration in time with steps chosen by their error.
 
-Diagonally implicit Runge-Kutta methods, L-stable and stiffly accurate: every stage is a backward
-Euler step of length h = γ Δt from its own start, solved by the caller, and the last stage is the
-new state. They damp modes faster than the step, unlike the trapezoidal rule (Crank-Nicolson), which
-is not offered. A state is a list of arrays, the parts that this rank owns.
+The methods are diagonally implicit Runge-Kutta methods, L-stable and stiffly accurate. Every stage
+is a backward Euler step of length h = γ Δt that the caller solves. The last stage is the new state.
+The methods damp modes faster than the step, unlike the trapezoidal rule (Crank-Nicolson), which is
+not offered. A state is a list of arrays, the parts that this rank owns.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ class Controller:
         return ahead[0] if dt >= ahead[0] * (1 - _NEAR) else ahead[0] / 2
 
     def judge(self, dt: float, ratio: float) -> bool:
-        """Whether a step is accepted, given its error over the tolerance; chooses the next."""
+        """Return True if a step is accepted, by its error over the tolerance; choose the next."""
         ratio = max(ratio, 1e-10)
         factor = _SAFETY * ratio**-self._power
         if not ratio <= 1:

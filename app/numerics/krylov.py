@@ -2,7 +2,7 @@
 
 The Krylov method is preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, in the
 order of the blocks). Preconditioners of the large blocks are set up once and kept while they are
-good enough; that of the stiffness belongs to the problem, where all its solvers share it.
+good enough. The preconditioner of the stiffness belongs to the problem, whose solvers share it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Linear:
     Attributes:
         matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
         options: PETSc options that the solver needs.
-        factored: Whether contact blocks are factorized instead of swept.
+        factored: True while contact blocks are factorized instead of swept.
         exact: The inverse of the Jacobian, if the system has one.
     """
 

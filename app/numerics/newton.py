@@ -142,12 +142,12 @@ class NewtonResult:
     """Outcome of a nonlinear solve.
 
     Attributes:
-        converged: Whether the residual met its tolerance.
+        converged: True if the residual is below its tolerance.
         iterations: Newton iterations.
         linear_iterations: Krylov iterations.
         residuals: Residual norm at each iteration, relative to the force scale.
         changes: Number of contact points that changed state, at each iteration.
-        linear_failed: Whether the linear solver failed.
+        linear_failed: True if the linear solver failed.
         augmentation: Final multiple of the case's augmentation.
         tried: Remedies in the order tried, each with its final residual.
         period: Length of the cycle in which contact states repeat at the end; 0 without.
@@ -170,10 +170,10 @@ class Solver:
     Attributes:
         x: The current state.
         failed_state: Last state of the last solve that failed.
-        first_state: Where plain Newton ended in the last solve.
+        first_state: State at which plain Newton ended in the last solve.
         options: PETSc options of the SNES.
         active: States of the contact points at the last iterates.
-        converged: Whether the last run converged.
+        converged: True if the last run converged.
         residuals: Residual norm at each iterate of the last runs, relative to the scale.
         changes: Number of contact points that changed state, at each iterate.
         scales: Scales of the residuals of the last converged state, by part.
@@ -397,7 +397,7 @@ class Solver:
 
     @property
     def _adapts(self) -> bool:
-        """Whether the tolerance of the linear solver follows the residual."""
+        """True if the tolerance of the linear solver follows the residual."""
         return self.system.contact is not None and "ksp_rtol" not in self.options
 
     def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:

@@ -1,12 +1,12 @@
 """UFL expressions at points that belong to no mesh: arrays in, arrays out.
 
-A law of `forms` that holds at each point is compiled on a mesh whose cells are the points (a row of
-intervals on this rank alone) with one value of each input per cell. They form one row because
+A law of `forms` that holds at each point is compiled on a mesh whose cells are the points: a row of
+intervals on this rank alone. Each input has one value per cell. The intervals form one row because
 dolfinx takes quadratic time to order cells that do not touch.
 
-dolfinx finds compiled code by a signature of the whole expression, which UFL has to build at every
-start: seconds for the contact law at corners. A law defined in a few files is identified by their
-text instead; a note beside the meshes names its compiled code.
+dolfinx identifies compiled code by a signature of the whole expression. UFL has to build it at
+every start, which takes seconds for the contact law at corners. A law defined in a few files is
+identified by their text instead. A note next to the meshes names its compiled code.
 """
 
 from __future__ import annotations

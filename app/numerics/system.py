@@ -27,11 +27,11 @@ class Measure:
     """Size of a part of a residual.
 
     Attributes:
-        norm: Its norm.
+        norm: Norm of the part.
         scale: Size of the terms that it balances.
-        rounding: Its rounding error.
-        lasting: Whether the scale of a converged state holds for later ones: that of forces does,
-            that of the heat in the first instant of a contact does not.
+        rounding: Rounding error of the norm.
+        lasting: True if the scale of a converged state holds for later states. The scale of forces
+            does; the scale of heat in the first instant of a contact does not.
     """
 
     norm: float

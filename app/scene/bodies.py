@@ -283,7 +283,7 @@ def nodes_on(tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Int
 
 
 def touched_nodes(space: fem.FunctionSpace, cells: Bools) -> Bools:
-    """Whether owned nodes of a vector space belong to such cells of any rank (n,); collective."""
+    """Mask of the owned nodes that belong to such cells of any rank (n,); collective."""
     marks = fem.Function(space)
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[np.flatnonzero(cells)])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)

@@ -43,8 +43,8 @@ class Frames:
     Attributes:
         node: Global blocked dofs, rising (n,).
         axes: Axes as columns (n, 3, 3).
-        acts: Whether each support acts on each body there (n, bodies, supports).
-        along: Whether it constrains each axis (n, supports, 3).
+        acts: True where a support acts on a body at the node (n, bodies, supports).
+        along: True where a support constrains an axis (n, supports, 3).
     """
 
     node: Ints

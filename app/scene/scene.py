@@ -87,11 +87,11 @@ class Scene:
         sliding_heat: Interfaces with finite sliding that exchange the mean heat of a cycle.
         expansions: Regions with thermal strain.
         time: Time stepping of heat; None without heat.
-        coupled: Whether heat depends on contact, so that both are solved together.
+        coupled: True if heat depends on contact, so that both are solved together.
         motions: Prescribed motions of regions.
         period: Time that a cycle of the cycle tables takes, 0 without [s].
-        loads_of: For stages that another package steps through: the stage at whose end their loads
-            are.
+        loads_of: Number of the stage whose final loads act, by the number of a stage that another
+            package solves.
     """
 
     order: int
@@ -139,7 +139,7 @@ class Scene:
         return of_loads | {f.boundary for f in self.foundations}
 
     def load_time(self, time: float) -> float:
-        """Time without cycles, at which the load histories have their value of a time.
+        """Time on the load histories that corresponds to a time of the run (cycles removed).
 
         Loads of a stage that another package steps through stay as they were (`loads_of`).
         """
@@ -345,7 +345,7 @@ def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
 
 
 def _cycle_tables(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[CycleTable]:
-    parts = *motions.values(), *loads.values()
+    parts: list[Motion | Load] = [*motions.values(), *loads.values()]
     return [part.cycle for part in parts if part.cycle is not None]
 
 

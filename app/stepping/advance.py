@@ -1,7 +1,7 @@
 """The loop over steps: try one, cut it back or let the next one grow, commit, save.
 
-Loads, steps of given energy, heat and creep are steppers, and so is what another package steps by;
-each has a control that chooses the lengths of its steps.
+Loads, steps of given energy, heat and creep are steppers. Other packages may add steppers. Each has
+a control that chooses the lengths of its steps.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class Step:
     Attributes:
         begin: Place at which it begins.
         end: Place at which it ends.
-        length: Its length; of equal steps exactly equal, unlike the difference of their places.
-        whole: Whether it ends an increment of its stage.
+        length: Length. Equal steps have exactly equal lengths, unlike ``end - begin``.
+        whole: True if it ends an increment of its stage.
     """
 
     begin: float

@@ -1,12 +1,12 @@
 r"""Contact in the heat equation: pressures, friction power, and their derivatives.
 
-Friction heats by its dissipation (`TrialState.rubbing`): w = F_T · s per area since the time step
-began, with the slip s = Δq + (F - F_T)/r, which excludes the stretch of penalty springs. A stage of
-length h that starts from the work w* has the power (w - w*)/h: w is one more unknown of the
-integrator, so that its sum over the stages is the work of the whole step.
+Friction heats by its dissipation (`TrialState.rubbing`). Per area it is the work w = F_T · s since
+the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty springs. A stage
+of length h that starts from the work w* has the power (w - w*)/h. The integrator treats w as one
+more unknown, so that the sum over the stages is the work of the whole step.
 
-With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
-pressure p = |F_n| and friction work change by
+The law of a contact point is F = P(S), S = -e/W + r (q + g), with the generalized derivative P'.
+Pressure p = |F_n| and friction work change by
 
 .. math:: dp = m·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
           \qquad dS = -de/W + r\,dq
@@ -42,7 +42,8 @@ class ContactHeat:
 
     Attributes:
         heats: Nodal heat by friction power per area of each thermal body (nodes x points) [mm2].
-        pressed: Pressure at the points of finite conductance by that at contact points, if any.
+        pressed: Matrix from pressures at contact points to pressures at points of finite
+            conductance, if there are any.
         friction_work: Friction work per area since the time step began, in the heat [N/mm].
         expands: Regions whose expansion follows temperature. In curing regions it is a part of the
             stress history.
@@ -98,7 +99,7 @@ class ContactHeat:
         """Begin a stage.
 
         Args:
-            h: Its length [s]; infinite for a steady state, in which friction has no power.
+            h: Length of the stage [s]; infinite for a steady state, in which friction has no power.
             work: Initial friction work per area (n,) [N/mm].
         """
         self._h, self._before = h, work

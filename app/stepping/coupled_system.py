@@ -1,10 +1,11 @@
 """Heat and mechanics in one system, where heat depends on contact: pressure or friction.
 
-Its blocks are those of both. The residual of heat depends on the pressures p and the friction power
-D of the trial state, that of the mechanics on temperatures T: the forces of thermal expansion are
-G T, in the rows of the contact points too, where equilibrium is e = C^T u + D q - f_q - G_q T.
-Pressures and friction power change with e and q (`stepping.contact_heat`): the products of these
-rows with C^T, D and G are the coupling blocks.
+The system has the blocks of both. The residual of heat depends on the pressures p and the friction
+power of the trial state. The residual of mechanics depends on temperatures T: the forces of thermal
+expansion are G T. They act in the rows of the contact points too, where equilibrium is
+e = C^T u + D q - f_q - G_q T. Pressures and friction power change with e and q
+(`stepping.contact_heat`). The products of these derivatives with C^T, D and G are the coupling
+blocks.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ class CoupledSystem(ContactSystem):
         return self._heat.version + super().version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
-        """Those of the heat, then those of the mechanics."""
+        """Blocks of the heat, then blocks of the mechanics."""
         return self._heat.blocks() | super().blocks()
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:

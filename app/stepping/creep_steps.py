@@ -1,9 +1,9 @@
 """Creep of a stage under constant loads: steps in cycles or seconds, as long as their error allows.
 
-The stiffness stays elastic, creep being a free strain. Within a step the stress that creep takes,
-the forces that it leaves and the displacements follow one another until they agree. Each step is
-solved whole and in two halves. Their difference is its error; twice what creep takes in the halves
-less what it takes in the whole is of second order, and is kept.
+The stiffness stays elastic, since creep is a free strain. A step iterates between the stress that
+creep relaxes, the forces that follow from it and the displacements, until they agree. Each step is
+solved whole and in two halves. The difference of both is the error of the step. Twice the
+relaxation of the halves less that of the whole is of second order (Richardson); it is kept.
 """
 
 from __future__ import annotations

@@ -47,9 +47,10 @@ BISECTIONS = 40
 
 
 def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, Floats]:
-    """Energy that damage spends in a step to a state [N mm]; collective.
+    """Energy that damage dissipates in a step to a state; collective.
 
-    And its derivative by owned jumps (3 n,) [N].
+    Returns:
+        The energy [N mm], and its derivative by owned jumps (3 n,) [N].
     """
     contact = problem.contact
     if contact is None or q is None or not contact.law.internal_variables:
@@ -73,7 +74,7 @@ def overshoot(
 
     Args:
         problem: The mechanical problem.
-        solver: Its solver, at the last converged state.
+        solver: Solver of the problem, at the last converged state.
         energy: Energy of the step [N mm].
         path: Parts of the path of loads at the beginning and the end of the load step.
         set_load: Sets the problem to a part of the path.
@@ -115,11 +116,11 @@ def overshoot(
 class EnergyControl(MatrixFree):
     """Displacement and jumps of a system, and the part of the path of loads as last unknown.
 
-    Its inverse is that of the given system, bordered.
+    The inverse of the given system, with one more row and column, is its inverse.
 
     Args:
         problem: The mechanical problem.
-        solver: Its solver.
+        solver: Solver of the problem.
         set_load: Sets the problem to a part of the path.
     """
 

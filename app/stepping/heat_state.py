@@ -1,7 +1,7 @@
 """Heat in time: its state, a time step of it, and the heat that enters during the step.
 
-A time step is that of `numerics.integrator`; each of its stages is one solve of the system of heat,
-or of heat and mechanics together where heat depends on contact (`stepping.coupled_system`).
+`numerics.integrator` makes the time steps. Each stage of a step is one solve of the system of heat.
+If heat depends on contact, heat and mechanics are solved together (`stepping.coupled_system`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class HeatStep:
 
     Attributes:
         seconds: Time at its end, since the start of the run [s].
-        dt: Its length [s]; 0 for a steady state.
+        dt: Length [s]; 0 for a steady state.
         heats: Heat that entered the model by condition, as integrated [N mm].
         flows: Heat that enters at its end by condition [N mm/s].
         outcome: Outcome of its last stage.
@@ -55,7 +55,7 @@ class HeatState:
 
     Attributes:
         step: One implicit solve of heat.
-        operators: Its operators.
+        operators: Operators of heat.
         solver: Solver of heat, or of heat and mechanics.
         coupled: Heat and mechanics in one system, if heat depends on contact.
         outcome: Outcome of the last solve.
@@ -214,7 +214,7 @@ class HeatState:
         return tuple(sorted({*times, *curing}))
 
     def begins_at_event(self, accepted: HeatStep) -> bool:
-        """Whether a step begins at the event that ended the one before."""
+        """Return True if a step begins at the event that ended the step before."""
         begin = accepted.seconds - accepted.dt
         return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
 

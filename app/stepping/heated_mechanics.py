@@ -34,7 +34,7 @@ class ThermalState:
     Attributes:
         temperatures: At the nodes of each thermal body [K].
         degrees: At the nodes of each curing region.
-        strains: Its free strain since gelation.
+        strains: Free strain since gelation at the nodes of each curing region [-].
     """
 
     temperatures: list[Floats]
@@ -45,8 +45,9 @@ class ThermalState:
 class HeatedMechanics:
     """Mechanics with heat as a load.
 
-    They are solved along the straight line between two states of the heat, in steps of
-    ``time.mechanical_step``: a change of temperature, or of cure as the temperature it releases.
+    It is solved along the straight line between two states of the heat. The steps are
+    ``time.mechanical_step`` long: a change of temperature, or the adiabatic temperature rise of a
+    change of cure.
     """
 
     saved: tuple[str, ...] = ("strains", "previous")

@@ -46,7 +46,7 @@ class LoadStep:
         time: Time at its end: stage k runs from k to k + 1.
         outcome: Outcome of the nonlinear solve.
         seconds: Wall time, failed attempts included.
-        whole: Whether it ends an increment of its stage, for which fields are written.
+        whole: True if it ends an increment of its stage, for which fields are written.
     """
 
     number: int
@@ -105,7 +105,7 @@ class LoadStepper:
 
     Attributes:
         problem: The mechanical problem.
-        solver: Its solver.
+        solver: Solver of the problem.
         on_step: Called after each committed step.
         on_trouble: Called with a sentence on the remedy when a step fails.
         predictors: Predictors besides extrapolation.

@@ -108,7 +108,7 @@ class Analysis:
     Attributes:
         scene: The scene.
         problem: The mechanical problem, if a region deforms.
-        solver: Its solver.
+        solver: Solver of the problem.
         heating: Heat with its solver, if regions conduct.
     """
 

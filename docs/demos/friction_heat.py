@@ -1,8 +1,8 @@
 """Heat of friction: a pad slides on a bar that is cooled at its other end.
 
 A pad is pressed on a bar by p and slides with the speed v. Friction releases the power mu p v per
-area. The pad is insulated, so all heat leaves through the bar of length L and conductivity k, and
-in the end the sliding surface is warmer than the cooled end by (Fourier 1822)
+area. The pad is insulated, so all heat leaves through the bar of length L and conductivity k. In
+the steady state the sliding surface is warmer than the cooled end by (Fourier 1822)
 
     dT = mu p v L / k.
 """

@@ -4,9 +4,9 @@ The degree of cure a of a block of bone cement grows by the autocatalytic rate
 
     da/dt = k_0 exp(-E_a / (R T)) a^m (1 - a)^n
 
-(Baliga, Rose and Ahmed 1992 for bone cement). Without losses each part of the reaction warms the
-block in proportion, T = T_0 + (Q / C) (a - a_0), with the heat Q and the heat capacity C per
-volume. The time up to a degree a is then an integral:
+(Baliga, Rose and Ahmed 1992 for bone cement). Q is the heat of the reaction, C the heat capacity,
+both per volume. Without losses the block warms in proportion, T = T_0 + (Q / C) (a - a_0). The time
+up to a degree a is then an integral:
 
     t = int_(a_0)^a  da / (da/dt).
 """
