@@ -456,7 +456,7 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     note = _note(law, f"{law.form} {len(faces)}")
     compiled = Pointwise(comm, len(normals), sizes, build, note)
     constant = {f: normals[:, k] for k, f in enumerate(faces)}
-    dual = np.linalg.pinv(normals).transpose(0, 2, 1)
+    dual = np.asarray(np.linalg.pinv(normals).transpose(0, 2, 1), dtype=np.float64)
     constant |= {d: dual[:, k] for k, d in enumerate(duals)}
     compiled.set(**constant)
     return compiled
