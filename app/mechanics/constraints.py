@@ -247,7 +247,7 @@ class Constraints:
             )
             rows = np.vstack([rows, given])
             wanted = [np.concatenate([w, np.zeros(len(given))]) for w in wanted]
-        basis, rank, amounts = _held_motions(scene, region, rows, wanted)
+        basis, rank, amounts = _constrained_motions(scene, region, rows, wanted)
         if comm.rank == 0:
             self._bases[place] = basis
             self.constrained[place : place + rank] = True
@@ -354,7 +354,7 @@ class Constraints:
         return u
 
 
-def _held_motions(
+def _constrained_motions(
     scene: Scene, region: str, rows: Floats, wanted: list[Floats]
 ) -> tuple[Floats, int, Floats]:
     """Basis (6, 6) of a body's motions, constrained ones first, their number, and amounts (s, 6).

@@ -40,9 +40,8 @@ from app.mechanics.contact_points import (
     with_rigid_regions,
 )
 from app.mechanics.finite_sliding import ACCURACY, FiniteSliding
-from app.mechanics.held_bodies import held_motions
 from app.mechanics.jump_coupling import JumpCoupling
-from app.mechanics.stiffness import Stiffness
+from app.mechanics.stiffness import Stiffness, support_resistance
 from app.numerics.rigid_motions import relative_resistance, rigid_modes, without
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
@@ -455,7 +454,7 @@ class ContactInterfaces:
         resistance = self.comm.allreduce(local)
         total = float(self.points.weight.sum())
         if self._held is None:
-            self._held = held_motions(self._body_forms, self._stiffness, *self.frame)
+            self._held = support_resistance(self._body_forms, self._stiffness, *self.frame)
         for body, held in self._held.items():
             of_body = slice(6 * body, 6 * body + 6)
             resistance[of_body, of_body] += total * held

@@ -1,4 +1,7 @@
-"""Stiffness of the bodies with the supports of a stage: constrained rows, reactions, inverse."""
+"""Stiffness of the bodies with the supports of a stage: constrained rows, reactions, inverse.
+
+`support_resistance` is the resistance of these supports to rigid motions of the bodies.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,19 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
+from dolfinx import fem
+from dolfinx.common import IndexMap
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.followers import Followers
 from app.numerics.preconditioners import CoarseOrder, Inverse, near_null_space, stiffness_options
+from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import renew
+from app.scene.bodies import facets_by_body
 from app.scene.frames import frames_of
+from meshes.contact_facets import projectors
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
 ROUNDING = 2.0
@@ -133,3 +141,56 @@ class Stiffness:
 def rounding(diagonal: PETSc.Vec, u: PETSc.Vec) -> float:
     """Rounding error of K u, from the terms of the diagonal."""
     return ROUNDING * float(np.finfo(float).eps) * float((diagonal * u).norm())
+
+
+def support_resistance(
+    body_forms: BodyForms, stiffness: Stiffness, centre: Floats, size: float
+) -> dict[int, Floats]:
+    """Resistance of active supports to rigid motions, by body (6, 6) [-]; collective.
+
+    The resistance is the square of the held part of each motion, as a mean over the nodes of a
+    boundary. A spring counts as a support, however soft it is. A body with a prescribed motion
+    resists rotation, and translation if `translation: held`.
+
+    Args:
+        body_forms: Supports, foundations and bodies.
+        stiffness: Stiffness of the stage whose supports are active.
+        centre: Point about which bodies rotate (3,) [mm].
+        size: Length by which rotations are divided [mm].
+    """
+    scene, bodies, space = body_forms.scene, body_forms.bodies, body_forms.space
+    frames, comm, x = stiffness.frames, body_forms.mesh.comm, space.tabulate_dof_coordinates()
+    conditions = [
+        (s.boundary, np.diag(s.components).astype(float), k)
+        for k, s in enumerate(scene.supports)
+        if scene.holds(s, stiffness.stage)
+    ]
+    conditions += [
+        (f.boundary, np.diag(np.sign(f.stiffness)).astype(float), -1) for f in scene.foundations
+    ]
+    held: dict[int, Floats] = {}
+    for boundary, directions, k in conditions:
+        for body, facets in facets_by_body(body_forms.tagged, bodies, boundary).items():
+            nodes = np.asarray(fem.locate_dofs_topological(space, 2, facets), dtype=np.int64)
+            P = np.tile(directions, (len(nodes), 1, 1))
+            if k >= 0 and frames is not None:
+                rows, places = _with_axes(frames.node, space.dofmap.index_map, nodes)
+                P[rows] = projectors(frames.axes[places], frames.along[places, k])
+            R = rigid_modes((x[nodes] - centre) / size)
+            part = comm.allreduce(np.einsum("nia,nij,njb->ab", R, P, R))
+            held[body] = held.get(body, 0.0) + part / (comm.allreduce(len(nodes)) or 1)
+    for motion in scene.motions:
+        body, part = bodies.of_region[motion.region], np.zeros((6, 6))
+        part[3:, 3:] = np.eye(3)
+        held[body] = np.eye(6) if motion.translation == "held" else held.get(body, 0.0) + part
+    return held
+
+
+def _with_axes(with_axes: Ints, index_map: IndexMap, nodes: Ints) -> tuple[Ints, Ints]:
+    """Rows of the local nodes that have local axes, and their indices in ``with_axes``.
+
+    ``with_axes`` are global numbers, rising.
+    """
+    every = index_map.local_to_global(nodes.astype(np.int32))
+    rows = np.flatnonzero(np.isin(every, with_axes))
+    return rows, np.searchsorted(with_axes, every[rows])

@@ -368,10 +368,10 @@ def _against_spread(
 
 def supported(problem: Problem) -> dict[int, Floats]:
     """Resistance of active supports and foundations to rigid motions, by body (6, 6)."""
-    from app.mechanics.held_bodies import held_motions  # brings dolfinx
+    from app.mechanics.stiffness import support_resistance  # brings dolfinx
 
     assert problem.contact is not None
-    return held_motions(problem.body_forms, problem.stiffness, *problem.contact.frame)
+    return support_resistance(problem.body_forms, problem.stiffness, *problem.contact.frame)
 
 
 def turning(problem: Problem) -> list[int]:

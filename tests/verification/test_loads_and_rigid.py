@@ -10,7 +10,7 @@ import pytest
 
 from app.case.case import load
 from app.foundation.errors import InputError
-from app.mechanics.constraints import _held_motions
+from app.mechanics.constraints import _constrained_motions
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from tests import support
@@ -251,14 +251,14 @@ def test_rigid_region_many_held_nodes_take_little_memory() -> None:
     motion = random.normal(size=6)
     scene = SimpleNamespace(supports=[SimpleNamespace(history=(1.0,), name="held")])
     tracemalloc.start()
-    basis, rank, (amounts,) = _held_motions(scene, "region", rows, [rows @ motion])
+    basis, rank, (amounts,) = _constrained_motions(scene, "region", rows, [rows @ motion])
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert rank == 6
     np.testing.assert_allclose(basis @ amounts, motion, rtol=1e-9)
     assert peak < 20 * rows.nbytes
     # A roller on one node leaves five motions, and the basis says which.
-    basis, rank, _ = _held_motions(scene, "region", rows[:1], [np.zeros(1)])
+    basis, rank, _ = _constrained_motions(scene, "region", rows[:1], [np.zeros(1)])
     assert rank == 1 and np.abs(rows[:1] @ basis[:, 1:]).max() < 1e-12
 
 
