@@ -162,8 +162,10 @@ class KeptFactors:
 
     def __init__(self) -> None:
         self.made = 0
+        # Matrices and applications since the last factorization.
         self._solves = self._applied = 0
-        self._seen = self._current = -1
+        # PETSc's state numbers of the matrix last seen, and of the matrix factored.
+        self._seen = self._factored = -1
         self._entries = 0.0
 
     def setUp(self, pc: PETSc.PC) -> None:
@@ -173,13 +175,17 @@ class KeptFactors:
             self._factor()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve with the current factors, or with new ones if due; collective."""
+        """Solve with the current factors, or with new ones if due; collective.
+
+        New factors are due if the matrix has changed, and its diagonal by more than `MOVED`, or if
+        the old factors have cost `WORTH` more applications than there were matrices.
+        """
         state = self._of.stateGet()
-        moved = False
+        far = False
         if state != self._seen:
-            self._seen, moved = state, self._moved()
+            self._seen, far = state, self._far()
             self._solves += 1
-        if state != self._current and (moved or self._applied - self._solves >= WORTH):
+        if state != self._factored and (far or self._applied - self._solves >= WORTH):
             self._factor()
         self._applied += 1
         self._x.array[:] = np.concatenate([v.array_r for v in _parts(x)])
@@ -191,7 +197,8 @@ class KeptFactors:
         # A block vector does not notice changes of its blocks, and caches its norm.
         y.stateIncrease()
 
-    def _moved(self) -> bool:
+    def _far(self) -> bool:
+        """Return True if the diagonal differs much from that of the factored matrix; collective."""
         diagonal = self._of.getDiagonal()
         diagonal.axpy(-1.0, self._diagonal)
         return float(diagonal.norm(PETSc.NormType.N1)) > MOVED * self._size
@@ -200,7 +207,8 @@ class KeptFactors:
         nest = self._of.getType() == "nest"
         block = self._of.getNestSubMatrix(0, 0) if nest else self._of
         entries = block.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-        if new := entries != self._entries:  # the first, or of another pattern
+        new = entries != self._entries  # the first matrix, or another pattern
+        if new:
             self._joined = PETSc.Mat() if nest else self._of
             self._pc = PETSc.PC().create(self._of.comm)
             self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
@@ -218,7 +226,7 @@ class KeptFactors:
         self._diagonal = self._of.getDiagonal()
         self._size = float(self._diagonal.norm(PETSc.NormType.N1))
         self.made += 1
-        self._seen = self._current = self._of.stateGet()
+        self._seen = self._factored = self._of.stateGet()
         self._solves, self._applied = 1, 0
         if self.made == 1:
             self._x, self._y = self._joined.createVecs()

@@ -255,7 +255,8 @@ class BodyForms:
         values = values.reshape(volumes.shape)
         if not mean:
             return values
-        return np.asarray(np.average(values, axis=1, weights=volumes, keepdims=True))
+        means = np.average(values, axis=1, weights=volumes, keepdims=True)
+        return np.asarray(means, dtype=np.float64)
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
@@ -269,7 +270,7 @@ class BodyForms:
         """Vertices of a region's owned cells (cells, 4), as numbered in `scalars`."""
         return self.scalars.dofmap.list[self.region_cells(region)]
 
-    def vertex_sums(self, vertices: NDArray[np.int32], values: Floats) -> Floats:
+    def vertex_sums(self, vertices: NDArray[np.int32], values: Floats | float) -> Floats:
         """Sums of the values of all ranks at vertices of this one, ghosts too (n,); collective."""
         total = la.vector(self.scalars.dofmap.index_map)
         np.add.at(total.array, vertices, values)

@@ -53,14 +53,14 @@ from meshes.contact_points import RIGIDLY, contact_points
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
-# A body is brought this much further than where it touches: some points are then in contact, as in
-# the answer.
+# Bodies without contact are moved by this multiple of the distance to the first contact, so that
+# some points are in contact.
 BEYOND = 1.25
-# Points count for that if the cosine between their normal and the way is above this.
+# Points count for this distance if the cosine of normal and direction of motion is above this.
 FACING = 0.1
 # A rigid motion of bodies is free if its resistance is below this part of the largest one.
 FREE = 1e-10
-# A body takes part in a free motion of unit size if this part of the motion, or more, is its part.
+# A body takes part in a free motion of unit size if its components have at least this size.
 MOVES = 1e-3
 # A motion changes no gap if its resistance, a slope squared, is below this part of the largest one.
 UNRESISTED = 1e-14
@@ -84,7 +84,7 @@ class TrialState:
     def rubbing(self) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
-        Exactly zero where a point is open or sticks, whatever the solver's tolerance leaves.
+        Both are exactly zero where a point is open or sticks, without errors of the solver.
         """
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.local.normals)
@@ -106,7 +106,7 @@ class TrialState:
         return np.asarray((self.law.pressures > 0) | nearly)
 
     def slip(self, friction: Floats) -> Floats:
-        """Irreversible tangential motion, under friction (n, 3) [MPa]: (n, 3) [mm].
+        """Irreversible tangential motion (n, 3) [mm] under a friction (n, 3) [MPa].
 
         In contact it is d_T of eq. 3 without its elastic part. It is a state and has no history. In
         finite sliding it is the sum over the steps.
@@ -180,14 +180,15 @@ class ContactInterfaces:
         facets: All interface facets, replicated.
         edge_lengths: Mean edge of the facets of each interface [mm].
         local: The points of this rank.
-        coupling: Their coupling to the displacement.
-        law: Their laws.
-        state: Their committed state.
+        coupling: Coupling of the jumps to the displacement.
+        law: Laws at the local points.
+        state: Committed state of the local points.
         gap: Initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
-        committed_at: Jumps at which they were paired in the committed state (n, 3) [mm].
-        carried: Committed jumps, with the pairs of now (n, 3) [mm].
-        reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
+        committed_at: Jumps at the last pairing of the committed state (n, 3) [mm]; None with small
+            sliding.
+        carried: Committed jumps relative to the current pairs (n, 3) [mm].
+        reference: Jumps with zero slip relative to the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
 
     Raises:
@@ -231,8 +232,9 @@ class ContactInterfaces:
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
         self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
         self._by_supports = self._jumps_by_supports()
-        held = stiffness.constraints
-        self.coupling = JumpCoupling(body_forms, held, entries, self._number, len(rows))
+        self.coupling = JumpCoupling(
+            body_forms, stiffness.constraints, entries, self._number, len(rows)
+        )
         self.finite_sliding: FiniteSliding | None = None
         if stiffness.followers:
             dof = self.points.dof[rows]
@@ -323,12 +325,11 @@ class ContactInterfaces:
             return False
         rows = self.finite_sliding.rows
         pressure = trial.law.pressures[rows, 0]
-        wrong = self.law.local_stiffness[rows] * self.finite_sliding.error(
-            self._paired_at, trial.jump
-        )
-        local = pressure.max(initial=0.0), wrong[pressure > 0].max(initial=0.0)
-        largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
-        if by <= ACCURACY * largest:
+        gap_error = self.finite_sliding.error(self._paired_at, trial.jump)
+        error = self.law.local_stiffness[rows] * gap_error
+        local = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
+        largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
+        if largest_error <= ACCURACY * largest_pressure:
             return False
         self.pair_at(trial.jump)
         return True
@@ -343,7 +344,7 @@ class ContactInterfaces:
 
     @property
     def reference(self) -> Floats:
-        """Jumps at which nothing has slid since the last committed step (n, 3) [mm]."""
+        """Jumps with zero slip relative to the last committed step (n, 3) [mm]."""
         return (
             self.carried
             if self.finite_sliding is None
@@ -498,25 +499,26 @@ class ContactInterfaces:
         return bool(self.comm.allreduce(bool(self.law.opened.any()), MPI.LOR))
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Bring bodies that touch nothing to where forces f [N] push them; collective.
+        """Move bodies without contact along forces f [N] until they overlap slightly; collective.
 
-        Further than where their points touch. From there Newton finds which do, however small the
-        load: not from afar.
+        Newton's method then starts with active contact points, however small the load is. From
+        afar it would not find them.
         """
         if self.finite_sliding is None:
             return
         rows, constraints = self.finite_sliding.rows, self._stiffness.constraints
         pushed = constraints.pushed(f)
-        way = constraints.expand(pushed).array_r.reshape(-1, 3)[self.finite_sliding.nodes]
+        direction = constraints.expand(pushed).array_r.reshape(-1, 3)[self.finite_sliding.nodes]
         gap = self._clearance[rows] + self.finite_sliding.paired.gap
-        along = np.einsum("pi,pi->p", self.local.normals[rows, 0], way)
-        before = along > FACING * np.linalg.norm(way, axis=1)
-        near = float(np.min(gap[before] / along[before], initial=np.inf))
-        touch = (gap <= 0).any() or self.state.force[rows].any()
-        reach = self.comm.allreduce(0.0 if touch else near, MPI.MIN)
-        if np.isfinite(reach):
-            u.axpy(BEYOND * reach, pushed)
-            q.array.reshape(-1, 3)[rows] -= BEYOND * reach * way
+        along = np.einsum("pi,pi->p", self.local.normals[rows, 0], direction)
+        ahead = along > FACING * np.linalg.norm(direction, axis=1)
+        nearest = float(np.min(gap[ahead] / along[ahead], initial=np.inf))
+        touches = (gap <= 0).any() or self.state.force[rows].any()
+        # Multiple of the direction up to the first contact.
+        distance = self.comm.allreduce(0.0 if touches else nearest, MPI.MIN)
+        if np.isfinite(distance):
+            u.axpy(BEYOND * distance, pushed)
+            q.array.reshape(-1, 3)[rows] -= BEYOND * distance * direction
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
@@ -524,7 +526,7 @@ class ContactInterfaces:
         return {self._contacts[i].name: value for i, value in values.items()}
 
     def whole(self, values: Floats) -> Floats:
-        """Values at all points, from those at local ones (n, ...); collective."""
+        """Gather values (n, ...) of local points to the values of all points; collective."""
         return np.asarray(gather(self.comm, values)[0][self._number])
 
     @property
@@ -535,7 +537,7 @@ class ContactInterfaces:
     # Residual and Jacobian
 
     def trial(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> TrialState:
-        """A trial state: displacement and jumps, under forces f_q on the jumps [N]."""
+        """Trial state at a displacement and jumps, under forces f_q on the jumps [N]."""
         e = self.coupling.equilibrium(u, q, f_q).copy()
         jump = self.with_prescribed(q.array.reshape(-1, 3))
         return TrialState(self, e, jump, self.evaluate(e, jump))
@@ -547,8 +549,9 @@ class ContactInterfaces:
     def multiplier(self, e: Floats) -> Floats:
         """Multiplier part of the trial force (n, 3) [MPa].
 
-        An elastic layer of compliance C is exact contact of D - C (F - F_old), across without
-        F_old: S = F + r (D - C (F - F_old)) yields it for any r.
+        With an elastic layer of compliance C, contact is exact for the jump without the stretch of
+        the layer, D - C (F - F_old). F_old is the last friction; it has no normal part. The trial
+        force S = F + r (D - C (F - F_old)) gives this contact for any r.
         """
         F, layers = self.forces(e), np.eye(3) - self.law.multiplier_share
         return F - np.einsum("pij,pj->pi", layers, F - self.state.friction)
@@ -572,7 +575,7 @@ class ContactInterfaces:
         return free(r) + scale[:, None] * (q - free(q) - self.prescribed)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
-        """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
+        """Factors (n, 3, 3) of [C^T, D] in the Jacobian rows, and blocks (n, 3, 3) added to D."""
         held, weight = self.local.projector, self.local.weight
         free = np.eye(3) - held
         P = free @ law.by_multiplier @ self.law.multiplier_share @ free

@@ -43,7 +43,8 @@ class Control(Protocol):
     def judge(self, step: Step, error: float) -> bool:
         """Return True if a step is accepted, and choose the length of the next one.
 
-        ``error`` is over its tolerance, or a count of iterations; infinite if it was not solved.
+        ``error`` is the error over its tolerance, or a number of iterations. It is infinite if the
+        step was not solved.
         """
 
 
@@ -93,7 +94,7 @@ class Progress:
     Attributes:
         step: Length of the next step, as a part of the path; 0 if no path has been begun.
         done: Completed part of the path.
-        cuts: Number of halvings of the step minus that of its increases since.
+        cuts: Number of halvings of the step minus the number of its increases since.
     """
 
     step: float = 0.0
@@ -103,7 +104,10 @@ class Progress:
     def next(self, whole: float) -> Step:
         """Return the next step; it does not exceed the end of the current increment.
 
-        It reaches that end if hardly anything would be left before it.
+        It reaches this end if less than a thousandth of a step would be left.
+
+        Args:
+            whole: Length of an increment, as a part of the path.
         """
         goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
         if goal > 1.0 - 1e-9:
@@ -150,11 +154,11 @@ class GivenSteps:
 
     @property
     def finished(self) -> bool:
-        """Return True if all are done."""
+        """Return True if all steps are done."""
         return not self._left
 
     def propose(self) -> Step:
-        """Return the next one."""
+        """Return the next step."""
         return self._left[0]
 
     def judge(self, step: Step, error: float) -> bool:
