@@ -253,10 +253,9 @@ class BodyForms:
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)
-        if not mean:
-            return values
-        means = np.average(values, axis=1, weights=volumes, keepdims=True)
-        return np.asarray(means, dtype=np.float64)
+        if mean:
+            values = np.average(values, axis=1, weights=volumes, keepdims=True)
+        return np.asarray(values, dtype=np.float64)
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
