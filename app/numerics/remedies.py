@@ -1,4 +1,4 @@
-"""A nonlinear solve, with remedies tried in turn where Newton's method does not converge."""
+"""A nonlinear solve, with remedies that are tried where Newton's method does not converge."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from app.numerics.system import Contact
 
 log = logging.getLogger("mantle")
 
-# Factors of the augmentation tried in turn, and whether Newton continues from the current state or
-# from the start: mostly the augmentation is too large. None: the line search is switched.
+# Factors of the augmentation in the order of trial. True: Newton continues from the current state,
+# else from the start. Mostly the augmentation is too large. None: the line search is switched.
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.foundation.arrays import Floats, Ints
 
-DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for axis in "xyz"]
+DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "rotate about") for axis in "xyz"]
 # Part (squared) of a named motion among the free ones from which it is free.
 WITHIN = 0.9
 # Part outside the motions already named from which it is named too.
@@ -33,7 +33,7 @@ def rigid_modes(x: NDArray[np.floating]) -> Floats:
 
 
 def rotation_vector(R: Floats) -> Floats:
-    """Vector (3,) of a rotation (3, 3) by less than half a turn [rad]."""
+    """Vector (3,) of a rotation (3, 3) by less than π [rad]."""
     from scipy.spatial.transform import Rotation  # imported late: few cases rotate a region
 
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
@@ -129,12 +129,12 @@ def _oblique(v: Floats) -> str:
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))]) + 0.0
     k = int(np.argmax(axis))
     text = "xyz"[k] if axis[k] > ALIGNED else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
-    return f"turn about an axis along {text}" if rotates else f"move along {text}"
+    return f"rotate about an axis along {text}" if rotates else f"move along {text}"
 
 
 def _sentence(names: Sequence[str], words: Sequence[str]) -> str:
     doing = []
-    for verb in ("move along", "turn about"):
+    for verb in ("move along", "rotate about"):
         axes = [w.removeprefix(verb).strip() for w in words if w.startswith(verb)]
         if axes:
             doing.append(f"{verb} {', '.join(axes)}")

@@ -36,7 +36,7 @@ def moved(*overrides: str) -> float:
 
 @pytest.mark.parametrize(
     ("overrides", "mode"),
-    [((TWIST,), "turn about z"), (("geometry.taper=0 deg",), "move along z")],
+    [((TWIST,), "rotate about z"), (("geometry.taper=0 deg",), "move along z")],
 )
 def test_facets_frictionless_stem_is_free(overrides: tuple[str, ...], mode: str) -> None:
     """To turn in its taper, to fall out of a straight hole."""
@@ -50,7 +50,9 @@ def test_facets_bodies_held_by_curved_facets_alone_are_named() -> None:
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH, TWIST, "mesh.order=2")
     said = str(caught.value)
-    assert re.search("only the facets of the mesh hold body 'stem': .* free to turn about z", said)
+    assert re.search(
+        "only the facets of the mesh hold body 'stem': .* free to rotate about z", said
+    )
 
 
 @pytest.mark.parametrize("overrides", [SMOOTH, (TWIST,), (*SMOOTH, "mesh.size=5 mm")])

@@ -144,8 +144,11 @@ def test_well_posedness_sound_case_has_no_note() -> None:
 @pytest.mark.parametrize(
     ("change", "free"),
     [
-        ("friction_coefficient=0", "x, y and to turn about z: contact on 'bone_metal' has no fric"),
-        ("gap=0.01 mm", "x, y, z and to turn about x, y, z until 'bone_metal' closes"),
+        (
+            "friction_coefficient=0",
+            "x, y and to rotate about z: contact on 'bone_metal' has no fric",
+        ),
+        ("gap=0.01 mm", "x, y, z and to rotate about x, y, z until 'bone_metal' closes"),
     ],
 )
 def test_well_posedness_notes_bodies_held_by_contact_alone(change: str, free: str) -> None:
@@ -160,16 +163,16 @@ def test_well_posedness_notes_bodies_held_by_contact_alone(change: str, free: st
 def test_well_posedness_frictionless_pin_and_taper(order: int) -> None:
     chosen = f"mesh.order={order}"
     turning = [n for n in judged(PIN, chosen) if "holds body" in n]
-    assert len(turning) == 1 and "body 'stem': it is free to turn about z:" in turning[0]
+    assert len(turning) == 1 and "body 'stem': it is free to rotate about z:" in turning[0]
     rough = "interfaces.stem_cement.friction_coefficient=0.1"
     assert not [n for n in judged(PIN, chosen, rough) if "holds body" in n]
     loose = "supports={base: {kind: fixed, boundary: bone_bottom}}"
     (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=1.5 deg") if "holds" in n]
     assert (
-        "'stem': it is free to move along z and to turn about z: contact on 'stem_cement'" in note
+        "'stem': it is free to move along z and to rotate about z: contact on 'stem_cement'" in note
     )
     (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=6 deg") if "holds" in n]
-    assert "'stem': it is free to turn about z:" in note  # the cone is steep enough
+    assert "'stem': it is free to rotate about z:" in note  # the cone is steep enough
 
 
 def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,8 +192,8 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
     assert apart.startswith("interfaces.bone_metal: no facet between bone and metal; ")
     error = BodiesOnMesh(case, cracked).unheld()[0].text
     assert error.startswith(
-        "supports: nothing holds body 'metal': it is free to move along x, y, z and to turn about "
-        "x, y, z, by a support"
+        "supports: nothing holds body 'metal': it is free to move along x, y, z and to rotate "
+        "about x, y, z, by a support"
     )
     assert "regions 'bone' and 'metal'" in crack and "nodes coincide" in crack
     monkeypatch.setattr(meshes, "build", lambda *_: data)
@@ -200,13 +203,15 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_well_posedness_refuses_a_free_rotation() -> None:
-    """Nodes on one edge hold all axes and leave a turn about the edge."""
+    """Nodes on one edge hold all axes and leave a rotation about the edge."""
     case = support.case(TWO, "interfaces={}")
     found = well_posedness.look(case, build(case))
     ((piece, nodes),) = found.boundaries["bottom"].items()
     edge = {piece: nodes[found.x[nodes, 1] < 1e-9]}
     held = replace(found, boundaries={**found.boundaries, "bottom": edge})
-    with pytest.raises(InputError, match="it is free to turn about an axis along x, by a support"):
+    with pytest.raises(
+        InputError, match="it is free to rotate about an axis along x, by a support"
+    ):
         well_posedness.judge(case, held)
 
 
@@ -390,9 +395,9 @@ def test_rigid_motions_free_ones_are_named() -> None:
         motion(b, np.array(a), centres[b]) for b, a in ((0, [0, 0, 1]), (1, [0.6, 0, 0.8]))
     )
     for v, said in (
-        (turn, "body 'a': it is free to turn about z"),
+        (turn, "body 'a': it is free to rotate about z"),
         (np.tile([1.0, 0, 0, 0, 0, 0], 2), "bodies 'a' and 'b': they are free to move along x tog"),
-        (oblique, "body 'b': it is free to turn about an axis along (0.60, 0.00, 0.80)"),
+        (oblique, "body 'b': it is free to rotate about an axis along (0.60, 0.00, 0.80)"),
     ):
         (text,) = describe(v[:, None], names, centres, origin, size)
         assert text.startswith(f"nothing holds {said}")
