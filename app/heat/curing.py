@@ -71,7 +71,7 @@ def admissible(degrees: Floats) -> bool:
 
 
 class PrescribedKinetics:
-    """Cure as a function of time, whatever the temperature."""
+    """Cure as a function of time, independent of temperature."""
 
     def __init__(self, terms: Prescribed, initial: float) -> None:
         self._time_course, self._initial = terms.rate, initial

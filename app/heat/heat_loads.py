@@ -140,7 +140,7 @@ class FixedTemperatures:
         return np.array([*factors, 0.0])[:, None] * self._values
 
     def by_body(self, values: Floats) -> Floats:
-        """Given temperatures of each body (b, n) [K], zero elsewhere, from those of conditions."""
+        """Given temperatures of each body (b, n) [K], zero elsewhere, by condition."""
         return np.asarray(values[self.of_body, self._nodes])
 
     def blocks(self, values: Floats, jumps: TemperatureJumps | None) -> list[Floats]:

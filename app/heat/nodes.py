@@ -45,7 +45,7 @@ class ThermalNodes:
     volume: Floats
 
     def values(self, temperatures: Sequence[fem.Function]) -> Floats:
-        """Temperatures of the nodes (n,) [K], from those of the bodies."""
+        """Temperatures of the nodes (n,) [K], from the temperatures of the bodies."""
         return np.asarray(temperatures[self.body].x.array[self.dof], dtype=np.float64)
 
 

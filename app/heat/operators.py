@@ -129,7 +129,7 @@ class HeatOperators:
         """Temperature of owned nodes of each body (b, n) [K], meaningless outside the body.
 
         Args:
-            x: Temperature of owned nodes, and with jumps those of owned points.
+            x: Temperature of owned nodes, with jumps also of owned points.
         """
         return x[0].array_r + self.added(x[-1])
 

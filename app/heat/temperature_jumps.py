@@ -8,7 +8,7 @@ interfaces excluded, and q the heat from master to slave per area,
 
 W the areas of the points. A large conductance makes jumps small and causes no cancellation; without
 any the two sides are decoupled. Where interfaces meet, or one or both sides have given
-temperatures, the rules are those of displacement (`meshes.contact_points`).
+temperatures, the rules of displacement hold (`meshes.contact_points`).
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class CycleTable(Section):
 
     Columns by name with their units, in any order: `time [s]`, `rotation x [deg]`, `rotation y`,
     `rotation z`, and `force [N]` or `force x`, `force y`, `force z`. One table serves motions and
-    loads, which take what is theirs.
+    loads, which use their columns.
     """
 
     model_config = ConfigDict(json_schema_extra={"type": ["object", "array", "string"]})
@@ -39,7 +39,7 @@ class CycleTable(Section):
     """Lines of the table, the first with its columns. Alone they stand for the section, as do the
     name of a file and one of the library (`mantle explain cycle_tables`)."""
     status: Status = None
-    """How sure its values are; unverified are those of a source that was not read."""
+    """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
     """Where its values are from."""
 

@@ -95,8 +95,7 @@ class ModulusField(Extensible):
     """
 
     per_cell: Truth = False
-    """Whether it is the mean over each cell, as other programs read it; it always is at first
-    order."""
+    """True for the mean over each cell, as other programs read it; at first order always so."""
 
     @property
     def largest(self) -> float:

@@ -457,7 +457,7 @@ class Traction(InterfaceLaw):
     def remembered(
         self, gap: Expr, normals: Faces, internal_variables: InternalVariables
     ) -> Mapping[str, Expr]:
-        """Internal variables at a gap, by name, from those of the last converged state."""
+        """Internal variables at a gap, by name, from their values in the last converged state."""
         return {}
 
     def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:

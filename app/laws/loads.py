@@ -90,7 +90,7 @@ class Load(Extensible, Named):
 
     # True if its direction is fixed in space while its body rotates.
     fixed_in_space: ClassVar[bool] = False
-    # Value at a time where no history tells it.
+    # Value at a time, if no history gives it.
     _value: Callable[[float], float] | None = PrivateAttr(None)
 
     # A `Literal` in each subclass.
@@ -98,7 +98,7 @@ class Load(Extensible, Named):
     history: LoadHistory = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
     status: Status = None
-    """How sure its values are; unverified are those of a source that was not read."""
+    """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
     """Where its values are from. A change of one of them removes status and source below it."""
 

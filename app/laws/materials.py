@@ -107,7 +107,7 @@ class Material(OfRegion):
     thermal: Thermal | None = None
     """Heat conduction. Give it for all regions or for none."""
     status: Status = None
-    """How sure its values are; unverified are those of a source that was not read."""
+    """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
     """Where its values are from. A change of one of them removes status and source below it."""
 

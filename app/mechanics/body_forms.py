@@ -80,7 +80,7 @@ class SurfaceMeasure:
         return None if number is None else self._measure(number)
 
     def facets_on(self, body: int) -> Domains:
-        """Return all subdomains, those of other bodies without facets."""
+        """Return all subdomains; subdomains of other bodies have no facets."""
         of_body = {number for (_, b), number in self._number.items() if b == body}
         return [(k, f if k in of_body else f[:0]) for k, f in self.facets]
 
@@ -283,7 +283,7 @@ class BodyForms:
         return np.asarray(nodal[self.vertices(region)] @ hats(points).T)
 
     def follow_density(self) -> None:
-        """Set the moduli that follow densities to those of them; collective."""
+        """Update the moduli that follow densities; collective."""
         for e in self.scene.elastic:
             if e._density:
                 self._relative_stiffness(e, self._relative[e.region])

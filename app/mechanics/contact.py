@@ -363,8 +363,8 @@ class ContactInterfaces:
         """Constrain interfaces that have to close to hold a body, or release all; collective.
 
         Such an interface was open everywhere so far. Or it is open in part and joins a body that
-        neither supports nor its touching points hold. The sides of a constrained
-        interface touch and stick: this brings the body to the one against which it is pushed.
+        neither supports nor its touching points hold. The sides of a constrained interface touch
+        and stick, which moves the body into contact.
 
         Returns:
             True if interfaces are constrained.

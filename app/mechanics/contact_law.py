@@ -106,8 +106,8 @@ class PointLaw:
         has_contact: True where the law is contact, or has contact of the debonded area (n,).
         dissipates: True where the law declares the energy that it dissipates (n,).
         internal_variables: Shapes of the internal variables of the laws, by name.
-        constrained: Points that stick, whatever their law (n,).
-        opened: Points without contact force, whatever their law (n,). Layers and cohesion act.
+        constrained: Points that stick, for any law (n,).
+        opened: Points without contact force, for any law (n,). Layers and cohesion still act.
         local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: Current stiffness of the trial force (n,) [MPa/mm].

@@ -146,7 +146,7 @@ def with_rigid_regions(
     holds: Holds,
     axes: Mapping[int, Floats],
 ) -> Holds:
-    """Return supports at vertices of interfaces, with those of rigid regions; collective.
+    """Return supports at vertices of interfaces, on rigid regions too; collective.
 
     A rigid region is held at a vertex if its supports, wherever they are, prescribe the motion of
     the vertex under all constraints.

@@ -131,7 +131,7 @@ class CreepState:
         return (G3 * Δe / s)[:, None] * deviator(trial)
 
     def _clock(self, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """At log stresses y: m, its slope, log τ of the strain so far, and how fast it falls."""
+        """Return m, dm/dy, log τ of the strain so far and -m d(log τ)/dy at y = log s (n,)."""
         law = self._law
         slope = law["m1"] / np.log(10)
         m = law["m0"] + slope * y

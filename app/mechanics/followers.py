@@ -73,7 +73,7 @@ def refuse_motions(body_forms: BodyForms) -> None:
 class Followers:
     """Nodes of the slaves of interfaces with finite sliding, which follow their masters.
 
-    Made collectively. Owned nodes are those of this rank.
+    Made collectively.
 
     Attributes:
         sides: Master and slave of each interface, by its number.
@@ -81,9 +81,9 @@ class Followers:
         slaves: Body and owned nodes of the slave of each interface.
         masters: Owned vertices of the masters that deform.
         following: Global dofs of nodes that follow others, rising (n,).
-        rotating: Owned nodes of each deformable body that rotates, and those of its driven
-            boundary, by motion.
-        rotations: Rotation of each of them (3, 3).
+        rotating: Owned nodes of each deformable body that rotates, and of its driven boundary, by
+            motion.
+        rotations: Rotation of each motion (3, 3).
         pairs: Rows of Π of each interface.
         changed: True if G has changed since `matrix`.
     """
@@ -221,7 +221,7 @@ class Followers:
         return rotated
 
     def matrix(self) -> PETSc.Mat:
-        """G, from displacements of nodes that follow none to those of all; collective."""
+        """G: displacements of all nodes from those that follow no other; collective."""
         self.changed = False
         low, high = self._map.local_range
         free = np.setdiff1d(np.arange(low, high), self.following)

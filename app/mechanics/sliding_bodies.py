@@ -64,7 +64,7 @@ class SlidingBodies:
         return np.asarray(self._body_forms.u.x.array[: 3 * nodes].reshape(-1, 3))
 
     def _by_body(self) -> Moved:
-        """Displacement of owned nodes, those of slaves with their jumps; collective."""
+        """Displacement of owned nodes, on slaves with their jumps; collective."""
         nodal = self._nodal.copy()
         for body, nodes in self._followers.slaves:
             nodal[nodes] = self._moved[body].x.array.reshape(-1, 3)[nodes]
@@ -114,7 +114,10 @@ class SlidingBodies:
         self._express(self._committed, u, q)
 
     def pair(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:
-        """As `ContactInterfaces.pair`; updated displacements are kept, in u and q; collective."""
+        """Pair points anew if their gaps are wrong; return True if so; collective.
+
+        Updated displacements are kept; u and q express them in the new pairs.
+        """
         moved = self._by_body()
         if not self._contact.pair(trial):
             return False

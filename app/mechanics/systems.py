@@ -196,7 +196,7 @@ class ContactSystem(BondedSystem):
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def _moves_loosely(self) -> bool:
-        """Return True if forces push bodies where nothing touches them; collective."""
+        """Return True if forces move bodies that only open points resist; collective."""
         contact, law = self.contact, self.trial.law
         motions = contact.loose_motions(law.status)
         if not motions.shape[1]:
@@ -208,7 +208,7 @@ class ContactSystem(BondedSystem):
     def _work(self, motions: Floats, forces: Floats) -> Floats:
         """Work of the loads, and of forces on jumps (n, 3) [N], in motions (k,); collective.
 
-        The motions are those of all bodies (6 bodies, k).
+        ``motions`` are rigid motions of all bodies (6 bodies, k).
         """
         moved = self.contact.relative_motion(motions)
         loads = [displacement_by(self._problem, m).dot(self._problem.f) for m in motions.T]

@@ -58,7 +58,7 @@ size_t factorize_but_last(cholmod_sparse *, cholmod_factor *, double *, size_t, 
 #define CHOLMOD_Lt ...
 """
 HEADER = "suitesparse/cholmod.h"
-# The handler of CHOLMOD's errors has no argument of ours: what it copies is static.
+# The handler of CHOLMOD's errors has no user argument: the place that it copies is static.
 SOURCE = """
 #include <string.h>
 static struct { cholmod_factor *L; double *to; size_t start, count; } last;
@@ -174,7 +174,7 @@ class Cholesky:
         )
 
     def _whole(self, rows: csr_array) -> csc_array:
-        """The whole matrix, with the empty columns; what is below its diagonal is not read."""
+        """The whole matrix, with the empty columns; entries below its diagonal are not read."""
         n, last = self._n, self._empty + self._m
         E = rows[:, n:]
         # Row n has entries in all columns from n on.

@@ -67,7 +67,7 @@ LITTLE = 0.01
 
 
 class Condensable(Protocol):
-    """Interface between condensation and contact; arrays are those of local points.
+    """Interface between condensation and contact; arrays have rows of local points.
 
     Attributes:
         factors: T and B at the last state, (n, 3, 3) each.

@@ -37,7 +37,7 @@ class CoarseSpace:
 
     Attributes:
         displacement: The rows of the displacement.
-        jump: The rows of the jumps in the free directions, as of `version`.
+        jump: The rows of the jumps in the free directions of this `version`.
         version: Number of changes; 0 while there are no motions.
 
     Args:

@@ -118,7 +118,7 @@ def step(
 
 
 def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:
-    """Rate of change of a state, from an implicit step short beside all time scales [s]."""
+    """Rate of change of a state, from an implicit step much shorter than all time scales [s]."""
     solution = solve(y, shortest, seconds + shortest, y)
     if solution is None:
         return None

@@ -23,7 +23,7 @@ ORDER = 7  # of elimination
 METIS = 5  # nested dissection by METIS
 SPACE = 14  # working space beyond the estimate [%]
 HALF = 50
-SYSTEM = 26  # what is solved
+SYSTEM = 26  # system that is solved
 FIRST_ALONE = 0  # A alone
 # Numbers of its results.
 OPERATIONS = 1  # of the elimination

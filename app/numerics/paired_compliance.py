@@ -83,4 +83,4 @@ def _inverse(S: Floats) -> Floats:
     if bad:
         raise ArithmeticError("LAPACK: bodies have no stiffness")
     A, _ = lapack.dpotri(L, overwrite_c=True)
-    return np.asarray(A + np.triu(A, 1).T)  # what is below the diagonal is zero
+    return np.asarray(A + np.triu(A, 1).T)  # entries below the diagonal are zero

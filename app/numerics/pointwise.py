@@ -155,7 +155,7 @@ class Pointwise:
             array[space.dofmap.list[cells, 0]] = np.reshape(value, (-1, size))
 
     def named(self, **values: Floats) -> dict[str, Floats]:
-        """As a call, at all points, by name."""
+        """Set inputs; return the values of the expressions (n, ...) at all points, by name."""
         return dict(zip(self.outputs, self(None, **values), strict=True))
 
     def __call__(self, rows: Ints | None = None, /, **values: Floats) -> list[Floats]:
@@ -191,7 +191,7 @@ def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
     """Path of the note of a law; None without a cache.
 
     Args:
-        law: Key that tells it from others of the same sources.
+        law: Key of the law among the laws of the same sources.
         sources: All modules that define it.
     """
     folder = folders.cache("laws")

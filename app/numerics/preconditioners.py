@@ -114,7 +114,7 @@ def on_one_rank(options: Options, ranks: int) -> Options:
 
 
 class CoarseOrder:
-    """Displacements of first order below those of second order, whose unknowns are nodal."""
+    """First-order displacements as coarse level of second-order ones with nodal unknowns."""
 
     def __init__(self, fine: fem.FunctionSpace, constrained: Callable[[], Bools]) -> None:
         self._fine, self._constrained = fine, constrained
@@ -282,7 +282,7 @@ def options_set(prefix: str | None, options: Options) -> Iterator[None]:
     try:
         yield
     finally:
-        asked = ctypes.c_int()  # petsc4py does not tell whether PETSc has asked for an option
+        asked = ctypes.c_int()  # petsc4py cannot report whether PETSc has asked for an option
         for key in options:
             name = f"{database.prefix or ''}{key}".encode()
             PETSC.PetscOptionsUsed(None, name, ctypes.byref(asked))

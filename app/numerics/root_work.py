@@ -17,7 +17,7 @@ NAP = 2e-4
 
 
 def cores(comm: MPI.Comm) -> int:
-    """Number of cores that this rank and those beside it on its node may use; collective."""
+    """Number of cores that all ranks on this node may use together; collective."""
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     number = min(node.size, len(os.sched_getaffinity(0)))
     node.Free()

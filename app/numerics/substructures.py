@@ -253,11 +253,12 @@ def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Int
 
 
 def vertex_cover(pairs: Ints) -> Ints:
-    """Fewest nodes of which each pair (n, 2) has one; first and second ones are different nodes.
+    """Smallest set of nodes that contains a node of each pair (n, 2).
 
-    By a largest matching (D. Kőnig, 1931): from the first nodes that are not matched go to second
-    ones by any pair, and back by those of the matching. The cover are the first nodes that are not
-    reached, and the second ones that are.
+    No node is the first of one pair and the second of another. The set follows from a largest
+    matching (D. Kőnig, 1931): start at the first nodes that are not matched. Go to second nodes by
+    any pair, and back by pairs of the matching. The set consists of the first nodes that are not
+    reached, and of the second nodes that are reached.
     """
     (a, i), (b, j) = (np.unique(v, return_inverse=True) for v in pairs.T)
     graph = csr_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(a), len(b)))

@@ -85,7 +85,7 @@ class Contact(Protocol):
 class System(Protocol):
     """Interface between the nonlinear solver and a system of equations.
 
-    Defaults are those of a system without contact.
+    The defaults hold for a system without contact.
     """
 
     comm: MPI.Comm
@@ -187,11 +187,11 @@ class MatrixFree(System, Exact, Protocol):
         return [[self.operator]]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """None: its inverse is exact."""
+        """Return no options: the inverse is exact."""
         return {}
 
     def exact(self, linear: str) -> Exact:
-        """Itself."""
+        """Return the system itself."""
         return self
 
 

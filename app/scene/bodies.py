@@ -241,7 +241,7 @@ def contact_facets(
 
 
 def _at_facets(values: NDArray, f: FacetCells) -> NDArray:
-    """Values of the nodes of facets (f, 3 or 6), from those of all cells (cells, 4 or 10)."""
+    """Values at the nodes of facets (f, 3 or 6), from values by cell (cells, 4 or 10)."""
     nodes = FACET_NODES[f.local, : 3 if values.shape[1] == 4 else 6]
     return np.take_along_axis(values[f.cells], nodes, axis=1)
 

@@ -1,7 +1,8 @@
 """A scene: bodies, interfaces, supports, loads, heat and stages to be solved.
 
-`scene_of` is the one place that chooses what is solved, from laws by name; `build_scene` takes them
-from a case. A scene does not know the mesh or the solver. Absent parts are empty tuples.
+`scene_of` makes a scene of laws by name. It is the only place that chooses the equations.
+`build_scene` takes the laws from a case. A scene does not know the mesh or the solver. Absent parts
+are empty tuples.
 """
 
 from __future__ import annotations

@@ -130,9 +130,9 @@ class ContactHeat:
         """Rounding error of the friction power by long slips [N mm/s]; collective."""
         contact, law = self._contact, self._contact.law
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
-        # Forces are those of equilibrium, of bodies that may have moved far.
-        met = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        stiffness = met + law.stiffness * contact.local.weight
+        # Forces follow from equilibrium, in which bodies may have moved far.
+        local_stiffness = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
+        stiffness = local_stiffness + law.stiffness * contact.local.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
@@ -146,7 +146,7 @@ class ContactHeat:
         return self._rows(direction, trial)
 
     def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the friction power, as of the pressure."""
+        """Derivatives of the friction power by equilibrium and by the jump (n, 3)."""
         contact = self._contact
         force, slip = trial.rubbing()
         given = force / contact.law.stiffness[:, None]
@@ -157,7 +157,7 @@ class ContactHeat:
         return scale * (by_equilibrium - lost), scale * (by_jump + force)
 
     def _rows(self, along: Floats, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the force along directions (n, 3): by -e/W (multiplier share), by q."""
+        """Derivatives of the force along directions (n, 3) by equilibrium and by the jump."""
         by_force, by_jump = (
             np.asarray(np.einsum("pi,pij->pj", along, derivative))
             for derivative in (trial.law.by_multiplier, trial.law.by_jump)

@@ -105,7 +105,7 @@ class CoupledSystem(ContactSystem):
         return [*top, *([*a, *b] for a, b in zip(down, super().matrices(), strict=True))]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """All blocks at once if those of the heat are, else options by block."""
+        """Monolithic options if the thermal block is solved directly, else options by block."""
         heat = self._heat.options(linear)
         return {"": INTERFACE} if "" in heat else heat | super().options(linear)
 

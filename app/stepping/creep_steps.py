@@ -41,11 +41,11 @@ class _FailedError(Exception):
 
 @dataclass
 class CreepStepper:
-    """Steps of creep beside load steps.
+    """Steps of creep after the load steps of a stage.
 
     Attributes:
-        load_stepper: Takes the loads of a stage to their end, then commits steps of creep.
-        done: Creep of the stage that is done, in its unit.
+        load_stepper: Applies the loads of a stage, then commits steps of creep.
+        done: Completed creep of the stage [cycles or s].
         length: Length of the next step, 0 before the first.
     """
 
@@ -63,14 +63,14 @@ class CreepStepper:
         self._spent: list[NewtonResult] = []
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
-        """Load at once, then creep; in equal steps if the stage is not adaptive.
+        """Apply the loads, then creep; in equal steps if the stage is not adaptive.
 
         Raises:
             ConvergenceError: A step fails however short it is.
         """
         if not self.length:
             self.load_stepper.run_stage(k, stage, checkpoint_point)
-            # At constant stress the first step would be exact whatever its length.
+            # At constant stress the first step would be exact for any length.
             first = self._creep.first(self._stress(), 10 * stage.creep_tolerance)
             self.length = first if stage.adaptive else stage.creep / stage.increments
         steps = CreepSteps(self, k, stage)
@@ -78,30 +78,32 @@ class CreepStepper:
         self.done = self.length = 0.0
 
     def part(self, stage: Stage) -> float:
-        """Part of the stage that is done: its second half is the creep, by its logarithm."""
+        """Completed part of the stage [-]. The second half is the creep, on a logarithmic scale."""
         log = math.log1p(self.done) / math.log1p(stage.creep)
         return stage.loaded + (1 - stage.loaded) * log if self.done < stage.creep else 1.0
 
     def outcome(self) -> NewtonResult:
-        """The last solve, with the iterations of all that the step took."""
+        """Outcome of the last solve, with the iterations of all solves of the step."""
         newton = sum(o.iterations for o in self._spent)
         krylov = sum(o.linear_iterations for o in self._spent)
         return replace(self._spent[-1], iterations=newton, linear_iterations=krylov)
 
     def _stress(self) -> Floats:
-        """Stress of the current displacements, as if nothing crept in the step (n, 6) [MPa]."""
+        """Stress of the current displacements without creep in the step (n, 6) [MPa]."""
         return self._stress_history.trial(self._problem.displacements())
 
     def _size(self, taken: Floats) -> float:
-        """Largest creep strain that takes a stress (n, 6) [MPa]; collective."""
+        """Largest creep strain that relaxes a stress (n, 6) [MPa]; collective."""
         largest = float(self._creep.crept(taken).max(initial=0.0))
         return float(self._problem.comm.allreduce(largest, MPI.MAX))
 
     def step(self, stage: Stage, h: float) -> float:
-        """Solve a step, not yet committed; its error over the tolerance; collective.
+        """Solve a step without commit; return its error over the tolerance; collective.
+
+        If the error is too large, the state is reset to the state before the step.
 
         Raises:
-            _FailedError: The state is then that before the step, as it is where the error is large.
+            _FailedError: The step was not solved. The state is reset, too.
         """
         x, contact, self._spent = self._solver.x.copy(), self._problem.contact, []
         state, points = self._stress_history.state(), contact.state if contact else None

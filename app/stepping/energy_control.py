@@ -1,19 +1,19 @@
 r"""Steps of given fracture energy: the load is an unknown, so that brittle interfaces do not jump.
 
-While an interface breaks, the load may have to fall, and the motion too (snap-back). What always
-grows is the energy spent. With residual R, state x and part s of the path of loads, a step solves
+While an interface breaks, the load may have to fall, and the motion too (snap-back). The dissipated
+energy always grows. With residual R, state x and part s of the path of loads, a step solves
 
 .. math:: R(x, s) = 0, \qquad \sum_p W_p w_p(x) = E
 
-with w the energy that damage spends in the step at a point of area W. The second equation is one
-more row of the system, and the loop of `numerics.newton` solves both. With the Jacobian J of R, the
-exact inverse takes two solutions by the linear solver of J (bordering),
+with w the energy per area that damage dissipates in the step at a point of area W. The second
+equation is one more row of the system. The loop of `numerics.newton` solves both. With the Jacobian
+J of R, the exact inverse takes two solutions by the linear solver of J (bordering),
 
 .. math:: J a = r, \quad J b = \partial R/\partial s, \qquad δs = (g·a - r_E)/(g·b), \quad
           δx = a - δs\, b, \quad g = W \partial w/\partial x.
 
-A step begins where points are about to break further: else g is zero and J elastic. The first
-begins at an elastic state a little beyond the onset of damage (`overshoot`).
+A step begins where points are about to break further: otherwise g is zero and J elastic. The first
+step begins at an elastic state just beyond the onset of damage (`overshoot`).
 """
 
 from __future__ import annotations
@@ -226,10 +226,10 @@ class EnergyControl(MatrixFree):
         f[-1].set(energy - self._energy)
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """Sizes of the given system, and of the energy that is missing [N mm]."""
+        """Sizes of the residuals of the given system, and of the energy [N mm]."""
         given = self._given
         parts = given.system.measure(given.blocks(self._state), f[:-1])
-        # It is met at ENOUGH, whatever the tolerance of forces.
+        # The energy has converged at ENOUGH, for any tolerance of forces.
         scale = self._energy * ENOUGH / given.tolerance
         return [*parts, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
 

@@ -1,4 +1,4 @@
-"""Mechanics beside heat: solved after it, or in one system with it.
+"""Mechanics with heat: solved after it, or in one system with it.
 
 Heat is a load of the mechanics: temperatures, degrees of cure and the free strain of cement.
 """

@@ -108,7 +108,7 @@ class LoadStepper:
         solver: Solver of the problem.
         on_step: Called after each committed step.
         on_trouble: Called with a sentence on the remedy when a step fails.
-        predictors: Predictors besides extrapolation.
+        predictors: Predictors in addition to extrapolation.
         total: Counts of steps and iterations so far.
     """
 

@@ -6,7 +6,7 @@ moments M turn these ends apart. The energy release rate does not depend on the 
     J = 12 M^2 / (E b^2 h^3)
 
 (Euler and Bernoulli; Rice 1968). So the crack grows at a constant moment, at which J is the
-fracture energy G of the bond, whatever its law of softening.
+fracture energy G of the bond, for any law of softening.
 """
 
 from mpi4py import MPI
