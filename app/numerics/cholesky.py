@@ -26,7 +26,7 @@ from scipy.sparse import csc_array, csr_array
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.captured import captured
-from app.numerics.factor import mirror_upper
+from app.numerics.dense import mirror_upper
 
 # What is used of CHOLMOD; cffi finds what the dots stand for in its header.
 CALLS = """

@@ -10,13 +10,9 @@ from typing import Protocol
 
 from petsc4py import PETSc
 
-import numpy as np
 from scipy.sparse import csr_array
 
 from app.foundation.arrays import Floats
-
-# Rows that `mirror_upper` mirrors at once: blocks that fit into a cache.
-ROWS = 256
 
 
 class Factor(Protocol):
@@ -59,15 +55,3 @@ def library() -> type[Factor] | None:
     if cholesky.library() is not None:
         return cholesky.Cholesky
     return mumps.Mumps if PETSc.Sys.hasExternalPackage("mumps") else None
-
-
-def mirror_upper(S: Floats) -> Floats:
-    """Copy the upper triangle of S (n, n) into the lower one, in place; return S.
-
-    LAPACK and BLAS set one triangle of a symmetric matrix only.
-    """
-    for a in range(0, len(S), ROWS):
-        rows = S[a : a + ROWS, a : a + ROWS]
-        rows[:] = np.triu(rows) + np.triu(rows, 1).T
-        S[a + ROWS :, a : a + ROWS] = S[a : a + ROWS, a + ROWS :].T
-    return S

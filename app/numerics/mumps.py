@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from app.foundation.arrays import Floats
-from app.numerics.factor import mirror_upper
+from app.numerics.dense import mirror_upper
 
 # Numbers of MUMPS' controls, and the values that they get.
 ORDER = 7  # of elimination

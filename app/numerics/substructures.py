@@ -24,7 +24,8 @@ from scipy.sparse import coo_array, csr_array, hstack
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from app.foundation.arrays import Floats, Ints
-from app.numerics.factor import library, mirror_upper
+from app.numerics.dense import mirror_upper
+from app.numerics.factor import library
 from app.numerics.root_work import blas_threads, cores, wait
 
 # K, C and D, distributed by rows.
