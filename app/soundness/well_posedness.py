@@ -195,7 +195,7 @@ def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
         owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
         for key, owner in owners.items():
             fibre = getattr(owner, "fibre", None)
-            if fibre is None or not fibre.turns:
+            if fibre is None or not fibre.curved:
                 continue
             cells = parts.corners_of(name)
             met = _meets(parts.x[cells], np.array(fibre.axis), np.array(fibre.through))
@@ -211,7 +211,7 @@ def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
 
 
 def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
-    """Interfaces without a facet that do not slide far, and those with one that do."""
+    """Interfaces without a facet and without finite sliding, and interfaces with both."""
     errors = []
     for name, sides in case.geometry.interface_sides.items():
         shared = len(interface_facets(parts.data, name)[0])
@@ -248,7 +248,7 @@ def _outside(case: Case, parts: Parts) -> list[Verdict]:
 
 
 def _followers(case: Case, parts: Parts) -> list[Verdict]:
-    """Nodes of surfaces that slide far which something else moves too."""
+    """Nodes of slaves with finite sliding that something else moves too."""
 
     def nodes(boundary: str) -> NDArray[np.int64]:
         return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
