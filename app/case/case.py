@@ -38,14 +38,19 @@ TABLES = ("regions", "interfaces", "supports", "motions", "loads", "heat")
 
 # Keys beside the names of loads, as the JSON schema has them.
 LIBRARY_KEYS: JsonDict = {
-    **{key: {"type": "string"} for key in ("library", *overlay.MEASURED)},
+    "library": {"type": ["string", "object"]},
+    **{key: {"type": "string"} for key in overlay.MEASURED},
     "history": {"type": "array"},
+    "cycle_table": {"type": ["object", "array", "string"]},
 }
 
 
 class Case(Section):
     """Everything that a run needs to know."""
 
+    mantle: Literal[1] = 1
+    """Version of the format of case files; the first without the key. Later programs read the file
+    with the meaning of its version. A version newer than the program is refused."""
     title: Text = ""
     """A line for people."""
     question: Text = ""
@@ -73,8 +78,10 @@ class Case(Section):
         json_schema_extra={"properties": LIBRARY_KEYS},
     )
     """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
-    library, in place of those of the base; further keys change them. `body_weight: 750 N` scales
-    their forces. `history: [0, 1]` is that of each of them. `sagittal_tilt: 8.4 deg` turns them
+    library, in place of those of the base; further keys change them. `library: {walking: [1, 0],
+    stairs_up: [0, 1]}` stands for several sets, each with its history; their loads are
+    `walking_hip` and so on. `body_weight: 750 N` scales their forces. `history: [0, 1]` or
+    `cycle_table: walking_cycle` is that of each of them. `sagittal_tilt: 8.4 deg` turns them
     about x, from the frame of measured forces to that of the shaft, whose proximal end is that far
     posterior in it."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)

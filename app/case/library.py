@@ -7,7 +7,12 @@ import textwrap
 from pathlib import Path
 
 import configs
-from app.case.former_keys import FORMER_KEYS_OF_LIBRARIES, with_present_names
+from app.case.former_keys import (
+    FORMER_KEYS_OF_LIBRARIES,
+    KEY,
+    check_version,
+    with_present_names,
+)
 from app.schema import yaml_file
 from app.schema.section import show
 from app.schema.yaml_file import CaseFile, Fault
@@ -17,6 +22,10 @@ SHIPPED = configs.FOLDER / "library" / "library.yaml"
 ENTRY = r"^  ([\w-]+):\n(?:    .*\n)+"
 # Key of an entry with its description.
 ABOUT = "about"
+# Key of a set of loads that says how often a patient does it in a day.
+PER_DAY = "per_day"
+# Keys that do not go into a case.
+FOR_PEOPLE = (ABOUT, PER_DAY)
 # Key of an entry that says where its values are from.
 SOURCE = "source"
 # Keys that go into the case with the values.
@@ -24,7 +33,7 @@ ORIGIN = ("status", SOURCE)
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
     "finishes": "a cohesive interface takes one by `finish: NAME`",
-    "cycle_tables": "a motion or a load takes one by `cycle_table: NAME`",
+    "cycle_tables": "a motion, a load or all loads take one by `cycle_table: NAME`",
     "loads": "the loads of a case are those of a name by `library: NAME` among them",
 }
 
@@ -36,6 +45,8 @@ def read(path: Path = SHIPPED) -> CaseFile:
         InputError: The file cannot be read or is no library.
     """
     file = yaml_file.read(path)
+    check_version(file)
+    file.data.pop(KEY, None)
     file.data = with_present_names(file, file.data, (), FORMER_KEYS_OF_LIBRARIES)
     faults = []
     for kind, entries in file.data.items():

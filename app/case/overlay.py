@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 import configs
 from app.case import library
-from app.case.former_keys import present_name, with_present_names
+from app.case.former_keys import of_this_version, present_name, with_present_names
 from app.foundation.errors import InputError
 from app.foundation.verdict import note
 from app.schema import yaml_file
@@ -38,9 +38,11 @@ OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "hi
 NAMED = {"regions": "material", "interfaces": "finish", "loads": "library"}
 # Files that a case names relative to its folder; a cycle table without a suffix is the library's.
 FILES = "geometry.path geometry.stem.step geometry.bone.surface geometry.canal.surface".split()
-FILES += ["loads.*.cycle_table", "motions.*.rotation.cycle_table"]
+FILES += ["loads.cycle_table", "loads.*.cycle_table", "motions.*.rotation.cycle_table"]
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
+# Keys among the loads that say how all forces there change in time, one or the other.
+IN_TIME = ("history", "cycle_table")
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
 # Keys of a sweep alone.
 AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
@@ -57,7 +59,6 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     chain = _chain(path)
     case = CaseFile(chain[0].name, option=option)
     for file in chain:
-        file.data = with_present_names(file, file.data)
         case.digests |= file.digests
         case.complaints += file.complaints
         case.notes += file.notes
@@ -73,9 +74,10 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _merged(case, below, upper, ())
         case.places |= file.places
-        place = file.places.get(("loads", "history"))
-        if place:
-            _place_history(case, place, file.places)
+        for key in IN_TIME:
+            place = file.places.get(("loads", key))
+            if place:
+                _place_in_time(case, key, place, file.places)
     if len(case.complaints) > found:
         case.raise_all([])  # what they leave incomplete has other errors
     apply(case, overrides)
@@ -110,6 +112,7 @@ def _chain(path: FilePath) -> list[CaseFile]:
         InputError: A file cannot be read or is no case, or the bases make a circle.
     """
     chain = [yaml_file.read(path)]
+    of_this_version(chain[0])
     for what, keys in (("sweep", AXES), ("study", {"study"})):
         if "base" in chain[0].data and keys & chain[0].data.keys():
             text = f"is a {what} file, not a case; use mantle {what} {path}"
@@ -121,6 +124,7 @@ def _chain(path: FilePath) -> list[CaseFile]:
             text = f"more than {MOST_BASES} bases, or a circle: {' -> '.join(names)} -> {below}"
             chain[-1].raise_all([Fault(("base",), text)])
         chain.append(yaml_file.read(below))
+        of_this_version(chain[-1])
     return chain
 
 
@@ -244,23 +248,46 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
     """Resolve ``library: NAME``, a body weight, a tilt and a history of all loads."""
     if not isinstance(upper, dict):
         return lower, upper
-    name = upper.get("library")
-    if isinstance(name, str):
+    sets = upper.get("library")
+    if isinstance(sets, str | dict):
         upper = {k: v for k, v in upper.items() if k != "library"}
-        entry = _entry(case, "loads", name, (*path, "library"), path)
-        if entry:
-            case.measured = {"sagittal_tilt": 0.0}
-            if "body_weight" in entry:
-                _measure(case, "body_weight", entry.pop("body_weight"))
-            lower = entry or lower
+        entry = _activities(case, sets, path) if isinstance(sets, dict) else _set(case, sets, path)
+        lower = entry or lower
     loads = lower if isinstance(lower, dict) else {}
     if MEASURED.keys() & upper:
         lower = loads = _measured(case, loads, upper)
         upper = {k: v for k, v in upper.items() if k not in MEASURED}
-    if isinstance(upper.get("history"), list):
-        lower = _with_history(case, loads, upper["history"])
-        upper = {k: v for k, v in upper.items() if k != "history"}
+    for key in IN_TIME:
+        if isinstance(upper.get(key), list) or (key == "cycle_table" and key in upper):
+            lower = loads = _changing(case, loads, key, upper[key])
+            upper = {k: v for k, v in upper.items() if k != key}
     return lower, upper
+
+
+def _set(case: CaseFile, name: str, path: Path) -> dict[str, Any]:
+    """Loads of a set of the library; notes the body weight for which they are."""
+    loads = _entry(case, "loads", name, (*path, "library"), path)
+    if loads:
+        case.measured = {"sagittal_tilt": 0.0}
+        if "body_weight" in loads:
+            _measure(case, "body_weight", loads.pop("body_weight"))
+    return loads
+
+
+def _activities(case: CaseFile, sets: Mapping[str, object], path: Path) -> dict[str, Any]:
+    """Loads of several sets, each with its history; those of `walking` are `walking_hip` and so on.
+
+    Sets for another body weight than that of the first are scaled to it.
+    """
+    loads: dict[str, Any] = {}
+    weight = None
+    for name, history in sets.items():
+        found = _set(case, str(name), path)
+        weight = weight or case.measured.get("body_weight")
+        if weight and "body_weight" in case.measured:
+            found = _measured(case, found, {"body_weight": f"{weight!r} N"})
+        loads |= {f"{name}_{load}": values | {"history": history} for load, values in found.items()}
+    return loads
 
 
 def _load(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
@@ -354,23 +381,26 @@ def _measured(
     return result
 
 
-def _with_history(
-    case: CaseFile, loads: dict[str, object], history: list[object]
-) -> dict[str, object]:
-    """Return the loads of a base or a library, all with the same history."""
+def _changing(case: CaseFile, loads: dict[str, Any], key: str, value: object) -> dict[str, Any]:
+    """Return the loads of a base or a library, all with the same history or cycle table."""
     if not loads:
-        text = "no loads of a library or a base are here; set the history of each load"
-        case.complaints.append(Fault(("loads", "history"), text))
+        text = f"no loads of a library or a base are here; set the {key} of each load"
+        case.complaints.append(Fault(("loads", key), text))
+    if key == "cycle_table":
+        _, value = _cycle_table(case, None, value, ("loads", key))
+    others = [other for other in IN_TIME if other != key]
     return {
-        name: load | {"history": list(history)} if isinstance(load, dict) else load
+        name: {k: v for k, v in load.items() if k not in others} | {key: deepcopy(value)}
+        if isinstance(load, dict)
+        else load
         for name, load in loads.items()
     }
 
 
-def _place_history(case: CaseFile, place: Any, given: Mapping[Path, object]) -> None:
-    """Give the history of each load the place in the file of the common one."""
+def _place_in_time(case: CaseFile, key: str, place: Any, given: Mapping[Path, object]) -> None:
+    """Give the history or cycle table of each load the place in the file of the common one."""
     for name in case.data.get("loads") or {}:
-        path = ("loads", name, "history")
+        path = ("loads", name, key)
         if path not in given:
             case.places[path] = place
 
@@ -402,7 +432,7 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dic
                     case.places[*below, *p[2:]] = place
             if len(case.places) > yaml_file.MOST_NODES:
                 raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
-            found = {k: deepcopy(v) for k, v in entry.items() if k != library.ABOUT}
+            found = {k: deepcopy(v) for k, v in entry.items() if k not in library.FOR_PEOPLE}
             if kind != "loads":
                 return found
             origin = {k: found.pop(k) for k in library.ORIGIN if k in found}
@@ -547,7 +577,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step == NAMED.get(str(path[0]))
     if (of_entry and isinstance(value, str)) or (
-        path == ("loads", step) and (step in MEASURED or step == "history")
+        path == ("loads", step) and (step in MEASURED or step in IN_TIME)
     ):
         new = _merged(case, holder, {step: value}, path[:-1])
     else:

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from app.case import overlay, points
 from app.case.case import PlannedRun, load
+from app.case.former_keys import KEY, check_version
 from app.case.points import MOST_CASES, Point, SweepPart
 from app.foundation.errors import InputError
 from app.schema import section, yaml_file
@@ -85,6 +86,8 @@ def content(file: CaseFile, model: type[Content]) -> Content:
     Raises:
         InputError: Every error of the file itself.
     """
+    check_version(file)
+    file.data.pop(KEY, None)
     try:
         return model.model_validate(file.data)
     except ValidationError as error:

@@ -14,23 +14,26 @@ from pydantic_core import PydanticCustomError
 from app.laws.values import Source, Status
 from app.schema.paths import file
 from app.schema.section import ITEMS, Section, Text, fail, show
-from app.schema.units import ANGLE, FORCE, Dimension
+from app.schema.units import ANGLE, FORCE, Dimension, Part
 
 CSV: Any = file(".csv", check=lambda path, _: path.read_text(encoding="utf-8-sig"))
 # Name and unit of a column: `rotation x [deg]`.
 HEADER = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*")
 ROTATIONS = tuple(f"rotation {axis}" for axis in "xyz")
 FORCES = tuple(f"force {axis}" for axis in "xyz")
+# Column of the part of a load that acts.
+FACTOR = "factor"
 COLUMNS = {"time": Dimension("s", "a time", "0.02 s")} | dict.fromkeys(ROTATIONS, ANGLE)
 COLUMNS |= dict.fromkeys(("force", *FORCES), FORCE)
+COLUMNS[FACTOR] = Part("%", "a part of the force", "80 %", at_least=None, at_most=None)
 
 
 class CycleTable(Section):
     """Angles or a force through a cycle, linear between rows: a CSV file, or its lines in a list.
 
     Columns by name with their units, in any order: `time [s]`, `rotation x [deg]`, `rotation y`,
-    `rotation z`, and `force [N]` or `force x`, `force y`, `force z`. One table serves motions and
-    loads, which use their columns.
+    `rotation z`, and `force [N]`, or `force x`, `force y`, `force z`, or `factor [%]`. One table
+    serves motions and loads, which use their columns.
     """
 
     model_config = ConfigDict(json_schema_extra={"type": ["object", "array", "string"]})
@@ -61,7 +64,7 @@ class CycleTable(Section):
 
     @cached_property
     def columns(self) -> dict[str, tuple[float, ...]]:
-        """Values of the rows [s, rad, N] by the name of their column."""
+        """Values of the rows [s, rad, N, -] by the name of their column."""
         return _columns(self.rows)
 
     @property
@@ -75,7 +78,7 @@ class CycleTable(Section):
         return self.columns["time"]
 
     def at(self, names: Sequence[str], s: float) -> list[float]:
-        """Values of columns at a part of a cycle from 0 to 1 [rad, N]; 0 of one that it lacks."""
+        """Values of columns at a part of a cycle from 0 to 1 [rad, N, -]; 0 of a missing one."""
         import numpy as np
 
         time = self.times[0] + s * (self.times[-1] - self.times[0])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, T
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
-from app.laws.cycle_tables import FORCES, CycleTable
+from app.laws.cycle_tables import FACTOR, FORCES, CycleTable
 from app.laws.values import LoadHistory, Named, Source, Status, amplitude, field
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
@@ -178,8 +178,9 @@ class Force(Load):
     at: Point | None = None
     """Point at which the resultant acts (mm). By default the traction is uniform."""
     cycle_table: CycleTable | None = None
-    """Force through each cycle of the last stage, in place of `history`: the column `force` times
-    the direction, or `force x`, `force y` and `force z` in place of the key `force`."""
+    """Force through each cycle of the last stage, in place of `history`: the column `factor` times
+    the key `force`; or the column `force` times its direction, 1 N long; or `force x`, `force y`
+    and `force z` in place of the key."""
     follows: Name | None = None
     """Motion with which the force rotates; by default its direction is fixed in space."""
 
@@ -194,16 +195,18 @@ class Force(Load):
     def _one_cycle_table(self) -> Force:
         if self.cycle_table is None:
             return self
-        one, three = (
-            ("force" in self.cycle_table.columns),
-            self.cycle_table.columns.keys() & {*FORCES},
-        )
-        if self.history is not None:
-            fail("the force has a cycle_table; leave one of the two out", at=("history",))
-        if one == bool(three):
-            known = f"expected force, or some of {', '.join(FORCES)}"
-            fail(f"has {', '.join(self.cycle_table.columns)}; {known}", at=("cycle_table",))
+        known = [("force",), (FACTOR,), FORCES]
+        given = [names for names in known if self.cycle_table.columns.keys() & {*names}]
+        if len(given) != 1:
+            text = f"has {', '.join(self.cycle_table.columns)}; expected force, {FACTOR}"
+            fail(f"{text}, or some of {', '.join(FORCES)}", at=("cycle_table",))
         size = math.hypot(*self.force)
+        if given == [(FACTOR,)]:
+            if size == 0.0:
+                text = "is zero; expected the force of which the cycle table has the factor"
+                fail(text, at=("force",))
+            return self
+        one = given == [("force",)]
         if abs(size - one) > 1e-3:
             wanted = (
                 "the direction, 1 N long"
@@ -232,8 +235,9 @@ class Force(Load):
         """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a cycle table."""
         if self.cycle_table is None:
             return self.force
-        size, *parts = self.cycle_table.at(("force", *FORCES), s)
-        x, y, z = (size * f + part for f, part in zip(self.force, parts, strict=True))
+        size, factor, *parts = self.cycle_table.at(("force", FACTOR, *FORCES), s)
+        pairs = zip(self.force, parts, strict=True)
+        x, y, z = ((size + factor) * f + part for f, part in pairs)
         return x, y, z
 
     @property

@@ -178,7 +178,8 @@ def _run(
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     over = of_run(spread, case) if spread else None
-    panels = step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
+    panels = _forces(case)
+    panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
     drawn = [curves.drawing(panel) for panel in panels]
     stressed = [curves.drawing(panel) for panel in step_curves.tension(summary)]
     if share == math.inf and panels:
@@ -220,6 +221,14 @@ def _run(
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
+
+
+def _forces(case: SweptCase) -> list[curves.Panel]:
+    """Return the panel of the forces; none if the files that the case names are gone."""
+    try:
+        return step_curves.forces(load(case.folder / "case.yaml").config, case.step_record)
+    except InputError:
+        return []
 
 
 def _starts_at_rest(case: SweptCase) -> bool:

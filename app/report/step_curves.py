@@ -1,4 +1,4 @@
-"""Panels of a run: numbers over time, cement under tension, and the steps of the solver."""
+"""Panels of a run: forces, numbers over time, cement under tension, steps of the solver."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from app.case.case import Case
 from app.case.quantities import FACTORS, STRESSED, TABLE, printed
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
@@ -13,6 +14,7 @@ from app.plots.curves import Line, Panel, sparse
 from app.report import page
 from app.report.page import Block
 from app.report.sweep_results import named
+from app.scene.scene import build_scene
 from app.system.layout import plain
 
 # Quantities drawn, by key in history.csv: title, unit for people.
@@ -91,6 +93,32 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
             words = page.spelled_out(title)
             panels.append(Panel(words, printed(unit), curves, x_title, from_rest=True))
     return panels
+
+
+def forces(case: Case, step_record: StepRecord) -> list[Panel]:
+    """Return the panel of the sizes of the forces on a case at the steps; none if they only grow.
+
+    Through cycle tables the abscissa is their time in seconds.
+    """
+    scene = build_scene(case)
+    times = step_record.get(TIME, np.empty(0))
+    k = next((k for k, stage in enumerate(scene.stages) if stage.repeats), None)
+    if k is not None:
+        times = np.union1d(times[(times > k) & (times <= k + 1)], [k])
+        x = (times - k) * scene.stages[k].cycles * scene.period
+        x_title = f"time in the stage {named(scene.stages[k].name)} (s)"
+    elif len(scene.stages) > 1 or any(stage.cycles > 1 for stage in scene.stages):
+        x = times = np.union1d(times, [0.0])
+        x_title = "time (each stage takes 1)"
+    else:
+        return []
+    found = scene.force_sizes(times)
+    lines = [
+        Line(named(name), i, [*map(float, x)], [*map(float, sizes)])
+        for i, (name, sizes) in enumerate(found.items())
+        if sizes.any()
+    ]
+    return [Panel("forces", "N", lines, x_title, log="", from_rest=True)] if lines else []
 
 
 def tension(summary: Summary) -> list[Panel]:

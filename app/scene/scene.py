@@ -149,6 +149,20 @@ class Scene:
             return float(self.loads_of[k] + 1)
         return k + self.stages[k].reached(time - k)
 
+    def force_sizes(self, times: Floats) -> dict[str, Floats]:
+        """Size of each force at times (n,) [N], by the name of its load.
+
+        A load with a cycle table or a motion has three parts, one along each axis.
+        """
+        forces: dict[str, Floats] = {}
+        at = [self.load_time(float(time)) for time in times]
+        for load in self.loads:
+            if load.resultant is not None:
+                factors = [load.amplitude(time) for time in at]
+                part = np.outer(factors, load.resultant)
+                forces[load.name] = forces.get(load.name, 0.0) + part
+        return {name: np.linalg.norm(force, axis=1) for name, force in forces.items()}
+
     def is_rigid(self, interface: Interface) -> bool:
         """Return True if the master of an interface is a rigid region."""
         return any(r.region in interface.master for r in self.rigid)

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from app.case.case import dump, load
 from app.foundation.errors import InputError
 from app.laws.cycle_tables import ROTATIONS, CycleTable
 from app.laws.loads import Force
 from app.laws.motions import Motion
+from app.scene.scene import build_scene
 from app.soundness import preview
 from tests import support
 
@@ -141,3 +143,45 @@ def test_cycle_table_first_axis_is_the_outermost() -> None:
 def test_cycle_table_missing_columns_are_zero() -> None:
     cycle_table = CycleTable.model_validate(["time [s], rotation y [deg]", "0, 0", "1, 90"])
     assert cycle_table.at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])
+
+
+def test_cycle_table_factor_of_a_force() -> None:
+    """The course of a force that the case gives, in per cent, linear between rows."""
+    rows = ["time [s], factor [%]", "0, 100", "1, 20", "3, 100"]
+    key = {"kind": "force", "boundary": "top", "cycle_table": rows}
+    force = Force.model_validate(key | {"force": "[0, 300, -400] N"})
+    assert force.resultant == (0.0, 300.0, -400.0)
+    assert force.force_at(1 / 6) == pytest.approx((0.0, 180.0, -240.0))
+    assert force.force_at(2 / 3) == pytest.approx((0.0, 180.0, -240.0))
+    for wrong, text in (
+        (key, "is zero; expected the force of which the cycle table has the factor"),
+        (key | {"cycle_table": ["time [s], factor [N]", "0, 1", "1, 2"]}, "a share has no unit"),
+        (
+            key | {"cycle_table": ["time [s], factor [%], force [N]", "0, 1, 2", "1, 2, 3"]},
+            "has time, factor, force; expected force, factor, or some of force x, force y, force z",
+        ),
+    ):
+        with pytest.raises(ValidationError, match=text):
+            Force.model_validate(wrong)
+
+
+def test_cycle_table_force_sizes_over_time() -> None:
+    """A stage of growth, then two cycles; a load with a history beside it, with its valleys."""
+    text = CASE.partition("motions:")[0].replace("{rigid: true}", "{youngs_modulus: 2 GPa}")
+    text = text.replace("youngs_modulus: 2 GPa}", "youngs_modulus: 2 GPa, poisson_ratio: 0.3}")
+    loads = """\
+loads:
+  hip:
+    kind: force
+    boundary: top
+    force: "[0, 30, -40] N"
+    cycle_table: ["time [s], factor [%]", "0, 100", "1, 20", "2, 100"]
+  push: {kind: force, boundary: top, force: "[0, 0, -5] N", history: [1, 0.5]}
+stages: [{name: rise}, {name: gait, cycles: 2}]
+"""
+    text = text.replace("    sliding: finite\n    between: [bottom, top]\n", "")
+    text = text.replace("    wear_coefficient: 1.07e-6 mm^3/(N m)\n", "")
+    scene = build_scene(support.case(text + loads))
+    found = scene.force_sizes(np.array([0.0, 0.5, 1.0, 1.25, 1.5, 2.0]))
+    assert found["hip"] == pytest.approx([0, 25, 50, 10, 50, 50])
+    assert found["push"] == pytest.approx([0, 2.5, 5, 4.375, 3.75, 2.5])

@@ -1,12 +1,16 @@
-"""Former names of keys: read from files, bases, libraries and options, with a note for each."""
+"""Versions of case files; former names of keys, read with a note for each."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 import mantle
+from app.case import former_keys
+from app.case.case import Case, dump
+from app.case.sweep import read as read_sweep
 from app.foundation.errors import InputError
 from tests.support import CONFIGS
 
@@ -53,3 +57,60 @@ def test_former_keys_keep_their_place_in_messages(tmp_path: Path) -> None:
         InputError, match=r"case.yaml:2:15: loads.hip.cycle_table: 3 is not a cycle"
     ):
         mantle.load(case)
+
+
+# Of each kept file, by formulas: at half of 2 MPa the blocks shorten by p h / E each.
+ANSWERS = {
+    "1": {
+        "interfaces.lower_upper.pressure_mean": 1.0,
+        "probes.top.displacement.2": -(1.0 * 5.0 / 2e3 + 1.0 * 5.0 / 4e3),
+    },
+}
+
+
+@pytest.mark.parametrize("version", [str(k) for k in range(1, former_keys.VERSION + 1)])
+def test_former_keys_files_of_each_version_keep_their_answers(version: str, tmp_path: Path) -> None:
+    case = mantle.load(Path(__file__).with_name("versions") / f"{version}.yaml")
+    summary = mantle.run(case, tmp_path / "out").summary
+    for key, answer in ANSWERS[version].items():
+        found = summary
+        for part in key.split("."):
+            found = found[int(part) if part.isdigit() else part]
+        assert found == pytest.approx(answer, rel=1e-9), key
+
+
+def test_former_keys_version_of_a_case_is_written(tmp_path: Path) -> None:
+    """A file without a version is of the first; what a run writes says its version."""
+    case = tmp_path / "case.yaml"
+    case.write_text("base: blocks\n")
+    config = mantle.load(case).config
+    assert config.mantle == former_keys.VERSION == Case.model_fields["mantle"].default
+    assert dump(config).startswith("mantle: 1\n")
+    for path in (CONFIGS / "start").iterdir():
+        assert "\nmantle: 1 " in path.read_text(encoding="utf-8"), path.name
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("mantle: 2", "the file is of version 2, and mantle 0.1.0 reads versions up to 1; install"),
+        ("mantle: 0.1", "0.1 is not a version of case files; expected 1"),
+        ("mantle: '1'", "'1' is not a version of case files; expected 1"),
+    ],
+)
+def test_former_keys_unknown_versions_are_refused(line: str, words: str, tmp_path: Path) -> None:
+    """With nothing but the version: the keys of a newer file are not this program's."""
+    below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
+    below.write_text(f"title: newer\n{line}\nbodies: {{}}\n")
+    above.write_text("base: below.yaml\n")
+    for path in (below, above):
+        with pytest.raises(InputError) as error:
+            mantle.load(path)
+        assert len(error.value.messages) == 1
+        assert error.value.messages[0].startswith(f"{below}:2:1: mantle: {words}")
+    sweep = tmp_path / "sweep.yaml"
+    sweep.write_text(f"{line}\nbase: blocks\ngrid: {{mesh.size: [4 mm, 5 mm]}}\n")
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_sweep(sweep)
+    sweep.write_text(sweep.read_text().replace(line, "mantle: 1"))
+    assert len(read_sweep(sweep)[1]) == 2

@@ -234,7 +234,8 @@ def test_library_entries_have_sources_and_are_valid(tmp_path: Path) -> None:
     for name, entry in shipped["loads"].items():
         assert len(entry["source"]) > 20 and entry["about"]
         case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
-        assert case.loads.keys() == entry.keys() - {"about", "source", "status", "body_weight"}
+        others = {"about", "source", "status", "body_weight", "per_day"}
+        assert case.loads.keys() == entry.keys() - others
         assert all(load.status and load.source == entry["source"] for load in case.loads.values())
         if name == "paper_stance":
             assert support.without_origin(case)["loads"] == support.without_origin(stance)["loads"]
@@ -266,6 +267,7 @@ loads: {push: {status: measured, source: a scale, history: [0.5]}}
 def test_library_loads_have_the_size_of_their_sources(tmp_path: Path) -> None:
     percents = {"walking": 232.6, "walking_hip": 247, "standing_up_hip": 215, "stairs_up_hip": 251}
     percents |= {"one_leg_stance": 260, "standing_up": 215, "stairs_up": 251}
+    percents |= {"gait": 247, "stairs_down": 260, "sitting_down": 156}
     for name, percent in percents.items():
         case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
         assert math.hypot(*case.loads["hip"].force) / 6.0 == pytest.approx(percent, abs=1.5)
@@ -430,6 +432,62 @@ def test_library_history_of_all_loads(tmp_path: Path) -> None:
     case.write_text(f"base: stance\nloads:\n  history: [0, 1]\n{stages}")
     with pytest.raises(InputError, match=r"two.yaml:3:3: .*history: has 2 values; expected 3"):
         mantle.load(case)
+
+
+def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
+    """All forces follow one course; body weight and direction stay those of the set."""
+    keys = "library: gait, body_weight: 750 N, cycle_table: walking_cycle"
+    case: Any = loaded(tmp_path, f"base: stance\nloads: {{{keys}}}\n")
+    assert len(case.loads) == 5
+    for force in case.loads.values():
+        assert force.history is None and force.cycle_table.columns["factor"][0] == 1.0
+        assert force.force_at(0.0) == force.force_at(1.0) == force.force
+    hip = case.loads["hip"]
+    assert math.hypot(*hip.force) == pytest.approx(2.4648 * 750, rel=1e-4)
+    valley = 0.176 / 1.1  # 71 % between the peaks
+    assert hip.force_at(valley) == pytest.approx([0.71 * f for f in hip.force])
+    changed: Any = mantle.load(CONFIGS / "stance.yaml", **{"loads.cycle_table": "walking_cycle"})
+    assert all(force.cycle_table for force in changed.config.loads.values())
+    still = mantle.load(tmp_path / "case.yaml", **{"loads.history": [1]}).config.loads
+    assert {(force.cycle_table, force.history) for force in still.values()} == {(None, (1.0,))}
+    (tmp_path / "mine.csv").write_text("time [s], factor [%]\n0, 100\n1, 20\n2, 100\n")
+    text = "base: stance\nloads: {library: gait, cycle_table: mine.csv}\n"
+    assert loaded(tmp_path, text).loads["hip"].cycle_table.times == (0.0, 1.0, 2.0)
+    with pytest.raises(InputError, match="'jogging' is not in the library; cycle_tables: iso"):
+        loaded(tmp_path, text.replace("mine.csv", "jogging"))
+
+
+def test_library_several_sets_with_their_histories(tmp_path: Path) -> None:
+    text = """\
+base: stance
+loads:
+  library: {gait: [1, 0.1, 0], stairs_up: [0, 0, 1]}
+  body_weight: 750 N
+  stairs_up_vastus_medialis: null
+stages: [{name: walk}, {name: rest}, {name: stairs}]
+"""
+    loads: Any = loaded(tmp_path, text).loads
+    names = ("hip", "abductors", "vastus_lateralis")
+    assert [n for n in loads if n.startswith("stairs_up")] == [f"stairs_up_{n}" for n in names]
+    assert loads["gait_hip"].history == (1.0, 0.1, 0.0)
+    assert loads["stairs_up_hip"].history == (0.0, 0.0, 1.0)
+    assert loads["stairs_up_hip"].force == pytest.approx([-444.75, -454.5, -1772.25])
+    assert loads["stairs_up_hip"].status == "unverified"
+    for wrong, words in (
+        (text.replace("stairs_up:", "jogging:"), "'jogging' is not in the library; loads: paper"),
+        (text.replace("[0, 0, 1]", "[1]"), "loads.stairs_up_hip.history: has 1 values"),
+        (text.replace("[0, 0, 1]", "yes"), "loads.stairs_up_hip.history: "),
+    ):
+        with pytest.raises(InputError, match=re.escape(words)):
+            loaded(tmp_path, wrong)
+
+
+def test_library_counts_of_a_day_are_those_of_the_case_of_a_year() -> None:
+    sets = library.read().data["loads"]
+    counts = {name: entry[library.PER_DAY] for name, entry in sets.items() if "per_day" in entry}
+    assert len(counts) == 5
+    spectrum = mantle.load(CONFIGS / "day.yaml").config.fatigue.spectrum  # type: ignore[attr-defined]
+    assert spectrum == {name: 365 * count for name, count in counts.items()}
 
 
 def test_overlay_kind_replaces_a_material(tmp_path: Path) -> None:

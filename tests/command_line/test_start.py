@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mantle
@@ -18,6 +20,8 @@ from app.cli import main
 from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.foundation.errors import GeometryError, InputError
+from app.foundation.verdict import Severity, recorded
+from app.results import verdicts
 from tests import frozen, support
 from tests.support import CONFIGS, ROOT
 
@@ -64,10 +68,25 @@ def test_init_writes_a_short_valid_case(
 
 
 def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
+    """The hip force is 261 % of 750 N (mean of ten patients); all else is as in the stance."""
     case = load(new_case.write(tmp_path / "femur", "femur", "cocr")).config
     stance = load(CONFIGS / "stance_cocr.yaml").config
-    for part in ("loads", "regions", "interfaces", "supports", "stages"):
+    for part in ("regions", "interfaces", "supports", "stages"):
         assert support.without_origin(case)[part] == support.without_origin(stance)[part]
+    assert math.hypot(*case.loads["hip"].force) == pytest.approx(2.60 * 750, rel=0.005)  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stem", new_case.STEMS)
+def test_init_femur_runs_without_a_warning(stem: str, tmp_path: Path) -> None:
+    """A first hip is within its own limits of physiology."""
+    case = mantle.load(new_case.write(tmp_path / "hip", "femur", stem))
+    assert mantle.check(case).notes == ()
+    summary = mantle.run(case, tmp_path / "out").summary
+    doubtful = (Severity.NOTE, Severity.WARNING, Severity.ERROR)
+    found = [*verdicts.of_numbers(summary), *recorded(summary)]
+    assert [v.text for v in found if v.severity in doubtful] == []
+    assert np.linalg.norm(summary["femur"]["head_displacement"]) < 5.0
 
 
 def test_init_stem_has_the_given_material(tmp_path: Path) -> None:
@@ -166,7 +185,7 @@ def test_init_without_the_mesh_names_missing_entries(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         load(path)
     (message,) = caught.value.messages
-    assert message == f"{path}:9:3: geometry.path: no such file: {path.parent}/own.msh"
+    assert message == f"{path}:10:3: geometry.path: no such file: {path.parent}/own.msh"
 
 
 def test_run_of_a_case_with_a_base_can_be_repeated(tmp_path: Path) -> None:

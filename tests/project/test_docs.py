@@ -167,8 +167,10 @@ def test_docs_glossary_has_each_term_once() -> None:
     assert sorted(terms) == sorted(set(terms))
 
 
-def test_docs_tutorial_case_is_that_of_init() -> None:
-    shown = next(text for page, text in blocks("yaml") if page == DOCS / "tutorial.md")
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md"])
+def test_docs_first_case_is_that_of_init(page: str) -> None:
+    """README and tutorial show the file that `mantle init hip` writes."""
+    shown = next(text for path, text in blocks("yaml") if path == ROOT / page)
     assert shown == (ROOT / "configs" / "start" / "femur.yaml").read_text(encoding="utf-8")
 
 

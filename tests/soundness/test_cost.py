@@ -26,7 +26,7 @@ MEASURED = {
     ("residual",): 220.0,
     ("start/blocks",): 2.4,
     ("start/cylinders",): 3.9,
-    ("start/femur",): 21.4,
+    ("start/femur",): 6.0,
 }
 
 
