@@ -43,6 +43,7 @@ install
 case
 geometry
 patient
+place
 your_hip
 ct
 loads

@@ -46,6 +46,9 @@ class BoneLayers(Protocol):
     def ends(self, theta: Floats, zeta: Floats) -> Floats:
         """Points of the periosteum at angles in sections at heights (n,)."""
 
+    def canal(self, theta: Floats, zeta: Floats) -> Floats:
+        """Points of the endosteum at angles in sections at heights (n,)."""
+
     def depth(self, x: Floats, zeta: Floats) -> Floats:
         """Depth of points in sections at heights within the endosteum (n,) [mm]."""
 
@@ -63,10 +66,11 @@ class LayeredBone(ResectedBone, Protocol):
     def is_radial(self) -> bool:
         """True if its surfaces are functions of angle and height (`RadialBone`)."""
 
-    def layers(self, geometry: Any, sections: Sections, stem: StemShape) -> BoneLayers:
+    def layers(self, geometry: Any, sections: Sections, stem: StemShape | None) -> BoneLayers:
         """Periosteum and endosteum in the sections of a mesh around a stem.
 
-        ``geometry`` is the one that the bone is of.
+        ``geometry`` is the one that the bone is of. Without a stem, the canal is as wide as it may
+        be made for any stem.
 
         Raises:
             GeometryError: The bone cannot be meshed in these sections.
@@ -124,6 +128,10 @@ class TableLayers:
     def ends(self, theta: Floats, zeta: Floats) -> Floats:
         """Points of the periosteum in sections (n, 3) [mm]."""
         return self._on(theta, zeta, self._meets(self._bone.periosteum, theta, zeta))
+
+    def canal(self, theta: Floats, zeta: Floats) -> Floats:
+        """Points of the endosteum in sections (n, 3) [mm]."""
+        return self._on(theta, zeta, self._meets(self._bone.endosteum, theta, zeta))
 
     def depth(self, x: Floats, zeta: Floats) -> Floats:
         """Depth of points (n, 3) within the endosteum (n,) [mm]."""

@@ -7,6 +7,7 @@ points meet the surface, which is triangles, once.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -16,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
-from meshes.data import MeshKeys
+from meshes.data import StepKeys
 from meshes.femur_stem import ARC, LEAST_WHOLE, Thickness, allotted, limited, unit
 from meshes.mantle import distance
 from meshes.placement import Placement
@@ -201,7 +202,7 @@ class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
     def __init__(
-        self, shape: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: MeshKeys
+        self, shape: Mapping[str, Any], ends: tuple[float, float], placed: Placement, mesh: StepKeys
     ) -> None:
         """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
         (self._low, high), self._placed = ends, placed

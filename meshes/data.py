@@ -27,7 +27,14 @@ EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
 FACES = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 9, 7), (0, 3, 2, 7, 8, 6), (1, 2, 3, 5, 8, 9)])
 
 
-class MeshKeys(Protocol):
+class StepKeys(Protocol):
+    """Steps along a stem."""
+
+    def steps(self, length: float) -> int:
+        """Equal steps of about the largest along a stem in a length."""
+
+
+class MeshKeys(StepKeys, Protocol):
     """Keys of the section `mesh` of a case that meshers read; lengths in mm."""
 
     @property
@@ -65,9 +72,6 @@ class MeshKeys(Protocol):
 
     def cells_through(self, cement: Any) -> tuple[int, int, int]:
         """Most cells through cement of a thickness, cancellous and cortical bone."""
-
-    def steps(self, length: float) -> int:
-        """Equal steps of about the largest along a stem in a length."""
 
     def graded(self, length: float, part: str) -> tuple[list[float], int, float]:
         """Distances of growing steps, then number and size of equal steps, in a length."""

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints
 
 if TYPE_CHECKING:
     from meshes.bone_layers import BoneLayers
@@ -67,8 +67,21 @@ CANAL = np.array(
     ]
 )
 TROCHANTER = (6.0, np.radians(-20.0), 0.40, 8.0)  # lesser: height, angle, spread in angle and z
+HEAD_OFFSET = 43.0  # mm from the shaft's axis to the head's centre
+HEAD_HEIGHT = 54.0  # mm: level of the head's centre
+DRAWN_AROUND = 72  # points around in pictures
+DRAWN_ALONG = 160  # sections in pictures
 CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the periosteum
 SHAFT = (-50.0, -10.0)  # levels [mm] between which a metaphyseal cortex goes over to the table's
+
+
+def tube_triangles(along: int, around: int) -> Ints:
+    """Triangles (m, 3) between points of sections, section by section, outwards to their left."""
+    row, turn = (v.ravel() for v in np.mgrid[: along - 1, :around])
+    a, b = row * around + turn, row * around + (turn + 1) % around
+    return np.concatenate(
+        [np.stack([a, b, b + around], axis=1), np.stack([a, b + around, a + around], axis=1)]
+    )
 
 
 def monotone(x: Floats, y: Floats) -> Callable[[Floats], Floats]:
@@ -166,6 +179,27 @@ class FemurBone:
     def _canal(self) -> Tube:
         """The reamed canal."""
         return Tube(CANAL, offset=self.widening)
+
+    @property
+    def head(self) -> Floats:
+        """Centre of the head (3,) [mm]."""
+        way = np.array([np.cos(self.neck), np.sin(self.neck)])
+        return np.append(HEAD_OFFSET * way, HEAD_HEIGHT)
+
+    @property
+    def drawn(self) -> tuple[Floats, Ints]:
+        """Corners (n, 3) [mm] and triangles (m, 3) of the outer surface, for pictures."""
+        levels = np.linspace(OUTER[-1, 0], OUTER[0, 0], DRAWN_ALONG)
+        turns = 2 * np.pi * np.arange(DRAWN_AROUND) / DRAWN_AROUND
+        theta, z = np.meshgrid(turns, levels)
+        r = self.periosteum(theta, z)
+        x = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1)
+        return x.reshape(-1, 3), tube_triangles(*theta.shape)
+
+    @property
+    def lowest(self) -> float:
+        """Level at which the surface ends [mm]."""
+        return float(OUTER[-1, 0])
 
     def reach(self, azimuth: float, height: float) -> float:
         """Distance of the periosteum from the shaft's axis [mm]."""

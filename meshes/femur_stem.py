@@ -19,7 +19,7 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
-from meshes.data import MeshKeys
+from meshes.data import StepKeys
 
 ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
 FULL = 3.0  # lines on a piece of a quarter over those by its length, at most
@@ -330,7 +330,7 @@ def unit(x: Floats) -> Floats:
 
 
 def upper(
-    implant: Implant, body: Body, mesh: MeshKeys, low: float, top: float, steep: float
+    implant: Implant, body: Body, mesh: StepKeys, low: float, top: float, steep: float
 ) -> Upper:
     """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
 

@@ -17,8 +17,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
+from app.foundation.implant import Implant
 from meshes import femur_stem
 
 EXACT = 1e-12  # of a cut's normal: rounded off
@@ -93,6 +94,18 @@ class ResectedBone(Protocol):
     def mirrored(self) -> bool:
         """True if the model is the mirror image of the bone: a right femur."""
 
+    @property
+    def head(self) -> Floats:
+        """Centre of the head (3,) [mm]."""
+
+    @property
+    def lowest(self) -> float:
+        """Level at which the surface ends [mm]."""
+
+    @property
+    def drawn(self) -> tuple[Floats, Ints]:
+        """Corners (n, 3) [mm] and triangles (m, 3) of the outer surface, for pictures."""
+
     def reach(self, azimuth: float, height: float) -> float:
         """Distance of the surface from the shaft's axis [mm].
 
@@ -101,36 +114,125 @@ class ResectedBone(Protocol):
         """
 
 
-def place(geometry: Any) -> Placement:
-    """Cut the neck of a bone and place the stem in it.
+@dataclass(frozen=True)
+class Position:
+    """Position of a stem in a bone. Lengths are in mm, angles in rad.
+
+    Attributes:
+        depth: Depth of the shoulder's lateral edge below the cut. None: the stem's levels are those
+            of the model.
+        varus: Tilt of the stem, its tip to lateral.
+        flexion: Tilt of the stem, its tip to posterior.
+        version: Azimuth of the stem's neck, from medial to anterior.
+        medial: Distance of the stem's axis from the shaft's along the azimuth of the cut.
+        anterior: Distance of the stem's axis from the shaft's across that.
+    """
+
+    depth: float | None
+    varus: float
+    flexion: float
+    version: float
+    medial: float
+    anterior: float
+
+
+@dataclass(frozen=True, eq=False)
+class NeckCut:
+    """The plane of the neck cut, in the model's axes.
+
+    Attributes:
+        normal: Unit normal (3,): the bone below it is kept.
+        level: Product of the normal with points of the plane [mm].
+        way: Direction of its azimuth across the shaft (2,).
+    """
+
+    normal: Floats
+    level: float
+    way: Floats
+
+    @classmethod
+    def of(cls, geometry: Any) -> NeckCut:
+        """The cut of a bone.
+
+        Raises:
+            GeometryError: It is beside the bone.
+        """
+        femur, cut = geometry.femur, geometry.resection
+        azimuth = femur.neck if cut.azimuth is None else cut.azimuth
+        way = np.array([math.cos(azimuth), math.sin(azimuth)])
+        normal = np.r_[math.sin(cut.angle) * way, math.cos(cut.angle)]
+        level = float(normal @ [*(femur.reach(azimuth, cut.height) * way), cut.height])
+        return cls(normal, level, way)
+
+    def put(self, implant: Implant, position: Position, mirrored: bool) -> Placement:
+        """The placement of a stem."""
+        anterior = np.array([-self.way[1], self.way[0]])
+        aside = position.medial * self.way + position.anterior * anterior
+        foot = np.r_[aside, (self.level - float(self.normal[:2] @ aside)) / self.normal[2]]
+        turn = _turned(position)
+        placed = Placement(self.normal, turn, foot, self.level / self.normal[2], mirrored)
+        if position.depth is None:
+            return placed
+        edge = femur_stem.edge(implant, placed.slopes[0])
+        return replace(placed, top=edge + position.depth)
+
+
+def _turned(position: Position) -> Floats:
+    """Axes of a stem as columns (3, 3): flexion first, then varus, then version."""
+    (c, s), (cv, sv), (cf, sf) = (
+        (math.cos(angle), math.sin(angle))
+        for angle in (position.version, position.varus, position.flexion)
+    )
+    version = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return version @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]] @ [[1, 0, 0], [0, cf, sf], [0, -sf, cf]]
+
+
+def position(geometry: Any) -> Position:
+    """Position of the stem of a geometry.
 
     Without ``insertion`` the stem is along the shaft's axis, turned to the neck. Without
     ``shoulder_depth`` its height is the one that its keys give.
 
     Raises:
+        GeometryError: Condyles are asked for that are not there.
+    """
+    femur, insertion = geometry.femur, geometry.insertion
+    if not insertion:
+        return Position(geometry.shoulder_depth, 0.0, 0.0, femur.neck, 0.0, 0.0)
+    version = insertion.version.angle
+    if insertion.version.relative_to == "neck":
+        version += femur.neck
+    elif not femur.has_condyles:
+        text = "is against the condyles, which this surface does not have"
+        raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
+    tilts, offsets = (
+        (insertion.varus, insertion.flexion),
+        (insertion.medial_offset, insertion.anterior_offset),
+    )
+    return Position(geometry.shoulder_depth, *tilts, version, *offsets)
+
+
+def place(geometry: Any) -> Placement:
+    """Cut the neck of a bone and place the stem in it.
+
+    Raises:
         GeometryError: The cut is beside the bone, or condyles are asked for that are not there.
     """
-    femur, cut, insertion = geometry.femur, geometry.resection, geometry.insertion
-    azimuth = femur.neck if cut.azimuth is None else cut.azimuth
-    way = np.array([math.cos(azimuth), math.sin(azimuth)])
-    normal = np.r_[math.sin(cut.angle) * way, math.cos(cut.angle)]
-    level = float(normal @ [*(femur.reach(azimuth, cut.height) * way), cut.height])
-    version, varus, aside = femur.neck, 0.0, np.zeros(2)
-    if insertion:
-        version, varus = insertion.version.angle, insertion.varus
-        if insertion.version.relative_to == "neck":
-            version += femur.neck
-        elif not femur.has_condyles:
-            text = "is against the condyles, which this surface does not have"
-            raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
-        anterior = np.array([-way[1], way[0]])
-        aside = insertion.medial_offset * way + insertion.anterior_offset * anterior
-    c, s = math.cos(version), math.sin(version)
-    cv, sv = math.cos(varus), math.sin(varus)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
-    foot = np.r_[aside, (level - float(normal[:2] @ aside)) / normal[2]]
-    placed = Placement(normal, turn, foot, level / normal[2], femur.mirrored)
-    if geometry.shoulder_depth is None:
-        return placed
-    edge = femur_stem.edge(geometry.implant, placed.slopes[0])
-    return replace(placed, top=edge + geometry.shoulder_depth)
+    return NeckCut.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
+
+
+def head_in_words(geometry: Any) -> str:
+    """Offset, leg length and version of the stem's head, with their changes by the operation.
+
+    The offset is the distance of the head's centre from the shaft's axis, the leg length its height
+    along it. Version is the azimuth of the neck about it.
+    """
+    placed, implant, femur = geometry.placement, geometry.implant, geometry.femur
+    head, intact = placed.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
+    offset, before = math.hypot(*head[:2]), math.hypot(*intact[:2])
+    version = math.atan2(placed.turn[1, 0], placed.turn[0, 0])
+    return (
+        f"offset {offset:.1f} mm ({offset - before:+.1f} against the intact head),"
+        f" leg length {head[2] - intact[2]:+.1f} mm,"
+        f" version {math.degrees(version):.1f} deg ({math.degrees(version - femur.neck):+.1f})"
+    )

@@ -8,9 +8,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from app.case.hips import INSIDE, MUSCLES, OF_BONE, Hip, Insertion, OperatedHip, Resection
+from app.case.hips import INSIDE, MUSCLES, OF_BONE, Hip, InsertionOrBest, OperatedHip, Resection
 from app.case.shapes import MeshOptions, Point3, spread
 from app.case.stems import Stem, StemFile, length
+from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from app.schema.section import Kinds, fail
 from app.schema.units import Angle, Dimension, Length
@@ -211,8 +212,18 @@ class Femur(_Femur, OperatedHip):
     """
 
     kind: Literal["femur"] = "femur"
-    insertion: Insertion | None = None
-    """Where the stem is put, other than along the shaft's axis, turned by `anteversion`."""
+    insertion: InsertionOrBest | None = None
+    """Where the stem is put, other than along the shaft's axis, turned by `anteversion`; or `best`:
+    the position with the most room, near that."""
+
+    @model_validator(mode="after")
+    def _searched(self) -> Femur:
+        try:
+            self.search()
+        except GeometryError as error:
+            key, _, text = str(error).removeprefix("geometry.").partition(": ")
+            fail(text, at=tuple(key.split(".")))
+        return self
 
     @property
     def shoulder_depth(self) -> float | None:
@@ -224,8 +235,8 @@ class Femur(_Femur, OperatedHip):
         """The key that says where the stem is, and what to change where it has no room."""
         if not self.insertion:
             return super().more_room
-        text = "change insertion, widen the canal (canal_widening), or take a smaller or shorter"
-        return "geometry.insertion", f"{text} stem"
+        text = "change insertion (insertion: best, or mantle place), widen the canal"
+        return "geometry.insertion", f"{text} (canal_widening), or take a smaller or shorter stem"
 
     @property
     def details(self) -> dict[str, str]:

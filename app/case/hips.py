@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateAttr
+from pydantic_core import core_schema
 
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, perimeter, spread
 from app.foundation.implant import FLAT, Implant
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
+
+if TYPE_CHECKING:
+    from app.case.stems import Stem, StemFile
 
 BONE = ("cortical_bone", "cancellous_bone")
 OF_BONE = dict.fromkeys(BONE, "bone")
@@ -25,6 +29,8 @@ MUSCLES: dict[str, Point3] = {
     "vastus_lateralis": (-15.067, 4.018, -25.0),
     "vastus_medialis": (2.540, 13.508, -132.0),
 }
+
+LEAST_CEMENT = 1.0  # mm of cement for which there must be room
 
 # Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
 # thickness of the mantle less the widening of the canal (mm).
@@ -71,6 +77,24 @@ class Version(Section):
     """The turn, the head to anterior (rad)."""
 
 
+def _tilt(most: float) -> Any:
+    """Largest change of a tilt or turn (rad)."""
+    return Dimension("rad", "an angle", "3 deg", at_least=0.0, at_most=most)
+
+
+class Search(Section):
+    """Largest changes of a position in a search; 0 keeps a number as it is given."""
+
+    varus: Annotated[float, _tilt(0.2)] = math.radians(3.0)
+    """Largest change of `varus` (rad)."""
+    flexion: Annotated[float, _tilt(0.2)] = math.radians(3.0)
+    """Largest change of `flexion` (rad)."""
+    version: Annotated[float, _tilt(1.0)] = math.radians(10.0)
+    """Largest change of the angle of `version` (rad)."""
+    offset: Annotated[float, Dimension("mm", "a length", "4 mm", at_least=0.0, at_most=20.0)] = 4.0
+    """Largest change of `medial_offset` and of `anterior_offset`."""
+
+
 class Insertion(Section):
     """Where the stem is put in the femur."""
 
@@ -79,12 +103,42 @@ class Insertion(Section):
     above it. By default 0, and in the parametric femur as `tip_z` says."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
+    flexion: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = (
+        0.0
+    )
+    """Tilt of the stem, its tip to posterior (rad), about the same point."""
     version: Version = Field(default_factory=Version)
     """Turn of the stem about the shaft's axis."""
     medial_offset: Length = 0.0
     """Distance of the stem's axis from the shaft's to medial, along the cut's azimuth."""
     anterior_offset: Length = 0.0
     """Distance of the stem's axis from the shaft's to anterior."""
+    best: Search | None = None
+    """Search for the position with the most room around the stem, near the one that the other keys
+    give; its depth stays. `insertion: best` is `insertion: {best: {}}`."""
+
+
+class _Best:
+    """Marks a field as an insertion, or the word `best` for one that is searched."""
+
+    def read(self, value: object) -> object:
+        """The keys of an insertion."""
+        return {"best": {}} if value == "best" else value
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Replace the word before the keys are read."""
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """The keys, or the word."""
+        return {"anyOf": [handler(schema), {"const": "best"}]}
+
+
+InsertionOrBest = Annotated[Insertion, _Best()]
 
 
 class Hip(Shape):
@@ -226,10 +280,39 @@ class OperatedHip(Hip):
         "cement_bone": (("cement",), BONE),
     }
 
+    if TYPE_CHECKING:
+        insertion: Insertion | None
+        stem: Stem | StemFile
+
+    # Gain of a position that was searched, in words.
+    _gain: str = PrivateAttr("")
+
     @property
     def more_room(self) -> tuple[str, str]:
         """The key that says where the stem is, and what to change where it has no room."""
         raise NotImplementedError
+
+    @property
+    def least_room(self) -> float:
+        """Room that the stem must have everywhere (mm): for cement, or none without cement."""
+        return LEAST_CEMENT if spread(self.cement_thickness)[0] else 0.0
+
+    def search(self) -> None:
+        """Replace a position that is to be searched by the best one."""
+        insertion = self.insertion
+        if insertion and insertion.best:
+            search = import_module("meshes.best_position").searched
+            self.__dict__["insertion"], self._gain = search(self, insertion)
+
+    @property
+    def placement_details(self) -> dict[str, str]:
+        """Head of the stem against the intact one, and the gain of a search, in words."""
+        details = {"head of the stem": import_module("meshes.placement").head_in_words(self)}
+        return details | ({"best position": self._gain} if self._gain else {})
+
+    def room_details(self) -> str:
+        """Least room around the stem, in words."""
+        return str(import_module("meshes.room").room_in_words(self))
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

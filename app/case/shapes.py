@@ -150,6 +150,15 @@ class Shape(Extensible):
     kind: str
 
     @property
+    def placement_details(self) -> dict[str, str]:
+        """The stem's position, in words."""
+        return {}
+
+    def room_details(self) -> str:
+        """Least room around a stem, in words; empty without one."""
+        return ""
+
+    @property
     def content(self) -> str:
         """Hash of the content of its files; empty without files."""
         return ""

@@ -25,6 +25,9 @@ _Point = Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 100 mm]")
 _Line = Annotated[tuple[_Point, _Point], Pair("[[0 mm, 0 mm, 0 mm], [0 mm, 0 mm, 100 mm]]")]
 
 
+SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
+
+
 length = partial(Dimension, "mm", "a length")
 
 
@@ -99,7 +102,7 @@ class Stem(Section):
 class StemFile(Section):
     """A stem from CAD: one solid with a neck. Points are in the coordinates of the file."""
 
-    step: Annotated[Path, file(".step", ".stp", ".iges", ".igs", ".brep")]
+    step: Annotated[Path, file(*SUFFIXES)]
     """STEP, IGES or BREP file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """What a millimetre of the file is, if it names no unit or a wrong one: STEP and IGES files

@@ -81,6 +81,8 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         with case.file.placing():
             notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
         size = cost.exact_size(case.config, data, memory.available())
+        room = case.config.geometry.room_details()
+        size += f"\n  room around the stem: {room}" if room else ""
     text = preview.describe(case.config, case.file.data)
     return CheckedCase(text, size, tuple(n for n in notes if n.text not in text))
 

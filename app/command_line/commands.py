@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import meshes
 from app.case import explanations, gmsh_header, keys, new_case, overlay
-from app.case.case import LoadedCase
+from app.case.case import LoadedCase, valid_parts
 from app.case.case import load as load_case
 from app.command_line import actions
 from app.command_line.parser import options_of_commands, parser
@@ -95,13 +95,15 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
     return 0
 
 
+def _case_path(path: Path) -> Path:
+    """File of the case of a command: a file, or a shipped case by its name alone."""
+    shipped = overlay.found(path.parent, str(path))
+    return shipped if not path.exists() and shipped.exists() else path
+
+
 def _load(options: argparse.Namespace) -> LoadedCase:
-    """Load the case of a command: a file, or a shipped case by its name alone."""
-    path = options.case
-    if not path.exists():
-        path = overlay.found(path.parent, str(path))
-        path = path if path.exists() else options.case
-    return load_case(path, options.overrides)
+    """Load the case of a command."""
+    return load_case(_case_path(options.case), options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
@@ -123,6 +125,9 @@ def _check(options: argparse.Namespace) -> int:
         configure_log("info", sys.stderr)
         found = actions.check(case, meshed=True)
     print(found.size)
+    if case.config.geometry.placement_details:
+        program = os.environ.get("MANTLE_CALLED", "mantle")
+        print(f"to place the stem by eye: {program} place {shlex.quote(str(options.case))}")
     if options.output:
         from app.report import case_picture
 
@@ -171,6 +176,20 @@ def _mesh(options: argparse.Namespace) -> int:
     print(cost.exact_size(case.config, data, memory.available()))
     for message in data.notes.get("messages", ()):
         print(f"note: {message}")
+    return 0
+
+
+def _place(options: argparse.Namespace) -> int:
+    from app.report import placement_page
+
+    source = _case_path(options.case)
+    file = overlay.read(source, options.overrides)
+    # A stem without room is no fault here: it is to be placed.
+    case, faults = valid_parts(file.data, source.parent)
+    file.raise_all(faults)
+    page = options.output or Path("out") / f"{source.stem}-place.html"
+    with file.placing():
+        print(placement_page.write(case, source, page))
     return 0
 
 
@@ -256,6 +275,7 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "init": _init,
     "check": _check,
     "mesh": _mesh,
+    "place": _place,
     "study": _campaign,
     "sweep": _campaign,
     "report": _report,

@@ -65,6 +65,10 @@ COMMANDS = {
         f"{CASE} --mesh -o",
     ),
     "mesh": ("mesh a case and draw it, or write it for CalculiX (.inp)", f"{CASE} -o"),
+    "place": (
+        "write a page on which the stem of a hip is placed by eye; it needs only a browser",
+        f"{CASE} -o",
+    ),
     "study": ("measure error against run time of a case on several meshes", f"{CASE} {SUITE}"),
     "sweep": (
         "run many cases that vary one base case, and compare them",
@@ -83,6 +87,7 @@ COMMANDS = {
 OUTPUTS = {
     "check": "also mesh the case and draw it: FOLDER/<name of CASE>.png",
     "mesh": "folder of <name of CASE>.msh, default: out; or NAME.inp, a CalculiX deck of the case",
+    "place": "the page, default: out/<name of CASE>-place.html",
     "report": "folder of compare.html, for several runs; default: out",
     "run": "folder of the results, default: out/<name of CASE>",
     "study": "folder of the results, default: out/<name of CASE>-study",
@@ -257,6 +262,8 @@ def parser() -> argparse.ArgumentParser:
                 options = options | {
                     "help": OUTPUTS.get(name, f"folder of the results, default: out/{name}")
                 }
+                if name == "place":
+                    options["type"] = Path
             elif word == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
             command.add_argument(*[word, LONG[word]] if word in LONG else [word], **options)

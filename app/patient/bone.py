@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from app.patient import bone_surface, landmarks
@@ -23,13 +23,13 @@ from app.patient.bone_surface import BoneSurface
 from app.patient.landmarks import Frame
 from app.patient.measured_layers import MeasuredLayers, Reaming
 from meshes.bone_layers import StemShape
+from meshes.femur_bone import HEAD_HEIGHT
 from meshes.layers import Sections
 from meshes.placement import Placement
 from meshes.plane_sections import centroid, exits
 
 # Of the parametric femur [mm].
 LATERAL = 31.5  # from the axis to the greater trochanter
-HEAD = 54.0  # height of the head
 SHAFT = 14.4  # radius of the shaft
 LEVEL = -50.0  # level of that radius
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
@@ -110,6 +110,21 @@ class PatientBone:
         return edge
 
     @property
+    def head(self) -> Floats:
+        """Centre of the head (3,) [mm]."""
+        return np.asarray(self.frame.to_model(self.frame.head))
+
+    @property
+    def drawn(self) -> tuple[Floats, Ints]:
+        """Corners (n, 3) [mm] and triangles (m, 3) of the surface, for pictures."""
+        return self.surface.points, self.surface.triangles
+
+    @property
+    def lowest(self) -> float:
+        """Level at which the surface ends [mm]."""
+        return float(self.surface.points[:, 2].min())
+
+    @property
     def notes(self) -> list[str]:
         """Doubts about the size and shape of the bone, and about an open proximal end."""
         return self.frame.doubts(self.surface)
@@ -117,9 +132,11 @@ class PatientBone:
     @property
     def size(self) -> float:
         """Height of the patient's head over that of the parametric femur."""
-        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
+        return float(self.head[2]) / HEAD_HEIGHT
 
-    def layers(self, geometry: OperatedBone, sections: Sections, stem: StemShape) -> MeasuredLayers:
+    def layers(
+        self, geometry: OperatedBone, sections: Sections, stem: StemShape | None
+    ) -> MeasuredLayers:
         """Periosteum and endosteum in the sections of a mesh, the canal reamed.
 
         Raises:

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.case.hips import INSIDE, MUSCLES, Insertion, OperatedHip, Resection, point
+from app.case.hips import (
+    INSIDE,
+    MUSCLES,
+    Insertion,
+    InsertionOrBest,
+    OperatedHip,
+    Resection,
+    point,
+)
 from app.case.shapes import MeshOptions, Point3, spread
 from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Floats
@@ -118,8 +126,8 @@ class Patient(OperatedHip):
     """The implant: by its numbers, or one from a file of CAD."""
     resection: Resection = Field(default_factory=Resection)
     """The cut across the neck."""
-    insertion: Insertion = Field(default_factory=Insertion)
-    """Where the stem is put."""
+    insertion: InsertionOrBest = Field(default_factory=Insertion)
+    """Where the stem is put; or `best`: the position with the most room."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
@@ -131,6 +139,7 @@ class Patient(OperatedHip):
         for field, text in implant.faults(spread(self.cement_thickness)[0]):
             fail(text, at=("stem", field))
         try:
+            self.search()
             placed = self.placement
         except (GeometryError, InputError) as error:
             for part in ("bone", "canal"):
@@ -213,7 +222,7 @@ class Patient(OperatedHip):
     def more_room(self) -> tuple[str, str]:
         """The key that says where the stem is, and what to change where it has no room."""
         text = "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and"
-        return "geometry.insertion", f"{text} offsets"
+        return "geometry.insertion", f"{text} offsets (insertion: best, or mantle place)"
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""

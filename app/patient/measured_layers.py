@@ -82,7 +82,7 @@ class MeasuredLayers:
         reaming: Reaming,
         implant: Implant,
         sections: Sections,
-        stem: StemShape,
+        stem: StemShape | None,
     ) -> None:
         """Measure the bone, then ream its canal.
 
@@ -93,7 +93,8 @@ class MeasuredLayers:
             reaming: Keys that say how the canal is reamed.
             implant: The stem with its plug.
             sections: Sections of the mesh.
-            stem: The stem and its mantle in the sections.
+            stem: The stem and its mantle in the sections. None: the canal is as wide as a broach
+                may make it for any stem.
 
         Raises:
             GeometryError: The stem's axis leaves the bone, or a surface crosses itself.
@@ -227,16 +228,18 @@ class MeasuredLayers:
             zeta = x[:, 2] + self._sections.slope(zeta) * rise
         return float(zeta.min() if flat.any() else zeta.max()) - EVERY
 
-    def _reamed(self, reaming: Reaming, canal: Floats, stem: StemShape) -> Floats:
+    def _reamed(self, reaming: Reaming, canal: Floats, stem: StemShape | None) -> Floats:
         """Radii of the endosteum after reaming [mm]; notes say what it takes of the bone."""
         bone, zeta = self._bone.radii, self._bone.zeta
+        most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - canal))
         wanted = canal
         if reaming.ream == "by":
             wanted = canal + reaming.ream_by
         elif reaming.ream == "broach":
-            wanted = np.maximum(canal, self._broached(stem))
-        most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - canal))
+            wanted = np.maximum(canal, self._broached(stem)) if stem else most
         made = np.minimum(wanted, most)
+        if stem is None:
+            return made
         # Below the plug the reamed canal goes over to the patient's.
         depth = (zeta < self._sections.plug)[:, None]
         at = int(np.searchsorted(zeta, self._sections.plug))
@@ -273,6 +276,10 @@ class MeasuredLayers:
     def ends(self, theta: Floats, zeta: Floats) -> Floats:
         """Points of the periosteum in sections (n, 3) [mm]."""
         return self._on(theta, zeta, self._bone(theta, zeta))
+
+    def canal(self, theta: Floats, zeta: Floats) -> Floats:
+        """Points of the endosteum in sections (n, 3) [mm]."""
+        return self._on(theta, zeta, self._endosteum(theta, zeta))
 
     def depth(self, x: Floats, zeta: Floats) -> Floats:
         """Depth of points (n, 3) in sections within the endosteum (n,) [mm]."""

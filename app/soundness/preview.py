@@ -46,7 +46,8 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
-    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.details.items()]
+    details = case.geometry.details | case.geometry.placement_details
+    lines += [f"  {k}: {plain(v)}" for k, v in details.items()]
     lines += ["mesh", *_entries(case.mesh, given.get("mesh"))]
     lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
     lines.append("regions")

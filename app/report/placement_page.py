@@ -1,0 +1,263 @@
+"""Page on which a stem is placed in a bone by eye, for ``mantle place``.
+
+One file without a server: the numbers of bone, canal and stems, three.js (`viewer.SCRIPTS`), and
+`placement.js`, which moves the stem. The page interpolates the distances of `meshes.room` on the
+same grid, so its numbers are those of ``mantle check --mesh``.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.case.case import Case
+from app.case.hips import OperatedHip, Search
+from app.case.shapes import GradedThickness
+from app.case.stems import SUFFIXES, StemFile
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError, MantleError
+from app.foundation.files import write_bytes
+from app.foundation.implant import Implant
+from app.report import page, viewer
+from meshes import best_position, femur_stem, layered_surfaces, room
+from meshes.femur_bone import tube_triangles
+from meshes.placement import Position, position
+
+COMPRESSION = 6  # level of zlib: the highest saves 1 % in four times the time
+DEPTHS = np.arange(-4.0, 14.5, 3.0)  # mm: depths for which the best position is in the page
+MOST_TRIANGLES = 40_000  # of the bone; above, corners are merged in boxes
+BOX = 1.0  # mm: first edge of these boxes
+BELOW = 25.0  # mm of bone shown below the part with a known canal
+EVERY = 3  # sections of the canal of which one is drawn
+SIZES = 12  # stems in one folder that are offered, at most
+DRAWN = 65535  # largest of the numbers that stand for a coordinate
+
+
+@dataclass(frozen=True)
+class Size:
+    """A stem that can be placed.
+
+    Attributes:
+        name: Its name on the page.
+        implant: The stem.
+        yaml: Lines of its section `stem`; empty for the stem of the case.
+    """
+
+    name: str
+    implant: Implant
+    yaml: str
+
+
+class _Numbers:
+    """Arrays of the page, one after another, each at its offset."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def add(self, array: NDArray[Any]) -> dict[str, object]:
+        """Append an array; where it is, its type and shape."""
+        at = len(self.data)
+        self.data.extend(array.tobytes())
+        self.data.extend(bytes(-len(self.data) % 4))
+        return {"at": at, "type": array.dtype.str[1:], "shape": list(array.shape)}
+
+    def places(self, x: Floats) -> dict[str, object]:
+        """Append places (n, 3) as parts of their range [mm]."""
+        low, width = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
+        parts = np.round((x - low) / width * DRAWN).astype("<u2")
+        return self.add(parts) | {"low": low.tolist(), "width": width}
+
+
+def write(case: Case, source: Path, path: Path) -> Path:
+    """Write the page of a case to a file.
+
+    Raises:
+        InputError: The geometry has no stem to place, three.js is missing, or the file cannot be
+            written.
+        GeometryError: The shaft's axis leaves the bone.
+    """
+    geometry = case.geometry
+    if not isinstance(geometry, OperatedHip):
+        text = f"{source}: geometry.kind: {geometry.kind} has no stem to place"
+        raise InputError(f"{text}; expected femur or patient")
+    scripts = [viewer.THREE / name for name in viewer.SCRIPTS]
+    if not all(script.exists() for script in scripts):
+        raise InputError("mantle place: three.js is missing; install the package libjs-three")
+    here = Path(__file__).parent
+    head, numbers = packed(geometry, case.title or source.stem, source)
+    texts = [script.read_text("utf-8") for script in scripts]
+    html = page.render(
+        "placement.html",
+        {
+            "title": case.title or source.stem,
+            "head": json.dumps(head),
+            "data": base64.b64encode(zlib.compress(numbers, COMPRESSION)).decode("ascii"),
+            "licence": (here / "three_licence.txt").read_text("utf-8"),
+            "scripts": [*texts, (here / "placement.js").read_text("utf-8")],
+        },
+    )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, html.encode())
+    except OSError as error:
+        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
+    return path
+
+
+def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, object], bytes]:
+    """The input of `placement.js`: numbers and texts, and the arrays.
+
+    Raises:
+        GeometryError: The shaft's axis leaves the bone.
+    """
+    numbers, femur, insertion = _Numbers(), geometry.femur, geometry.insertion
+    canal, start = room.canal(geometry), position(geometry)
+    placed = geometry.placement
+    edge = femur_stem.edge(geometry.implant, placed.slopes[0])
+    start = replace(start, depth=float(placed.top) - edge)
+    relative = insertion.version.relative_to if insertion else "neck"
+    points, triangles = _thinned(*femur.drawn)
+    shown = points[:, 2] > canal.points[..., 2].min() - BELOW
+    triangles = triangles[shown[triangles].all(axis=1)]
+    rings = canal.points[::EVERY, ::2]
+    thickness = geometry.cement_thickness
+    tables = thickness.tables if isinstance(thickness, GradedThickness) else None
+    limits = best_position.Limits.of((insertion and insertion.best) or Search())
+    head: dict[str, object] = {
+        "title": title,
+        "source": source.name,
+        "side": "right" if femur.mirrored else "left",
+        "cut": {
+            "normal": canal.cut.normal.tolist(),
+            "level": canal.cut.level,
+            "way": canal.cut.way.tolist(),
+        },
+        "neck": femur.neck,
+        "relative": relative,
+        "condyles": femur.has_condyles,
+        "head": femur.head.tolist(),
+        "least": geometry.least_room,
+        "stem": {
+            "along": room.BODY_ALONG,
+            "neck_along": room.NECK_ALONG,
+            "deep": layered_surfaces.DEEP,
+            "out": femur_stem.OUT,
+            "shoulder": femur_stem.SHOULDER,
+            "clear": femur_stem.CLEAR,
+            "blend": femur_stem.BLEND,
+        },
+        "thickness": {"uniform": None if tables else thickness, "tables": tables},
+        "position": _shown(start),
+        "grid": numbers.add(canal.distances.astype("<i2"))
+        | {"low": canal.low.tolist(), "step": room.STEP.tolist(), "unit": room.UNIT},
+        "canal": {
+            "points": numbers.places(rings.reshape(-1, 3)),
+            "triangles": numbers.add(tube_triangles(*rings.shape[:2]).astype("<u4")),
+        },
+        "bone": {
+            "points": numbers.places(points),
+            "triangles": numbers.add(triangles.astype("<u4")),
+        },
+        "stems": [
+            _packed_stem(size, geometry, canal, start, limits, numbers)
+            for size in sizes(geometry, source.parent)
+        ],
+    }
+    return head, bytes(numbers.data)
+
+
+def _shown(start: Position) -> dict[str, float]:
+    """Numbers of a position in mm and degrees."""
+    return {
+        "depth": float(start.depth or 0.0),
+        "varus": math.degrees(start.varus),
+        "flexion": math.degrees(start.flexion),
+        "version": math.degrees(start.version),
+        "medial": start.medial,
+        "anterior": start.anterior,
+    }
+
+
+def _packed_stem(
+    size: Size,
+    geometry: OperatedHip,
+    canal: room.WidestCanal,
+    start: Position,
+    limits: best_position.Limits,
+    numbers: _Numbers,
+) -> dict[str, object]:
+    """Shape of a stem, and its best positions by depth."""
+    implant, mirrored = size.implant, geometry.femur.mirrored
+    stem = room.StemSurface.of(implant, canal.cut.put(implant, start, mirrored))
+    bests = []
+    for depth in DEPTHS:
+        at = replace(start, depth=float(depth))
+        bests.append(_shown(best_position.best(canal, stem, at, limits)))
+    surface: dict[str, object] = {"points": None}
+    if stem.points is not None:
+        surface = {"points": numbers.add(stem.points.astype("<f4"))}
+    return surface | {
+        "name": size.name,
+        "yaml": size.yaml,
+        "start": stem.start.tolist(),
+        "way": stem.way.tolist(),
+        "tip": implant.tip_z,
+        "shoulder": implant.shoulder,
+        "lateral": implant.shoulder - femur_stem.edge(implant, 1.0),
+        "head": [implant.head_offset, 0.0, implant.head_height],
+        "neck": {
+            "angle": implant.neck_angle,
+            "radii": [_half(implant.neck_diameter), _half(implant.trunnion_diameter)],
+            "fillet": implant.neck_fillet,
+        },
+        "best": bests,
+    }
+
+
+def _half(diameter: float | None) -> float:
+    """Radius of a part of a neck; 0 for a stem from a file, which does not need it [mm]."""
+    return 0.5 * diameter if diameter else 0.0
+
+
+def sizes(geometry: OperatedHip, folder: Path) -> list[Size]:
+    """The stem of a geometry, and others whose files are in the folder of its file.
+
+    Paths are relative to the folder of the case.
+    """
+    stem = geometry.stem
+    if not isinstance(stem, StemFile):
+        return [Size(f"{geometry.implant.length:g} mm", geometry.implant, "")]
+    files = sorted(p for p in stem.step.parent.iterdir() if p.suffix.lower() in SUFFIXES)
+    others = [file for file in files if file != stem.step][: SIZES - 1]
+    offered = [Size(stem.step.stem, geometry.implant, "")]
+    for file in others:
+        try:
+            other = StemFile(step=file, unit=stem.unit)
+        except (MantleError, ValueError):
+            continue  # no stem, or of another kind
+        implant = other.implant(None, geometry.plug_length, geometry.implant.tip_void)
+        name = os.path.relpath(file, folder.resolve())
+        offered.append(Size(file.stem, implant, f"stem: {{step: {json.dumps(name)}}}"))
+    return sorted(offered, key=lambda size: size.implant.length)
+
+
+def _thinned(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Corners and triangles of a surface, corners in boxes merged until there are few enough."""
+    box = BOX
+    while len(triangles) > MOST_TRIANGLES:
+        cells = np.floor(points / box).astype(np.int64)
+        _, first, of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        corners = of.ravel()[triangles]
+        a, b, c = corners.T
+        points, triangles = points[first], corners[(a != b) & (b != c) & (c != a)]
+        box *= 1.5
+    return points, triangles

@@ -1,0 +1,179 @@
+"""Search for the position of a stem with the largest least room for cement.
+
+Room is measured as in `room`. At each step it is made linear in the five numbers of the position,
+within a trust region: the largest least room is then a linear program (scipy's HiGHS). Between
+positions with equal room the one nearest to the start is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
+from meshes import room
+from meshes.placement import Position, position
+from meshes.room import StemSurface, WidestCanal
+
+NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
+WORTH = 0.05  # mm of room for which a number may go as far as its limit
+TRUST = 0.3  # of the limits: first size of the trust region
+SMALLEST = 0.005  # of the limits: last size of the trust region
+DIFFERENCE = 0.01  # of the limits: step of the derivatives
+CLOSE = 2.0  # mm of room above the least: points that a step may make the closest
+THINNED = 3  # lines along the stem of which one is searched
+STEPS = 60  # at most
+# Starts of the search next to the given position: number of `NUMBERS`, and part of its limit.
+STARTS = ((2, 0.5), (2, -0.5))
+TILTS = [0, 1]  # numbers of `NUMBERS` that are tilts
+MOST_TILT = 0.2  # rad: largest varus and flexion of a position
+ANGLE_DIGITS = 1  # decimals of a position's angles [deg]
+LENGTH_DIGITS = 1  # decimals of a position's lengths [mm]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest changes of a position, in rad and mm."""
+
+    varus: float
+    flexion: float
+    version: float
+    medial: float
+    anterior: float
+
+    @classmethod
+    def of(cls, keys: Any) -> Limits:
+        """Those of the keys of a search."""
+        return cls(keys.varus, keys.flexion, keys.version, keys.offset, keys.offset)
+
+
+def best(canal: WidestCanal, stem: StemSurface, start: Position, limits: Limits) -> Position:
+    """The position, of the depth of the start, with the largest least room."""
+    points = None if stem.points is None else stem.points[:, ::THINNED]
+    coarse = replace(stem, start=stem.start[::THINNED], way=stem.way[::THINNED], points=points)
+    first = np.array([getattr(start, name) for name in NUMBERS])
+    scale = np.array([getattr(limits, name) for name in NUMBERS])
+    scale[TILTS] = np.minimum(scale[TILTS], MOST_TILT - np.abs(first[TILTS]))
+    free = np.flatnonzero(scale > 0)
+
+    def changed(u: Floats) -> Position:
+        return replace(start, **dict(zip(NUMBERS, map(float, first + scale * u), strict=True)))
+
+    def rooms_at(u: Floats, points: Floats | None = None) -> tuple[Floats, Floats]:
+        placed = canal.cut.put(stem.implant, changed(u), False)
+        x = coarse.cemented(placed, canal.cut) if points is None else points
+        return canal.room(placed.to_model(x)), x
+
+    def worth(rooms: Floats, u: Floats) -> float:
+        return float(rooms.min() - WORTH * np.abs(u).sum())
+
+    def searched_from(u: Floats) -> tuple[float, Floats]:
+        """Worth and changes of the best position near a start."""
+        trust, (rooms, x) = TRUST, rooms_at(u)
+        for _ in range(STEPS):
+            near = x[rooms < rooms.min() + CLOSE]
+            here, _ = rooms_at(u, near)
+            shifts = DIFFERENCE * np.eye(len(NUMBERS))[free]
+            slopes = np.array([(rooms_at(u + s, near)[0] - here) / DIFFERENCE for s in shifts])
+            step = np.zeros(len(NUMBERS))
+            step[free] = _largest_least(here, slopes.T, u[free], trust)
+            next_rooms, next_x = rooms_at(u + step)
+            if worth(next_rooms, u + step) > worth(rooms, u):
+                u, rooms, x = u + step, next_rooms, next_x
+            else:
+                trust /= 2
+                if trust < SMALLEST:
+                    break
+        return worth(rooms, u), u
+
+    starts = [part * np.eye(len(NUMBERS))[number] for number, part in STARTS if scale[number]]
+    found = [searched_from(u) for u in (np.zeros(len(NUMBERS)), *starts)]
+    _, u = max(found, key=lambda pair: pair[0])
+    return changed(u)
+
+
+def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
+    """The keys of the best position of a stem, and what it gained, in words.
+
+    Args:
+        geometry: A hip with its bone, cut and implant.
+        insertion: Its keys, with the limits of the search as `best`.
+
+    Raises:
+        GeometryError: No position within the limits has room for the stem.
+    """
+    start, limits = position(geometry), insertion.best
+    canal, neck = room.canal(geometry), geometry.femur.neck
+    cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
+    given = cut.put(implant, start, mirrored)
+    stem = StemSurface.of(implant, given)
+    found = best(canal, stem, start, Limits.of(limits))
+    relative = neck if insertion.version.relative_to == "neck" else 0.0
+    angle = _rounded_angle(found.version - relative)
+    keys = {
+        "varus": _rounded_angle(found.varus),
+        "flexion": _rounded_angle(found.flexion),
+        "version": insertion.version.model_copy(update={"angle": angle}),
+        "medial_offset": round(found.medial, LENGTH_DIGITS),
+        "anterior_offset": round(found.anterior, LENGTH_DIGITS),
+        "best": None,
+    }
+    result = insertion.model_copy(update=keys)
+    rounded = Position(
+        start.depth,
+        result.varus,
+        result.flexion,
+        angle + relative,
+        result.medial_offset,
+        result.anterior_offset,
+    )
+    placed = cut.put(implant, rounded, mirrored)
+    after, before = room.fit(canal, stem, placed), room.fit(canal, stem, given)
+    words = (
+        f"varus {math.degrees(result.varus):.1f}, flexion {math.degrees(result.flexion):.1f},"
+        f" version {math.degrees(angle):.1f} deg from the {insertion.version.relative_to},"
+        f" offsets {result.medial_offset:.1f} mm medial, {result.anterior_offset:.1f} mm anterior"
+    )
+    if after.least < geometry.least_room:
+        text = f"no position within the limits of the search leaves {geometry.least_room:g} mm"
+        at = f"the best, {words}, has {after.words(placed)}"
+        remedy = "ream the canal, take a smaller or shorter stem, or widen insertion.best"
+        raise GeometryError(f"geometry.insertion: {text} around the stem; {at}; {remedy}")
+    gain = f"{after.words(placed)}, {after.least - before.least:.2f} mm more than as given"
+    return result, f"{words}: room {gain}"
+
+
+def _rounded_angle(angle: float) -> float:
+    """An angle rounded to a tenth of a degree, within the limits of tilts [rad]."""
+    return math.radians(round(math.degrees(angle), ANGLE_DIGITS))
+
+
+def _largest_least(rooms: Floats, slopes: Floats, u: Floats, trust: float) -> Floats:
+    """Step (k,) that makes the least of linear rooms largest.
+
+    Args:
+        rooms: Rooms of the points (n,) [mm].
+        slopes: Their derivatives (n, k) [mm].
+        u: Changes of the numbers so far, over their limits (k,).
+        trust: Largest change in this step.
+    """
+    n, k = slopes.shape
+    # Unknowns are the step (k,), the size of the whole change (k,), and the least room.
+    cost = np.concatenate([np.zeros(k), np.full(k, WORTH), [-1.0]])
+    eye, none = np.eye(k), np.zeros((k, 1))
+    left = np.block(
+        [
+            [-slopes, np.zeros((n, k)), np.ones((n, 1))],
+            [eye, -eye, none],
+            [-eye, -eye, none],
+        ]
+    )
+    right = np.concatenate([rooms, -u, u])
+    low, high = np.maximum(-trust, -1.0 - u), np.minimum(trust, 1.0 - u)
+    bounds = [*zip(low, high, strict=True), *[(0.0, None)] * k, (None, None)]
+    return np.asarray(linprog(cost, left, right, bounds=bounds).x[:k])

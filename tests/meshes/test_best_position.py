@@ -1,0 +1,64 @@
+"""Search for the position with the most room."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from app.case.geometries import Femur
+from meshes import best_position, room
+from meshes.best_position import Limits
+from meshes.room import StemSurface
+from tests.meshes.canals import CUT, IMPLANT, RADIUS, START, rod, tube
+
+LIMITS = Limits(math.radians(3), math.radians(3), math.radians(10), 4.0, 4.0)
+
+
+@pytest.mark.parametrize(("varus", "flexion"), [(1.5, 0.0), (-1.0, 2.0), (0.0, 0.0)])
+def test_best_position_is_the_axis_of_a_round_canal(varus: float, flexion: float) -> None:
+    """A rod has the most room along the axis: the difference of the radii, to the grid's error."""
+    lean = math.tan(math.radians(varus)), math.tan(math.radians(flexion))
+    canal = room.canal_of(CUT, tube((1.5, -1.0), lean))
+    rod_in = rod(5.0)
+    best = best_position.best(canal, rod_in, START, LIMITS)
+    fit = room.fit(canal, rod_in, CUT.put(IMPLANT, best, False))
+    assert fit.least == pytest.approx(RADIUS - 5.0, abs=0.1)
+    assert math.degrees(best.varus) == pytest.approx(varus, abs=0.15)
+    assert math.degrees(best.flexion) == pytest.approx(flexion, abs=0.15)
+    assert best.version == pytest.approx(0.0, abs=1e-6)  # a turn of a rod gains nothing
+
+
+def test_best_position_stays_within_limits_and_keeps_what_is_fixed() -> None:
+    canal = room.canal_of(CUT, tube((6.0, 0.0), (0.0, 0.0)))
+    limits = replace(LIMITS, varus=0.0, flexion=0.0, version=0.0, medial=2.0)
+    best = best_position.best(canal, rod(5.0), START, limits)
+    assert (best.varus, best.flexion, best.version) == (0.0, 0.0, 0.0)
+    assert best.medial == pytest.approx(2.0, abs=1e-6)
+
+
+def test_best_position_places_a_stem_that_does_not_fit() -> None:
+    """A stem in 3 deg of varus cuts the cortex; the search finds room, and the keys are numbers."""
+    given = {"insertion": {"varus": "3 deg"}, "stem": {"length": "130 mm"}, "tip_z": "-101 mm"}
+    before = Femur.model_validate(given)
+    stem = StemSurface.of(before.implant, before.placement)
+    canal = room.canal(before)
+    assert room.fit(canal, stem, before.placement).least < 0.0
+    best = {"insertion": {"varus": "3 deg", "best": {}}}
+    found = Femur.model_validate(given | best)
+    fit = room.fit(canal, stem, found.placement)
+    assert fit.least > 1.0
+    assert found.insertion and found.insertion.best is None
+    assert math.degrees(found.insertion.varus) == pytest.approx(
+        round(math.degrees(found.insertion.varus), 1)
+    )
+    assert f"room at least {fit.least:.2f} mm" in found.placement_details["best position"]
+    assert Femur.model_validate({"insertion": "best"}).insertion is not None
+
+
+def test_best_position_without_room_is_refused() -> None:
+    thick = {"half_width": "11 mm", "half_depth": "10 mm", "tip_half_width": "7 mm"}
+    thick |= {"tip_half_depth": "7 mm", "section_depth": "14 mm"}
+    with pytest.raises(ValueError, match=r"no position .* leaves 1 mm .* cuts \d\.\d+ mm into"):
+        Femur.model_validate({"insertion": "best", "stem": thick})

@@ -1,0 +1,23 @@
+"""Positions of a stem relative to the neck cut."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.meshes.canals import CUT, IMPLANT, START
+
+
+def test_placement_flexion_moves_the_tip_to_posterior() -> None:
+    """The tip of a straight stem is its distance from the cut times the sine behind the axis."""
+    angle = math.radians(3.0)
+    placed = CUT.put(IMPLANT, replace(START, flexion=angle), False)
+    tip = placed.to_model([0.0, 0.0, IMPLANT.tip_z])
+    below = placed.top - IMPLANT.tip_z
+    assert tip == pytest.approx(
+        placed.foot - below * np.array([0.0, math.sin(angle), math.cos(angle)])
+    )
+    assert placed.turn.T @ placed.turn == pytest.approx(np.eye(3), abs=1e-14)

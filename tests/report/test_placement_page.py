@@ -1,0 +1,187 @@
+"""The page of `mantle place`: in a real browser its numbers are those of ``mantle check``."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import ruamel.yaml
+
+from app.case import overlay
+from app.case.case import Case, valid_parts
+from app.case.geometries import Femur
+from app.case.hips import OperatedHip
+from app.cli import main
+from app.foundation.errors import InputError
+from app.report import placement_page, viewer
+from meshes import room
+from meshes.placement import Position
+
+BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
+NEEDED = all((viewer.THREE / name).exists() for name in viewer.SCRIPTS)
+MOST_BYTES = 6_000_000
+FIRST_PICTURE = 2000.0  # ms
+PHONE = "390,844"
+CASE = """\
+base: stance
+geometry:
+  stem: {length: 110 mm}
+  cement_thickness: 3 mm
+  tip_z: -81 mm
+  insertion: {depth: 1 mm, varus: 2.5 deg, version: {angle: 5 deg}}
+"""
+
+
+def read(folder: Path) -> tuple[Case, Path]:
+    """The case of a stem that does not fit."""
+    source = folder / "hip.yaml"
+    source.write_text(CASE)
+    case, faults = valid_parts(overlay.read(source).data, folder)
+    assert not faults
+    return case, source
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[OperatedHip, Path]:
+    """The geometry and its page."""
+    folder = tmp_path_factory.mktemp("place")
+    case, source = read(folder)
+    assert isinstance(case.geometry, OperatedHip)
+    return case.geometry, placement_page.write(case, source, folder / "place.html")
+
+
+def drawn(number: int) -> list[dict[str, float]]:
+    """Positions in mm and degrees."""
+    rng = np.random.default_rng(7)
+    low, high = np.array([[-3, -3, -3, -20, -4, -4], [12, 3, 3, 20, 4, 4]])
+    keys = ("depth", "varus", "flexion", "version", "medial", "anterior")
+    return [
+        dict(zip(keys, map(float, row), strict=True))
+        for row in rng.uniform(low, high, (number, 6)).round(3)
+    ]
+
+
+def expected(geometry: OperatedHip, numbers: dict[str, float]) -> list[float]:
+    """Least room and the head's centre as ``mantle check --mesh`` computes them [mm]."""
+    angles = {key: float(np.radians(numbers[key])) for key in ("varus", "flexion", "version")}
+    at = Position(
+        numbers["depth"], **angles, medial=numbers["medial"], anterior=numbers["anterior"]
+    )
+    canal = room.canal(geometry)
+    placed = canal.cut.put(geometry.implant, at, geometry.femur.mirrored)
+    fit = room.fit(canal, room.StemSurface.of(geometry.implant, placed), placed)
+    implant = geometry.implant
+    return [fit.least, *placed.to_model([implant.head_offset, 0.0, implant.head_height])]
+
+
+TRY = """
+<pre id="found"></pre><script>
+(async () => {
+  while (!document.documentElement.dataset.ready) await new Promise(r => setTimeout(r, 20));
+  const w = window.mantlePlace, $ = id => document.getElementById(id);
+  const found = POSITIONS.map(p => { const e = w.evaluate(p); return [e.least, ...e.centre]; });
+  const before = { least: w.now.least, verdict: $("verdict").textContent };
+  // Keyboard: a slider takes the focus, and an arrow key moves it.
+  const slider = $("slider-depth");
+  slider.focus();
+  const focused = document.activeElement === slider;
+  slider.stepUp();
+  slider.dispatchEvent(new Event("input"));
+  const depth = w.state.p.depth;
+  const canvas = document.querySelector("#stage canvas"), seen = document.createElement("canvas");
+  canvas.focus();
+  canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+  [...document.querySelectorAll("#views button")].forEach(b => b.click());
+  $("reset").click();
+  const yaml = $("yaml").value;
+  $("best").click();
+  Object.assign(seen, { width: canvas.width, height: canvas.height });
+  const c2 = seen.getContext("2d");
+  c2.drawImage(canvas, 0, 0);
+  const pixels = c2.getImageData(0, 0, seen.width, seen.height).data, colours = new Set();
+  for (let k = 0; k < pixels.length; k += 4)
+    colours.add(pixels[k] << 16 | pixels[k + 1] << 8 | pixels[k + 2]);
+  const page = document.documentElement;
+  const best = { yaml: $("yaml").value, least: w.now.least, verdict: $("verdict").textContent };
+  const views = document.querySelectorAll("#views button").length;
+  const out = { ready: +page.dataset.ready, wide: page.scrollWidth, colours: colours.size, found,
+    before, focused, depth, yaml, best, views };
+  $("found").textContent = JSON.stringify(out);
+})();
+</script>
+"""
+
+
+def tried(page: Path, positions: list[dict[str, float]]) -> dict[str, Any]:
+    """What a browser of a phone's size without a network found on a page."""
+    test = TRY.replace("POSITIONS", json.dumps(positions))
+    text = page.read_text(encoding="utf-8").replace("</body>", f"{test}</body>")
+    copy = page.with_name("try.html")
+    copy.write_text(text, encoding="utf-8")
+    options = ["--headless", "--no-sandbox", "--use-angle=swiftshader"]
+    options += ["--enable-unsafe-swiftshader", "--enable-logging=stderr"]
+    options += ["--virtual-time-budget=20000", f"--window-size={PHONE}"]
+    options += ["--host-resolver-rules=MAP * ~NOTFOUND", "--dump-dom", copy.as_uri()]
+    done = subprocess.run([str(BROWSER), *options], capture_output=True, text=True, timeout=120)
+    assert "CONSOLE" not in done.stderr, done.stderr
+    found = re.search(r'<pre id="found">([^<]+)</pre>', done.stdout)
+    assert found, done.stderr
+    return dict(json.loads(found[1]))
+
+
+@pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
+def test_placement_page_is_one_small_file(written: tuple[OperatedHip, Path]) -> None:
+    """No reference to a file or a server; the licence of three.js is in it."""
+    text = written[1].read_text(encoding="utf-8")
+    assert len(text.encode()) < MOST_BYTES
+    own = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
+    assert not re.search(r"<[a-z]+[^>]*\s(src|href)=", own)
+    assert text.count("<script") == text.count("</script>")
+    assert "The MIT License" in own and "three.js authors" in own
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
+def test_placement_page_numbers_equal_those_of_check(
+    written: tuple[OperatedHip, Path], tmp_path: Path
+) -> None:
+    """At drawn positions to 0.01 mm; its buttons, and its YAML, which a case accepts."""
+    geometry, page = written
+    positions = drawn(6)
+    found = tried(page, positions)
+    for numbers, own in zip(positions, found["found"], strict=True):
+        assert own == pytest.approx(expected(geometry, numbers), abs=0.01), numbers
+    assert found["ready"] < FIRST_PICTURE
+    assert found["wide"] <= int(PHONE.split(",")[0])  # nothing is beyond a phone's edge
+    assert found["focused"] and found["depth"] == pytest.approx(1.5)
+    assert found["views"] == 3 and found["colours"] > 50
+    assert "cuts" in found["before"]["verdict"] and found["best"]["verdict"] == "The stem fits."
+    given = found["yaml"], found["before"]["least"]
+    best = found["best"]["yaml"], found["best"]["least"]
+    for text, least in (given, best):
+        keys = ruamel.yaml.YAML(typ="safe").load(text)["geometry"]["insertion"]
+        case = geometry.model_dump(mode="json", exclude_none=True) | {"insertion": keys}
+        placed = Femur.model_validate(case)
+        stem = room.StemSurface.of(placed.implant, placed.placement)
+        fit = room.fit(room.canal(placed), stem, placed.placement)
+        assert fit.least == pytest.approx(least, abs=0.01)
+
+
+def test_placement_page_refuses_a_case_without_a_stem(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["place", "blocks", "-o", str(tmp_path / "place.html")]) == InputError.exit_code
+    assert "blocks has no stem to place; expected femur or patient" in capsys.readouterr().err
+
+
+def test_placement_page_is_linked_by_check(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "stance"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"to place the stem by eye: \S+ place stance", text)
+    assert "head of the stem: offset 43.0 mm (+0.0 against the intact head)" in text
