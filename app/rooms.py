@@ -3,6 +3,6 @@
 Without the name and the folder of a package, the core runs every case that has none of its keys.
 """
 
-from app import bearing, fatigue, patient, remodelling
+from app import bearing, fatigue, patient, press_fit, remodelling
 
-ROOMS = (bearing, fatigue, patient, remodelling)
+ROOMS = (bearing, fatigue, patient, press_fit, remodelling)

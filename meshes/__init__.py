@@ -100,6 +100,10 @@ def _make(geometry: Any, mesh: MeshKeys) -> MeshData:
         notes["mantle"] = mantle.describe(data, m.thickness, m.tip, zones)
         if zones:
             notes["mantle"]["cortex_min"] = mantle.least_cortex(data, m.tip)
+    if "stem_bone" in data.interfaces and geometry.has_gruen_zones:
+        from meshes import mantle
+
+        notes["cortex_min"] = mantle.least_cortex(data, geometry.flanks_end)
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 

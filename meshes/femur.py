@@ -1,4 +1,4 @@
-"""A proximal femur with a cemented stem, meshed in layers.
+"""A proximal femur with a stem, in cement or in contact with the bone, meshed in layers.
 
 The mantle has the prescribed thickness where the canal has room for it and ends at the endosteal
 surface elsewhere. Both surfaces, and those of stem and bone, are functions on one grid
@@ -17,15 +17,10 @@ from meshes import swept
 from meshes.data import MeshData, MeshKeys, assemble, facet_areas, number
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
-REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
-INTERFACES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "stem_cement": (("stem",), ("cement",)),
-    "cement_bone": (("cement",), ("cortical_bone", "cancellous_bone")),
-}
 
 
 def build(geometry: Any, mesh: MeshKeys) -> MeshData:
-    """Mesh the femur: four regions, two interfaces.
+    """Mesh the femur with the regions and interfaces of the geometry.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
     notes have the head centre, layers and messages. ``mesh`` are options of a case.
@@ -45,8 +40,9 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
     x = geometry.placement.to_model(made.nodes.x)
-    data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
-    messages = [*(f"{k}: {v}" for k, v in geometry.details.items()), *surfaces.bone.notes]
+    data = assembled(geometry, made, x, geometry.region_names, geometry.interface_sides, masks)
+    details = (f"{k}: {v}" for k, v in geometry.details.items())
+    messages = [*details, *surfaces.bone.notes, *surfaces.notes]
     return replace(data, notes={**data.notes, "messages": messages}) if messages else data
 
 

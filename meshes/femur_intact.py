@@ -23,11 +23,15 @@ from app.foundation.implant import Implant
 from meshes import swept
 from meshes.data import MeshData, MeshKeys
 from meshes.femur import assembled
-from meshes.layered_surfaces import SPREAD, LayeredSurfaces
+from meshes.layered_surfaces import LEAST_MANTLE, SPREAD, LayeredSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
 
 REGIONS = ("cortical_bone", "cancellous_bone")
+# Sections for the lines of the mesh over those of a planned stem without cement: a slim stem has
+# room in the canal, whatever the planned one takes of the cortex.
+SLIM = 0.6
+SIZES = ("half_width", "half_depth", "corner_radius")
 # Radius of the neck at the axis of the shaft and at the head's centre, over that of the head.
 NECK = (0.76, 0.65)
 # Cortex at the same places [mm]; the second is that of the head too.
@@ -174,7 +178,12 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     Raises:
         GeometryError: The planned stem does not fit the canal.
     """
-    surfaces = Intact(geometry.model_copy(update={"canal_widening": 0.0}), mesh)
+    changes: dict[str, Any] = {"canal_widening": 0.0}
+    if not geometry.is_cemented:
+        stem, keys = geometry.stem, [f"{end}{key}" for end in ("", "tip_") for key in SIZES]
+        slim = stem.model_copy(update={key: SLIM * getattr(stem, key) for key in keys})
+        changes |= {"cement_thickness": LEAST_MANTLE, "stem": slim, "tip_void": 0.0}
+    surfaces = Intact(geometry.model_copy(update=changes), mesh)
     made = swept.mesh(surfaces, bool(mesh.curved))
     facets, _ = made.facets
     distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)

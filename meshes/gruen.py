@@ -87,7 +87,10 @@ class Zones:
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g.implant).outside(self._thickness, theta, z)
-        # The mantle ends at the endosteum.
-        cavity = np.minimum(cavity, canal)
-        below_plug = z < g.implant.plug + EDGE
-        return (x @ self._normal <= self._level + EDGE) & ((r >= cavity - EDGE) | below_plug)
+        if g.is_cemented:
+            # The mantle ends at the endosteum; a stem without cement takes some of the cortex.
+            cavity, end = np.minimum(cavity, canal), g.implant.plug
+        else:
+            end = g.implant.tip_z - g.implant.tip_void
+        below = z < end + EDGE
+        return (x @ self._normal <= self._level + EDGE) & ((r >= cavity - EDGE) | below)

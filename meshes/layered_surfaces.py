@@ -1,11 +1,13 @@
-"""The nested surfaces of a femur with a cemented stem, along lines across it, and their grid.
+"""The nested surfaces of a femur with a stem, along lines across it, and their grid.
 
 The neck cut is the section at station ``cut`` (`layers.Sections`). On each section a line runs from
 a point of the stem's outline to the periosteum; along it lie the outer side of the mantle and the
-endosteum. Cement is what is inside the lesser of the two. Above the cut the stem goes on alone: its
-body where it stands out, then a blend to the round neck and a cone to the trunnion.
+endosteum. Cement is what is inside the lesser of the two. A stem without cement has no mantle: it
+is exact, and where it reaches into the cortex the endosteum is its surface. Above the cut the stem
+goes on alone: its body where it stands out, then a blend to the round neck and a cone to the
+trunnion.
 
-Three parts answer: the stem in its mantle (`CementedStem`), the bone (`bone_layers`), and the
+Three parts answer: the stem in its mantle (`StemWithMantle`), the bone (`bone_layers`), and the
 sections in which both are.
 """
 
@@ -36,6 +38,8 @@ CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges 
 VOID = "void"  # where no cells are
 DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
+NOTHING = 0.05  # mm of cortex that a stem may take unreported
+LEAST_CORTEX = 1.5  # mm of cortex that a stem without cement must leave where it takes some
 SIDES = (
     "medially",
     "antero-medially",
@@ -48,12 +52,13 @@ SIDES = (
 )
 
 
-class CementedStem:
-    """The stem and its mantle in sections, in the stem's axes.
+class StemWithMantle:
+    """The stem and its mantle, if it has one, in sections, in the stem's axes.
 
     Attributes:
         shoulder: Height at the axis of the section at the shoulder, or of the cut [mm].
-        plug: Height of the end of the cement plug [mm].
+        plug: Height of the end of the cement plug [mm]. Without cement the outline ends there.
+        is_cemented: True if there is a mantle.
         tip: The stem's end.
         middle: Height of the section where lines are counted [mm].
         around: Number of lines around.
@@ -64,7 +69,7 @@ class CementedStem:
     def __init__(self, geometry: Any, mesh: MeshKeys) -> None:
         implant, placed = geometry.implant, geometry.placement
         self._implant, self._placed, self._mesh = implant, placed, mesh
-        self.plug = implant.plug
+        self.plug, self.is_cemented = implant.plug, geometry.is_cemented
         edge = femur_stem.edge(implant, placed.slopes[0])
         self.shoulder = edge if edge < placed.top - DEEP else placed.top
         self.is_cad = implant.cad is not None
@@ -100,9 +105,11 @@ class CementedStem:
     def covered(self, zeta: Floats, start: Floats, end: Floats, more: float = 0.0) -> Floats:
         """Fraction of lines, from the stem's outline to the end (n, 3), that is in the mantle (n,).
 
-        Above the shoulder it takes what it and the body would take if they went on to the cut, and
-        has its thickness, along the lines, on the neck.
+        0 without cement. Above the shoulder it takes what it and the body would take if they went
+        on to the cut, and has its thickness, along the lines, on the neck.
         """
+        if not self.is_cemented:
+            return np.zeros(len(zeta))
         way, on_neck = end - start, np.full(len(zeta), -np.inf)
         length = np.sqrt((way**2).sum(axis=1))
         above = zeta > self.shoulder
@@ -134,12 +141,14 @@ class LayeredSurfaces:
         stem: The stem in its mantle.
         sections: The planes up to the neck cut, one for each station.
         bone: Periosteum and endosteum in them.
+        notes: Bone that a stem without cement takes and leaves, in words.
+        first: Number of the innermost surface: 1, or 2 without a mantle (`layers`).
         through: Cells through each layer, at most.
         cement: Cells through the first layer; a fraction is the part, from the cut down, with one
             more.
         segments: Segments of the reference body, from below.
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
-            in one continue below and above.
+            in one continue below and above. Without cement: with the outline of the stem.
         coarser: Size of the reference body inside the stem over that at its surface.
         spared: Part of the largest bend of a bad curved cell up to which edges keep theirs.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
@@ -152,16 +161,22 @@ class LayeredSurfaces:
     def __init__(self, geometry: Any, mesh: MeshKeys) -> None:
         self.mesh, self._placed = mesh, geometry.placement
         self._geometry = geometry
-        self.stem = CementedStem(geometry, mesh)
+        self.notes = list[str]()
+        self.stem = StemWithMantle(geometry, mesh)
+        self.first = 1 if self.stem.is_cemented else 2
         if self.stem.is_cad:
             self.spared = CAD_SPARED
             self.coarser = CAD_COARSER
-        self.through = mesh.cells_through(geometry.cement_thickness)
+        through = mesh.cells_through(geometry.cement_thickness)
+        self.through = through if self.stem.is_cemented else through[1:]
         self.cement = mesh.along_cement(geometry.cement_thickness)
         zeta = self._divided(geometry.implant, self._placed.along(geometry.distal_cut_z))
         self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
         self.bone: BoneLayers = geometry.femur.layers(geometry, self.sections, self.stem)
-        self._refuse()
+        if self.stem.is_cemented:
+            self._refuse_narrow()
+        else:
+            self._refuse_thin()
         self._continue(geometry.implant)
 
     @property
@@ -204,13 +219,23 @@ class LayeredSurfaces:
     def _continue(self, implant: Implant) -> None:
         """Divide the stem above the cut."""
         bone = ("cancellous_bone", "cortical_bone")
-        segments = (
-            Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
-            Segment(self._floor - self.mantle[0], ("cement", "cement", *bone)),
-            Segment(self.tip - self._floor, (VOID, "cement", *bone)),
-            Segment(self.cut - self.tip, ("stem", "cement", *bone)),
-            Segment(self.stem.upper.ends[-1], ("stem",)),
-        )
+        upper = Segment(self.stem.upper.ends[-1], ("stem",))
+        segments: tuple[Segment, ...]
+        if self.stem.is_cemented:
+            segments = (
+                Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
+                Segment(self._floor - self.mantle[0], ("cement", "cement", *bone)),
+                Segment(self.tip - self._floor, (VOID, "cement", *bone)),
+                Segment(self.cut - self.tip, ("stem", "cement", *bone)),
+                upper,
+            )
+        else:
+            segments = (
+                Segment(self._floor, ("cancellous_bone", *bone)),
+                Segment(self.tip - self._floor, (VOID, *bone)),
+                Segment(self.cut - self.tip, ("stem", *bone)),
+                upper,
+            )
         self.segments = tuple(segment for segment in segments if segment.steps)
 
     def to_model(self, x: Floats) -> Floats:
@@ -266,6 +291,12 @@ class LayeredSurfaces:
         def within(part: Floats, k: Ints) -> Floats:
             return self.bone.depth(start[k] + part[:, None] * way[k], zeta[k])
 
+        if not self.stem.is_cemented:
+            # Where the stem is in the cortex, the endosteum is its surface.
+            rows = np.flatnonzero(self.bone.depth(start, zeta) > 0)
+            within_canal = np.zeros(len(s))
+            within_canal[rows] = root(lambda part, k: within(part, rows[k]), np.ones(len(rows)))
+            return Lines(start, end, np.zeros(len(s)), within_canal)
         endosteum = root(within, np.ones(len(start)))
         mantle = np.empty(len(s))
         mantle[~below] = self.stem.covered(zeta[~below], start[~below], end[~below])
@@ -278,11 +309,47 @@ class LayeredSurfaces:
             mantle[below] = ratio * endosteum[below]
         return Lines(start, end, mantle, endosteum)
 
-    def _refuse(self) -> None:
-        """Raise GeometryError where the stem has no room for cement."""
+    def _along_stem(self) -> tuple[Lines, Floats]:
+        """Lines from the tip to the cut, and the heights of their sections (n,) [mm]."""
         along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        lines, zeta = self._across(phi, s), self.heights(s)
+        return self._across(phi, s), self.heights(s)
+
+    def _side(self, x: Floats, zeta: float) -> str:
+        """Side of the stem's axis on which a point (3,) of a section is, and its place."""
+        x = self._placed.to_model(x)
+        out = x - self._placed.to_model([0.0, 0.0, zeta])
+        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
+        return f"{side} at {self._placed.where(x)}"
+
+    def _refuse_thin(self) -> None:
+        """Raise GeometryError where a stem without cement leaves too little of the cortex."""
+        lines, zeta = self._along_stem()
+        taken = -self.bone.depth(lines.start, zeta)
+        # The stem is outside of the bone where the way to the periosteum leads back to the axis.
+        outside = ((lines.end - lines.start)[:, :2] * lines.end[:, :2]).sum(axis=1) < 0
+        left = np.where(outside, -1.0, 1.0) * lines.length
+        if not taken.max() > NOTHING:
+            self.bone.check(lines.start, lines.end)
+            return
+        worst = int(np.where(taken > NOTHING, -left, -np.inf).argmax())
+        where = self._side(lines.start[worst], zeta[worst])
+        if left[worst] >= LEAST_CORTEX:
+            self.bone.check(lines.start, lines.end)
+            self.notes.append(
+                f"the stem takes up to {taken.max():.1f} mm of the cortex; the thinnest cortex left"
+                f" beside it is {left[worst]:.1f} mm, {where}"
+            )
+            return
+        text = f"leaves {left[worst]:.2g} mm of the cortex, of {LEAST_CORTEX:g} mm at least,"
+        if left[worst] <= 0:
+            text = f"is {_rounded_up(-left[worst]):.2g} mm outside of the bone"
+        key, remedy = self._geometry.more_room
+        raise GeometryError(f"{key}: the stem {text} {where}; {remedy}")
+
+    def _refuse_narrow(self) -> None:
+        """Raise GeometryError where the stem has no room for cement."""
+        lines, zeta = self._along_stem()
         inside = self.bone.depth(lines.start, zeta)
         room = np.where(inside > 0, lines.endosteum * lines.length, inside)
         worst = int(np.nanargmin(room))  # no number where the axis is outside of the bone
@@ -290,9 +357,6 @@ class LayeredSurfaces:
         if least >= LEAST_MANTLE:
             self.bone.check(lines.start, lines.end)
             return
-        x = self._placed.to_model(lines.start[worst])
-        out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
-        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
         missing = _rounded_up(LEAST_MANTLE - least)
         text = (
             f"leaves {LEAST_MANTLE - missing:.2g} mm for cement, of {LEAST_MANTLE:g} mm at least,"
@@ -300,7 +364,7 @@ class LayeredSurfaces:
         if least < 0:
             text = f"cuts {_rounded_up(-least):.2g} mm into the cortex"
         key, remedy = self._geometry.more_room
-        where = f"{side} at {self._placed.where(x)}"
+        where = self._side(lines.start[worst], zeta[worst])
         needed = f"{missing:.2g} mm more are needed there"
         raise GeometryError(f"{key}: the stem {text} {where}; {remedy}; {needed}")
 

@@ -6,6 +6,7 @@ stem and turn over the last `TURN` millimetres to the neck cut.
 A node has three coordinates: `phi` around and `s` along the line, in half steps, and `rho` across.
 Whole values of `rho` are surfaces: 1 the stem or whatever is innermost, 2 the outer side of the
 mantle, 3 the endosteum, 4 the periosteum; 0 stands for the nodes inside the innermost surface.
+Without cement the stem is surface 2, and there is no surface 1.
 """
 
 from __future__ import annotations

@@ -46,7 +46,8 @@ class ReferenceBody:
     those inside the core.
 
     Attributes:
-        rho: Place of the columns of a line, 1 at the edge of the core, then one more a ring (r,).
+        rho: Place of the columns of a line, that of the first surface at the edge of the core, then
+            one more a ring (r,).
         weights: Columns inside the core as means of those at its edge (q, around).
         at: Section of the columns, before shearing (c, 2).
         columns: Columns of the prisms (p, 3).
@@ -65,7 +66,11 @@ class ReferenceBody:
 
 
 def make(
-    outline: Floats, through: Sequence[int], segments: Sequence[Segment], coarser: float = COARSER
+    outline: Floats,
+    through: Sequence[int],
+    segments: Sequence[Segment],
+    coarser: float = COARSER,
+    first: int = 1,
 ) -> ReferenceBody:
     """Mesh the body.
 
@@ -74,6 +79,7 @@ def make(
         through: Cells through each ring, from the core outwards.
         segments: From the bottom up; the first has all rings.
         coarser: Size inside the core over its edges.
+        first: Number of the surface at the edge of the core.
     """
     corners = outline + np.outer(outline[:, 1], [SHEAR, 0.0])
     names = tuple(dict.fromkeys(name for segment in segments for name in segment.regions))
@@ -86,9 +92,13 @@ def make(
         groups = [gmsh.model.getEntitiesForPhysicalGroup(3, k + 1) for k in range(len(names))]
         prisms = [elements(gmsh, PRISM, volumes, row) for volumes in groups]
     rho = np.concatenate(
-        [[1.0], *(1.0 + ring + np.arange(1, k + 1) / k for ring, k in enumerate(through))]
+        [
+            [float(first)],
+            *(first + ring + np.arange(1, k + 1) / k for ring, k in enumerate(through)),
+        ]
     )
-    lines = (rho[None, :, None] * corners[:, None]).reshape(-1, 2)
+    scale = rho - first + 1.0
+    lines = (scale[None, :, None] * corners[:, None]).reshape(-1, 2)
     low = x[np.round(x[:, 2]) == 0, :2]
     inside = low[cKDTree(lines).query(low)[0] > 1e-6 * np.abs(corners).max()]
     inside = inside[np.lexsort(np.round(inside, 6).T)]

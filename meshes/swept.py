@@ -96,7 +96,7 @@ def mesh(surfaces: LayeredSurfaces, curved: bool) -> Swept:
         PoorCellsError: Cells are inverted or nearly flat: the surfaces are not nested.
     """
     parts = surfaces.through, surfaces.segments
-    body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser)
+    body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser, surfaces.first)
     nodes, number = _grid(surfaces, body)
     cells, parent = _mended(surfaces, body, nodes, number)
     region = body.region[parent]
@@ -178,28 +178,32 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     gap = lines.gap.reshape(n, levels)
     floor = _floor(surfaces, bone.reshape(n, levels, 3))
     merged = gap < floor
-    # Below and above the mantle its first and its last section go on.
+    # Below and above the mantle its first and its last section go on. Without cement the canal is
+    # open below.
     low, high = surfaces.mantle
-    merged[:, :low], merged[:, high + 1 :] = merged[:, low : low + 1], merged[:, high : high + 1]
+    if surfaces.first == 1:
+        merged[:, :low] = merged[:, low : low + 1]
+    merged[:, high + 1 :] = merged[:, high : high + 1]
     used = np.where(merged, 0.0, np.maximum(gap, floor))
     # Fewer cells across where they would be flat, and none where a layer has no thickness.
     length, endosteum = lines.length.reshape(n, levels), lines.endosteum.reshape(n, levels)
-    widths = (endosteum * length - used, used, (1 - endosteum) * length)
-    place_of, same = np.ones((r, n, levels)), np.zeros((r, n, levels), dtype=np.int64)
+    widths = (endosteum * length - used, used, (1 - endosteum) * length)[surfaces.first - 1 :]
+    place_of = np.full((r, n, levels), float(surfaces.first))
+    same = np.zeros((r, n, levels), dtype=np.int64)
     part = np.clip((np.arange(levels) - low) / (high - low), 0.0, 1.0 - 1e-9)
-    most: tuple[Floats | int, ...] = (
-        np.floor(surfaces.cement + part),
-        *surfaces.through[1:],
-    )
+    most: list[Floats | int] = [*surfaces.through]
+    if surfaces.first == 1:
+        most[0] = np.floor(surfaces.cement + part)
     first = 0
-    layers = zip(surfaces.through, widths, surfaces.mesh.least_through, most, strict=True)
-    for ring, (cells, width, step, limit) in enumerate(layers, start=1):
+    steps = surfaces.mesh.least_through[surfaces.first - 1 :]
+    layers = zip(surfaces.through, widths, steps, most, strict=True)
+    for ring, (cells, width, step, limit) in enumerate(layers, start=surfaces.first):
         across = np.clip(np.round(width / step), 1, limit)
         for k in range(1, cells + 1):
             place_of[first + k] = ring + np.minimum(k / across, 1.0)
             same[first + k] = np.where(k < across, first + k, first + cells)
         first += cells
-    endosteal = sum(surfaces.through[:2])
+    endosteal = sum(surfaces.through[:-1])
     inner = (place_of >= 2) & (place_of < 3) & merged
     same[(place_of == 2) & merged | inner] = endosteal
 
@@ -236,6 +240,8 @@ def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     merged, rho = nodes.merged[on], nodes.rho[on]
     used = np.where(merged, 0.0, np.maximum(gap + nodes.error[on], nodes.floor[on]))
     mantle = bone - used / lines.length[line]
+    if surfaces.first > 1:  # the stem is exact: where they are one, the endosteum is its surface
+        bone, mantle = used / lines.length[line], np.zeros(len(on))
     part = np.where(
         rho <= 2,
         (rho - 1) * mantle,

@@ -84,6 +84,8 @@ def _names(case: Any) -> Iterable[Fault]:
         used.append(((section, name, "boundary"), "boundary", getattr(entry, "boundary", None)))
         inside = enumerate(getattr(entry, "regions", None) or ())
         used += [((section, name, "regions", i), "region", region) for i, region in inside]
+    left_out = case.geometry.left_out
+    used = [entry for entry in used if entry[2] not in left_out.get(entry[0][0], ())]
     if case.output is not None:
         probes = (case.output.probes or {}).items()
         used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
@@ -103,6 +105,33 @@ def _names(case: Any) -> Iterable[Fault]:
 
 
 @check("geometry")
+def _cement(case: Any) -> Iterable[Fault]:
+    """Names of a base that has cement, or none; interfaces that need a law."""
+    geometry, sections = case.geometry, ("regions", "interfaces")
+    missing = {n: law for n, law in geometry.laws_to_write.items() if n not in case.interfaces}
+    changes: dict[str, dict[str, str]] = {}
+    for section in sections:
+        names = getattr(case, section) or {}
+        unused = [name for name in geometry.left_out.get(section, ()) if name in names]
+        changes[section] = dict.fromkeys(unused, "null")
+    without = any(changes.values())
+    changes["interfaces"] |= missing
+    if without:
+        written = (
+            f"`{section}: {{{', '.join(f'{name}: {value}' for name, value in names.items())}}}`"
+            for section, names in changes.items()
+            if names
+        )
+        what = "there is no cement" if geometry.laws_to_write else "there is cement"
+        text = f"{what}; expected also {' and '.join(written)}"
+        yield Fault(("geometry", "cement_thickness"), text)
+    elif missing:
+        written = ", ".join(f"{name}: {law}" for name, law in missing.items())
+        text = f"no law for {', '.join(missing)}, which would be bonded: an ingrown stem; expected"
+        yield Fault(("interfaces",), f"{text} e.g. `{written}`, or `kind: bonded`")
+
+
+@check("geometry")
 def _mesh(case: Any) -> Iterable[Fault]:
     """Lengths too small for the mesh size, and numbers of what the mesh does not have."""
     largest = case.geometry.coarsest_size
@@ -119,6 +148,8 @@ def _mesh(case: Any) -> Iterable[Fault]:
             if getattr(case.mesh, key) and not case.geometry.grid(case.mesh):
                 text = f"geometry.kind: {case.geometry.kind} is not meshed by lines and layers"
                 yield Fault(("mesh", key), f"{text}; leave {key} out")
+        if case.mesh.through_cement and "cement" in case.geometry.left_out.get("regions", ()):
+            yield Fault(("mesh", "through_cement"), "there is no cement; leave through_cement out")
         yield from _lines(case)
     size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():

@@ -1,4 +1,4 @@
-"""The parametric femur, with a cemented stem and before the operation."""
+"""The parametric femur, with a stem and before the operation."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class _Femur(Hip):
         for field, text in implant.faults(spread(self.cement_thickness)[0]):
             fail(text, at=("stem", field))
         if self.distal_cut_z >= implant.plug:
-            text = f"is not below the cement plug; expected below {implant.plug:g} mm"
+            text = f"is not below {self.plug_end}; expected below {implant.plug:g} mm"
             fail(text, at=("distal_cut_z",))
         self.check_end()
         if not 0.0 <= self.resection_angle < math.pi / 2:
@@ -159,7 +159,7 @@ class _Femur(Hip):
     @property
     def implant(self) -> Implant:
         """The stem in its axes, which have the model's levels."""
-        return self.stem.implant(self.tip_z, self.plug_length, self.tip_void)
+        return self.stem.implant(self.tip_z, self.plug_length, self.void)
 
     @property
     def femur(self) -> Any:
@@ -204,7 +204,7 @@ class _Femur(Hip):
 
 
 class Femur(_Femur, OperatedHip):
-    """A proximal femur with a straight tapered collarless stem in a cement mantle.
+    """A proximal femur with a straight tapered collarless stem, in a cement mantle or without.
 
     Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
     The table of bone sections belongs to the mesher; the parameters here are those of the operation

@@ -6,11 +6,14 @@ import math
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateAttr
 from pydantic_core import core_schema
 
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, perimeter, spread
+from app.foundation.arrays import Bools, Floats
 from app.foundation.implant import FLAT, Implant
+from app.laws.values import ROUNDING
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
@@ -38,6 +41,13 @@ FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 CANCELLOUS_WIDTH = 5.0  # mean width of cancellous bone (mm)
 CORTICAL_WIDTH = 6.2  # mean width of cortical bone around a canal that is not widened (mm)
+# Interfaces of a stem in its cement, and of a stem in bone.
+CEMENTED: dict[str, Sides] = {
+    "stem_cement": (("stem",), ("cement",)),
+    "cement_bone": (("cement",), BONE),
+}
+UNCEMENTED: dict[str, Sides] = {"stem_bone": (("stem",), BONE)}
+VOID = 5.0  # length without bone below a stem without cement (mm), by default
 INSIDE = 2.0 / 3.0  # least fraction of the stem in the bone
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
@@ -99,8 +109,8 @@ class Insertion(Section):
     """Where the stem is put in the femur."""
 
     depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
-    """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement
-    above it. By default 0, and in the parametric femur as `tip_z` says."""
+    """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement,
+    or bone, above it. By default 0, and in the parametric femur as `tip_z` says."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
     flexion: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = (
@@ -155,12 +165,15 @@ class Hip(Shape):
     joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
 
     cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side.
+    `0 mm`: no cement. The stem is then in contact with the bone (interface `stem_bone`)."""
     plug_length: PositiveLength = 10.0
-    """Length of cement below the tip."""
-    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
-    """Length without cement below the stem's end, as of a hollow centraliser: nothing bears on the
-    end, which is flat then. 1 mm at least, and 1 mm less than the plug at most; 0: none."""
+    """Length of cement below the tip. Without cement: length below the tip over which the cells
+    keep the outline of the stem."""
+    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] | None = None
+    """Length without cement or bone below the stem's end, as of a hollow centraliser: nothing bears
+    on the end, which is flat then. 1 mm at least, and 1 mm less than the plug at most; 0: none. By
+    default 0 in cement, and 5 mm without cement: a stem hangs in its canal."""
 
     @property
     def femur(self) -> Any:
@@ -203,12 +216,40 @@ class Hip(Shape):
         implant = self.implant
         return point(self.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
 
+    @property
+    def is_cemented(self) -> bool:
+        """True if there is cement around the stem."""
+        return self.cement_thickness != 0.0
+
+    @property
+    def void(self) -> float:
+        """Length without cement or bone below the stem's end (mm)."""
+        if self.tip_void is None:
+            return 0.0 if self.is_cemented else VOID
+        return self.tip_void
+
+    @property
+    def plug_end(self) -> str:
+        """Words for the level `plug_length` below the tip."""
+        return "the plug's end" if self.is_cemented else f"{self.plug_length:g} mm below the tip"
+
+    def height_on_stem(self, x: Floats) -> Floats:
+        """Height of points (n, 3) above the stem's tip, along the stem (n,) [mm]."""
+        return np.asarray(self.placement.to_stem(x)[:, 2] - self.implant.tip_z)
+
+    def on_flanks(self, x: Floats) -> Bools:
+        """True at points (n, 3) that are neither on the stem's end nor on its shoulder (n,)."""
+        implant, height = self.implant, self.height_on_stem(x)
+        within = (height >= implant.tip_height - ROUNDING) & (height <= implant.length + ROUNDING)
+        return np.asarray(within)
+
     def check_end(self) -> None:
         """Refuse a void below the stem that cannot be meshed."""
-        if 0.0 < self.tip_void < FLAT:
+        if 0.0 < self.void < FLAT:
             fail("must be 0 or at least 1 mm", at=("tip_void",))
-        if self.tip_void and self.tip_void > self.plug_length - FLAT:
-            fail(f"leaves less than 1 mm of {self.plug_length:g} mm of plug", at=("tip_void",))
+        if self.void and self.void > self.plug_length - FLAT:
+            text = f"{self.void:g} mm leaves less than 1 mm of plug_length, {self.plug_length:g} mm"
+            fail(text, at=("tip_void",))
 
     def _section(self) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius a quarter of the way from cut to tip (mm)."""
@@ -229,7 +270,7 @@ class Hip(Shape):
         """Lines around, steps along the stem and below it, cells through the layers."""
         implant = self.implant
         stem, more, _ = mesh.graded(self.cut_height - implant.tip_z - implant.tip_height, "stem")
-        ends = 2.0 * (self.plug_length - self.tip_void), implant.tip_height, self.tip_void
+        ends = 2.0 * (self.plug_length - self.void), implant.tip_height, self.void
         below, equal, _ = mesh.graded(implant.plug - self.distal_height, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
@@ -266,19 +307,39 @@ class Hip(Shape):
 
 
 class OperatedHip(Hip):
-    """A proximal femur with a cemented stem."""
+    """A proximal femur with a stem, in cement or in contact with the bone."""
 
     mesher: ClassVar[str] = "meshes.femur"
-    tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", **OF_BONE}
     boundary_names: ClassVar[tuple[str, ...]] = (
         *("distal_cut", "bone_surface", "stem_trunnion"),
         *MUSCLES,
         "resection",
     )
-    interface_sides: ClassVar[dict[str, Sides]] = {
-        "stem_cement": (("stem",), ("cement",)),
-        "cement_bone": (("cement",), BONE),
-    }
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """Tissue of each region."""
+        cement = {"cement": "cement"} if self.is_cemented else {}
+        return {"stem": "implant", **cement, **OF_BONE}
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """Regions on the two sides of each interface."""
+        return CEMENTED if self.is_cemented else UNCEMENTED
+
+    @property
+    def laws_to_write(self) -> dict[str, str]:
+        """The interface of a stem without cement: without a law it would be ingrown."""
+        if self.is_cemented:
+            return {}
+        return {"stem_bone": "{kind: contact, friction_coefficient: 0.5}"}
+
+    @property
+    def left_out(self) -> dict[str, tuple[str, ...]]:
+        """Region and interfaces of the cement, if there is none."""
+        if self.is_cemented:
+            return {"interfaces": tuple(UNCEMENTED)}
+        return {"regions": ("cement",), "interfaces": tuple(CEMENTED)}
 
     if TYPE_CHECKING:
         insertion: Insertion | None
@@ -316,18 +377,26 @@ class OperatedHip(Hip):
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
-        """The mantle around the stem, with a plug around its end."""
+        """The mantle around the stem, with a plug around its end; none without cement."""
+        if not self.is_cemented:
+            return ()
+        return (Mantle(spread(self.cement_thickness)[1], self.flanks_end),)
+
+    @property
+    def flanks_end(self) -> float:
+        """Level of the end of the stem's flanks in the model's axes (mm)."""
         implant = self.implant
         end = [0.0, 0.0, implant.tip_z + implant.tip_height]
-        tip = float(self.placement.to_model(end)[2]) + HALF_TIP * self.placement.tilt
-        return (Mantle(spread(self.cement_thickness)[1], tip),)
+        return float(self.placement.to_model(end)[2]) + HALF_TIP * self.placement.tilt
 
     @property
     def interface_area(self) -> float:
-        """Approximate area of both interfaces (mm2): the stem's flanks and their offset."""
+        """Approximate area of all interfaces (mm2): the flanks, and their offset in cement."""
         half, depth, _ = self._section()
         length = self.implant.length
         flanks = 3.25 * (half + depth) * length
+        if not self.is_cemented:
+            return flanks
         return 2.0 * flanks + 2.0 * math.pi * spread(self.cement_thickness)[1] * length
 
     def estimate_cells(self, mesh: MeshOptions) -> int:

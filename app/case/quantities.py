@@ -200,7 +200,7 @@ def add_interface_field(*fields: InterfaceField) -> None:
         INTERFACE_FIELDS[field.name] = field
 
 
-PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
+PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement", "stem_bone": "stem-bone"}
 # Sections of numbers; the others map interfaces or regions to numbers.
 RUN = ("solver", "balance", "timing")
 WHOLE = ("stem", "femur", *RUN)
@@ -319,6 +319,28 @@ add_quantity(
         headline=True,
     ),
     _interface("motion_mean", "mm", "um", 1, label="motion, mean", order=MOTION),
+    # Of a press fit: motion since its gap last changed.
+    _interface(
+        "micromotion_max",
+        "mm",
+        "um",
+        1,
+        label="micromotion, max",
+        peak=True,
+        step_record=True,
+    ),
+    _interface("micromotion_p95", "mm", "um", 1, label="micromotion, p95", order=MOTION),
+    _interface(
+        "micromotion_p99",
+        "mm",
+        "um",
+        1,
+        label="micromotion, p99",
+        order=MOTION,
+        step_record=True,
+        headline=True,
+    ),
+    _interface("micromotion_mean", "mm", "um", 1, label="micromotion, mean", order=MOTION),
     _interface("pressure_max", "MPa", label="pressure, max", peak=True, step_record=True),
     _interface(
         "pressure_p95",
@@ -351,6 +373,18 @@ add_quantity(
     _interface("area_gap_over_30um", "mm^2", label="area of debonding over 30 µm", on_page=True),
     _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm", on_page=True),
     _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm", on_page=True),
+    _interface(
+        "area_micromotion_over_40um",
+        "mm^2",
+        label="area of micromotion over 40 µm",
+        on_page=True,
+    ),
+    _interface(
+        "area_micromotion_over_150um",
+        "mm^2",
+        label="area of micromotion over 150 µm",
+        on_page=True,
+    ),
     _interface("force", "N", order=MOTION, vector=True),
     _interface("dissipation", "N mm", order=SLIP, step_record=True, curve=True),
     _interface("dissipation_min", "N mm", step_record=True),
@@ -616,6 +650,8 @@ def numbers_of(
                 yield section, name, numbers
             apart = [part for part in PARTS if parts and part in numbers]
             yield from ((section, f"{name}_{part}", numbers[part]) for part in apart)
+            zones = numbers.get("zones", {}) if parts and section == "interfaces" else {}
+            yield from ((section, f"{name}_{zone}", own) for zone, own in zones.items())
 
 
 def largest(numbers: Mapping[str, Any], key: str) -> float:

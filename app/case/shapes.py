@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import (
     BaseModel,
@@ -19,6 +19,9 @@ from pydantic import (
 
 from app.schema.section import TAG, Extensible, Scalar, Section, Truth, fail
 from app.schema.units import Dimension, Plain, PositiveLength
+
+if TYPE_CHECKING:
+    from app.foundation.arrays import Bools, Floats
 
 Point3 = tuple[float, float, float]
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
@@ -45,8 +48,25 @@ GRADING = {"below": (1.8, 2.5, 0.2), "stem": (0.6, 1.0, 0.06)}
 # Keys of a graded thickness: equally far apart from the tip to the neck cut, and around the stem.
 HEIGHTS = ("distal", "middle", "proximal")
 SIDES = ("medial", "anterior", "lateral", "posterior")
-_LENGTH = Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-_Thickness = Annotated[float, _LENGTH]
+LEAST_CEMENT = 1.0  # thickness of cement (mm): thinner layers have flat cells
+MOST_CEMENT = 8.0
+_Thickness = Annotated[
+    float, Dimension("mm", "a length", "4 mm", at_least=LEAST_CEMENT, at_most=MOST_CEMENT)
+]
+
+
+@dataclass(frozen=True)
+class _UniformThickness(Dimension):
+    """Marks the thickness of a mantle that may be absent."""
+
+    def check(self, value: float, shown: str, unit: str = "") -> None:
+        """Refuse a thickness beyond a bound, and one between none and the least."""
+        super().check(value, shown, unit)
+        if 0.0 < value < LEAST_CEMENT:
+            fail(f"{shown} must be 0 (a stem without cement) or at least 1 mm")
+
+
+_UNIFORM = _UniformThickness("mm", "a length", "4 mm", at_least=0.0, at_most=MOST_CEMENT)
 
 
 class GradedThickness(Section):
@@ -93,7 +113,7 @@ class GradedThickness(Section):
                     at=tuple(keys_given),
                 )
         least, _, most = (round(t, 9) for t in spread(self))
-        if least < 1.0 or most > 8.0:
+        if least < LEAST_CEMENT or most > MOST_CEMENT:
             fail(f"is {least:.3g} to {most:.3g} mm by height and side; expected 1 to 8 mm")
         return self
 
@@ -104,7 +124,8 @@ def _mean(table: list[tuple[float, float]]) -> float:
 
 
 Thickness = Annotated[
-    Annotated[_Thickness, Tag(TAG + "uniform")] | Annotated[GradedThickness, Tag(TAG + "graded")],
+    Annotated[float, _UNIFORM, Tag(TAG + "uniform")]
+    | Annotated[GradedThickness, Tag(TAG + "graded")],
     Discriminator(lambda t: TAG + ("graded" if isinstance(t, dict | BaseModel) else "uniform")),
 ]
 
@@ -230,6 +251,26 @@ class Shape(Extensible):
         """Height of a stem's shoulder above the neck cut, along the shaft's axis (mm)."""
         return 0.0
 
+    def height_on_stem(self, x: Floats) -> Floats:
+        """Height of points (n, 3) above a stem's tip along it, or z without a stem (n,) [mm]."""
+        return x[:, 2]
+
+    def on_flanks(self, x: Floats) -> Bools:
+        """True at points (n, 3) that are neither on a stem's end nor on its shoulder (n,)."""
+        import numpy as np
+
+        return np.ones(len(x), dtype=bool)
+
+    @property
+    def laws_to_write(self) -> dict[str, str]:
+        """Interfaces that are not bonded by default, with an example of their law."""
+        return {}
+
+    @property
+    def left_out(self) -> dict[str, tuple[str, ...]]:
+        """Names, by section, that a base of the same kind has and this one has not."""
+        return {}
+
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError if a stem does not fit into a measured bone."""
 
@@ -346,10 +387,12 @@ class MeshOptions(Section):
         return max(least, 4 * round(perimeter(*section) / (AROUND * self.size) / 4.0))
 
     def along_cement(self, cement: Thickness) -> float:
-        """Cells through cement of a thickness (mm), by the mean of a graded one.
+        """Cells through cement of a thickness (mm), by the mean of a graded one; 0 without cement.
 
         A fraction is the part, from the neck cut down, with one more.
         """
+        if cement == 0.0:
+            return 0.0
         return float(self.through_cement or max(2.0, 1.75 * spread(cement)[1] / self.size - 0.5))
 
     def cells_through(self, cement: Thickness) -> tuple[int, int, int]:

@@ -162,7 +162,7 @@ def _mesh(options: argparse.Namespace) -> int:
 
     draw_case = partial(case_picture.draw, case.config)
     drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
-    if case.config.geometry.mantles:
+    if case.config.geometry.mantles or case.config.geometry.laws_to_write:
         for draw in (sections.sections, sections.interfaces):
             drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
     try:

@@ -25,7 +25,7 @@ class Implant:
         section_z: Level of the proximal section.
         tip_rounding: Height of the rounded end, 0: flat.
         plug_length: Length of cement below the tip.
-        tip_void: Length without cement below the tip; the end is flat then.
+        tip_void: Length without cement or bone below the tip; the end is flat then.
         head_offset: Distance of the head's centre from the axis.
         head_height: Level of the head's centre.
         neck_angle: Angle between neck and stem [rad].
@@ -84,7 +84,7 @@ class Implant:
         """Fields that cannot be meshed, with the reason; the section's level must be right.
 
         Args:
-            cement: Least thickness of the mantle (mm).
+            cement: Least thickness of the mantle (mm); 0 without cement.
         """
         if 0.0 < self.tip_rounding < FLAT:
             yield "tip_rounding", "must be 0 or at least 1 mm"
@@ -98,7 +98,8 @@ class Implant:
                 text = f"is not below the half-width and half-depth, {half:g} mm"
                 yield f"{end}corner_radius", text
         yield from self._degenerate(self.shoulder, "the shoulder", 0.0)
-        yield from self._degenerate(self.plug, "the end of the plug", cement)
+        below = "the end of the plug" if cement else f"{self.plug_length:g} mm below the tip"
+        yield from self._degenerate(self.plug, below, cement)
         width = 2.0 * self.section(self.shoulder)[0]
         if self.neck_diameter > width:
             text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"

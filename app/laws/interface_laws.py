@@ -20,19 +20,25 @@ from pydantic import model_validator
 
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
 from app.laws.values import (
+    INTERFERENCE,
     FractureEnergyField,
+    InterferenceField,
     LengthField,
     LoadHistory,
     Patches,
     ShareField,
     Source,
+    StemPlaces,
     StiffnessField,
     StrengthField,
+    Table,
     field,
+    in_zone,
 )
 from app.schema.expressions import Varying
-from app.schema.section import Extensible, Kinds, Name, Pair, Section, Text, fail
+from app.schema.section import MAPPING, Extensible, Kinds, Name, Pair, Section, Text, fail
 from app.schema.units import (
+    Length,
     MixingExponent,
     NonNegativeNumber,
     PositiveStiffness,
@@ -211,9 +217,28 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """Initial gap [mm] and its multipliers at the ends of the stages."""
-        return 0.0, None
+    def has_gap(self) -> bool:
+        """True if the law gives an initial gap or an interference."""
+        return False
+
+    @property
+    def is_press_fit(self) -> bool:
+        """True if a key gives an interference: micromotion is then reported."""
+        return False
+
+    @property
+    def gap_multipliers(self) -> tuple[float, ...] | None:
+        """Multipliers of the initial gap at the ends of the stages (`values.gap_at`)."""
+        return None
+
+    def gap_field(self, interface: str, stem: StemPlaces) -> Field:
+        """Initial gap at points (n, 3), negative for an interference: shape (n,) [mm]."""
+        return field(f"interfaces.{interface}.gap", 0.0)
+
+    @property
+    def zone_heights(self) -> Mapping[str, tuple[float, float]]:
+        """Heights on the stem between which parts of the interface have other numbers, by name."""
+        return {}
 
     @property
     def layer(self) -> tuple[float, float] | None:
@@ -257,7 +282,7 @@ class InterfaceLaw(Extensible):
         inner = (m for kind in get_args(known.annotation) for m in get_args(kind))
         return next((m for m in (*known.metadata, *inner) if isinstance(m, Varying)), None)
 
-    def fields(self, interface: str) -> dict[str, Field]:
+    def fields(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
         """Functions of points (n, 3) that return the values (n,), by name."""
         key = f"interfaces.{interface}."
         return {n: field(key + n, v, self._mark(n)) for n, v in self.values.items()}
@@ -308,6 +333,49 @@ class Frictional(InterfaceLaw):
         return self.friction_coefficient
 
 
+class Zone(Section):
+    """Part of a stem's surface between two heights, with its own numbers."""
+
+    above: Length | None = None
+    """Height above the stem's tip, along the stem, at which the part begins; by default its end. In
+    geometries without a stem it is z."""
+    below: Length | None = None
+    """Height at which it ends; by default the neck cut."""
+    friction_coefficient: NonNegativeNumber | None = None
+    """Coulomb's coefficient there; by default that of the interface."""
+    gap: LengthField | None = None
+    """Initial gap there, in place of the interface's gap or interference."""
+    interference: InterferenceField | None = None
+    """Radial interference there, in place of the interface's gap or interference."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Zone:
+        if self.gap is not None and self.interference is not None:
+            fail("is the opposite of `gap`; expected only one of them", at=("interference",))
+        low, high = self.heights
+        if not low < high:
+            fail(f"is not above {low:g} mm, where the zone begins", at=("below",))
+        return self
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Heights at which it begins and ends [mm]; infinite where none is given."""
+        low = -math.inf if self.above is None else self.above
+        return low, math.inf if self.below is None else self.below
+
+
+def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Floats) -> Floats:
+    """Interference of a key at points (n, 3): shape (n,) [mm]; 0 beside the flanks of a stem."""
+    import numpy as np
+
+    if isinstance(value, tuple):
+        heights, lengths = zip(*value, strict=True)
+        found = np.interp(stem.height_on_stem(x), heights, lengths)
+    else:
+        found = field(key, value, INTERFERENCE)(x)
+    return np.where(stem.on_flanks(x), found, 0.0)
+
+
 class Unilateral(Frictional):
     """Unilateral contact with Coulomb friction: exact, or with a penalty (`forms.contact`)."""
 
@@ -317,6 +385,13 @@ class Unilateral(Frictional):
 
     gap: LengthField = 0.0
     """Initial gap: a clearance if positive, an interference (press fit) if negative."""
+    interference: InterferenceField | None = None
+    """Radial interference of a press fit: half of the diametral one. A length, an expression, or
+    pairs of height above the stem's tip and length, linear in between. It acts on the flanks of a
+    stem, not on its end, and grows during the first stage. In place of `gap`."""
+    zones: Annotated[dict[Name, Zone], MAPPING] | None = None
+    """Parts of a stem's surface with their own numbers, such as a coating. Where two overlap, the
+    later one counts."""
     gap_history: LoadHistory = None
     """Multiplier of the gap at the end of each stage, from 0. By default a clearance is constant,
     and an interference grows during the first stage."""
@@ -324,8 +399,14 @@ class Unilateral(Frictional):
     """Part of the friction heat that enters the first side; by default friction heats no side."""
 
     @model_validator(mode="after")
+    def _one_gap(self) -> Unilateral:
+        if self.interference is not None and self.gap != 0.0:
+            fail("is the opposite of `gap`; expected only one of them", at=("interference",))
+        return self
+
+    @model_validator(mode="after")
     def _rubs(self) -> Unilateral:
-        if self.friction_heating is not None and self.friction_coefficient == 0.0:
+        if self.friction_heating is not None and self.friction == 0.0:
             fail(
                 "needs friction; expected a friction_coefficient above 0", at=("friction_heating",)
             )
@@ -337,9 +418,71 @@ class Unilateral(Frictional):
         return self.friction_heating
 
     @property
-    def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """The keys `gap` and `gap_history`."""
-        return self.gap, self.gap_history
+    def friction(self) -> float:
+        """The largest `friction_coefficient` of the interface and its zones."""
+        zones = [zone.friction_coefficient for zone in (self.zones or {}).values()]
+        return max([self.friction_coefficient, *(μ for μ in zones if μ is not None)])
+
+    @property
+    def has_gap(self) -> bool:
+        """True if a key gives a gap or an interference."""
+        parts = [self, *(self.zones or {}).values()]
+        return any(part.gap or part.interference for part in parts)
+
+    @property
+    def is_press_fit(self) -> bool:
+        """True if `interference` is given, of the interface or of a zone."""
+        parts = [self, *(self.zones or {}).values()]
+        return any(part.interference is not None for part in parts)
+
+    @property
+    def gap_multipliers(self) -> tuple[float, ...] | None:
+        """The key `gap_history`."""
+        return self.gap_history
+
+    @property
+    def zone_heights(self) -> Mapping[str, tuple[float, float]]:
+        """Heights of the zones on the stem [mm]."""
+        return {name: zone.heights for name, zone in (self.zones or {}).items()}
+
+    def gap_field(self, interface: str, stem: StemPlaces) -> Field:
+        """Initial gap at points (n, 3), negative for an interference: shape (n,) [mm]."""
+        key = f"interfaces.{interface}"
+
+        def of(part: Unilateral | Zone, key: str, x: Floats) -> Floats | None:
+            """The gap of a part; None if it has none of its own."""
+            if part.interference is not None:
+                return -_interference(f"{key}.interference", part.interference, stem, x)
+            return None if part.gap is None else field(f"{key}.gap", part.gap)(x)
+
+        def gap(x: Floats) -> Floats:
+            found = of(self, key, x)
+            assert found is not None  # its default is 0
+            for name, zone in (self.zones or {}).items():
+                inside = in_zone(*zone.heights, stem.height_on_stem(x))
+                there = of(zone, f"{key}.zones.{name}", x[inside])
+                if there is not None:
+                    found[inside] = there
+            return found
+
+        return gap
+
+    def fields(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
+        """The friction coefficient at points (n, 3): shape (n,)."""
+        if self.friction == 0.0:
+            return {}
+
+        def friction(x: Floats) -> Floats:
+            import numpy as np
+
+            found = np.full(len(x), self.friction_coefficient)
+            for zone in (self.zones or {}).values():
+                if zone.friction_coefficient is not None:
+                    inside = in_zone(*zone.heights, stem.height_on_stem(x))
+                    found[inside] = zone.friction_coefficient
+            return found
+
+        return {"μ": friction}
 
     @property
     def form(self) -> Hashable:

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, TypeVar
 
 from pydantic import AfterValidator, Discriminator, PrivateAttr, Tag
 from pydantic_core import PydanticCustomError
 
 from app.foundation.errors import InputError
 from app.schema.expressions import Varying, evaluate
-from app.schema.section import ITEMS, TAG, Section, Text, fail
-from app.schema.units import Dimension, NonNegativeInteger, Number, Part, PositiveLength
+from app.schema.section import ITEMS, TAG, Pair, Section, Text, fail
+from app.schema.units import Dimension, Length, NonNegativeInteger, Number, Part, PositiveLength
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from app.foundation.arrays import Field, Floats
+    from app.foundation.arrays import Bools, Field, Floats
 
 StiffnessField = Annotated[
     float | str, Varying(Dimension("MPa/mm", "a stiffness per area", "100 MPa/mm", above=0.0))
@@ -28,11 +28,16 @@ FractureEnergyField = Annotated[
     float | str, Varying(Dimension("N/mm", "an energy per area", "100 J/m^2", above=0.0))
 ]
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
+# Largest radial interference [mm]: strains of bone are a few percent.
+MOST_INTERFERENCE = 1.0
+_INTERFERENCE = Dimension("mm", "a length", "0.02 mm", at_least=0.0, at_most=MOST_INTERFERENCE)
+INTERFERENCE = Varying(_INTERFERENCE)
 # Reliability of values, and their source.
 Status = Literal["measured", "assumed", "unverified"] | None
 Source = Text | None
 # Source of values that were not looked up.
 MEMORY = "from memory: check"
+ROUNDING = 1e-6  # mm: heights of the nodes of a mesh, which may be on the border of a zone
 # Multipliers at the ends of the stages.
 LoadHistory = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.
@@ -115,6 +120,46 @@ def rising(what: str) -> Callable[[Table], Table]:
 
 
 T = TypeVar("T")
+# Interference of a press fit: a length, an expression, or pairs of height on the stem and length.
+InterferenceField = Annotated[
+    Annotated[float | str, INTERFERENCE, Tag(TAG + "interference")]
+    | Annotated[
+        tuple[
+            Annotated[tuple[Length, Annotated[float, _INTERFERENCE]], Pair("[80 mm, 0.02 mm]")],
+            ...,
+        ],
+        ITEMS,
+        AfterValidator(rising("height")),
+        Tag(TAG + "table"),
+    ],
+    Discriminator(
+        lambda value: TAG + ("table" if isinstance(value, list | tuple) else "interference")
+    ),
+]
+
+
+class StemPlaces(Protocol):
+    """Places on the surface of a stem, as a geometry knows them."""
+
+    def height_on_stem(self, x: Floats) -> Floats:
+        """Height of points (n, 3) above the stem's tip (n,) [mm]."""
+
+    def on_flanks(self, x: Floats) -> Bools:
+        """True at points (n, 3) that are neither on the stem's end nor on its shoulder (n,)."""
+
+
+class NoStem:
+    """Places of bodies without a stem: heights are z."""
+
+    def height_on_stem(self, x: Floats) -> Floats:
+        """The coordinate z (n,) [mm]."""
+        return x[:, 2]
+
+    def on_flanks(self, x: Floats) -> Bools:
+        """True everywhere."""
+        return x[:, 2] == x[:, 2]
+
+
 # Pairs that begin with a time.
 OverTime = Annotated[tuple[T, ...], ITEMS, AfterValidator(rising("time"))]
 
@@ -146,6 +191,11 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
     return at
 
 
+def in_zone(above: float, below: float, heights: Floats) -> Bools:
+    """True at heights on a stem between two others (n,) [mm], to rounding."""
+    return (heights >= above - ROUNDING) & (heights <= below + ROUNDING)
+
+
 def amplitude(load_history: Sequence[float] | None, time: float) -> float:
     """Multiplier at a time. Stage k runs from k to k + 1 and ends with ``load_history[k]`` or 1."""
     import numpy as np
@@ -168,6 +218,16 @@ def gap_at(gap: Floats, gap_history: Sequence[float], time: float) -> Floats:
     if gap_history:
         return amplitude(gap_history, time) * gap
     return np.maximum(gap, 0.0) + amplitude((1.0,), time) * np.minimum(gap, 0.0)
+
+
+def gap_settled(gap: Floats, gap_history: Sequence[float]) -> float:
+    """Time from which the gap of points, as of `gap_at`, does not change any more."""
+    if not gap_history:
+        return 1.0 if (gap < 0.0).any() else 0.0
+    if not gap.any():
+        return 0.0
+    ends = [0.0, *gap_history]
+    return float(max((k + 1 for k, (a, b) in enumerate(pairwise(ends)) if a != b), default=0))
 
 
 def multiplier(time_course: TimeCourse | None, seconds: float) -> float:

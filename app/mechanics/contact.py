@@ -28,7 +28,7 @@ from pydantic_core import PydanticCustomError
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
-from app.laws.values import amplitude, gap_at
+from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import (
@@ -51,6 +51,8 @@ from forms.contact import OPEN, SLIP
 from meshes.contact_facets import gather
 from meshes.contact_points import RIGIDLY, contact_points
 
+# Rounding of times of a run.
+ROUNDING = 1e-9
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
 # Bodies without contact are moved by this multiple of the distance to the first contact, so that
@@ -157,6 +159,7 @@ class TrialState:
         pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         return ContactState(
             jump=self.jump.copy(),
+            inserted=old.inserted,
             force=force,
             friction=friction,
             opening=opening,
@@ -185,6 +188,7 @@ class ContactInterfaces:
         state: Committed state of the local points.
         gap: Initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
+        inserted_at: Time up to which the gap of press fits changes.
         committed_at: Jumps at the last pairing of the committed state (n, 3) [mm]; None with small
             sliding.
         carried: Committed jumps relative to the current pairs (n, 3) [mm].
@@ -262,6 +266,12 @@ class ContactInterfaces:
                 raise InputError(f"{key}: {error}") from error
         of_rank = {name: full[self.local.rows] for name, full in values.items()}
         self._full_gap = of_rank["gap"]
+        settled = (
+            gap_settled(values["gap"][self.points.interface == i], c.gap_history)
+            for i, c in enumerate(contacts)
+            if c.press_fit
+        )
+        self.inserted_at = max(settled, default=0.0) + ROUNDING
         laws = [c.law for c in contacts]
         self.law.begin(laws, of_rank, augmentation_factor, self.coupling.local_stiffness())
         if self.finite_sliding is not None:
@@ -336,6 +346,8 @@ class ContactInterfaces:
 
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
+        if time <= self.inserted_at:
+            state.inserted = state.jump
         self.state, self._committed = state, time
         self.carried = state.jump
         if self.finite_sliding is not None:

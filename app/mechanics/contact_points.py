@@ -79,6 +79,7 @@ class ContactState:
 
     Attributes:
         jump: Jump (n, 3) [mm].
+        inserted: Jump when the gap of press fits last changed (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
         opening: Jump plus initial gap (n, 3) [mm].
@@ -93,6 +94,7 @@ class ContactState:
     """
 
     jump: Floats
+    inserted: Floats
     force: Floats
     friction: Floats
     opening: Floats
@@ -110,7 +112,7 @@ class ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
         values = {name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()}
-        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, none, values)
+        return cls(zero, zero, zero, zero, gap, zero, *[none] * 6, values)
 
 
 def prescribed_jump(

@@ -107,7 +107,7 @@ class Landmarks(Section):
 
 
 class Patient(OperatedHip):
-    """A patient's proximal femur with a cemented stem.
+    """A patient's proximal femur with a stem, in cement or without.
 
     Axes: z along the shaft, proximal positive, 0 at the apex of the lesser trochanter; x medial,
     along the posterior condyles, or along the neck where the surface has no condyles; y anterior.
@@ -152,14 +152,12 @@ class Patient(OperatedHip):
         level = self.distal_cut_z
         if level is None:
             if plug < low + 5.0:
-                text = (
-                    f"puts the plug's end at z = {plug:.0f} mm; expected 5 mm above the surface's"
-                )
-                fail(f"{text}, at {low:.0f} mm", at=("stem", "length"))
+                text = f"puts {self.plug_end} to z = {plug:.0f} mm; expected 5 mm above the end of"
+                fail(f"{text} the surface, at {low:.0f} mm", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
         if not low + 2.0 < level < plug - 2.0:
-            text = f"{level:g} mm is not between the end of the surface and that of the plug"
-            fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
+            text = f"{level:g} mm is not between the end of the surface, {low:.0f} mm, and"
+            fail(f"{text} {self.plug_end}, {plug:.0f} mm", at=("distal_cut_z",))
         least, inside = max(INSIDE * implant.length, SHORTEST), implant.length + placed.top
         if inside < least:
             text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
@@ -169,7 +167,7 @@ class Patient(OperatedHip):
     @property
     def implant(self) -> Implant:
         """The stem in its axes, with its shoulder at 0."""
-        return self.stem.implant(None, self.plug_length, self.tip_void)
+        return self.stem.implant(None, self.plug_length, self.void)
 
     @cached_property
     def surface_content(self) -> str:

@@ -38,6 +38,8 @@ COLOURS = {
 OTHERS = ("#8fb7d9", "#f2b880", "#a8cf9b", "#c7a7d8", "#d9d07c", "#88c9c3")
 AXES = "xyz"
 INTERFACES = ("stem_cement", "cement_bone")
+# Interfaces around a stem, with and without cement.
+AROUND_STEM = ("stem_cement", "stem_bone")
 # Distance of the sections from the tip and from the lowest point of the neck cut [mm].
 INSIDE = 1.0
 # The horizontal axis, whether it points to the left, and the axis along which one looks.
@@ -128,7 +130,8 @@ def section_lines(x: Floats, axis: int, at: float) -> Floats:
 
 def sections(data: MeshData, path: Path) -> None:
     """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
-    stem = data.points[interface_facets(data, "stem_cement")[0], 2]
+    around = next(name for name in AROUND_STEM if name in data.interfaces)
+    stem = data.points[interface_facets(data, around)[0], 2]
     top = stem.max()
     if "resection" in data.boundaries:
         top = data.points[boundary_facets(data, "resection"), 2].min()
@@ -180,11 +183,15 @@ def colours_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def interfaces(data: MeshData, path: Path) -> None:
-    """Write a PNG of both interfaces, seen from anterior and from medial.
+    """Write a PNG of the interfaces around a stem, seen from anterior and from medial.
 
     The bone interface is coloured by the thickness of the cement, which is undefined below the tip,
-    where the plug is; facets on cortical bone have red edges.
+    where the plug is; facets on cortical bone have red edges. Without cement the surface of the
+    stem is coloured by the distance to the bone's outer surface.
     """
+    if "stem_bone" in data.interfaces:
+        _stem_in_bone(data, path)
+        return
     stem, bone = (interface_facets(data, name) for name in INTERFACES)
     patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
     middle = patches[1].mean(axis=1)
@@ -208,6 +215,29 @@ def interfaces(data: MeshData, path: Path) -> None:
             ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     figure.colorbar(shown, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
+    figures.save(figure, path, 95, PNG)
+
+
+def _stem_in_bone(data: MeshData, path: Path) -> None:
+    """Write a PNG of the surface of a stem without cement."""
+    facets, _, cells = interface_facets(data, "stem_bone")
+    pieces = triangles(data.points, facets)
+    outside = triangles(data.points, boundary_facets(data, "bone_surface"))
+    left = distance(pieces.mean(axis=1), outside)
+    shown = ScalarMappable(Normalize(0.0, np.ceil(left.max())), colormaps["viridis"])
+    cortex = data.cell_tags[cells] == data.regions.get("cortical_bone")
+    edges = np.where(cortex, CORTEX, "k")
+    widths = [np.ptp(pieces[:, :, VIEWS[view][0]]) for view in FRONT_AND_SIDE]
+    figure = figures.new(6.0, 10.5)
+    for ax, view in zip(
+        figure.subplots(1, 2, sharey=True, width_ratios=widths), FRONT_AND_SIDE, strict=True
+    ):
+        colours = shown.to_rgba(left)[:, :3]
+        surface(ax, data.points[facets], pieces, np.asarray(colours), edges, view)
+        ax.set_title(f"stem_bone\nfrom {view}")
+    figure.axes[0].set_ylabel("z (mm)")
+    label = "bone between the stem and the outer surface (mm)"
+    figure.colorbar(shown, ax=figure.axes, label=label, shrink=0.5)
     figures.save(figure, path, 95, PNG)
 
 

@@ -66,13 +66,17 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
             else:
                 row.append(_shown(density.get(bone), KJ))
         rows.append(row)
-    parts = [("Cement and bone", head, rows)] if len(head) > 1 else []
+    parts = [("Cement and bone" if cement else "Bone", head, rows)] if len(head) > 1 else []
     for place in places:
-        head = ["zone", *(f"{WORDS[q]} ({unit})" for q, (unit, _) in QUANTITIES.items())]
+        known = {key for zone in by_zone.values() for key in zone["interfaces"].get(place, {})}
+        shown = {q: unit for q, (unit, _) in QUANTITIES.items() if f"{q}_mean" in known}
+        if "micromotion" in shown:
+            del shown["motion"]  # it contains the interference
+        head = ["zone", *(f"{WORDS[q]} ({unit})" for q, unit in shown.items())]
         rows = []
         for z, zone in by_zone.items():
             numbers = zone["interfaces"].get(place, {})
-            rows.append([_zone(z), *(_largest_and_mean(name, numbers) for name in QUANTITIES)])
+            rows.append([_zone(z), *(_largest_and_mean(name, numbers) for name in shown)])
         parts.append((f"{WORDS[place]} interface", head, rows))
     return parts
 

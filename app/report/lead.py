@@ -15,6 +15,7 @@ from app.report.sweep_results import SweptCase, magnitude, named
 PAIRS = {
     "stem_cement": ("the stem", "its cement", "in"),
     "cement_bone": ("the cement", "the bone", "on"),
+    "stem_bone": ("the stem", "the bone", "in"),
 }
 # Slip and gaps below this count as zero [um].
 NOTHING = 0.05
@@ -103,6 +104,14 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
             continue
         one, other, on = PAIRS.get(name, ("the sides", named(name), "of"))
         surface = "surface without rim and tip" if "rim" in q else "surface"
+        if "micromotion_p99" in q:
+            detail = f"99 % of the {surface} moves less, counted from the end of the insertion."
+            area = q.get("area_micromotion_over_40um", 0.0)
+            if area > NO_BONE:
+                detail += f" {area:,.0f} of {q['area']:,.0f} mm² move more than 40 µm."
+            caption = f"micromotion of {one} {on} {other}"
+            yield _number("interfaces", "micromotion_p99", q, caption, detail)
+            continue
         if q.get("open_fraction", 0.0) > APART:
             caption = f"gap between {one} and {other}"
             if name not in PAIRS:

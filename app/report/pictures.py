@@ -53,6 +53,7 @@ SHOWN = {
     "gap": SEQUENTIAL,
     "slip": SEQUENTIAL,
     "motion": SEQUENTIAL,
+    "micromotion": SEQUENTIAL,
     "pressure": LOADED,
 }
 PEAK = "temperature_peak"

@@ -19,11 +19,11 @@ from app.results.verdicts import UNUSABLE
 from app.schema.units import NUMBER
 from app.system.folders import read_json
 
-INTERFACES = ("cement_bone", "stem_cement")
+INTERFACES = ("cement_bone", "stem_cement", "stem_bone")
 # Of each contact quantity: the percentile that converges, its unit for people, factor, words.
 _CONTACT = {
     key: quantities.TABLE["interfaces"][f"{key}_max"]
-    for key in ("gap", "slip", "motion", "pressure", "shear")
+    for key in ("gap", "slip", "motion", "micromotion", "pressure", "shear")
 }
 PERCENTILES = {
     key: next(p for p in ("p95", "p99") if quantities.TABLE["interfaces"][f"{key}_{p}"].headline)

@@ -90,9 +90,13 @@ def headline(summary: Summary) -> Iterator[str]:
         rows.setdefault(section, {})[name] = numbers
     interfaces = rows.get("interfaces", {})
     moving = [(name, q) for name, q in interfaces.items() if "motion_p99" in q]
-    if moving:
-        parts = [f"{name} {_with_unit('interfaces', 'motion_p99', q)}" for name, q in moving]
-        yield f"motion of 99 % of the surface is below: {', '.join(parts)}"
+    inserted = [(name, q) for name, q in moving if "micromotion_p99" in q]
+    others = [row for row in moving if row not in inserted]
+    for key, owners in (("motion_p99", others), ("micromotion_p99", inserted)):
+        if owners:
+            parts = [f"{name} {_with_unit('interfaces', key, q)}" for name, q in owners]
+            what = key.removesuffix("_p99")
+            yield f"{what} of 99 % of the surface is below: {', '.join(parts)}"
     # With finite sliding there is no motion, and the pressure is the main result.
     pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
     if pressed:

@@ -9,7 +9,7 @@ from app.case.quantities import TABLE
 from app.case.summary import Numbers, StageCycles
 
 # Numbers of an interface where loads turn.
-OF_CYCLES = {"motion_p99", "inducible_p99", "dissipation"}
+OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation"}
 # Dissipation per cycle relative to the first below which it has vanished.
 NOTHING = 0.02
 # Relative change per cycle below which there is none.
@@ -68,8 +68,10 @@ def split(spent: list[float], last: list[Turn]) -> StageCycles:
             permanent[place] = numbers
             inducible[place] = {key: high[place][key] - value for key, value in numbers.items()}
         elif "motion_p99" in numbers:  # absent with finite sliding
-            permanent[place] = {"motion_p99": numbers["motion_p99"]}
-            inducible[place] = {"motion_p99": high[place]["inducible_p99"]}
+            # Of a press fit the motion without that of the insertion.
+            key = "micromotion_p99" if "micromotion_p99" in numbers else "motion_p99"
+            permanent[place] = {key: numbers[key]}
+            inducible[place] = {key: high[place]["inducible_p99"]}
     lost = [b - a for a, b in pairwise(spent[::2])]
     return {
         "permanent": permanent,
@@ -96,7 +98,7 @@ def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
     for place, permanent in numbers.get("permanent", {}).items():
         for key in permanent:
             q = TABLE["stem" if place == "stem" else "interfaces"][key]
-            name = key if place == "stem" else f"motion p99 of {place}"
+            name = key if place == "stem" else f"{key.replace('_', ' ')} of {place}"
             yield f"{name} ({q.shown})", q.text(permanent), q.text(numbers["inducible"][place])
 
 

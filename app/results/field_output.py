@@ -368,6 +368,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     }
     if contact.between:
         del fields["motion"], fields["slip"]
+    if contact.press_fit:
+        fields["micromotion"] = s.micromotion
     strength = contact.law.strength
     if strength:
         fields["failure_index"] = strength.index(s.pressure, s.shear)

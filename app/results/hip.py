@@ -259,7 +259,10 @@ def _interface(s: ContactSamples, i: int, at: NDArray[np.bool_]) -> dict[str, fl
     """Motion and tractions of the marked points of an interface; means by area."""
     weight, tractions = s.weight[at], s.tractions[i]
     result: dict[str, float] = {}
-    for name in ("gap", "slip", "motion", "pressure", "shear"):
+    names = ["gap", "slip", "motion", "pressure", "shear"]
+    if s.contacts[i].press_fit:
+        names.append("micromotion")
+    for name in names:
         value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)
         if name in tractions:
             value, mean = tractions[name].value, tractions[name].of_points

@@ -34,6 +34,9 @@ from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
 Parts = Sequence[Surface]
 MICROMOTION = 0.030  # mm: where biology reacts
+# Levels of micromotion [mm] by the end of their keys: bone partly grew in dogs at 40 um, not at
+# 150 um (Jasty 1997).
+INGROWTH = {"40um": 0.040, "150um": 0.150}
 # Facets decide the largest pressure if they may cause more than this part of it.
 DECIDED = 0.2
 
@@ -78,6 +81,7 @@ class ContactSamples:
         slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
         motion: Displacement of the second side as declared against the first (n, 3) [mm].
+        micromotion: Motion since the insertion, if there is a press fit (n, 3) [mm].
         pressure: Normal force per area, positive in compression (n,) [MPa].
         shear: Friction per area (n,) [MPa].
         force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
@@ -89,6 +93,7 @@ class ContactSamples:
         internal_variables: Internal variables of the laws, by name: (n, ...).
         contacts: The interfaces.
         facet_sizes: Mean length of the edges of their facets [mm].
+        all_corners: Corners and facets of all interfaces.
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
     Args:
@@ -111,6 +116,7 @@ class ContactSamples:
             """Amounts at the corners from amounts at the points, by area."""
             return whole(values / local.weight) * surface.weight
 
+        self.all_corners = surface
         self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
         motion = surface.true_jumps(contact.whole(trial.jump))
         opening = np.einsum("pi,pki->pk", motion + whole(contact.gap), surface.normals)
@@ -146,6 +152,10 @@ class ContactSamples:
             "pressure": self.pressure,
             "shear": self.shear,
         }
+        if any(c.press_fit for c in contacts):
+            since_insertion = surface.true_jumps(contact.whole(trial.jump - state.inserted))
+            self.micromotion = signs[surface.interface][:, None] * since_insertion
+            self.sizes["micromotion"] = np.linalg.norm(self.micromotion, axis=1)
         if since is not None:
             way = surface.true_jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
@@ -196,7 +206,9 @@ class ContactSamples:
 def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> Numbers:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at, surface = s.interface == i, s.surfaces[i]
-    parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.parts)}
+    parts = {
+        part: _of_part(s, i, surface, part, wanted) for part in ([""] if wanted else surface.parts)
+    }
     main = parts.pop("") | {
         "penetration_max": float(s.penetration[s.of_points == i].max(initial=0.0)),
         "dissipation": float(s.dissipation[at].sum()),
@@ -212,6 +224,13 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> Numbe
     by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
     if by_facets > DECIDED * main["pressure_max"]:
         main["pressure_by_facets"] = by_facets
+    zones = {}
+    for name, level in s.contacts[i].zones.items():
+        own = Surface(s.all_corners, i, {**surface.borders, name: level(s.x)})
+        if own.weight[name].any():
+            zones[name] = _of_part(s, i, own, name, None)
+    if zones:
+        main["zones"] = zones
     return main | {"force": (s.weight[at] @ s.force[at]).tolist(), **parts}
 
 
@@ -235,13 +254,17 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     }
 
 
-def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> Numbers:
+def _of_part(
+    s: ContactSamples, i: int, surface: Surface, part: str, wanted: set[str] | None
+) -> Numbers:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
-    surface, contact = s.surfaces[i], s.contacts[i]
+    contact = s.contacts[i]
     numbers: Numbers = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
     # In finite sliding a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if contact.between else ()
+    if not contact.press_fit:
+        left_out = (*left_out, "micromotion")
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         mean, value, _ = tractions.get(name, TractionSize(values, values, values))
         field = surface.field(value, part)
@@ -255,6 +278,11 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> N
         }
         if name in ("gap", "slip", "motion") and not contact.between:
             numbers[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
+        if name == "micromotion":
+            numbers |= {
+                f"area_{name}_over_{key}": partial(field.area_above, level)
+                for key, level in INGROWTH.items()
+            }
     weight = surface.weight[part]
     for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
         numbers[f"{name}_fraction"] = float(weight[s.status == state].sum() / weight.sum())

@@ -145,6 +145,11 @@ class Stresses:
             self._places[region] = x.reshape(-1, 3), volumes
         return self._places[region]
 
+    def hoop_strain(self, region: str) -> Floats:
+        """Elastic strain around the z axis (cells, points) [-]."""
+        ε, (x, _) = self._elastic_strain(region), self.places(region)
+        return _hoop(ε.reshape(-1, 3, 3), x).reshape(ε.shape[:2])
+
     def energy_density(self, region: str) -> Floats:
         r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa]."""
         ε = self._elastic_strain(region)
@@ -247,7 +252,7 @@ def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
 
 
 def _hoop(σ: Floats, x: Floats) -> Floats:
-    """Stress around the z axis (n,) [MPa]."""
+    """Component around the z axis of tensors (n, 3, 3) at points x (n, 3): shape (n,)."""
     r = np.hypot(x[:, 0], x[:, 1])
     r = np.where(r > 0, r, 1.0)
     t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, np.zeros(len(x))])

@@ -105,6 +105,7 @@ class Surface:
         corners: Their positions (f, 3, 3) [mm].
         area: Area of each facet (f,) [mm2].
         parts: Names of the parts; the empty name is that of the rest.
+        borders: As given.
         weight: By part, area of each point there (n,) [mm2].
 
     Args:
@@ -113,6 +114,7 @@ class Surface:
     """
 
     def __init__(self, points: ContactSurface, i: int, borders: Mapping[str, Floats]) -> None:
+        self.borders = borders
         self.points: Bools = points.interface == i
         self.triangles: Ints = points.triangles[i]
         x = self.corners = points.x[self.triangles]

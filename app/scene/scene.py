@@ -34,7 +34,7 @@ from app.laws.materials import Elastic, Material, Region, Rigid
 from app.laws.motions import Motion
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
-from app.laws.values import amplitude, field
+from app.laws.values import NoStem, StemPlaces, amplitude
 from app.numerics.rigid_motions import rotation_vector
 
 if TYPE_CHECKING:  # a scene made in Python needs no cases
@@ -59,6 +59,9 @@ class Interface:
         slave_share: Fraction of the friction heat that enters the slave side.
         values: Constants of the law (n,) at points, by name.
         between: Boundaries of master and slave with finite sliding, meshed apart; else None.
+        press_fit: True if micromotion is reported: the jump since the gap last changed.
+        zones: Parts of the surface with their own numbers: by name, a function of points (n, 3)
+            that is not positive there (n,).
     """
 
     name: str
@@ -72,6 +75,8 @@ class Interface:
     slave_share: float = 0.0
     values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
     between: tuple[str, str] | None = None
+    press_fit: bool = False
+    zones: Mapping[str, Field] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -238,6 +243,7 @@ def scene_of(
     motions: Mapping[str, Motion] = NONE,
     heat: Mapping[str, HeatCondition] = NONE,
     time: TimeOptions | None = None,
+    stem: StemPlaces | None = None,
 ) -> Scene:
     """Build a scene from laws; regions, boundaries and interfaces go by the names of the mesh.
 
@@ -253,6 +259,7 @@ def scene_of(
         motions: Motions by name.
         heat: Heat conditions by name.
         time: Time stepping of heat; that of `TimeOptions` by default.
+        stem: Heights on a stem, for interferences and zones along it; by default z.
 
     Raises:
         InputError: The sides of an interface are unknown.
@@ -266,7 +273,7 @@ def scene_of(
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     places = [
-        _interface(name, law, sides[name], faces.get(name), moduli, thermal)
+        _interface(name, law, sides[name], faces.get(name), moduli, thermal, stem or NoStem())
         for name, law in interfaces.items()
     ]
     conducting = tuple(i for i in places if i.law.conductance is not None)
@@ -325,6 +332,7 @@ def build_scene(case: Case) -> Scene:
         motions=case.motions,
         heat=case.heat,
         time=case.time,
+        stem=case.geometry,
     )
     exchanging = {name for find in _EXCHANGING for name in find(case)}
     for interface in scene.sliding_heat:
@@ -343,7 +351,11 @@ def build_scene(case: Case) -> Scene:
         for k, stage in enumerate(case.stages)
         if stage.other
     }
-    return dataclasses.replace(scene, loads_of=loads_of)
+    pressed = case.geometry.laws_to_write
+    contacts = tuple(
+        dataclasses.replace(c, press_fit=True) if c.name in pressed else c for c in scene.contacts
+    )
+    return dataclasses.replace(scene, loads_of=loads_of, contacts=contacts)
 
 
 def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
@@ -423,12 +435,12 @@ def _interface(
     faces: tuple[str, str] | None,
     moduli: Mapping[str, float],
     thermal: Mapping[str, Thermal],
+    stem: StemPlaces,
 ) -> Interface:
     """Interface with the stiffer side as master: the softer side carries the jumps."""
     first, second = (tuple(side) for side in sides)
     swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if swapped else (first, second)
-    gap, gap_history = law.initial_gap
     faces = faces or law.sliding_boundaries
     share = law.heated_by_friction
     if isinstance(share, str):
@@ -442,13 +454,21 @@ def _interface(
         slave,
         law,
         modulus=_stiffness(slave, moduli),
-        gap=field(f"interfaces.{name}.gap", gap),
-        gap_history=tuple(gap_history or ()),
+        gap=law.gap_field(name, stem),
+        gap_history=tuple(law.gap_multipliers or ()),
         swapped=swapped,
         slave_share=slave_share,
-        values=law.fields(name),
+        values=law.fields(name, stem),
         between=(faces[::-1] if swapped else faces) if faces else None,
+        press_fit=law.is_press_fit,
+        zones={zone: partial(_beyond, ends, stem) for zone, ends in law.zone_heights.items()},
     )
+
+
+def _beyond(ends: tuple[float, float], stem: StemPlaces, x: Floats) -> Floats:
+    """Distance of points (n, 3) along a stem beyond the nearer end of a zone (n,) [mm]."""
+    height, (low, high) = stem.height_on_stem(x), ends
+    return np.maximum(low - height, height - high)
 
 
 def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:

@@ -90,8 +90,10 @@ def _refused(case: Case) -> list[Fault]:
     for name, law in case.interfaces.items():
         if law.kind not in ("bonded", "contact", "penalty"):
             no(f"the law {law.kind}", "interfaces", name)
-        elif law.initial_gap[0]:
-            no("a gap", "interfaces", name, "gap")
+        elif law.has_gap:
+            no("a gap or an interference", "interfaces", name)
+        elif law.zone_heights:
+            no("zones", "interfaces", name, "zones")
         if name in case.faces:
             no("finite sliding", "interfaces", name, "sliding")
     for name, support in case.supports.items():

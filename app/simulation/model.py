@@ -354,6 +354,8 @@ class Model:
             numbers["mantle"] = notes["mantle"]
         if "layers" in notes:
             numbers["layers"] = notes["layers"]
+        if "cortex_min" in notes:
+            numbers["cortex_min"] = notes["cortex_min"]
         m = self.mechanical_path
         if m and m.zones:
             numbers["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)

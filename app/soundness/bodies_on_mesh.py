@@ -20,7 +20,7 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.verdict import Reason, Verdict, note
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.supports import AnySupport
-from app.laws.values import field, gap_at
+from app.laws.values import gap_at
 from app.numerics.rigid_motions import add_relative, describe, rigid_modes
 from app.soundness.loose_bodies import FREE
 from app.system.layout import point_text
@@ -85,7 +85,7 @@ def directions(support: AnySupport, parts: Parts, nodes: Ints) -> Floats:
 def gaps_of(case: Case, parts: Parts) -> dict[str, Floats]:
     """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
     return {
-        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(parts.x[parts.on_interface(name)])
+        name: law.gap_field(name, case.geometry)(parts.x[parts.on_interface(name)])
         for name, law in case.interfaces.items()
         if law.can_open
     }
@@ -136,7 +136,7 @@ class BodiesOnMesh:
             for text in self._words(free):
                 hardly = text.replace("nothing holds", "friction hardly holds")
                 notes.append(note(f"{hardly}{self._when(k)}: {by}", cure=cure))
-            start = {n: (gap, self._laws[n].initial_gap[1] or ()) for n, gap in gaps.items()}
+            start = {n: (gap, self._laws[n].gap_multipliers or ()) for n, gap in gaps.items()}
             apart = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
             free, _ = self._free(left, *self._resistance(None, apart), FREE)
             names = " and ".join(f"'{n}'" for n in apart)

@@ -351,7 +351,7 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     errors: list[Verdict] = []
     notes: list[Verdict] = []
     for name, gap in gaps_of(case, parts).items():
-        factors = (0.0, *load_history_of(case, case.interfaces[name].initial_gap[1]))
+        factors = (0.0, *load_history_of(case, case.interfaces[name].gap_multipliers))
         interference = -float(np.multiply.outer(factors, gap).min())
         apart = float(gap.min()) * factors[-1]
         thickness, size = _sides(case, parts, name)

@@ -41,14 +41,14 @@ ROWS = (
     ("stepping",),
     ("results",),
     ("simulation",),
-    ("bearing", "fatigue", "patient", "remodelling"),
+    ("bearing", "fatigue", "patient", "press_fit", "remodelling"),
     ("campaigns",),
     ("report", "verification"),
     ("command_line",),
 )
 TOP = ("mantle", "app.cli", "app.rooms")
 # Packages that add to the core: only `app.rooms` knows them.
-ROOMS = {"bearing", "fatigue", "patient", "remodelling"}
+ROOMS = {"bearing", "fatigue", "patient", "press_fit", "remodelling"}
 # What a package may not see although it stands lower.
 HIDDEN = {
     "schema": {"forms", "meshes"},

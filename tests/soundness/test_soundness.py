@@ -469,7 +469,7 @@ def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
     found = well_posedness.look(case, build(case))
-    law = SimpleNamespace(can_open=True, initial_gap=(0.1, None))
+    law = SimpleNamespace(can_open=True, gap_field=lambda *_: lambda x: np.full(len(x), 0.1))
     opens = case.model_copy(update={"interfaces": {"bone_metal": law}})
     assert len(groups_of(opens, found)) == 2
     assert np.allclose(gaps_of(opens, found)["bone_metal"], 0.1)

@@ -1,0 +1,75 @@
+"""Press fits: a stem without cement, after its insertion and under load.
+
+`after_insertion` records pressure and strain of the bone at the end of the insertion, `findings`
+has the faults and verdicts. Importing the package registers it. The core has what a press fit is:
+the interference (`laws.interface_laws`) and the motion since it (`ContactState.inserted`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from app.case.case import Case
+from app.case.quantities import STRESS, TRACTION, Quantity, add_quantity
+from app.press_fit import findings as findings  # registers its checks
+from app.results.records import Followed, add_record
+
+if TYPE_CHECKING:
+    from app.press_fit.after_insertion import AfterInsertion
+
+
+def _after_insertion(case: Case, followed: Followed) -> AfterInsertion | None:
+    """The record of a run, or None if nothing in its case is pressed in; collective."""
+    contact = followed.problem.contact
+    if contact is None or not contact.inserted_at > 0.5:  # stages end at whole times
+        return None
+    from app.press_fit.after_insertion import AfterInsertion  # starts MPI
+
+    return AfterInsertion(case, followed)
+
+
+add_record("after_insertion", _after_insertion)
+_interface = partial(Quantity, "interfaces")
+_region = partial(Quantity, "regions")
+add_quantity(
+    _interface(
+        "insertion_pressure_mean",
+        "MPa",
+        label="pressure after the insertion, mean",
+        order=TRACTION,
+        on_page=True,
+    ),
+    _interface(
+        "insertion_pressure_p95",
+        "MPa",
+        label="pressure after the insertion, p95",
+        order=TRACTION,
+        on_page=True,
+    ),
+    _interface(
+        "insertion_pressure_max",
+        "MPa",
+        label="pressure after the insertion, max",
+        peak=True,
+        on_page=True,
+    ),
+    _region(
+        "insertion_hoop_strain_p99",
+        "-",
+        "um/m",
+        0,
+        label="hoop strain after the insertion, p99",
+        order=STRESS,
+        on_page=True,
+    ),
+    _region(
+        "insertion_hoop_strain_max",
+        "-",
+        "um/m",
+        0,
+        label="hoop strain after the insertion, max",
+        peak=True,
+        on_page=True,
+    ),
+)

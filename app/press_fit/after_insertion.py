@@ -1,0 +1,88 @@
+"""Pressure on a stem, and hoop strain of the bone around it, at the end of the insertion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from app.case.case import Case
+from app.foundation.arrays import Bools, Floats
+from app.mechanics.contact import TrialState
+from app.results.interface_numbers import ContactSamples
+from app.results.percentiles import percentile
+from app.results.records import Followed, Record
+from app.results.surface_parts import Surface
+from app.stepping.load_steps import LoadStep, OnStep
+
+# Pressures of an interface that are published.
+PRESSURES = ("pressure_mean", "pressure_p95", "pressure_max")
+
+
+class AfterInsertion(Record):
+    """Numbers of interfaces and bone when the interference has grown."""
+
+    saved = ("inserted",)
+
+    def __init__(self, case: Case, followed: Followed) -> None:
+        self._followed = followed
+        problem = followed.problem
+        elastic = {e.region for e in problem.scene.elastic}
+        elastic -= problem.body_forms.path_dependent_regions
+        self._bone = sorted(elastic.intersection(case.of_tissue("bone")))
+        # By section of ``summary.json``, then by interface or region.
+        self.inserted: dict[str, dict[str, dict[str, float]]] = {}
+
+    def before(self, on_step: OnStep) -> OnStep:
+        """Return a hook of steps that keeps the numbers of the last step of the insertion."""
+
+        def step(accepted: LoadStep, trial: TrialState | None) -> None:
+            contact = self._followed.problem.contact
+            assert contact is not None
+            at_end = abs(accepted.time - contact.inserted_at) < 1e-6
+            if at_end and trial is not None:
+                self.inserted = {"interfaces": self._pressures(trial), "regions": self._strains()}
+            on_step(accepted, trial)
+
+        return step
+
+    def numbers(self) -> dict[str, Any]:
+        """Pressures of interfaces, hoop strains of bone."""
+        return self.inserted
+
+    def _pressures(self, trial: TrialState) -> dict[str, dict[str, float]]:
+        """Pressures of the press fits after a step; collective."""
+        problem, zones = self._followed.problem, self._followed.zones
+        surface = trial.contact.points.surface
+        levels = zones.borders(surface.x) if zones else {}
+        parts = [Surface(surface, i, levels) for i in range(len(surface.triangles))]
+        numbers = ContactSamples(problem, trial, None, parts).numbers
+        pressed = [c.name for c in problem.scene.contacts if c.press_fit]
+        return {
+            name: {f"insertion_{key}": numbers[name][key] for key in PRESSURES} for name in pressed
+        }
+
+    def _strains(self) -> dict[str, dict[str, float]]:
+        """Hoop strain of each region of bone beside the stem; collective."""
+        strains = {}
+        for region in self._bone:
+            stresses = self._followed.stresses
+            x, volume = stresses.places(region)
+            strain = stresses.hoop_strain(region).ravel()
+            values, weight, beside = stresses.whole(
+                np.stack([strain, volume.ravel(), self._beside(x)])
+            )
+            rows = beside > 0
+            if rows.any():
+                strains[region] = {
+                    "insertion_hoop_strain_p99": percentile(values[rows], weight[rows]),
+                    "insertion_hoop_strain_max": float(values[rows].max()),
+                }
+        return strains
+
+    def _beside(self, x: Floats) -> Bools:
+        """True at points (n, 3) between the levels of the stem's tip and of the neck cut (n,)."""
+        zones = self._followed.zones
+        if zones is None:
+            return np.ones(len(x), dtype=bool)
+        return np.asarray((zones.borders(x)["tip"] > 0) & (zones.depth(x) > 0))

@@ -1,0 +1,85 @@
+"""Faults of press fits, and verdicts on their micromotion and on the strain of the bone.
+
+Sources of the verdict on ingrowth: Jasty et al., J Bone Joint Surg 79-A (1997) 707 (dogs, 0 to
+150 um; read: abstract); Kohli, Stoddart and van Arkel, Sci Rep 11 (2021) 10797 (review of measured
+micromotions; read: abstract).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from app.case.case import Case
+from app.case.checks import check
+from app.case.quantities import TABLE, in_print
+from app.foundation.verdict import Severity, Verdict
+from app.laws.values import gap_settled
+from app.results.verdicts import judge
+from app.schema.yaml_file import Fault
+
+# Hoop strain at which bone yields [-], from memory: check.
+YIELD = 0.007
+
+
+@check("interfaces", "stages", "loads")
+def _stages(case: Case) -> Iterable[Fault]:
+    """Press fits without a stage after the insertion, or with loads that grow with them."""
+    pressed = {n: law for n, law in case.interfaces.items() if law and law.is_press_fit}
+    loads = {
+        name: load
+        for name, load in case.loads.items()
+        if load is not None and not getattr(load, "cycle_table", None)
+    }
+    if not pressed or not loads:
+        return
+    settled = max(
+        gap_settled(np.array([-1.0]), law.gap_multipliers or ()) for law in pressed.values()
+    )
+    stages = [stage.name for stage in case.stages]
+    example = "`stages: [{name: insertion}, {name: load, increments: 2}]`"
+    if settled >= len(stages):
+        text = "the interference grows until the end of the last stage; micromotion is the motion"
+        text += (
+            f" after it. Expected a further stage, e.g. {example}, and `loads: {{history: [0, 1]}}`"
+        )
+        yield Fault(("stages",), text)
+        return
+    growing = [name for name, load in loads.items() if getattr(load, "history", ()) is None]
+    if growing:
+        text = f"{', '.join(growing)}: act during the insertion, as the interference grows;"
+        text += " micromotion counts from its end. Expected `history` with one number for each"
+        text += " stage, e.g. `loads: {history: [0, 1]}`"
+        yield Fault(("loads",), text)
+
+
+@judge
+def _ingrowth(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+    """Areas of micromotion against what is known of ingrowth."""
+    for name, q in summary.get("interfaces", {}).items():
+        if not q.get("area") or "area_micromotion_over_40um" not in q:
+            continue
+        over = [100 * q[f"area_micromotion_over_{level}um"] / q["area"] for level in (40, 150)]
+        text = (
+            f"{100 - over[0]:.0f} % of {name} moves less than 40 um, {over[1]:.0f} % more than"
+            " 150 um. In dogs bone grew in at 20 um, partly at 40 um, not at 150 um (Jasty 1997)."
+            " There is no universal limit: implants integrated at 112 +- 176 um, others did not at"
+            " 349 +- 231 um (Kohli 2021)"
+        )
+        yield Verdict(in_print(text), "ingrowth", severity=Severity.PLAIN)
+
+
+@judge
+def _yield(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+    """Bone strained by the insertion beyond what it bears."""
+    for name, q in summary.get("regions", {}).items():
+        if q.get("insertion_hoop_strain_p99", 0.0) > YIELD:
+            strain = TABLE["regions"]["insertion_hoop_strain_p99"].text(q)
+            text = (
+                f"the insertion strains {name} by {strain} um/m around the stem (p99); bone yields"
+                f" near {1e6 * YIELD:.0f} um/m. Bone is elastic here: in a real one less of the"
+                " interference is left"
+            )
+            yield Verdict(text, "insertion", "reduce the interference", Severity.WARNING)

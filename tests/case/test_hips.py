@@ -1,0 +1,71 @@
+"""Keys of a hip without cement: what a case says, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.case.case import load
+from app.foundation.errors import InputError
+from tests.support import CONFIGS
+
+STANCE = CONFIGS / "stance.yaml"
+NO_CEMENT = ("geometry.cement_thickness=0 mm", "regions.cement=null")
+NO_LAWS = ("interfaces.stem_cement=null", "interfaces.cement_bone=null")
+LAW = ("interfaces.stem_bone={kind: contact, friction_coefficient: 0.5}",)
+
+
+def refused(*overrides: str, path: Path = STANCE) -> list[str]:
+    """Lines of the message with which a case is refused."""
+    with pytest.raises(InputError) as error:
+        load(path, overrides)
+    return str(error.value).splitlines()
+
+
+def test_hips_without_cement_have_one_interface_and_a_void() -> None:
+    geometry = load(STANCE, (*NO_CEMENT, *NO_LAWS, *LAW)).config.geometry
+    assert geometry.region_names == ("stem", "cortical_bone", "cancellous_bone")
+    assert list(geometry.interface_sides) == ["stem_bone"]
+    assert geometry.mantles == ()
+    assert geometry.implant.tip_void == 5.0
+    assert load(STANCE).config.geometry.implant.tip_void == 0.0
+
+
+def test_hips_without_cement_say_in_one_line_what_a_base_lacks() -> None:
+    (line,) = refused("geometry.cement_thickness=0 mm")
+    assert "`regions: {cement: null}`" in line
+    assert "stem_cement: null, cement_bone: null, stem_bone: {kind: contact" in line
+
+
+def test_hips_without_cement_need_a_law() -> None:
+    (line,) = refused(*NO_CEMENT, *NO_LAWS)
+    assert "no law for stem_bone" in line
+    assert load(STANCE, (*NO_CEMENT, *NO_LAWS, "interfaces.stem_bone={kind: bonded}")).config
+
+
+@pytest.mark.parametrize(
+    ("thickness", "text"),
+    [
+        ("0.5 mm", "must be 0 (a stem without cement) or at least 1 mm"),
+        ("{proximal: 2 mm, distal: 0 mm}", "'0 mm' must be at least 1 mm"),
+    ],
+)
+def test_hips_refuse_thin_and_partly_absent_cement(thickness: str, text: str) -> None:
+    assert text in refused(f"geometry.cement_thickness={thickness}")[0]
+
+
+def test_hips_without_cement_refuse_cells_through_it() -> None:
+    (line,) = refused(*NO_CEMENT, *NO_LAWS, *LAW, "mesh.through_cement=3")
+    assert "there is no cement; leave through_cement out" in line
+
+
+def test_hips_heights_on_the_stem_begin_at_its_tip() -> None:
+    geometry = load(STANCE, (*NO_CEMENT, *NO_LAWS, *LAW, "geometry.tip_void=0 mm")).config.geometry
+    tip = geometry.placement.to_model([[0.0, 0.0, geometry.implant.tip_z]])
+    shoulder = geometry.placement.to_model([[0.0, 0.0, geometry.implant.shoulder]])
+    assert geometry.height_on_stem(tip)[0] == pytest.approx(0.0)
+    assert geometry.height_on_stem(shoulder)[0] == pytest.approx(geometry.implant.length)
+    assert not geometry.on_flanks(tip)[0]
+    assert not geometry.on_flanks(2 * shoulder - tip)[0]
+    assert geometry.on_flanks(0.5 * (tip + shoulder))[0]

@@ -1,0 +1,139 @@
+"""A press fit: its interference by place, motion since the insertion, and what is said of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import app.rooms  # noqa: F401 (registers the room)
+from app.case.case import load
+from app.foundation.errors import InputError
+from app.laws.interface_laws import Coulomb
+from app.laws.values import NoStem, gap_settled
+from app.press_fit.findings import _ingrowth, _yield
+from tests import support
+
+# Two equal blocks between held ends: an interference, then a shift of the upper end along x.
+PRESSED = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: bone, size: [4 mm, 4 mm, 4 mm]}
+    - {name: metal, size: [4 mm, 4 mm, 4 mm]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  bone: {youngs_modulus: 1 GPa, poisson_ratio: 0}
+  metal: {youngs_modulus: 1 GPa, poisson_ratio: 0}
+interfaces:
+  bone_metal: {kind: contact, friction_coefficient: 0, interference: 0.02 mm}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  top: {kind: displacement, boundary: top, x: 0.03 mm, y: 0 mm, z: 0 mm, history: [0, 1]}
+stages: [{name: insertion}, {name: shift}]
+"""
+INTERFERENCE = 0.02  # mm
+SHIFT = 0.03  # mm
+
+
+def law(**keys: object) -> Coulomb:
+    return Coulomb.model_validate({"kind": "contact", "friction_coefficient": 0.3, **keys})
+
+
+def points(*heights: float) -> np.ndarray:
+    return np.array([[1.0, 2.0, z] for z in heights])
+
+
+def test_press_fit_interference_is_a_number_an_expression_or_a_table() -> None:
+    x = points(0.0, 30.0, 60.0)
+    for given, expected in (
+        ("0.02 mm", [0.02, 0.02, 0.02]),
+        ("0.001 * z", [0.0, 0.03, 0.06]),
+        ([["0 mm", "0 mm"], ["60 mm", "0.04 mm"]], [0.0, 0.02, 0.04]),
+    ):
+        gap = law(interference=given).gap_field("i", NoStem())(x)
+        assert -gap == pytest.approx(expected)
+
+
+def test_press_fit_zones_have_their_own_friction_and_gap() -> None:
+    zones = {
+        "coated": {"above": "40 mm", "friction_coefficient": 0.8, "interference": "0.05 mm"},
+        "reamed": {"below": "10 mm", "gap": "0.2 mm"},
+    }
+    partly = law(interference="0.01 mm", zones=zones)
+    x = points(5.0, 20.0, 50.0)
+    assert partly.gap_field("i", NoStem())(x) == pytest.approx([0.2, -0.01, -0.05])
+    assert partly.fields("i", NoStem())["μ"](x) == pytest.approx([0.3, 0.3, 0.8])
+    assert partly.friction == 0.8
+    assert partly.is_press_fit
+
+
+def test_press_fit_acts_on_flanks_alone() -> None:
+    class Stem(NoStem):
+        def on_flanks(self, x: np.ndarray) -> np.ndarray:
+            return x[:, 2] > 1.0
+
+    gap = law(interference="0.02 mm").gap_field("i", Stem())(points(0.0, 2.0))
+    assert gap == pytest.approx([0.0, -0.02])
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        ({"interference": "0.02 mm", "gap": "0.1 mm"}, "opposite of `gap`"),
+        ({"interference": "-0.02 mm"}, "must not be negative"),
+        ({"interference": "2 mm"}, "must be at most 1"),
+        ({"zones": {"a": {"above": "9 mm", "below": "8 mm"}}}, "not above 9 mm"),
+        ({"interference": [["9 mm", "0 mm"], ["8 mm", "0 mm"]]}, "height is not above"),
+    ],
+)
+def test_press_fit_refuses(keys: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        law(**keys)
+
+
+def test_press_fit_gap_settles_when_it_last_changes() -> None:
+    fit, clearance = np.array([-0.02, 0.0]), np.array([0.1])
+    assert gap_settled(fit, ()) == 1.0
+    assert gap_settled(clearance, ()) == 0.0
+    assert gap_settled(fit, (0.5, 1.0, 1.0)) == 2.0
+    assert gap_settled(fit, (0.0, 0.0, 1.0)) == 3.0
+
+
+def test_press_fit_micromotion_is_without_the_insertion(tmp_path: Path) -> None:
+    """Without friction the upper block slides by the shift as a rigid body."""
+    results = support.run(PRESSED, tmp_path / "case", "output.report=false")
+    q = results.summary["interfaces"]["bone_metal"]
+    for key in ("mean", "p95", "p99", "max"):
+        assert q[f"micromotion_{key}"] == pytest.approx(SHIFT, rel=1e-6)
+    assert q["motion_p99"] == pytest.approx(np.hypot(SHIFT, INTERFERENCE), rel=1e-6)
+    assert q["area_micromotion_over_40um"] == 0.0
+    # Both blocks take half of the interference: E times the strain of each.
+    pressure = 1000.0 * (INTERFERENCE / 2) / 4.0
+    assert q["insertion_pressure_mean"] == pytest.approx(pressure, rel=1e-6)
+    texts = [v["what"] for v in results.summary["verdicts"] if v.get("where") == "ingrowth"]
+    assert texts[0].startswith("100 % of bone_metal moves less than 40 µm")
+
+
+def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    load_ = "loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
+    path.write_text(PRESSED + load_)
+    with pytest.raises(InputError, match="push: act during the insertion"):
+        load(path)
+    one = ("stages=[{name: fit}]", "supports.top=null")
+    with pytest.raises(InputError, match=r"stages: the interference grows until the end"):
+        load(path, one)
+    assert load(path, ("loads.push.history=[0, 1]",)).config
+
+
+def test_press_fit_findings_say_areas_and_strains() -> None:
+    q = {"area": 200.0, "area_micromotion_over_40um": 50.0, "area_micromotion_over_150um": 2.0}
+    (verdict,) = _ingrowth({"interfaces": {"stem_bone": q, "other": {"area": 1.0}}})
+    assert verdict.what.startswith("75 % of stem_bone moves less than 40 µm, 1 % more than 150 µm")
+    bone = SimpleNamespace(low={"insertion_hoop_strain_p99": 0.006}, high=0.008)
+    regions = {"a": bone.low, "b": {"insertion_hoop_strain_p99": bone.high}}
+    (strained,) = _yield({"regions": regions})
+    assert "strains b by 8000 um/m" in strained.what
