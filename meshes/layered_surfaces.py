@@ -168,7 +168,7 @@ class LayeredSurfaces:
             self.spared = CAD_SPARED
             self.coarser = CAD_COARSER
         through = mesh.cells_through(geometry.cement_thickness)
-        self.through = through if self.stem.is_cemented else through[1:]
+        self.through: tuple[int, ...] = through if self.stem.is_cemented else through[1:]
         self.cement = mesh.along_cement(geometry.cement_thickness)
         zeta = self._divided(geometry.implant, self._placed.along(geometry.distal_cut_z))
         self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)

@@ -107,28 +107,26 @@ def _names(case: Any) -> Iterable[Fault]:
 @check("geometry")
 def _cement(case: Any) -> Iterable[Fault]:
     """Names of a base that has cement, or none; interfaces that need a law."""
-    geometry, sections = case.geometry, ("regions", "interfaces")
+    geometry = case.geometry
     missing = {n: law for n, law in geometry.laws_to_write.items() if n not in case.interfaces}
-    changes: dict[str, dict[str, str]] = {}
-    for section in sections:
-        names = getattr(case, section) or {}
-        unused = [name for name in geometry.left_out.get(section, ()) if name in names]
-        changes[section] = dict.fromkeys(unused, "null")
-    without = any(changes.values())
-    changes["interfaces"] |= missing
-    if without:
-        written = (
-            f"`{section}: {{{', '.join(f'{name}: {value}' for name, value in names.items())}}}`"
-            for section, names in changes.items()
-            if names
-        )
+    unused = {
+        section: [name for name in names if name in (getattr(case, section) or {})]
+        for section, names in geometry.left_out.items()
+    }
+    if any(unused.values()):
+        sections = []
+        for section, names in unused.items():
+            entries = dict.fromkeys(names, "null") | (missing if section == "interfaces" else {})
+            if entries:
+                written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
+                sections.append(f"`{section}: {{{written}}}`")
         what = "there is no cement" if geometry.laws_to_write else "there is cement"
-        text = f"{what}; expected also {' and '.join(written)}"
+        text = f"{what}; expected also {' and '.join(sections)}"
         yield Fault(("geometry", "cement_thickness"), text)
     elif missing:
-        written = ", ".join(f"{name}: {law}" for name, law in missing.items())
+        example = ", ".join(f"{name}: {law}" for name, law in missing.items())
         text = f"no law for {', '.join(missing)}, which would be bonded: an ingrown stem; expected"
-        yield Fault(("interfaces",), f"{text} e.g. `{written}`, or `kind: bonded`")
+        yield Fault(("interfaces",), f"{text} e.g. `{example}`, or `kind: bonded`")
 
 
 @check("geometry")

@@ -242,7 +242,10 @@ class InterfaceLaw(Extensible):
 
     @property
     def layer(self) -> tuple[float, float] | None:
-        """Normal and tangential stiffness of an elastic layer in series [MPa/mm]; None without."""
+        """Normal and tangential stiffness of an elastic layer in series [MPa/mm]; None without.
+
+        The normal one is infinite where only the tangential one is given.
+        """
         return None
 
     @property
@@ -426,13 +429,13 @@ class Unilateral(Frictional):
     @property
     def has_gap(self) -> bool:
         """True if a key gives a gap or an interference."""
-        parts = [self, *(self.zones or {}).values()]
+        parts: list[Unilateral | Zone] = [self, *(self.zones or {}).values()]
         return any(part.gap or part.interference for part in parts)
 
     @property
     def is_press_fit(self) -> bool:
         """True if `interference` is given, of the interface or of a zone."""
-        parts = [self, *(self.zones or {}).values()]
+        parts: list[Unilateral | Zone] = [self, *(self.zones or {}).values()]
         return any(part.interference is not None for part in parts)
 
     @property
@@ -505,8 +508,8 @@ class Unilateral(Frictional):
 class Compliance(Section):
     """An elastic layer in series with contact."""
 
-    normal: PositiveStiffness
-    """Pressure per approach."""
+    normal: PositiveStiffness | None = None
+    """Pressure per approach; rigid by default."""
     tangential: PositiveStiffness
     """Shear per elastic shift."""
 
@@ -559,7 +562,8 @@ class Coulomb(Unilateral):
         """The stiffnesses of `compliance`."""
         if self.compliance is None:
             return None
-        return self.compliance.normal, self.compliance.tangential
+        normal = self.compliance.normal
+        return math.inf if normal is None else normal, self.compliance.tangential
 
     def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""

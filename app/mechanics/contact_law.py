@@ -471,9 +471,11 @@ def _note(law: InterfaceLaw, key: str) -> Path | None:
 def _compliance(normals: Floats, faces: Ints, across: float, along: float) -> Floats:
     """Compliance (n, 3, 3) [mm/MPa] of a layer with two stiffnesses [MPa/mm].
 
-    Faces share the area of a point: their stiffnesses are averaged.
+    Faces share the area of a point: their stiffnesses are averaged. The one across may be infinite.
     """
     across_all = np.einsum("pki,pkj->pij", normals, normals)
+    if np.isinf(across):  # rigid along every normal
+        return (np.eye(3) - np.linalg.pinv(across_all) @ across_all) / along
     mean = across_all / np.maximum(faces, 1)[:, None, None]
     return np.linalg.inv(along * np.eye(3) + (across - along) * mean)
 

@@ -112,7 +112,7 @@ class ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
         values = {name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()}
-        return cls(zero, zero, zero, zero, gap, zero, *[none] * 6, values)
+        return cls(zero, zero, zero, zero, gap, zero, none, none, none, none, none, none, values)
 
 
 def prescribed_jump(

@@ -137,7 +137,8 @@ class _Deck:
             for side, inside, outside in sides:
                 f = facets_between(self.tagged, inside, outside)
                 yield from self._surface(f"{i.name}_{side}", f)
-            stiff = i.law.layer[0] if i.law.layer else STIFF
+            stiff = i.law.layer[0] if i.law.layer else math.inf
+            stiff = stiff if math.isfinite(stiff) else STIFF
             yield f"*SURFACE INTERACTION, NAME={i.name}"
             yield f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{_real(stiff)}"
             if i.law.friction:

@@ -86,6 +86,42 @@ def lame_pressure_free(δ: float, b: float, c: float, core: Elastic, ring: Elast
     return δ / b / (((c * c + b * b) / (c * c - b * b) + ν_o) / E_o + (1 - ν_i) / E_i)
 
 
+def press_out_factor(μ: float, r: float, R: float, length: float, ν: float) -> float:
+    """Force that pulls a rigid rod out of a ring r < R, over μ p A with Lamé's pressure p.
+
+    Friction loads the ring along the axis: its axial stress changes by -2 μ p r / (R² - r²) per
+    length. By Poisson's effect this moves the inner surface, and the pressure follows
+    p = p0 exp(b s) with the distance s from the free end of the ring, where
+    b = 2 μ r ν / ((R² - r²) k) and k = (R² + r²) / (R² - r²) + ν. Push in with a negative μ, the
+    ring being held at its far end; the factor is then that of the pushing force.
+    """
+    k = (R * R + r * r) / (R * R - r * r) + ν
+    bL = 2 * μ * r / (R * R - r * r) * ν / k * length
+    return math.expm1(bL) / bL
+
+
+def taper_force(
+    depth: float, angle: float, radii: tuple[float, float], outer: float, ring: Elastic
+) -> float:
+    """Axial force on a frictionless rigid cone driven into a ring with its taper by a depth [N].
+
+    Each slice is a ring of Lamé with the interference depth tan(angle).
+
+    Args:
+        depth: Depth [mm].
+        angle: Half-angle of the cone [rad].
+        radii: Radii of the cone at both ends [mm].
+        outer: Outer radius of the ring [mm].
+        ring: Its material.
+    """
+    slope = math.tan(angle)
+    edges = np.linspace(*radii, 201)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    fits = [lame_pressure_free(depth * slope, b, outer, (1e12, 0.3), ring) for b in middles]
+    # The pressure acts on the area that each slice shows along the axis.
+    return float((np.array(fits) * math.pi * np.diff(edges**2)).sum())
+
+
 def _plane_strain(material: Elastic) -> Elastic:
     E, ν = material
     return E / (1 - ν * ν), ν / (1 - ν)

@@ -25,6 +25,11 @@ COARSE: dict[str, list[str]] = {
         "stages.0.increments=1",
         "output.error=false",
     ],
+    "pressed.yaml": [
+        "mesh.size=10 mm",
+        "mesh.around=16",
+        "output.error=false",
+    ],
     "thin_femur.yaml": [
         "mesh.size=6 mm",
         "stages.0.increments=1",

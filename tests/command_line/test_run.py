@@ -616,10 +616,21 @@ def check_drawn(s: dict[str, Any]) -> None:
     assert s["cycles"]["draw"]["dissipation"][-1] == pytest.approx(120 * 60, rel=1e-3)
 
 
+def check_press_fit(s: dict[str, Any]) -> None:
+    """The stem moves little, and less than with its insertion; the bone presses on it."""
+    q = s["interfaces"]["stem_bone"]
+    assert 0.001 < q["micromotion_mean"] < q["micromotion_p99"] < 0.1
+    assert q["motion_p99"] > 0.02
+    assert 1.0 < q["insertion_pressure_mean"] < 20.0
+    assert "cement" not in s["regions"]
+    assert "mantle" not in s
+
+
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "iso_7206_4.yaml": check_bench,
     "stance.yaml": check_stance,
     "stance_cocr.yaml": check_stance,
+    "pressed.yaml": check_press_fit,
     "thin_femur.yaml": check_stance,
     "intact.yaml": check_intact,
     "variations.yaml": check_variations,

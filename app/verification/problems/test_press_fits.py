@@ -27,6 +27,7 @@ from app.verification.problem import (
     condensed,
     long,
     quick,
+    relative,
     stress,
     verify,
 )
@@ -93,6 +94,75 @@ def test_lame_p2_curved(problem: KnownProblem) -> None:
     )
     solved = problem.solve(RINGS, "mesh.order=2", "mesh.curved=true", *slice_of(0.8))
     problem.compare(number(solved, PRESSURE, lame_pressure("plane_strain", 3)))
+
+
+# A rigid rod in a ring, by the key `interference`: fitted, pushed in, pulled out, driven in
+
+ROD = "verification/pressed_rod.yaml"
+RING = (17e3, 0.3)
+OUTSIDE = 17.0  # mm, radius of the ring
+ROD_LENGTH = 40.0  # mm
+RIGID = (1e12, 0.3)
+FRICTION = 0.5
+NO_FRICTION = "interfaces.stem_cement.friction_coefficient=0"
+
+
+@verify
+@quick
+def test_press_fit_pressure(problem: KnownProblem) -> None:
+    problem.expects(
+        "mean pressure of a rod pressed into a ring, without friction [MPa], relative",
+        tolerance=1e-3,
+        source=LAME,
+    )
+    solved = problem.solve(ROD, NO_FRICTION, "stages=[{name: fit}]", "supports.rod.history=[0]")
+    problem.compare(number(solved, PRESSURE, fit_pressure()))
+
+
+def fit_pressure() -> float:
+    """Lamé's pressure of the rod in its ring [MPa]."""
+    return exact.lame_pressure_free(0.02, RADIUS, OUTSIDE, RIGID, RING)
+
+
+@verify
+@pytest.mark.parametrize(
+    ("way", "sign"),
+    [pytest.param("into", -1, id="in", marks=quick), pytest.param("out of", 1, id="out")],
+)
+def test_press_fit_pushed(problem: KnownProblem, way: str, sign: int) -> None:
+    """All of the rod slides; the axial stress of the ring changes the pressure."""
+    problem.expects(
+        f"force that moves a rod {way} its ring [N], relative",
+        tolerance=0.01,
+        source="Lamé with Poisson's effect of the axial stress",
+    )
+    solved = problem.solve(ROD, f"supports.rod.z={sign * 0.2} mm")
+    area = 2 * np.pi * RADIUS * ROD_LENGTH / 4
+    factor = exact.press_out_factor(sign * FRICTION, RADIUS, OUTSIDE, ROD_LENGTH, RING[1])
+    force = abs(solved.summary["interfaces"]["stem_cement"]["force"][2])
+    problem.compare(relative(force, FRICTION * fit_pressure() * area * factor))
+
+
+@verify
+def test_press_fit_taper(problem: KnownProblem) -> None:
+    """Without friction the force grows with the depth by which a cone is driven in."""
+    problem.expects(
+        "force that drives a cone into a ring without friction [N], relative",
+        tolerance=0.03,
+        source="rings of Lamé",
+    )
+    angle, depth = float(np.radians(1.5)), 0.6
+    solved = problem.solve(
+        ROD,
+        NO_FRICTION,
+        "interfaces.stem_cement.interference=null",
+        "geometry.taper=1.5 deg",
+        f"supports.rod.z={-depth} mm",
+    )
+    rise = 0.5 * ROD_LENGTH * np.tan(angle)
+    cone = RADIUS - rise, RADIUS + rise
+    force = 4 * abs(solved.summary["interfaces"]["stem_cement"]["force"][2])
+    problem.compare(relative(force, exact.taper_force(depth, angle, cone, OUTSIDE, RING)))
 
 
 # Interference that varies around the core
