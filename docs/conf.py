@@ -44,6 +44,7 @@ case
 geometry
 patient
 place
+cementless
 your_hip
 ct
 loads

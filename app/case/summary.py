@@ -169,6 +169,7 @@ class Summary(TypedDict, total=False):
         femur: Motion of the head, and strains of the cortex.
         mantle: Thickness of the cement mantle.
         layers: Counts and sizes of a layered mesh.
+        cortex_min: Smallest thickness of the cortex around a stem without cement [mm].
         gruen: Numbers of each Gruen zone, by its number.
         thermal: Numbers of heat.
         cure: Degrees of cure, by region.
@@ -199,6 +200,7 @@ class Summary(TypedDict, total=False):
     femur: Numbers
     mantle: MantleNumbers
     layers: Numbers
+    cortex_min: float
     gruen: dict[str, Zone]
     thermal: ThermalNumbers
     cure: dict[str, Numbers]

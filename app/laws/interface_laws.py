@@ -336,7 +336,7 @@ class Frictional(InterfaceLaw):
         return self.friction_coefficient
 
 
-class Zone(Section):
+class SurfaceZone(Section):
     """Part of a stem's surface between two heights, with its own numbers."""
 
     above: Length | None = None
@@ -352,7 +352,7 @@ class Zone(Section):
     """Radial interference there, in place of the interface's gap or interference."""
 
     @model_validator(mode="after")
-    def _one(self) -> Zone:
+    def _one(self) -> SurfaceZone:
         if self.gap is not None and self.interference is not None:
             fail("is the opposite of `gap`; expected only one of them", at=("interference",))
         low, high = self.heights
@@ -392,7 +392,7 @@ class Unilateral(Frictional):
     """Radial interference of a press fit: half of the diametral one. A length, an expression, or
     pairs of height above the stem's tip and length, linear in between. It acts on the flanks of a
     stem, not on its end, and grows during the first stage. In place of `gap`."""
-    zones: Annotated[dict[Name, Zone], MAPPING] | None = None
+    zones: Annotated[dict[Name, SurfaceZone], MAPPING] | None = None
     """Parts of a stem's surface with their own numbers, such as a coating. Where two overlap, the
     later one counts."""
     gap_history: LoadHistory = None
@@ -429,13 +429,13 @@ class Unilateral(Frictional):
     @property
     def has_gap(self) -> bool:
         """True if a key gives a gap or an interference."""
-        parts: list[Unilateral | Zone] = [self, *(self.zones or {}).values()]
+        parts: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
         return any(part.gap or part.interference for part in parts)
 
     @property
     def is_press_fit(self) -> bool:
         """True if `interference` is given, of the interface or of a zone."""
-        parts: list[Unilateral | Zone] = [self, *(self.zones or {}).values()]
+        parts: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
         return any(part.interference is not None for part in parts)
 
     @property
@@ -452,7 +452,7 @@ class Unilateral(Frictional):
         """Initial gap at points (n, 3), negative for an interference: shape (n,) [mm]."""
         key = f"interfaces.{interface}"
 
-        def of(part: Unilateral | Zone, key: str, x: Floats) -> Floats | None:
+        def of(part: Unilateral | SurfaceZone, key: str, x: Floats) -> Floats | None:
             """The gap of a part; None if it has none of its own."""
             if part.interference is not None:
                 return -_interference(f"{key}.interference", part.interference, stem, x)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from app.case.case import Case
+from app.case.summary import Numbers, Summary
 from app.foundation.arrays import Bools, Floats
 from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
@@ -30,8 +29,7 @@ class AfterInsertion(Record):
         elastic = {e.region for e in problem.scene.elastic}
         elastic -= problem.body_forms.path_dependent_regions
         self._bone = sorted(elastic.intersection(case.of_tissue("bone")))
-        # By section of ``summary.json``, then by interface or region.
-        self.inserted: dict[str, dict[str, dict[str, float]]] = {}
+        self.inserted: Summary = {}
 
     def before(self, on_step: OnStep) -> OnStep:
         """Return a hook of steps that keeps the numbers of the last step of the insertion."""
@@ -46,11 +44,11 @@ class AfterInsertion(Record):
 
         return step
 
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> Summary:
         """Pressures of interfaces, hoop strains of bone."""
         return self.inserted
 
-    def _pressures(self, trial: TrialState) -> dict[str, dict[str, float]]:
+    def _pressures(self, trial: TrialState) -> dict[str, Numbers]:
         """Pressures of the press fits after a step; collective."""
         problem, zones = self._followed.problem, self._followed.zones
         surface = trial.contact.points.surface
@@ -62,9 +60,9 @@ class AfterInsertion(Record):
             name: {f"insertion_{key}": numbers[name][key] for key in PRESSURES} for name in pressed
         }
 
-    def _strains(self) -> dict[str, dict[str, float]]:
+    def _strains(self) -> dict[str, Numbers]:
         """Hoop strain of each region of bone beside the stem; collective."""
-        strains = {}
+        strains: dict[str, Numbers] = {}
         for region in self._bone:
             stresses = self._followed.stresses
             x, volume = stresses.places(region)

@@ -7,14 +7,14 @@ micromotions; read: abstract).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 
 from app.case.case import Case
 from app.case.checks import check
 from app.case.quantities import TABLE, in_print
+from app.case.summary import Summary
 from app.foundation.verdict import Severity, Verdict
 from app.laws.values import gap_settled
 from app.results.verdicts import judge
@@ -56,7 +56,7 @@ def _stages(case: Case) -> Iterable[Fault]:
 
 
 @judge
-def _ingrowth(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     """Areas of micromotion against what is known of ingrowth."""
     for name, q in summary.get("interfaces", {}).items():
         if not q.get("area") or "area_micromotion_over_40um" not in q:
@@ -72,7 +72,7 @@ def _ingrowth(summary: Mapping[str, Any]) -> Iterable[Verdict]:
 
 
 @judge
-def _yield(summary: Mapping[str, Any]) -> Iterable[Verdict]:
+def _yield(summary: Summary) -> Iterable[Verdict]:
     """Bone strained by the insertion beyond what it bears."""
     for name, q in summary.get("regions", {}).items():
         if q.get("insertion_hoop_strain_p99", 0.0) > YIELD:
