@@ -173,10 +173,7 @@ class LayeredSurfaces:
         zeta = self._divided(geometry.implant, self._placed.along(geometry.distal_cut_z))
         self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
         self.bone: BoneLayers = geometry.femur.layers(geometry, self.sections, self.stem)
-        if self.stem.is_cemented:
-            self._refuse_narrow()
-        else:
-            self._refuse_thin()
+        self._refuse()
         self._continue(geometry.implant)
 
     @property
@@ -321,6 +318,13 @@ class LayeredSurfaces:
         out = x - self._placed.to_model([0.0, 0.0, zeta])
         side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
         return f"{side} at {self._placed.where(x)}"
+
+    def _refuse(self) -> None:
+        """Raise GeometryError where the stem has no room for cement, or leaves too little bone."""
+        if self.stem.is_cemented:
+            self._refuse_narrow()
+        else:
+            self._refuse_thin()
 
     def _refuse_thin(self) -> None:
         """Raise GeometryError where a stem without cement leaves too little of the cortex."""

@@ -10,7 +10,17 @@ import numpy as np
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateAttr
 from pydantic_core import core_schema
 
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, perimeter, spread
+from app.case.shapes import (
+    LEAST_CEMENT,
+    Mantle,
+    MeshOptions,
+    Point3,
+    Shape,
+    Sides,
+    Thickness,
+    perimeter,
+    spread,
+)
 from app.foundation.arrays import Bools, Floats
 from app.foundation.implant import FLAT, Implant
 from app.laws.values import ROUNDING
@@ -33,7 +43,6 @@ MUSCLES: dict[str, Point3] = {
     "vastus_medialis": (2.540, 13.508, -132.0),
 }
 
-LEAST_CEMENT = 1.0  # mm of cement for which there must be room
 
 # Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
 # thickness of the mantle less the widening of the canal (mm).
