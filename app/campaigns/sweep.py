@@ -83,7 +83,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             "overrides": list(overrides),
             "program": identity.program(),
             "cores": options.cores,
-            "uncertainty": uncertainty.of_parts(rows, sweep.uncertain()),
+            "uncertainty": uncertainty.of_parts(rows, sweep.uncertain_inputs()),
             "cases": rows,
         }
         with batch.writable(folder):

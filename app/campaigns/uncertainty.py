@@ -1,20 +1,27 @@
-"""Spread of numbers over a Latin hypercube, and the inputs that cause it."""
+"""Spread of numbers over samples of uncertain inputs, and the inputs that cause it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
 from app.case import quantities
-from app.case.points import short_keys
+from app.case.points import UncertainInputs, short_keys
+from app.foundation.arrays import Floats
 from app.results.run_table import SweepRow
 from app.schema.units import NUMBER
 from app.system import layout
 
 # Fewest samples that define a spread.
 FEWEST = 3
+# Fewest base samples for Sobol' indices.
+FEWEST_BASE = 8
+# Samples of the bootstrap for the confidence intervals of Sobol' indices.
+RESAMPLES = 999
+# Condition of a matrix of correlations from which inputs follow from each other.
+SINGULAR = 1e8
 # Numbers that stay below this are rounding, in any unit of theirs.
 NOTHING = 1e-9
 
@@ -28,6 +35,7 @@ class NumberSpread(TypedDict):
         p5: 5th percentile.
         p95: 95th percentile.
         correlation: Rank correlation with each input (`correlation`), by key [-].
+        partial: Partial rank correlation with each input (`partial_correlations`), by key [-].
     """
 
     mean: float
@@ -35,35 +43,65 @@ class NumberSpread(TypedDict):
     p5: float
     p95: float
     correlation: dict[str, float]
+    partial: dict[str, float]
+
+
+class SobolIndices(TypedDict):
+    """Sobol' indices of an input, each with the ends of its 95 % confidence interval [-].
+
+    Attributes:
+        first: First-order index: the share of the variance that the input causes alone.
+        total: Total index: this share with the interactions with other inputs.
+    """
+
+    first: list[float]
+    total: list[float]
 
 
 class PartSpread(TypedDict):
-    """Spread of all numbers of a part: number of its samples, and spreads by full name."""
+    """Spread of all numbers of a part of a sweep.
+
+    Attributes:
+        samples: Number of independent samples.
+        numbers: Spreads by full name.
+        base_samples: Number of base samples of Sobol' indices.
+        indices: Sobol' indices by full name of the number and key of the input.
+    """
 
     samples: int
     numbers: dict[str, NumberSpread]
+    base_samples: NotRequired[int]
+    indices: NotRequired[dict[str, dict[str, SobolIndices]]]
 
 
 def of_parts(
-    rows: Sequence[SweepRow], inputs: Mapping[str, Sequence[str]]
+    rows: Sequence[SweepRow], parts: Mapping[str, UncertainInputs]
 ) -> dict[str, PartSpread]:
     """Spread of each number over the converged samples of each part of a sweep.
 
     Args:
         rows: Rows of ``sweep.json``.
-        inputs: Keys of the uncertain inputs, by part.
+        parts: The uncertain inputs, by part.
     """
     spreads: dict[str, PartSpread] = {}
-    for part, keys in inputs.items():
-        samples = [r for r in rows if r["part"] == part and not r["exit_code"]]
-        if len(samples) < FEWEST:
+    for part, samples in parts.items():
+        of_part = [row for row in rows if row["part"] == part]
+        independent = of_part
+        if samples.sobol:
+            independent = [row for run in _base_samples(of_part, samples) for row in run[:2]]
+        done = [row for row in independent if not row["exit_code"]]
+        if len(done) < FEWEST:
             continue
-        values = {key: [r["overrides"][key] for r in samples] for key in keys}
-        names = [n for n in samples[0]["numbers"] if all(n in r["numbers"] for r in samples)]
+        values = {key: [row["overrides"][key] for row in done] for key in samples.inputs}
+        names = [n for n in done[0]["numbers"] if all(n in row["numbers"] for row in done)]
         spreads[part] = {
-            "samples": len(samples),
-            "numbers": {n: of_number([r["numbers"][n] for r in samples], values) for n in names},
+            "samples": len(done),
+            "numbers": {n: of_number([r["numbers"][n] for r in done], values) for n in names},
         }
+        whole = _whole(of_part, samples) if samples.sobol else []
+        if len(whole) >= FEWEST_BASE:
+            spreads[part]["base_samples"] = len(whole)
+            spreads[part]["indices"] = sobol_indices(whole, samples.inputs)
     return spreads
 
 
@@ -77,7 +115,95 @@ def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]) 
         "p5": float(low),
         "p95": float(high),
         "correlation": {key: r for key, r in correlations.items() if r is not None},
+        "partial": partial_correlations(numbers, inputs),
     }
+
+
+def _base_samples(rows: Sequence[SweepRow], samples: UncertainInputs) -> list[Sequence[SweepRow]]:
+    """Rows of a part for Sobol' indices by base sample: A, B, and A with each input of B."""
+    width = len(samples.inputs) + 2
+    return [rows[start : start + width] for start in range(0, len(rows) - width + 1, width)]
+
+
+def _whole(rows: Sequence[SweepRow], samples: UncertainInputs) -> list[Sequence[SweepRow]]:
+    """Base samples whose runs all converged: the first ones, a power of two of them."""
+    whole = [
+        run for run in _base_samples(rows, samples) if not any(row["exit_code"] for row in run)
+    ]
+    return whole[: 2 ** (len(whole).bit_length() - 1)] if whole else []
+
+
+def sobol_indices(
+    whole: Sequence[Sequence[SweepRow]], inputs: Sequence[str]
+) -> dict[str, dict[str, SobolIndices]]:
+    """Sobol' indices by number and input, of base samples (a power of two) by scipy.
+
+    Numbers that vary by no more than rounding are left out.
+    """
+    from scipy.stats import sobol_indices as indices_of
+
+    first = whole[0][0]["numbers"]
+    names = [n for n in first if all(n in row["numbers"] for run in whole for row in run)]
+    indices = {}
+    for name in names:
+        values = np.array([[row["numbers"][name] for row in run] for run in whole]).T
+        if np.ptp(values) <= NOTHING:
+            continue
+        a, b, mixed = values[:1], values[1:2], values[2:, None]
+        result = indices_of(func={"f_A": a, "f_B": b, "f_AB": mixed}, n=len(whole))
+        spread = result.bootstrap(n_resamples=RESAMPLES)
+        indices[name] = {
+            key: SobolIndices(
+                first=_with_interval(result.first_order, spread.first_order, k),
+                total=_with_interval(result.total_order, spread.total_order, k),
+            )
+            for k, key in enumerate(inputs)
+        }
+    return indices
+
+
+def _with_interval(values: Floats, spread: Any, k: int) -> list[float]:
+    """Return the index of an input, and the ends of its interval."""
+    interval = spread.confidence_interval
+    return [float(np.ravel(v)[k]) for v in (values, interval.low, interval.high)]
+
+
+def partial_correlations(
+    numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]
+) -> dict[str, float]:
+    """Partial rank correlation of a number with each ordered input: without the others' effect.
+
+    From the inverse P of the matrix of rank correlations: -P_iy / sqrt(P_ii P_yy). Empty for a
+    single input, for inputs that follow from others, and for too few samples.
+    """
+    from scipy.stats import rankdata
+
+    ordered = {key: values for key, values in inputs.items() if _ordered(values)}
+    columns = [[_value(v) for v in values] for values in ordered.values()]
+    varying = all(len({*column}) > 1 for column in [*columns, numbers])
+    if len(columns) < 2 or len(numbers) < len(columns) + 3 or not varying:
+        return {}
+    ranks = np.array([rankdata(column) for column in [*columns, numbers]])
+    correlations = np.corrcoef(ranks)
+    if np.linalg.cond(correlations) > SINGULAR:
+        return {}
+    inverse = np.linalg.inv(correlations)
+    scale = np.sqrt(np.diag(inverse) * inverse[-1, -1])
+    partial = -inverse[:, -1] / scale
+    return {key: float(value) for key, value in zip(ordered, partial[:-1], strict=True)}
+
+
+def _value(value: object) -> float:
+    """Number of a value with or without a unit."""
+    match = NUMBER.fullmatch(str(value))
+    assert match is not None
+    return float(match[1])
+
+
+def _ordered(values: Sequence[object]) -> bool:
+    """Return True if the values of an input are numbers of one unit."""
+    matches = [m for m in (NUMBER.fullmatch(str(v)) for v in values) if m]
+    return len(matches) == len(values) and len({m[2] for m in matches}) == 1
 
 
 def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | None:
@@ -88,13 +214,11 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
     """
     from scipy.stats import rankdata, spearmanr  # half a second, which only samples need
 
-    values = [m for m in (NUMBER.fullmatch(str(v)) for v in inputs) if m]
-    ordered = len(values) == len(inputs) and len({m[2] for m in values}) == 1
     groups = len(set(map(str, inputs)))
     if len(set(numbers)) < 2 or groups < 2:
         return None
-    if ordered:
-        return float(spearmanr(numbers, [float(m[1]) for m in values]).statistic)
+    if _ordered(inputs):
+        return float(spearmanr(numbers, [_value(v) for v in inputs]).statistic)
     if groups == len(inputs):
         return None
     ranks = rankdata(numbers)
@@ -117,17 +241,54 @@ def rows(of: PartSpread) -> list[list[str]]:
         short = short_keys(list(s["correlation"]))
         causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:3]
         follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
+        alone = ", ".join(
+            f"{short[k]} {s['partial'][k]:+.2f}" for k, _ in causes if k in s["partial"]
+        )
         numbers = [f"{value:.4g}" for value in (s["mean"], s["p5"], s["p95"])]
-        table_rows.append([name, quantities.find(name).unit, *numbers, follows])
+        table_rows.append([name, quantities.find(name).unit, *numbers, follows, alone or "-"])
     return table_rows
 
 
-HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
+HEAD = (
+    "number",
+    "unit",
+    "mean",
+    "5 %",
+    "95 %",
+    "follows (rank correlation)",
+    "partial rank correlation",
+)
+
+
+def index_rows(of: PartSpread) -> list[list[str]]:
+    """Rows of `INDEX_HEAD` for a part: the inputs of a number by total index."""
+    table_rows = []
+    for name, by_input in of.get("indices", {}).items():
+        short = short_keys(list(by_input))
+        for key, index in sorted(by_input.items(), key=lambda item: -item[1]["total"][0]):
+            texts = [
+                f"{value:.2f} ({low:.2f} to {high:.2f})"
+                for value, low, high in (index["first"], index["total"])
+            ]
+            table_rows.append([name, short[key], *texts])
+    return table_rows
+
+
+INDEX_HEAD = (
+    "number",
+    "input",
+    "alone: first-order index (95 %)",
+    "with interactions: total index (95 %)",
+)
 
 
 def table(spreads: Mapping[str, PartSpread]) -> str:
     """Tables of all parts."""
-    return "\n".join(
-        f"{part or 'samples'}: {of['samples']} samples\n{layout.table(HEAD, rows(of))}"
-        for part, of in spreads.items()
-    )
+    tables = []
+    for part, of in spreads.items():
+        words = f"{part or 'samples'}: {of['samples']} samples"
+        tables.append(f"{words}\n{layout.table(HEAD, rows(of))}")
+        if of.get("indices"):
+            words = f"{part or 'samples'}: Sobol' indices of {of['base_samples']} base samples"
+            tables.append(f"{words}\n{layout.table(INDEX_HEAD, index_rows(of))}")
+    return "\n".join(tables)

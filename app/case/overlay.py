@@ -45,7 +45,7 @@ MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 IN_TIME = ("history", "cycle_table")
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
 # Keys of a sweep alone.
-AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
+AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "sobol", "parts"})
 
 
 def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") -> CaseFile:

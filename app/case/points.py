@@ -94,6 +94,13 @@ def _number(value: object) -> tuple[float, str]:
     return number, match[2]
 
 
+def _power_of_two(samples: int) -> int:
+    if samples & (samples - 1):
+        below = 2 ** (samples.bit_length() - 1)
+        fail(f"{samples} is not a power of two; the next are {below} and {2 * below}")
+    return samples
+
+
 class Range(Section):
     """Range of an uncertain input."""
 
@@ -137,6 +144,20 @@ class Choice(Section):
         return self.values[int(share * len(self.values))]
 
 
+Inputs = Annotated[dict[str, Annotated[Range | Choice, Kinds(".low")]], Field(min_length=1)]
+
+
+def _at(inputs: Mapping[str, Range | Choice], shares: Floats) -> list[dict[str, object]]:
+    """Overrides of samples, from fractions of the ranges of the inputs (samples, inputs)."""
+    return [
+        {
+            key: input.at(float(share))
+            for (key, input), share in zip(inputs.items(), row, strict=True)
+        }
+        for row in shares
+    ]
+
+
 class LatinHypercube(Section):
     """Samples of uncertain inputs: one value of each input in each of equal intervals."""
 
@@ -144,7 +165,7 @@ class LatinHypercube(Section):
     """Number of samples."""
     seed: Annotated[int, Field(ge=0)] = 0
     """The same seed gives the same samples."""
-    inputs: Annotated[dict[str, Annotated[Range | Choice, Kinds(".low")]], Field(min_length=1)]
+    inputs: Inputs
     """The range of each key, or its values."""
 
     def draw(self) -> list[dict[str, object]]:
@@ -163,11 +184,48 @@ class LatinHypercube(Section):
             coefficients = np.atleast_2d(np.corrcoef(design, rowvar=False))
             return float(np.abs(np.tril(coefficients, -1)).max())
 
-        shares = min(designs, key=correlation)
-        return [
-            {key: r.at(float(s)) for (key, r), s in zip(self.inputs.items(), row, strict=True)}
-            for row in shares
-        ]
+        return _at(self.inputs, min(designs, key=correlation))
+
+
+class Sobol(Section):
+    """Samples from which Sobol' indices are computed: the share of each input in the variance."""
+
+    samples: Annotated[int, Field(ge=8, le=4096), AfterValidator(_power_of_two)]
+    """Number of base samples, a power of two. Each makes (inputs + 2) runs."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """The same seed gives the same samples."""
+    inputs: Inputs
+    """The range of each key, or its values."""
+
+    def draw(self) -> dict[str, dict[str, object]]:
+        """The overrides of each run by its name, base sample by base sample.
+
+        A base sample has two independent points A and B, and for each input A with this input
+        of B (Saltelli et al., doi:10.1016/j.cpc.2009.09.018).
+        """
+        from scipy.stats import qmc
+
+        number = len(self.inputs)
+        shares = qmc.Sobol(2 * number, seed=self.seed).random(self.samples)
+        first = _at(self.inputs, shares[:, :number])
+        second = _at(self.inputs, shares[:, number:])
+        short = short_keys(list(self.inputs))
+        digits = len(str(self.samples))
+        runs = {}
+        for k, (a, b) in enumerate(zip(first, second, strict=True), start=1):
+            name = f"sample{k:0{digits}d}"
+            runs[f"{name}_A"] = a
+            runs[f"{name}_B"] = b
+            runs |= {f"{name}_A_{short[key]}": a | {key: b[key]} for key in self.inputs}
+        return runs
+
+
+@dataclass(frozen=True)
+class UncertainInputs:
+    """Keys of the uncertain inputs of a part, and True if its samples are those of `Sobol`."""
+
+    inputs: tuple[str, ...]
+    sobol: bool = False
 
 
 class SweepPart(Section):
@@ -186,6 +244,24 @@ class SweepPart(Section):
     """Overrides by name: one axis."""
     latin_hypercube: LatinHypercube | None = None
     """Samples of uncertain inputs: one axis."""
+    sobol: Sobol | None = None
+    """Samples for Sobol' indices of uncertain inputs; without other axes."""
+
+    @model_validator(mode="after")
+    def _sobol_alone(self) -> SweepPart:
+        others = (self.table, self.grid, self.lists, self.latin_hypercube)
+        if self.sobol is not None and any(axis is not None for axis in others):
+            fail("cannot stand next to other axes; put it into a part without them", at=("sobol",))
+        return self
+
+    @property
+    def uncertain(self) -> UncertainInputs | None:
+        """The uncertain inputs of the part; None if it has none."""
+        if self.sobol is not None:
+            return UncertainInputs(tuple(self.sobol.inputs), sobol=True)
+        if self.latin_hypercube is not None:
+            return UncertainInputs(tuple(self.latin_hypercube.inputs))
+        return None
 
     def axes(self, path: Path) -> Iterator[list[Point]]:
         """Axes of the part at a path of the file: table, grid, lists, samples."""
@@ -204,6 +280,9 @@ class SweepPart(Section):
                 overriding(changes, at, f"sample{i:0{digits}d}")
                 for i, changes in enumerate(hypercube.draw(), start=1)
             ]
+        if self.sobol is not None:
+            at = (*path, "sobol", "inputs")
+            yield [overriding(changes, at, name) for name, changes in self.sobol.draw().items()]
 
 
 def along(runs: Mapping[str, object], path: Path, short: Mapping[str, str]) -> list[Point]:

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 from app.case import overlay, points
 from app.case.case import PlannedRun, load
 from app.case.former_keys import KEY, check_version
-from app.case.points import MOST_CASES, Point, SweepPart
+from app.case.points import MOST_CASES, Point, SweepPart, UncertainInputs
 from app.foundation.errors import InputError
 from app.schema import section, yaml_file
 from app.schema.section import MAPPING, Name, Section, Text, fail, show
@@ -33,7 +33,7 @@ class Sweep(SweepPart):
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Sweep:
-        for key in ("grid", "lists", "table", "latin_hypercube"):
+        for key in ("grid", "lists", "table", "latin_hypercube", "sobol"):
             if self.parts and getattr(self, key) is not None:
                 fail("cannot stand next to parts; put it into each part", at=(key,))
         for _, path, part in self._parts():
@@ -58,10 +58,10 @@ class Sweep(SweepPart):
             every += points.combine(path, str(part.base or self.base), common, part.axes(path))
         return every
 
-    def uncertain(self) -> dict[str, list[str]]:
+    def uncertain_inputs(self) -> dict[str, UncertainInputs]:
         """Uncertain inputs by part, of parts that have any."""
-        parts = {name: part.latin_hypercube for name, _, part in self._parts()}
-        return {name: list(cube.inputs) for name, cube in parts.items() if cube}
+        parts = {name: part.uncertain for name, _, part in self._parts()}
+        return {name: samples for name, samples in parts.items() if samples}
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:

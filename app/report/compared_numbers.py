@@ -176,13 +176,13 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
     every = [case.summary.get("gruen") or {} for case in cases]
     for zone in dict.fromkeys(zone for zones in every for zone in zones):
         here = [zones.get(zone, {}) for zones in every]
-        density = "strain_energy_density"
-        for bone in dict.fromkeys(bone for z in here for bone in z.get(density, {})):
-            numbers = tuple(
-                _scaled(_number(z.get(density), z.get(f"{density}_error"), bone), KJ) for z in here
-            )
+        densities = [z.get("strain_energy_density", {}) for z in here]
+        errors = [z.get("strain_energy_density_error", {}) for z in here]
+        for bone in dict.fromkeys(bone for density in densities for bone in density):
+            pairs = zip(densities, errors, strict=True)
+            numbers = tuple(_scaled(_number(density, e, bone), KJ) for density, e in pairs)
             yield ComparedNumber(
-                f"gruen.{zone}.{bone}.{density}",
+                f"gruen.{zone}.{bone}.strain_energy_density",
                 ZONES,
                 f"zone {zone}: strain energy of {named(bone)}",
                 "kJ/m³",

@@ -83,6 +83,8 @@ def _uncertain(sweep: SweepResults) -> list[Block]:
     for part, samples in sweep.uncertainty.items():
         words = f"{samples['samples']} samples{f' ({part})' if part else ''}"
         parts += page.titled(words, table(uncertainty.HEAD, uncertainty.rows(samples)))
+        indices = table(uncertainty.INDEX_HEAD, uncertainty.index_rows(samples))
+        parts += page.titled("Sobol' indices: shares of the variance", indices)
     return parts
 
 

@@ -127,6 +127,22 @@ def test_points_of_a_latin_hypercube(samples: int, seed: int) -> None:
         assert len(shares) == samples
 
 
+def test_points_of_a_sobol_design() -> None:
+    """Each base sample has A, B, and A with each input of B; coordinates fill their range."""
+    inputs = {"a.low": {"low": 0, "high": 1}, "b.high": {"low": "1 mm", "high": "3 mm"}}
+    design = {"samples": 16, "inputs": inputs}
+    drawn = points.Sobol.model_validate(design).draw()
+    assert drawn == points.Sobol.model_validate(design).draw()
+    assert len(drawn) == 16 * (2 + 2)
+    runs = list(drawn.values())
+    for first, second, with_a, with_b in zip(*(runs[k::4] for k in range(4)), strict=True):
+        assert with_a == {"a.low": second["a.low"], "b.high": first["b.high"]}
+        assert with_b == {"a.low": first["a.low"], "b.high": second["b.high"]}
+    assert [*drawn][:4] == ["sample01_A", "sample01_B", "sample01_A_low", "sample01_A_high"]
+    shares = sorted(float(str(run["a.low"])) for run in runs[0::4])
+    assert all(i / 16 <= s <= (i + 1) / 16 for i, s in enumerate(shares))
+
+
 def test_points_of_a_study(path: Path) -> None:
     path.write_text(STUDY)
     study, runs, common = study_file.read(path, ["mesh.curved=false", "study.target=0.05"])
@@ -157,6 +173,11 @@ SWEEPS = [
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 2, high: 1}}}", "a: 2 is not below 1"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {values: [2, 2]}}}", "2:56: latin"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {high: 2}}}", "low"),
+    (BASE + "sobol: {samples: 12, inputs: {a: {low: 1, high: 2}}}", "the next are 8 and 16"),
+    (
+        BASE + "sobol: {samples: 8, inputs: {a: {low: 1, high: 2}}}\ngrid: {b: [1, 2]}",
+        "cannot stand next to other axes",
+    ),
     (BASE + "gird: {}", "did you mean 'grid'?"),
     (BASE + "grid: {mesh.sise: [1 mm]}", "2:20: grid.mesh.sise[0]: unknown key"),
     ("base: nix.yaml\ngrid: {mesh.size: [1 mm]}", "1:1: base: "),

@@ -15,6 +15,7 @@ import pytest
 
 import mantle
 from app.campaigns import uncertainty
+from app.case.points import UncertainInputs
 from app.case.quantities import TABLE
 from app.cli import main
 from app.foundation.verdict import Verdict, note
@@ -178,7 +179,7 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
         changes = {MODULUS: f"{k + 1} MPa", FRICTION: 0.01 * other}
         rows[-1] |= {"exit_code": 0, "numbers": law, "overrides": changes}
     rows.append(rows[-1] | {"name": "lost", "status": "not converged", "exit_code": 4})
-    found = uncertainty.of_parts(rows, {"": [MODULUS, FRICTION]})
+    found = uncertainty.of_parts(rows, {"": UncertainInputs((MODULUS, FRICTION))})
     (folder / "sweep.json").write_text(json.dumps({"cases": rows, "uncertainty": found}))
     return folder
 
