@@ -1,4 +1,4 @@
-"""A dolfinx mesh on all ranks with names for its tags, from arrays on rank 0 or given."""
+"""A dolfinx mesh on all ranks with names for its tags, from arrays on rank 0 or given; and back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from app.foundation import dolfinx_features
 from app.foundation.arrays import Bools, Floats
 from app.foundation.dolfinx_features import Entities, cell_perm_array, ufl_mesh
 from app.foundation.errors import InputError
-from meshes.data import MeshData
+from meshes.data import MeshData, faces_of
 
 THREADS = "SCOTCH_PTHREAD_NUMBER"
 ARRAYS = ("points", "cells", "facets", "facet_tags")  # that the other ranks get by parts
@@ -159,3 +159,51 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     patches.name = "boundaries"
     names = (known.regions, known.boundaries, known.interfaces, known.notes)
     return TaggedMesh(mesh, regions, patches, *names)
+
+
+def gather(tagged: TaggedMesh) -> MeshData | None:
+    """Gather a distributed mesh on rank 0 (None on the others); collective.
+
+    Raises:
+        InputError: Cells are neither straight nor quadratic.
+    """
+    mesh, geometry = tagged.mesh, tagged.mesh.geometry
+    if geometry.cmap.degree > 2:
+        raise InputError(f"cells are of degree {geometry.cmap.degree}; expected 1 or 2")
+    comm = mesh.comm
+    nodes, cells_map = geometry.index_map(), mesh.topology.index_map(3)
+    numbers = nodes.local_to_global(geometry.dofmap.ravel().astype(np.int32))
+    numbers = numbers.reshape(geometry.dofmap.shape)
+    # Columns in the order of gmsh, whose first four nodes are the vertices.
+    cells = np.empty_like(numbers)
+    cells[:, cell_perm_array(CellType.tetrahedron, cells.shape[1])] = numbers
+    regions = np.zeros(len(cells), dtype=np.int32)
+    regions[tagged.cell_tags.indices] = tagged.cell_tags.values
+    owned = tagged.facet_tags.indices < mesh.topology.index_map(2).size_local
+    tagged_facets = tagged.facet_tags.indices[owned]
+    mesh.topology.create_connectivity(3, 2)
+    cell_of = mesh.topology.connectivity(2, 3)
+    facets_of = mesh.topology.connectivity(3, 2)
+    beside = np.array([cell_of.links(f)[0] for f in tagged_facets], dtype=np.int64)
+    opposite = [
+        int(np.flatnonzero(facets_of.links(c) == f)[0])
+        for f, c in zip(tagged_facets, beside, strict=True)
+    ]
+    # Facet i of dolfinx is opposite to vertex i; face f of `FACES` is opposite to vertex 3 - f.
+    faces = 3 - np.array(opposite, dtype=np.int64)
+    local = cells_map.size_local
+    own = (
+        geometry.x[: nodes.size_local],
+        cells[:local],
+        regions[:local],
+        faces_of(cells, beside, faces),
+        tagged.facet_tags.values[owned],
+    )
+    parts = comm.gather(own)
+    if parts is None:
+        return None
+    points, every, cell_tags, facets, facet_tags = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
+    names = (dict(tagged.regions), dict(tagged.boundaries), dict(tagged.interfaces))
+    return MeshData(points, every, cell_tags, facets, facet_tags, *names)

@@ -7,7 +7,7 @@ starts ranks (``mantle run -n``) has to do without, and ``mantle check`` need no
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from app.results.reading import Results
     from app.simulation.recorder import AcceptedStep
+    from meshes.distribute import TaggedMesh
 
 
 def load(path: str | os.PathLike[str], **overrides: object) -> LoadedCase:
@@ -107,9 +108,10 @@ def mesh(case: LoadedCase) -> MeshData:
 
 
 def run(
-    case: LoadedCase,
+    case: LoadedCase | Mapping[str, object],
     output: str | os.PathLike[str] | None = None,
     *,
+    mesh: TaggedMesh | None = None,
     progress: Callable[[AcceptedStep], None] = lambda step: None,
     force: bool = False,
     restart: str = "",
@@ -120,8 +122,10 @@ def run(
     """Solve a case in this process and write its results; under mpirun, all ranks call it together.
 
     Args:
-        case: As `load` returns it.
-        output: The folder for the results; ``out/<name of the case file>`` by default.
+        case: As `load` returns it. With a mesh: sections of a case file as mappings and lists.
+        output: The folder for the results; ``out/<name of the case file>`` by default. With a mesh
+            it is needed: ``<output>.msh`` and ``<output>.yaml`` are written beside it.
+        mesh: A dolfinx mesh with names, of `TaggedMesh.from_tags` or `from_markers`.
         progress: Called on every rank after each accepted step: number, time, row of history.csv.
         force: Replace results in the folder, which otherwise stay if they are finished with this
             very configuration; take a checkpoint of another configuration.
@@ -141,6 +145,14 @@ def run(
         StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
         EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
     """
+    if isinstance(case, Mapping):
+        if mesh is None or output is None:
+            raise InputError("a case of mappings needs a mesh and an output: run(..., mesh=...)")
+        with stack_needed():
+            from app.simulation.given_mesh import case_on
+        case = case_on(mesh, case, Path(output))
+    elif mesh is not None:
+        raise InputError("a loaded case has its own mesh; give the sections of the case as a dict")
     folder = Path(output) if output is not None else case.output
     if not finished_runs.prepare(case, folder, force=force, restart=restart):
         with ranks.mpi_settings():

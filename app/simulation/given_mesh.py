@@ -1,0 +1,44 @@
+"""A case on a dolfinx mesh that a script hands over: both are written beside the results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import meshes
+from app.case.case import LoadedCase, load
+from app.foundation.errors import InputError, on_root
+from app.schema import yaml_file
+from app.system.folders import write_text
+from meshes.distribute import TaggedMesh, gather
+
+
+def case_on(mesh: TaggedMesh, case: Mapping[str, object], folder: Path) -> LoadedCase:
+    """Write ``<folder>.msh`` and ``<folder>.yaml``, and load the case; collective.
+
+    Args:
+        mesh: The mesh with its names.
+        case: Sections of a case file. `geometry` may have the interfaces alone.
+        folder: Folder of the results.
+
+    Raises:
+        InputError: The case is wrong, or has another geometry.
+    """
+    geometry = case.get("geometry", {})
+    if not isinstance(geometry, Mapping) or geometry.keys() - {"interfaces"}:
+        raise InputError(
+            "geometry: the mesh was handed over; expected no more than the interfaces: "
+            "{'interfaces': {NAME: [REGION, REGION]}}"
+        )
+    path = folder.with_name(f"{folder.name}.yaml")
+    data = gather(mesh)
+
+    def write() -> None:
+        assert data is not None
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        meshes.write_msh(data, path.with_suffix(".msh"))
+        file = {"kind": "file", "path": f"{folder.name}.msh", **geometry}
+        write_text(path, yaml_file.to_yaml({**case, "geometry": file}))
+
+    on_root(mesh.mesh.comm, write)
+    return load(path)

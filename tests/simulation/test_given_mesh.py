@@ -1,0 +1,91 @@
+"""A case on a dolfinx mesh that a script hands over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx.mesh import create_box
+
+import mantle
+from app.foundation.errors import InputError
+from meshes import data as mesh_data
+from meshes.distribute import TaggedMesh, distribute, gather
+from tests.support import CONFIGS
+
+ELASTIC = {"youngs_modulus": "1 GPa", "poisson_ratio": 0.3, "tissue": "other"}
+CASE: dict[str, Any] = {
+    "title": "Two blocks",
+    "geometry": {"interfaces": {"joint": ["lower", "upper"]}},
+    "regions": {"lower": ELASTIC, "upper": ELASTIC | {"youngs_modulus": "2 GPa"}},
+    "interfaces": {"joint": {"kind": "contact", "friction_coefficient": 0.0}},
+    "supports": {
+        "floor": {"kind": "roller", "boundary": "bottom", "axis": "z"},
+        "left": {"kind": "roller", "boundary": "left", "axis": "x"},
+        "front": {"kind": "roller", "boundary": "front", "axis": "y"},
+    },
+    "loads": {"press": {"kind": "pressure", "boundary": "top", "pressure": "3 MPa"}},
+}
+
+
+def blocks() -> TaggedMesh:
+    box = create_box(MPI.COMM_SELF, [[0, 0, 0], [4, 4, 4]], [2, 2, 2])
+    return TaggedMesh.from_markers(
+        box,
+        regions={"lower": lambda x: x[2] <= 2, "upper": lambda x: x[2] >= 2},
+        boundaries={
+            "bottom": lambda x: np.isclose(x[2], 0),
+            "top": lambda x: np.isclose(x[2], 4),
+            "left": lambda x: np.isclose(x[0], 0),
+            "front": lambda x: np.isclose(x[1], 0),
+        },
+    )
+
+
+def test_given_mesh_is_solved_and_gives_functions(tmp_path: Path) -> None:
+    """Frictionless blocks of 2 mm under 3 MPa: each shortens by p h / E; the joint carries p."""
+    results = mantle.run(CASE, tmp_path / "box", mesh=blocks())
+    assert results.summary["interfaces"]["joint"]["pressure_mean"] == pytest.approx(3.0)
+    u = results.fields.function("displacement")
+    x, z = u.function_space.tabulate_dof_coordinates(), u.x.array.reshape(-1, 3)[:, 2]
+    assert z[np.isclose(x[:, 2], 4)] == pytest.approx(-(3 * 2 / 1e3 + 3 * 2 / 2e3))
+    # Its bodies are apart: both have nodes in the plane of the joint.
+    assert np.isclose(x[:, 2], 2).sum() == 2 * np.isclose(x[:, 2], 0).sum()
+    again = mantle.load(tmp_path / "box.yaml")
+    assert again.config.title == "Two blocks" and (tmp_path / "box.msh").is_file()
+
+
+def test_given_mesh_is_gathered_as_it_was_distributed() -> None:
+    """Straight cells and curved ones: volumes of regions, areas of boundaries, their names."""
+    for curved in (False, True):
+        data = mantle.mesh(mantle.load(CONFIGS / "cylinders.yaml", **{"mesh.curved": curved}))
+        found = gather(distribute(data, MPI.COMM_SELF))
+        assert found is not None and found.curved == curved == data.curved
+        assert found.boundaries == data.boundaries and found.interfaces == data.interfaces
+        for measure in (mesh_data.region_volumes, mesh_data.boundary_areas):
+            assert measure(found) == pytest.approx(measure(data), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"geometry": {"kind": "file", "path": "a.msh"}}, "the mesh was handed over; expected no"),
+        ({"geometry": {"interfaces": {"joint": ["lower", "top"]}}}, "box.yaml:.*'top' is not"),
+        ({"loads": {}, "suports": {}}, "box.yaml:.* suports: unknown key"),
+    ],
+)
+def test_given_mesh_refuses(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        mantle.run(CASE | change, tmp_path / "box", mesh=blocks())
+
+
+def test_given_mesh_goes_with_a_case_of_mappings_alone(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="needs a mesh and an output"):
+        mantle.run(CASE, tmp_path / "box")
+    loaded = mantle.load(CONFIGS / "blocks.yaml")
+    with pytest.raises(InputError, match="a loaded case has its own mesh"):
+        mantle.run(loaded, tmp_path / "box", mesh=blocks())
