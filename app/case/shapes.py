@@ -237,6 +237,11 @@ class Shape(Extensible):
         return min((most * length for length, most in self.spans.values()), default=math.inf)
 
     @property
+    def continued_below(self) -> float | None:
+        """Level below which bone is continued, not measured (mm); None: all of it is measured."""
+        return None
+
+    @property
     def details(self) -> dict[str, Any]:
         """Lines about it for `mantle check`, by their captions."""
         return {}

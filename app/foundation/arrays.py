@@ -10,3 +10,5 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 # Values at points (n, 3).
 Field = Callable[[Floats], Floats]
+# Numbers of any type, such as those of voxels.
+Numbers = NDArray[np.number]

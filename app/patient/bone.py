@@ -18,10 +18,12 @@ from scipy.spatial import cKDTree
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
-from app.patient import bone_surface, landmarks
+from app.patient import bone_surface, ct_canal, label_surface, landmarks, shaft
 from app.patient.bone_surface import BoneSurface
 from app.patient.landmarks import Frame
 from app.patient.measured_layers import MeasuredLayers, Reaming
+from app.patient.shaft import Continuation
+from meshes import femur_bone
 from meshes.bone_layers import StemShape
 from meshes.femur_bone import HEAD_HEIGHT
 from meshes.layers import Sections
@@ -32,6 +34,9 @@ from meshes.plane_sections import centroid, exits
 LATERAL = 31.5  # from the axis to the greater trochanter
 SHAFT = 14.4  # radius of the shaft
 LEVEL = -50.0  # level of that radius
+CONTINUED = -260.0  # level down to which a shaft is continued, as that of the parametric femur
+TROCHANTER_ENDS = 0.75  # radii of the head below the apex where the lesser trochanter ends
+CUT_TOO = 6.0  # mm from the bone's end within which a canal ends with the scan
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
@@ -51,8 +56,24 @@ class SurfaceKeys(Protocol):
         """Unit of the file, if it is given."""
 
 
+class BoneKeys(SurfaceKeys, Protocol):
+    """Keys of a bone."""
+
+    @property
+    def extend(self) -> bool:
+        """True if its shaft is continued below the end of a scan."""
+
+
 class CanalKeys(SurfaceKeys, Reaming, Protocol):
     """Keys of a canal."""
+
+    @property
+    def ct(self) -> Path | None:
+        """CT by whose numbers it is known, in place of a file."""
+
+    @property
+    def threshold(self) -> float:
+        """CT number at its surface."""
 
 
 class OperatedBone(Protocol):
@@ -75,11 +96,14 @@ class PatientBone:
         frame: Landmarks of the bone.
         surface: Its surface, in the model's axes.
         canal: Surface of its canal, or None.
+        continuation: The shaft below the end of the scan, which both surfaces have; None: they end
+            with the scan.
     """
 
     frame: Frame
     surface: BoneSurface
     canal: BoneSurface | None
+    continuation: Continuation | None = None
     is_radial: ClassVar[bool] = False
 
     @property
@@ -155,7 +179,12 @@ class PatientBone:
         return cKDTree(self.surface.points), normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def in_file(self, x: Floats, depth: float) -> Floats:
-        """Points of the model (n, 3) in the file's axes, at a depth in the bone at least [mm]."""
+        """Points of the model (n, 3) in the file's axes, at a depth in the bone at least [mm].
+
+        Points below the end of the scan are moved up to its last section.
+        """
+        if self.continuation:
+            x = self.continuation.scanned(x)
         tree, normals = self._skin
         _, near = tree.query(x)
         n = normals[near]
@@ -202,7 +231,7 @@ def _surface(
     return frame, frame.surface(surface)
 
 
-def read(bone: SurfaceKeys, canal: SurfaceKeys, content: str, known: Known) -> PatientBone:
+def read(bone: BoneKeys, canal: CanalKeys, content: str, known: Known) -> PatientBone:
     """Read a bone and its canal, and find its landmarks.
 
     Args:
@@ -216,7 +245,30 @@ def read(bone: SurfaceKeys, canal: SurfaceKeys, content: str, known: Known) -> P
     """
     assert bone.path
     frame, surface = _surface(bone.path, bone.unit, bone.label, content, known)
-    if not canal.path:
-        return PatientBone(frame, surface, None)
-    lumen = bone_surface.read(canal.path, canal.unit or bone.unit, canal.label)
-    return PatientBone(frame, surface, frame.surface(lumen))
+    lumen = None
+    if canal.path:
+        lumen = frame.surface(
+            bone_surface.read(
+                canal.path, canal.unit or bone.unit, canal.label, bone_surface.LEAST_CANAL
+            )
+        )
+    elif canal.ct and bone.label is not None:
+        body = label_surface.body(bone.path, bone.label)
+        lumen = ct_canal.read(canal.ct, body, canal.threshold, frame, surface)
+    if not bone.extend or frame.version is not None:
+        return PatientBone(frame, surface, lumen)
+    return _continued(frame, surface, lumen)
+
+
+def _continued(frame: Frame, surface: BoneSurface, canal: BoneSurface | None) -> PatientBone:
+    """The bone with its shaft continued below the end of the scan."""
+    size = float(frame.to_model(frame.head)[2]) / HEAD_HEIGHT
+    top = -TROCHANTER_ENDS * frame.radius
+    centre, slope = shaft.axis_of_end(surface, frame.end, top)
+    outer, inner = (
+        shaft.Narrowing(table, frame.end, size) for table in (femur_bone.OUTER, femur_bone.CANAL)
+    )
+    continuation = Continuation(frame.end, centre, slope, CONTINUED * size, outer)
+    if canal is not None and float(canal.points[:, 2].min()) < frame.end + CUT_TOO:
+        canal = continuation.surface(canal, inner)
+    return PatientBone(frame, continuation.surface(surface, outer), canal, continuation)

@@ -18,7 +18,8 @@ from meshes.data import connected
 from meshes.plane_sections import section
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
-EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
+EXTENT = (65.0, 600.0)  # mm that a femur, or a proximal part of one, is long
+LEAST_CANAL = 20.0  # mm that a part of a canal is long
 MOST = 400_000  # number of triangles above which surfaces are thinned
 THIN = 0.7  # mm: edge of the boxes whose corners then become one
 RIM = 25.0  # mm: an open end is within this distance of the bone's
@@ -51,10 +52,18 @@ class BoneSurface:
         return section(self.points[:, :2], self.points[:, 2] - z, self.triangles)
 
 
-def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneSurface:
-    """Read the surface of a bone from a file, or from a label of an image.
+def read(
+    path: Path, unit: str | None = None, label: int | None = None, least: float = EXTENT[0]
+) -> BoneSurface:
+    """Read the surface of a bone from a file, or from a label of an image, which is in mm.
 
     Without a unit, the one that yields the length of a femur is used, and a note says so.
+
+    Args:
+        path: The file.
+        unit: Unit of its coordinates.
+        label: Number of the voxels in an image.
+        least: Least length of the surface [mm].
 
     Raises:
         InputError: The image cannot be read.
@@ -64,6 +73,7 @@ def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneS
         corners, notes = surface_files.read(path)
     else:
         corners, notes = label_surface.read(path, label)
+        unit = "mm"
     if not len(corners):
         raise GeometryError(f"{path}: has no triangles")
     lost = ~np.isfinite(corners).all(axis=(1, 2))
@@ -75,11 +85,12 @@ def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneS
     if np.abs(corners).max() > FARTHEST:
         raise GeometryError(f"{path}: its coordinates reach {np.abs(corners).max():.0e}: damaged?")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    fits = [u for u, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
+    fits = [u for u, mm in UNITS.items() if least <= extent * mm <= EXTENT[1]]
     if unit not in (None, *fits) or not (unit or len(fits) == 1):
         raise GeometryError(
-            f"{path}: is {extent:.4g} {unit or 'units'} long, and a femur {EXTENT[0]:g} to"
-            f" {EXTENT[1]:g} mm; which unit is it in? Expected {' or '.join(fits or UNITS)}"
+            f"{path}: is {extent:.4g} {unit or 'units'} long, and a femur's proximal part"
+            f" {least:g} to {EXTENT[1]:g} mm; which unit is it in? Expected"
+            f" {' or '.join(fits or UNITS)}"
         )
     if unit is None:
         notes = [*notes, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]

@@ -81,11 +81,19 @@ class Bone(Outline):
     side: Literal["left", "right"] | None = None
     """Side of the body; by default from the landmarks. A right femur is mirrored: x is medial, y is
     anterior."""
+    extend: bool = True
+    """The shaft is continued below the end of a scan, as far as stem and support need. `false`: the
+    bone ends there."""
 
 
 class Canal(Outline):
     """The medullary canal; without a file as wide a part of the bone as in the parametric femur."""
 
+    ct: ImageFile | None = None
+    """CT of a bone that is given by a label. The canal is where CT numbers are below `threshold`,
+    up to below the lesser trochanter."""
+    threshold: Number = 600.0
+    """CT number at the inner surface of the cortex."""
     ream: Literal["none", "by", "broach"] = "none"
     """What the surgeon widens it by: nothing, the same everywhere (`ream_by`), or to what stem and
     mantle need. At least 1.5 mm of cortex are left."""
@@ -134,6 +142,8 @@ class Patient(OperatedHip):
 
     @model_validator(mode="after")
     def _placed(self) -> Patient:
+        if self.canal.ct and (self.canal.path or not self.bone.image):
+            fail("needs a bone by `image` and `label`, and no other canal", at=("canal", "ct"))
         self.check_end()
         implant = self.implant
         for field, text in implant.faults(spread(self.cement_thickness)[0]):
@@ -142,8 +152,9 @@ class Patient(OperatedHip):
             self.search()
             placed = self.placement
         except (GeometryError, InputError) as error:
-            for part in ("bone", "canal"):
-                if str(error).startswith(f"{getattr(self, part).path}:"):
+            files = {"bone": self.bone.path, "canal": self.canal.path or self.canal.ct}
+            for part, path in files.items():
+                if str(error).startswith(f"{path}:"):
                     fail(str(error), at=(part,))
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split(".")))
@@ -152,8 +163,12 @@ class Patient(OperatedHip):
         level = self.distal_cut_z
         if level is None:
             if plug < low + 5.0:
-                text = f"puts {self.plug_end} to z = {plug:.0f} mm; expected 5 mm above the end of"
-                fail(f"{text} the surface, at {low:.0f} mm", at=("stem", "length"))
+                text = (
+                    f"puts {self.plug_end} to z = {plug:.0f} mm, and the bone ends at {low:.0f} mm"
+                )
+                missing = f"{low + 5.0 - plug:.0f} mm of bone are missing"
+                remedy = "set geometry.bone.extend: true, or take a shorter stem"
+                fail(f"{text}: {missing}; {remedy}", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
         if not low + 2.0 < level < plug - 2.0:
             text = f"{level:g} mm is not between the end of the surface, {low:.0f} mm, and"
@@ -172,7 +187,8 @@ class Patient(OperatedHip):
     @cached_property
     def surface_content(self) -> str:
         """Hash of the files of bone and canal at the first access."""
-        given = [path for path in (self.bone.path, self.canal.path) if path]
+        files = self.bone.path, self.canal.path, self.canal.ct
+        given = [path for path in files if path]
         paths = [part for path in given for part in parts(path)]
         return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
@@ -253,6 +269,23 @@ class Patient(OperatedHip):
         return self.femur.in_file(x, depth)
 
     @property
+    def continued_below(self) -> float | None:
+        """Level below which the model has a continued shaft (mm); None: it has none."""
+        continuation = self.femur.continuation
+        return continuation.end if continuation and continuation.end > self.level else None
+
+    @property
+    def _continued(self) -> dict[str, str]:
+        """The continued part of the shaft, in words."""
+        end = self.continued_below
+        if end is None:
+            return {}
+        plug = float(self.placement.to_model([0.0, 0.0, self.implant.plug])[2])
+        text = f"below z = {end:.0f} mm, where the scan ends: {end - self.level:.0f} mm"
+        beside = f", {end - plug:.0f} mm of them beside stem and plug" if end > plug else ""
+        return {"continued shaft": text + beside}
+
+    @property
     def details(self) -> dict[str, str]:
         """Landmarks of the bone, repairs of its surfaces, places of stem and muscles, in words."""
         femur = self.femur
@@ -260,6 +293,7 @@ class Patient(OperatedHip):
         for name, surface in (("surface", femur.surface), ("surface of the canal", femur.canal)):
             if surface and surface.notes:
                 details[name] = ", ".join(surface.notes)
+        details |= self._continued
         lost = femur.trochanter_lost(self.placement)
         if lost > 0.5:
             details["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"

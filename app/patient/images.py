@@ -19,8 +19,9 @@ from scipy import ndimage
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.files import parts
-from app.patient import dicom_series
+from app.patient import dicom_series, nrrd
 
+HALF = 0.5 + 1e-6  # edges from the middle of a voxel to its end
 TILT = 0.01  # largest cosine of the angle between edges of voxels
 # Of NIfTI files
 SIZE_OFF = 0.01  # largest relative difference of the edges of voxels by sform and by pixdim
@@ -80,6 +81,9 @@ class Image:
             InputError: A point is outside, or in a voxel that is no number.
         """
         index = (x - self.affine[:3, 3]) @ np.linalg.inv(self.affine[:3, :3]).T
+        # The outermost voxels reach half an edge beyond their middles.
+        nearest = np.clip(index, 0.0, np.array(self.values.shape) - 1.0)
+        index = np.where(np.abs(index - nearest) <= HALF, nearest, index)
         values = ndimage.map_coordinates(self.values, index.T, float, order=1, cval=np.nan)
         lost = ~np.isfinite(values)
         if lost.any():
@@ -95,7 +99,7 @@ class Image:
 
 
 def read(path: Path) -> Image:
-    """Read NIfTI, DICOM (folder, or file of frames), or ``values``, ``affine`` of an ``.npz``."""
+    """Read NIfTI, NRRD, DICOM (folder, or file of frames), or ``values``, ``affine`` of `.npz`."""
     return _read(path, max(file.stat().st_mtime_ns for file in (path, *parts(path))))
 
 
@@ -139,8 +143,11 @@ def _reader(path: Path) -> Any:
     if path.suffix == ".npz":
         return _npz
     with path.open("rb") as file:
-        if dicom_series.is_dicom(file.read(200)):
-            return dicom_series.read
+        start = file.read(200)
+    if start.startswith(nrrd.MAGIC):
+        return nrrd.read
+    if dicom_series.is_dicom(start):
+        return dicom_series.read
     return _nifti
 
 

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import GeometryError
+from app.patient import shaft
 from app.patient.bone_surface import BoneSurface, place
 from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
@@ -43,8 +44,13 @@ USUAL_RADII = (18.0, 30.0)  # radius of the head [mm]
 USUAL_NECKS = (110.0, 140.0)  # neck-shaft angle [deg]
 USUAL_LENGTHS = (15.0, 25.0)  # length of a femur with condyles in radii of its head
 SURE = 1.65  # standard deviations that hold 90 %
+LONG = 150.0  # mm that a surface is long whose principal axis is the shaft's
 # In radii of the head:
 SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
+SHORT_SHAFT = (0.5, 0.75)  # the same where the surface ends there, at least
+LEAST_SHAFT = 5.0  # mm of sections that have an axis
+SHORT_SPREAD = math.radians(6.5)  # that holds 90 % of the shaft's axis if it is 1 radius long
+CONDYLES_BELOW = 4.0  # below the lesser trochanter, at least, condyles are
 TROCHANTER = (1.3, 3.4)  # below the head's centre, where the lesser trochanter is
 CONDYLES = 3.0  # above the distal end
 APART = 2.1  # between the condyles
@@ -65,8 +71,9 @@ class Frame:
         side: ``left`` or ``right``.
         version: Angle of the neck to anterior of the condyles [rad]; None without condyles: then
             medial is along the neck.
-        spread: That holds 90 %, of head [mm], neck and version [rad].
+        spread: That holds 90 %, of head [mm], neck, version and shaft [rad].
         length: Of the surface along the shaft [mm].
+        end: Level above which the surface is whole, in the model's axes [mm].
     """
 
     head: Floats
@@ -79,6 +86,7 @@ class Frame:
     version: float | None
     spread: Mapping[str, float]
     length: float
+    end: float
 
     def to_model(self, x: Floats) -> Floats:
         """Points (..., 3) in the model's axes, a right femur mirrored."""
@@ -109,9 +117,19 @@ class Frame:
             "side": self.side + (", mirrored" if self.side == "right" else ""),
             "head": f"{places[0]} +- {s['head']:.1f}, radius {self.radius:.1f} mm",
             "lesser trochanter": places[1],
-            "neck-shaft angle": f"{angle:.1f} deg +- {turn(s['neck']):.1f}",
+            "neck-shaft angle": f"{angle:.1f} deg +- {turn(math.hypot(s['neck'], s['shaft'])):.1f}",
             "version": version,
-        }
+        } | self._short_shaft
+
+    @property
+    def _short_shaft(self) -> dict[str, str]:
+        """Interval of the shaft's axis, if it is known by a short part of the shaft."""
+        if not self.spread["shaft"]:
+            return {}
+        text = (
+            f"+- {math.degrees(self.spread['shaft']):.0f} deg, by the {-self.end:.0f} mm of shaft"
+        )
+        return {"axis of the shaft": f"{text} below the lesser trochanter"}
 
     def doubts(self, surface: BoneSurface) -> list[str]:
         """Notes on a rare size or shape of the femur, and on an open proximal end.
@@ -163,17 +181,28 @@ class _Finder:
         a, b, c = surface.corners.transpose(1, 0, 2)
         self.normal = 0.5 * np.cross(b - a, c - a)
         self.area, self.centre = _far(self.normal), (a + b + c) / 3
-        off = self.centre - np.average(self.centre, axis=0, weights=self.area)
-        axis = np.linalg.eigh((off * self.area[:, None]).T @ off)[1][:, 2]
-        self._find_head(axis)
+        self.surface = surface
+        self._find_head(self._long_axis())
         self.origin = self.head - 1.75 * self.radius * self.up
+        self.depth = float(self.head @ self.up - (self.x @ self.up).min())
         for _ in range(3):
             self._find_shaft()
             self._find_trochanter()
+        self.below = float(self.origin @ self.up) - shaft.end_level(surface, self.up)
+        self._check_shaft()
         self.low = float((self.x @ self.up).min())
         levels = self.point @ self.up - self.low - 1.2 * self.radius, 0.0
-        distal, shaft = (centroid(self._section(self.point - z * self.up))[1] for z in levels)
-        self.has_condyles = distal > WIDER * shaft
+        distal, middle = (centroid(self._section(self.point - z * self.up))[1] for z in levels)
+        below = float(self.origin @ self.up) - self.low
+        self.has_condyles = below > CONDYLES_BELOW * self.radius and distal > WIDER * middle
+
+    def _long_axis(self) -> Floats:
+        """Unit vector along the bone (3,), of a short one across the flat end of its surface."""
+        off = self.centre - np.average(self.centre, axis=0, weights=self.area)
+        axes = np.linalg.eigh((off * self.area[:, None]).T @ off)[1]
+        length = float(np.ptp(self.x @ axes[:, 2]))
+        end = shaft.flat_end(self.surface) if length < LONG else None
+        return np.asarray(axes[:, 2] if end is None else end)
 
     def frame(self) -> Frame:
         """The landmarks."""
@@ -190,10 +219,14 @@ class _Finder:
             turn = math.hypot(spread / math.sqrt(1 - float(up @ neck) ** 2), condyles)
             medial = across
         axes = np.stack([medial, way * np.cross(up, medial), up])
-        intervals = {"head": self.spread, "neck": spread, "version": turn}
+        lacking = (
+            max(0.0, SHAFT[1] - self.below / self.radius) if "shaft" not in self.given else 0.0
+        )
+        lean = SHORT_SPREAD * lacking / (SHAFT[1] - 1.0)
+        intervals = {"head": self.spread, "neck": spread, "version": turn, "shaft": lean}
         places = self.origin, axes, neck, self.trochanter
         length = float(np.ptp(self.x @ up))
-        return Frame(self.head, self.radius, *places, side, version, intervals, length)
+        return Frame(self.head, self.radius, *places, side, version, intervals, length, -self.below)
 
     def _samples(self) -> tuple[Floats, Floats, Floats]:
         """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""
@@ -243,22 +276,32 @@ class _Finder:
     def _find_shaft(self) -> None:
         """A point of the shaft's axis and its direction, from an estimate."""
         if "shaft" in self.given:
-            low, self.point = map(np.array, self.given["shaft"])
-            self.up = unit(self.point - low)
+            distal, self.point = map(np.array, self.given["shaft"])
+            self.up = unit(self.point - distal)
             return
-        end = float(((self.x - self.origin) @ self.up).min())
-        depths = self.radius * np.linspace(*SHAFT, 33)
-        depths = depths[-depths > end + 3.0]
-        if len(depths) < 8:
-            text = f"ends {-end:.0f} mm below the lesser trochanter"
-            expected = f"expected {1.8 * self.radius:.0f} mm of shaft"
-            raise GeometryError(f"geometry.bone: {text}; {expected}")
+        below = float(self.origin @ self.up) - shaft.end_level(self.surface, self.up)
+        low = min(below, SHAFT[1] * self.radius)
+        # The lesser trochanter draws centroids aside, so that a long shaft begins farther below it.
+        part = (low / self.radius - SHORT_SHAFT[1]) / (SHAFT[1] - SHORT_SHAFT[1])
+        high = self.radius * (SHORT_SHAFT[0] + (SHAFT[0] - SHORT_SHAFT[0]) * max(part, 0.0))
+        depths = np.linspace(min(high, low - LEAST_SHAFT), low, 33)
         points = [self.origin - depth * self.up for depth in depths]
         plane = np.stack(_across(self.up))
         middles = np.array([p + centroid(self._section(p))[0] @ plane for p in points])
         self.point = middles.mean(axis=0)
         axis = np.linalg.svd(middles - self.point, full_matrices=False)[2][0]
         self.up = axis * np.sign(axis @ self.up)
+
+    def _check_shaft(self) -> None:
+        """Refuse a surface that ends so high that the direction of the shaft is not known."""
+        least = SHORT_SHAFT[1] * self.radius
+        if self.below < least and "shaft" not in self.given:
+            text = f"has {max(self.below, 0.0):.0f} mm of whole shaft below the lesser trochanter"
+            raise GeometryError(
+                f"geometry.bone: {text} and ends {self.depth:.0f} mm below the head's centre; the"
+                f" direction of the shaft needs {least:.0f} mm: use a scan that ends"
+                f" {least - max(self.below, 0.0):.0f} mm lower, or give landmarks.shaft"
+            )
 
     def _section(self, point: Floats) -> Floats:
         """Lines (k, 2, 2) of the section through a point across the shaft, about the point."""
@@ -287,9 +330,10 @@ class _Finder:
             low, high = (part * radius for part in TROCHANTER)
             peaks[:, (depths < low) | (depths > high)] = 0.0
             if not peaks.any():
-                text = "no lesser trochanter stands out of the shaft below the head at {}; expected"
-                text += " a femur's proximal part, or landmarks.lesser_trochanter"
-                raise GeometryError(f"geometry.bone: {text.format(place(self.head))}")
+                text = f"no lesser trochanter stands out below the head at {place(self.head)}"
+                text += f", and the surface ends {self.depth:.0f} mm below that; expected a femur's"
+                text += " proximal part, or landmarks.lesser_trochanter"
+                raise GeometryError(f"geometry.bone: {text}")
             # It stands out in several directions, a false peak beside the neck in one.
             shared = np.where(peaks > 0, uniform_filter(peaks, 5, mode="constant"), 0.0)
             best, at = np.unravel_index(shared.argmax(), peaks.shape)

@@ -34,6 +34,8 @@ WAYS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal")
 LOAD = "#b2182b"
 SUPPORT = "#1b7837"
 HEAT = "#d9660a"
+# Colour of a shaft that is continued below a scan.
+CONTINUED = "#6a3d9a"
 # Colours of the interfaces, one after the other.
 BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9
 # Largest height and width of the body [inch].
@@ -109,7 +111,8 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     wide = size[:2].max() / inch + 2 * SIDE
     forces = [*_forces(case, data)]
     title = textwrap.wrap(case.title or path.stem, int(LETTERS * wide))
-    further = (bool(case.supports), bool(case.heat), bool(forces))
+    is_continued = case.geometry.continued_below is not None
+    further = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
     entries = max(len(data.regions), len(case.interfaces) + sum(further))
     more_title = LINE * max(0, len(title) - 1)
     top = TOP + more_title
@@ -127,6 +130,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         view = View(ax, across, toward, at, low, high, inch)
         _bodies(view, data, name, *outside)
         _lines(view, case, data)
+        _continued(view, case.geometry.continued_below)
         _arrows(view, forces)
         _labels(view)
         _scale(view, WAYS if clinical else [("", axis) for axis in AXES])
@@ -197,6 +201,26 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
             away = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
             text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held])}"
             view.labels.append((text, colour, middles[away.argmax()]))
+
+
+def _continued(view: View, level: float | None) -> None:
+    """Hatch the part of the bone that is continued below the end of a scan."""
+    if level is None:
+        return
+    ends = view.low[view.across], view.high[view.across]
+    view.ax.fill_between(
+        ends,
+        view.low[2],
+        level,
+        facecolor="none",
+        edgecolor=CONTINUED,
+        hatch="///",
+        lw=0.0,
+        label="continued shaft",
+    )
+    view.ax.plot(ends, [level, level], color=CONTINUED, ls="--", lw=1.5)
+    middle = np.array([0.5 * sum(ends), level])
+    view.labels.append((f"end of the scan\nz = {level:.0f} mm", CONTINUED, middle))
 
 
 def _boundary(data: MeshData, name: str) -> Floats:

@@ -149,7 +149,9 @@ def test_bone_surface_unit_is_found_and_reported(tmp_path: Path) -> None:
     read, unit = surface.notes
     assert read == "5,056 triangles of a binary STL file"
     assert unit == "unit: m, as the surface is 0.337 long"
-    with pytest.raises(GeometryError, match=r"0\.337 mm long, and a femur 100 to 600 mm"):
+    with pytest.raises(
+        GeometryError, match=r"0\.337 mm long, and a femur's proximal part 65 to 600 mm"
+    ):
         bone_surface.read(path, "mm")
 
 

@@ -132,8 +132,8 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
     "no condyles": ({"insertion": {"version": {"relative_to": "condyles"}}}, "relative_to: neck"),
     "too long": (
-        {"stem": {"length": "300 mm"}},
-        "plug's end at z = -277 mm; expected 5 mm .*, at -263 mm",
+        {"stem": {"length": "300 mm"}, "bone": {"surface": "bone.stl", "extend": False}},
+        "plug's end to z = -277 mm, and the bone ends at -26. mm: .* mm of bone are missing",
     ),
     "too short": (
         {"stem": {"length": "50 mm", "corner_radius": "4 mm", "tip_corner_radius": "2 mm"}},

@@ -1,0 +1,148 @@
+"""The medullary canal of a femur by the CT numbers inside its label."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError, InputError
+from app.patient import images, label_surface, shaft, welding
+from app.patient.bone_surface import BoneSurface
+from app.patient.label_surface import LabelBody
+from app.patient.landmarks import Frame
+from meshes.plane_sections import centroid
+
+# Thickness of the wall that is bone whatever its CT numbers are [mm]: voxels there are partly
+# outside.
+WALL = 1.5
+# Typical change of CT numbers across the endosteum [1/mm].
+GRADIENT = 500.0
+# Spread of the filter against noise [mm].
+BLUR = 0.5
+# Change of the threshold whose effect on the cortex is reported.
+BESIDE = 100.0
+# Distance of the canal's upper end below the lesser trochanter, in radii of the head [-].
+BELOW_TROCHANTER = 0.6
+# Shortest canal that is used [mm].
+SHORTEST = 12.0
+# Distance between sections of which the thickness of the cortex is the mean [mm].
+STEP = 5.0
+
+
+def read(
+    path: Path, body: LabelBody, threshold: float, frame: Frame, bone: BoneSurface
+) -> BoneSurface:
+    """Return the surface of the canal, in the model's axes.
+
+    It is where CT numbers are below a threshold, from the end of the scan up to below the lesser
+    trochanter. Above, cancellous bone has the same numbers.
+
+    Args:
+        path: The CT. Its voxels may be others than those of the label.
+        body: Voxels of the femur.
+        threshold: CT number at the endosteum.
+        frame: Landmarks of the femur.
+        bone: Its outer surface, in the model's axes.
+
+    Raises:
+        InputError: The CT cannot be read, or does not contain the femur.
+        GeometryError: There is no canal by this threshold, or too short a part of it.
+    """
+    depth = ndimage.distance_transform_edt(body.solid, sampling=body.spacing)
+    inner = np.argwhere(depth > WALL)
+    numbers = np.full(body.solid.shape, np.inf, dtype=float)
+    try:
+        numbers[tuple(inner.T)] = images.read(path).at(body.places(inner))
+    except InputError as error:
+        raise InputError(
+            f"{path}: {error}. The CT does not contain the femur of the labels: are both of one"
+            " scan?"
+        ) from error
+    height = frame.to_model(body.places(inner))[:, 2]
+    top = -BELOW_TROCHANTER * frame.radius
+    numbers[tuple(inner[height > top + 2.0 * WALL].T)] = np.inf
+    if top - frame.end < SHORTEST:
+        raise GeometryError(
+            f"geometry.canal.ct: the scan ends {-frame.end:.0f} mm below the lesser trochanter;"
+            f" the canal needs {SHORTEST - top:.0f} mm. Leave out canal.ct: the canal is then that"
+            " of the parametric femur"
+        )
+    known = inner[height < top + 2.0 * WALL]
+    box = tuple(
+        slice(max(a - 2, 0), b + 3) for a, b in zip(known.min(0), known.max(0), strict=True)
+    )
+    shift = np.eye(4)
+    shift[:3, 3] = [s.start for s in box]
+    part = LabelBody(body.solid[box], body.level[box], body.affine @ shift, ())
+    levels = [
+        _canal(numbers[box], depth[box], part, threshold + beside)
+        for beside in (-BESIDE, 0.0, BESIDE)
+    ]
+    surfaces = [_below(frame.surface(level), top) for level in levels]
+    low, mean, high = (_cortex(bone, surface, frame.end, top) for surface in surfaces)
+    return replace(
+        surfaces[1],
+        notes=(
+            f"CT numbers below {threshold:g} in the bone, up to z = {top:.0f} mm; cortex"
+            f" {mean:.1f} mm thick on average ({low:.1f} with {threshold - BESIDE:g},"
+            f" {high:.1f} with {threshold + BESIDE:g})",
+        ),
+    )
+
+
+def _canal(numbers: Floats, depth: Floats, part: LabelBody, threshold: float) -> BoneSurface:
+    """Return the surface of the largest region of numbers below a threshold, in the file's axes.
+
+    Raises:
+        GeometryError: No number is below the threshold.
+    """
+    finite = np.isfinite(numbers)
+    weight = ndimage.gaussian_filter(finite.astype(np.float32), BLUR / part.spacing)
+    known = ndimage.gaussian_filter(np.where(finite, numbers, 0.0), BLUR / part.spacing)
+    mean = np.where(finite, known / np.maximum(weight, 1e-6), threshold + GRADIENT)
+    # The lesser of two distances [mm]: from the endosteum, and from the wall.
+    level = np.minimum((threshold - mean) / GRADIENT, depth - WALL)
+    pieces, count = ndimage.label(level > 0)
+    if not count:
+        raise GeometryError(
+            f"geometry.canal.threshold: no CT number inside of the bone is below {threshold:g}; is"
+            " it a CT? Cortical bone has 600 and more, marrow -100 to 100"
+        )
+    largest = pieces == np.bincount(pieces.ravel())[1:].argmax() + 1
+    solid = ndimage.binary_fill_holes(largest)
+    level = np.where(solid, np.maximum(level, 0.01), np.minimum(level, -0.01))
+    level = np.pad(level, 1, constant_values=-1.0)
+    shift = np.eye(4)
+    shift[:3, 3] = -1.0
+    padded = LabelBody(level > 0, level, part.affine @ shift, ())
+    welded = welding.weld(label_surface.surface(level, padded))
+    points, triangles = welded.points, welded.triangles
+    a, b, c = points[triangles].transpose(1, 0, 2) - points.mean(axis=0)
+    outward = float((np.cross(a, b) * c).sum()) > 0
+    return BoneSurface(points, triangles if outward else triangles[:, ::-1])
+
+
+def _below(surface: BoneSurface, top: float) -> BoneSurface:
+    """Return the part of a surface below a level, with a flat end there."""
+    mirror = np.array([1.0, 1.0, -1.0])
+    turned = BoneSurface(surface.points * mirror, surface.triangles[:, ::-1])
+    kept = shaft.clipped(turned, -top)[:, ::-1] * mirror
+    lines = surface.level(top)
+    middle = np.r_[centroid(lines)[0], top]
+    edge = np.concatenate([lines, np.full((*lines.shape[:2], 1), top)], axis=2)
+    end = np.stack([np.broadcast_to(middle, edge[:, 0].shape), edge[:, 0], edge[:, 1]], axis=1)
+    welded = welding.weld(np.concatenate([kept, end]))
+    return BoneSurface(welded.points, welded.triangles)
+
+
+def _cortex(bone: BoneSurface, canal: BoneSurface, end: float, top: float) -> float:
+    """Return the mean thickness of the cortex between two levels [mm]."""
+    levels = np.arange(top - STEP, end, -STEP)
+    areas = np.array([[centroid(s.level(z))[1] for s in (bone, canal)] for z in levels.tolist()])
+    outer, inner = np.sqrt(np.maximum(areas, 0.0) / math.pi).T
+    return float((outer - inner).mean())

@@ -1,0 +1,173 @@
+"""The femur in a segmentation: a file of labels, or a folder with a file for each structure.
+
+Names are those of the file (NRRD, or the table that TotalSegmentator adds to NIfTI), else the name
+of a file with one structure. Without names, a file with the numbers of TotalSegmentator has its
+structures. Source of the numbers: totalsegmentator/map_to_binary.py, versions 1 and 2.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from app.foundation.errors import InputError
+from app.patient import images, label_surface, nrrd
+
+# Numbers of the femora in multi-label files of TotalSegmentator, and those of the hip bones, by
+# which a version is recognized.
+TOTAL = {
+    "version 2": {"femur_left": 75, "femur_right": 76, "hip_left": 77, "hip_right": 78},
+    "version 1": {"femur_left": 88, "femur_right": 89, "hip_left": 90, "hip_right": 91},
+}
+# A file with more labels, or larger ones, is taken for one of TotalSegmentator.
+MANY = 20
+ENDINGS = (".nii.gz", ".nii", ".seg.nrrd", ".nrrd", ".npz")
+SIDES = ("left", "right")
+FEMUR = re.compile(r"femur|femoral|thigh ?bone|oberschenkelknochen", re.IGNORECASE)
+NO_FEMUR = re.compile(r"artery|vein|nerve|muscle|cartilage|canal|marrow|medull", re.IGNORECASE)
+CANAL = re.compile(r"canal|marrow|medull|cavity|intramedull", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A structure of a segmentation.
+
+    Attributes:
+        path: Its file.
+        number: Label of its voxels.
+        name: Its name; empty if none is known.
+        source: Origin of the name, in words.
+    """
+
+    path: Path
+    number: int
+    name: str
+    source: str
+
+    @property
+    def side(self) -> str | None:
+        """Side by the name; None: the name has no side."""
+        words = re.split(r"[^a-z]+", self.name.lower())
+        sides = {side for side in SIDES if side in words or (side[0] in words and len(words) > 1)}
+        return sides.pop() if len(sides) == 1 else None
+
+    def __str__(self) -> str:
+        """Name, label and file."""
+        name = f"{self.name} " if self.name else ""
+        return f"{name}(label {self.number} of {self.path.name})"
+
+
+def segments(path: Path) -> list[Structure]:
+    """Return the structures of a file, or of the files of a folder whose names are of a femur.
+
+    Raises:
+        InputError: There is no file, or it cannot be read.
+    """
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.name.endswith(ENDINGS))
+        named = [file for file in files if FEMUR.search(file.name)]
+        if not files:
+            raise InputError(
+                f"{path}: has no segmentation; expected files {', '.join(ENDINGS)}, such as"
+                " femur_left.nii.gz"
+            )
+        if not named:
+            names = ", ".join(file.name for file in files[:6])
+            raise InputError(
+                f"{path}: has no file of a femur, as femur_left.nii.gz; it has {names}"
+            )
+        return [segment for file in named for segment in segments(file)]
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    values, _ = label_surface.whole(path, images.read(path).values)
+    numbers = [int(n) for n in np.unique(values) if n]
+    labels = _names(path)
+    if labels:
+        there = {name: n for name, n in labels.items() if n in numbers}
+        return [Structure(path, n, name, "by its name") for name, n in there.items()]
+    stem = path.name[: -len(next((e for e in ENDINGS if path.name.endswith(e)), ""))]
+    if len(numbers) == 1:
+        return [Structure(path, numbers[0], stem, "by the name of the file")]
+    if len(numbers) > MANY or (numbers and max(numbers) > MANY):
+        return _of_total_segmentator(path, numbers)
+    return [Structure(path, n, "", "") for n in numbers]
+
+
+def _of_total_segmentator(path: Path, numbers: Sequence[int]) -> list[Structure]:
+    """Return the structures of a file with the numbers of TotalSegmentator."""
+    likely = max(TOTAL, key=lambda version: len({*TOTAL[version].values()} & {*numbers}))
+    source = f"by its number in TotalSegmentator, {likely}"
+    names = {n: name for name, n in TOTAL[likely].items()}
+    return [Structure(path, n, names.get(n, ""), source if n in names else "") for n in numbers]
+
+
+def _names(path: Path) -> dict[str, int]:
+    """Return the labels of a file by their names; none without names."""
+    if path.name.endswith(".nrrd"):
+        return nrrd.segments(path)
+    if not path.name.endswith((".nii", ".nii.gz")):
+        return {}
+    import nibabel
+
+    names = dict[str, int]()
+    for extension in nibabel.load(path).header.extensions:
+        content = extension.get_content()
+        text = content.decode("utf-8", "replace") if isinstance(content, bytes) else str(content)
+        if "LabelTable" in text:
+            table = ET.fromstring(text.strip("\0 \n")).iter("Label")
+            names |= {(row.text or "").strip(): int(row.get("Key", "0")) for row in table}
+    return names
+
+
+def femur(path: Path, side: str | None, label: str | None) -> Structure:
+    """Return the structure of a segmentation that is the femur.
+
+    Args:
+        path: File or folder.
+        side: Side of the femur that is asked for, where there are two.
+        label: Name or number of the femur's label, where it is not found by itself.
+
+    Raises:
+        InputError: There is no femur, or more than one.
+    """
+    there = segments(path)
+    if label is not None:
+        asked = [s for s in there if label in (s.name, str(s.number))]
+        if not asked:
+            raise InputError(f"--label {label}: {path} has no such label; it has {_list(there)}")
+        return asked[0]
+    femora = [s for s in there if FEMUR.search(s.name) and not NO_FEMUR.search(s.name)]
+    if not femora and len(there) == 1:
+        femora = there
+    if not femora:
+        raise InputError(
+            f"{path}: no label is named femur; it has {_list(there)}. Which is the femur? Give"
+            " --label with its name or number"
+        )
+    if len(femora) > 1 and side:
+        femora = [s for s in femora if s.side == side] or femora
+    if len(femora) > 1:
+        sides = {s.side for s in femora}
+        remedy = "--side left or --side right" if sides == {*SIDES} else "--label NAME or NUMBER"
+        raise InputError(f"{path}: has {len(femora)} femora: {_list(femora)}; choose by {remedy}")
+    return femora[0]
+
+
+def canal(path: Path, bone: Structure) -> Structure | None:
+    """Return the structure that is the medullary canal of a femur; None: there is none."""
+    if path.is_dir():
+        path = bone.path
+    canals = [s for s in segments(path) if CANAL.search(s.name) and s.number != bone.number]
+    canals = [s for s in canals if s.side in (None, bone.side)]
+    return canals[0] if len(canals) == 1 else None
+
+
+def _list(there: Sequence[Structure]) -> str:
+    """Return structures in words, the first ones of many."""
+    words = ", ".join(str(s) for s in there[:8])
+    return f"{words} and {len(there) - 8} more" if len(there) > 8 else words or "no label"

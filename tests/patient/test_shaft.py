@@ -1,0 +1,156 @@
+"""The shaft of a femur that ends with its scan: where it ends, its axis, its continuation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
+from app.patient import landmarks, shaft, welding
+from app.patient.bone_surface import BoneSurface
+from meshes import femur_bone
+from meshes.femur_stem import unit
+from meshes.plane_sections import centroid, section
+from tests.patient.bones import own, own_canal, tube, write
+from tests.patient.patients import made, patient
+
+# A cylinder: radius, ends [mm].
+RADIUS = 14.0
+TOP_RADIUS = 10.0  # of its upper end, which is smaller
+ENDS = (-80.0, 60.0)
+
+
+def cylinder() -> BoneSurface:
+    """A cylinder along z, narrower at its upper end."""
+    turn, z = 2 * np.pi * np.arange(48) / 48, np.linspace(*ENDS, 30)
+    radii = np.where(np.arange(30) < 29, RADIUS, TOP_RADIUS)[:, None, None]
+    rings = radii * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    levels = np.broadcast_to(z[:, None, None], (30, 48, 1))
+    return tube(np.concatenate([rings, levels], axis=2))
+
+
+def scanned(surface: BoneSurface, point: Floats, normal: Floats) -> BoneSurface:
+    """The part of a surface on the side of a plane to which its normal points, closed there."""
+    n = unit(np.asarray(normal, dtype=float))
+    a = unit(np.cross([0.0, 1.0, 0.0], n))
+    axes = np.stack([a, np.cross(n, a), n])
+    x = (surface.points - point) @ axes.T
+    kept = shaft.clipped(replace(surface, points=x), 0.0)
+    lines = section(x[:, :2], x[:, 2], surface.triangles)
+    edge = np.concatenate([lines, np.zeros((len(lines), 2, 1))], axis=2)
+    middle = np.broadcast_to(edge.reshape(-1, 3).mean(axis=0), edge[:, 0].shape)
+    cap = np.stack([middle, edge[:, 1], edge[:, 0]], axis=1)
+    welded = welding.weld(np.concatenate([kept, cap]))
+    return BoneSurface(welded.points @ axes + point, welded.triangles)
+
+
+def below_head(surface: BoneSurface, below: float, tilt: float = 0.0) -> BoneSurface:
+    """A surface that ends with a scan below the centre of mantle's femoral head [mm, rad]."""
+    head = landmarks.find(own()).head
+    return scanned(surface, head - [0.0, 0.0, below], np.array([math.sin(tilt), 0, math.cos(tilt)]))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 10.0, 20.0])
+def test_shaft_end_of_a_cylinder(tilt: float) -> None:
+    """The plane of an oblique end reaches r tan(tilt) above its middle."""
+    angle = math.radians(tilt)
+    normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
+    surface = scanned(cylinder(), np.array([0.0, 0.0, -30.0]), normal)
+    assert shaft.flat_end(surface) == pytest.approx(normal, abs=1e-6)
+    end = -30.0 + RADIUS * math.tan(angle) + shaft.ROUND
+    assert shaft.end_level(surface, np.array([0.0, 0.0, 1.0])) == pytest.approx(end, abs=0.05)
+
+
+def test_shaft_clipped_keeps_the_area_above() -> None:
+    """Two levels of a cylinder differ by the wall between them."""
+
+    def area(level: float) -> float:
+        a, b, c = shaft.clipped(cylinder(), level).transpose(1, 0, 2)
+        assert min(v[:, 2].min() for v in (a, b, c)) >= level - 1e-9
+        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+    chord = 2 * 48 * RADIUS * math.sin(math.pi / 48)
+    assert area(-33.3) - area(21.7) == pytest.approx(chord * 55.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("below", [75.0, 100.0, 150.0])
+def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float) -> None:
+    """Mean radius and axis below the end of the scan, within the interval of the axis."""
+    write(tmp_path / "bone.stl", below_head(own(), below))
+    geometry = patient(
+        tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal={"ream": "broach"}
+    )
+    femur, whole = geometry.femur, landmarks.find(own())
+    end = geometry.continued_below
+    assert end is not None
+    assert end == pytest.approx(54.0 - below - whole.origin[2] + shaft.ROUND, abs=3.0)
+    lean = math.acos(min(1.0, femur.frame.axes[2] @ whole.axes[2]))
+    assert lean <= max(femur.frame.spread["shaft"], math.radians(0.5))
+    for z in (end - 20.0, end - 50.0):
+        middle, area = centroid(femur.surface.level(z))
+        expected = centroid(own().level(z + whole.origin[2]))[1]
+        assert math.sqrt(area / expected) == pytest.approx(1.0, abs=0.06)
+        place = middle @ femur.frame.axes[:2] + z * femur.frame.axes[2] + femur.frame.origin
+        aside = math.hypot(*place[:2])
+        assert aside < 1.5 + (end - z + 40.0) * math.tan(max(lean, 0.01))
+
+
+def test_shaft_continued_carries_canal_and_mesh(tmp_path: Path) -> None:
+    """A canal that ends with the scan goes on with the bone; the mesh has the length it needs."""
+    write(tmp_path / "bone.stl", below_head(own(), 150.0))
+    write(tmp_path / "canal.stl", below_head(own_canal(), 150.0))
+    geometry = patient(
+        tmp_path,
+        bone={"surface": "bone.stl", "unit": "mm"},
+        canal={"surface": "canal.stl", "ream": "broach"},
+    )
+    data = made(geometry)
+    assert data.points[:, 2].min() == pytest.approx(geometry.level, abs=1e-3)
+    assert geometry.level < geometry.continued_below - 80.0
+    assert "where the scan ends" in geometry.details["continued shaft"]
+    inner = centroid(geometry.femur.canal.level(geometry.continued_below - 15.0))[1]
+    radius = femur_bone.Tube(femur_bone.CANAL).radius(np.linspace(0, 6, 24), np.full(24, -111.0))
+    assert math.sqrt(inner / math.pi) == pytest.approx(radius.mean(), rel=0.05)
+
+
+def test_shaft_points_below_the_end_have_places_in_the_scan(tmp_path: Path) -> None:
+    """A point of the continued wall has the modulus of the last section, at the same part of it."""
+    write(tmp_path / "bone.stl", below_head(own(), 100.0))
+    femur = patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"}).femur
+    continued, end = femur.continuation, femur.continuation.end
+    wall = femur.surface.level(end)[:, 0]
+    top = np.column_stack([wall, np.full(len(wall), end)])
+    z = end - 60.0
+    at = (
+        continued.centre
+        + (z - end) * continued.slope
+        + continued.width(z) * (wall - continued.centre)
+    )
+    low = np.column_stack([at, np.full(len(at), z)])
+    assert continued.scanned(low) == pytest.approx(top, abs=1e-9)
+    above = top + np.array([0.0, 0.0, 5.0])
+    assert continued.scanned(above) == pytest.approx(above, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("below", "changes", "message"),
+    [
+        (60.0, {}, "no lesser trochanter|direction of the shaft needs"),
+        (45.0, {}, "ends 4[45] mm below"),
+        (120.0, {"extend": False}, "mm of bone are missing; set geometry.bone.extend: true"),
+    ],
+)
+def test_shaft_refuses_a_scan_that_ends_too_high(
+    tmp_path: Path, below: float, changes: dict[str, Any], message: str
+) -> None:
+    """At the lesser trochanter, above it, and beside the stem where nothing may be continued."""
+    write(tmp_path / "bone.stl", below_head(own(), below))
+    with pytest.raises((ValidationError, GeometryError), match=message):
+        patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"} | changes)
