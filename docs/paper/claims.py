@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
+from app.report.sweep_results import QUANTITIES, Number, SweptCase, named
 from app.system.layout import plain
 from docs.paper import cases as paper
 from docs.paper.cases import Cases
@@ -149,7 +149,10 @@ CLAIMS = {
     "T-h": "Tension remains near the interfaces as the cement cools; where the interface is "
     "unilateral it can only be compression",
 }
-BONE, STEM = INTERFACES
+# The interfaces of the paper's cemented stem.
+BONE = "cement_bone"
+STEM = "stem_cement"
+INTERFACES = (BONE, STEM)
 falls, flat = partial(rises, up=False), partial(constant, tolerance=FLAT)
 far, beyond = far_more_when_thin, partial(flat, beyond=3.0)
 # T-a to T-e: a relation of a quantity of an interface over a parameter.

@@ -24,10 +24,10 @@ from app.case.quantities import numbers_of, printed
 from app.plots.curves import Line, Panel, draw
 from app.plots.figures import PNG
 from app.report.sweep_figures import line_of
-from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named, read
+from app.report.sweep_results import QUANTITIES, Number, SweptCase, named, read
 from docs.paper import cases as paper
 from docs.paper.cases import READINGS, REFERENCE, STEMS, Cases, labels
-from docs.paper.claims import CLAIMS, judge
+from docs.paper.claims import CLAIMS, INTERFACES, judge
 
 # The paper's sliding may be slip in contact, or all relative motion of the sides.
 READINGS_OF = {"slip": ("slip", "motion")}
