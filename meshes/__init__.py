@@ -1,4 +1,4 @@
-"""Geometry to mesh: blocks, cylinders, a head in its cup, a femur, or a file of another program.
+"""Geometry to mesh: blocks, cylinders, a femur, or a file of another program.
 
 ``build`` runs on one rank and returns plain arrays; ``meshes.distribute.distribute`` makes
 the dolfinx mesh of them, ``app.plots.sections`` draws them. gmsh, scipy and dolfinx are

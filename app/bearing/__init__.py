@@ -1,8 +1,9 @@
 """Bearings: friction, wear and heat through the cycles of finite sliding.
 
-`laws` has the key of wear. `friction_cycles` records torque, slid distance and wear. `cycle_heat`
-sets the mean heat of a cycle. `findings` has the faults and verdicts. Importing the package
-registers it. The core, which pairs and solves finite sliding, does not know it.
+`head_cup` is the geometry of a head in its cup; `head_cup_mesh` meshes it. `laws` has the key of
+wear. `friction_cycles` records torque, slid distance and wear. `cycle_heat` sets the mean heat of a
+cycle. `findings` has the faults and verdicts. Importing the package registers it. The core, which
+pairs and solves finite sliding, does not know it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from app.bearing import findings as findings  # registers its checks
+from app.bearing import head_cup as head_cup  # registers the geometry
 from app.case.case import Case
 from app.case.quantities import (
     MOTION,

@@ -16,7 +16,6 @@ from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
-from app.case.head_cups import HeadCup
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.mesh_files import Pick
 from app.mesh_files.named import stamps
@@ -24,7 +23,7 @@ from app.schema.paths import file
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
 from app.schema.units import Angle, PositiveLength, SizeVector
 
-__all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "HeadCup", "IntactFemur"]
+__all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur"]
 __all__ += ["MeshFile", "MeshOptions", "Sides"]
 
 # How long edges of cells may be (measured: beyond it gmsh fails or its cells are flat; rings of 20

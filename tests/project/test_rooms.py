@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from tests import support
-from tests.cases import worn_ball
 from tests.project.sources import ROOT
 
 CORE = ("app", "forms", "meshes", "configs")
@@ -69,13 +68,15 @@ def test_rooms_core_runs_without_a_room(room: str, tmp_path: Path) -> None:
 
 
 def test_rooms_core_solves_finite_sliding_without_the_room_of_bearings(tmp_path: Path) -> None:
-    """Contact is solved; there is no wear, and heat between the sides is refused."""
-    program, case = without("bearing", tmp_path / "program"), tmp_path / "ball.yaml"
-    case.write_text(worn_ball.CASE.replace(worn_ball.WORN, "finite"))
-    turn = "stages=[{name: press}, {name: turn, increments: 2}]"
-    done = run(program, case, turn)
+    """Contact is solved; there are no numbers of sliding, and heat between the sides is refused."""
+    program = without("bearing", tmp_path / "program")
+    case = program / "configs" / "verification" / "drawn_block.yaml"
+    two = "stages=[{name: press}, {name: there, increments: 3}]", "supports.along.history=[0, 1]"
+    done = run(program, case, "output.report=false", *two)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout and "torque" not in done.stdout
-    refused = run(program, case, *worn_ball.WARM)
+    heat = "{conductivity: 1 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K)}"
+    warm = [f"regions.{region}.thermal={heat}" for region in ("plate", "block")]
+    refused = run(program, case, *two, *warm, "interfaces.contact.conductance=5000 W/(m^2 K)")
     assert refused.returncode == 2
-    assert "interfaces.bearing.conductance: no package computes the heat" in refused.stderr
+    assert "interfaces.contact.conductance: no package computes the heat" in refused.stderr

@@ -10,7 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 import meshes
-from app.case.geometries import HeadCup, MeshOptions
+from app.bearing.head_cup import HeadCup
+from app.case.geometries import MeshOptions
 from app.foundation.arrays import Floats, Ints
 from meshes.data import (
     MeshData,

@@ -12,9 +12,12 @@ from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Plain, PositiveLength
 
 _AtLeast0 = Annotated[float, Dimension("mm", "a length", "0.1 mm", at_least=0.0)]
-COVER = (29.999, 120.001)  # the cup's cover (deg)
-NEAR = 0.9  # how near to the head's surface its bore may come, in parts of its radius
-ROUND = 0.5  # edges of cells at most, in diameters of the head
+# Least and largest angle of cover of the cup [deg].
+COVER = (29.999, 120.001)
+# Largest distance of the bore from the head's centre, as a part of the head's radius.
+NEAR = 0.9
+# Largest edge of cells over the diameter of the head.
+ROUND = 0.5
 
 
 class HeadCup(Shape):
@@ -25,7 +28,7 @@ class HeadCup(Shape):
     presses the head into the cup. The head's bore opens at the opposite side.
     """
 
-    mesher: ClassVar[str] = "meshes.head_cup"
+    mesher: ClassVar[str] = "app.bearing.head_cup_mesh"
     has_curved_surfaces: ClassVar[bool] = True
     faces: ClassVar[dict[str, tuple[str, str]]] = {"bearing": ("head_surface", "liner_inner")}
     points: ClassVar[dict[str, Point3]] = {"head_centre": (0.0, 0.0, 0.0)}
@@ -102,7 +105,7 @@ class HeadCup(Shape):
 
     @property
     def interface_sides(self) -> dict[str, Sides]:
-        """The bearing, and what joins liner and shell."""
+        """The bearing, and the joint of liner and shell."""
         sides: dict[str, Sides] = {"bearing": (("head",), ("liner",))}
         return sides | ({"liner_shell": (("liner",), ("shell",))} if self.shell_thickness else {})
 
@@ -116,18 +119,20 @@ class HeadCup(Shape):
     @property
     def interface_area(self) -> float:
         """Area of the bearing and of the joint of liner and shell (mm2)."""
-        turn = 2.0 * math.pi * (1.0 - math.cos(self.cover_angle))
-        return sum(turn * radius**2 for radius in self.cup_radii[:-1])
+        solid_angle = 2.0 * math.pi * (1.0 - math.cos(self.cover_angle))
+        return sum(solid_angle * radius**2 for radius in self.cup_radii[:-1])
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra."""
         inner, outer = self.cup_radii[0], self.cup_radii[-1]
-        part = 2.0 * math.pi * (1.0 - math.cos(self.cover_angle))
-        cup = graded_cells(part * inner**2, part / 3.0 * (outer**3 - inner**3), mesh)
+        solid_angle = 2.0 * math.pi * (1.0 - math.cos(self.cover_angle))
+        volume = solid_angle / 3.0 * (outer**3 - inner**3)
+        cup = graded_cells(solid_angle * inner**2, volume, mesh)
         return self.cells_apart("head", mesh) + cup
 
     def cells_apart(self, region: str, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra of the head, which has its fine cells on one side."""
-        own, turn = mesh.model_copy(update={"size": self.head_size * mesh.size}), 2.0 * math.pi
-        head = graded_cells(turn * self.head_radius**2, turn / 1.5 * self.head_radius**3, own)
+        on_head = mesh.model_copy(update={"size": self.head_size * mesh.size})
+        area, volume = 2 * math.pi * self.head_radius**2, 4 / 3 * math.pi * self.head_radius**3
+        head = graded_cells(area, volume, on_head)
         return head if region == "head" else 0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,15 +12,18 @@ from app.foundation.arrays import Floats, Ints
 from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
 
-Body = tuple[Floats, Ints, Ints]  # nodes, cells, and the layer of each cell
+if TYPE_CHECKING:
+    from app.bearing.head_cup import HeadCup
+
+# Nodes, cells, and the layer of each cell.
+Body = tuple[Floats, Ints, Ints]
 
 
-def build(geometry: Any, mesh: MeshKeys) -> MeshData:
+def build(geometry: HeadCup, mesh: MeshKeys) -> MeshData:
     """Mesh a head with its bore, and a liner, within a shell if it has a thickness.
 
     Args:
-        geometry: ``head_radius``, ``cup_radii``, ``bore_diameter``, ``bore_depth`` [mm],
-            ``bore_taper``, ``cover_angle``, ``inclination``, ``version`` [rad], ``head_size``.
+        geometry: Head and cup.
         mesh: ``size`` on the liner's bearing, ``far`` away from it [mm], ``curved``.
 
     Raises:
@@ -39,11 +43,11 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     masks = {"head_surface": sphere, "head_bore": on_head & ~sphere, "liner_inner": inner}
     masks |= {f"{name}_rim": rim & (of == t) for name, t in regions.items() if t > 1}
     masks[geometry.boundary_names[-1]] = ~on_head & ~rim & ~inner
-    points = points @ _turn(geometry.inclination, geometry.version).T
+    points = points @ _rotation(geometry.inclination, geometry.version).T
     return assemble(points, cells, tags, regions, geometry.interface_sides, masks, facets)
 
 
-def _head(geometry: Any, mesh: MeshKeys) -> Body:
+def _head(geometry: HeadCup, mesh: MeshKeys) -> Body:
     """A ball about the origin with a conical bore that opens towards -z."""
     ball, bore = geometry.head_radius, geometry.bore_diameter / 2
     narrowing, depth = math.tan(geometry.bore_taper), geometry.bore_depth
@@ -73,13 +77,13 @@ def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
     return points, cells, len(layers) - np.array(within)[volume]
 
 
-def _meshed(gmsh: Any, radius: float, size: float, mesh: MeshKeys) -> Body:
+def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshKeys) -> Body:
     gmsh.model.occ.synchronize()
     grade(gmsh, [f"(sqrt(x*x+y*y+z*z)-{radius})"], size, max(size, mesh.far))
     return tetrahedra(gmsh, bool(mesh.curved))
 
 
-def _turn(inclination: float, version: float) -> Floats:
+def _rotation(inclination: float, version: float) -> Floats:
     """Rotation (3, 3) that lays z along the cup's pole."""
     c, s, d, t = (f(a) for a in (inclination, version) for f in (math.cos, math.sin))
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ [[1, 0, 0], [0, d, -t], [0, t, d]]
