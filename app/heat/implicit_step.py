@@ -299,7 +299,8 @@ class ImplicitStep(System):
             for n, heat in zip(o.cure.nodes, o.cure.released(here.T), strict=True):
                 heats[f"cure {n.region}"] = float(heat.sum())
         residual_heat = here.residual_heat.copy()
-        if (j := o.jumps) and here.flux:
+        j = o.jumps
+        if j and here.flux:
             q = j.weight * here.flux[0]
             np.add.at(residual_heat, (j.bodies[:, 0], j.dof), q)
             np.add.at(residual_heat, (j.bodies[:, 1], j.dof), -q)
@@ -316,8 +317,9 @@ class ImplicitStep(System):
         """
         here, o = self.at(x), self.operators
         into_slave: dict[str, float] = {}
-        for i, c in enumerate(o.scene.thermal_contacts):
-            if (j := o.jumps) and here.flux:
+        j = o.jumps
+        if j and here.flux:
+            for i, c in enumerate(o.scene.thermal_contacts):
                 at = j.interface == i
                 into_slave[c.name] = float(j.weight[at] @ here.flux[0][at])
         if o.exchange:

@@ -178,7 +178,9 @@ class Deflated:
             for j in (self._u, self._q):
                 if i == j == self._u:  # the largest block by far
                     self._products["K Zu"].multAdd(self._weights, rest, rest)
-                elif block := self._A.getNestSubMatrix(i, j):
+                    continue
+                block = self._A.getNestSubMatrix(i, j)
+                if block:
                     block.multAdd(moved[j], rest, rest)
         self._rest.stateIncrease()
         self.inner.apply(self._rest, z)

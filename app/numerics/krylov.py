@@ -180,8 +180,9 @@ class Linear:
         norms = self._ksp.getConvergenceHistory()
         spent = max(len(norms) - 1, 0)
         if self._version == self._system.version:
-            if failed and (better := self._fall_back()):
-                log.info("     linear solver did not converge: %s", better)
+            remedy = self._fall_back() if failed else ""
+            if remedy:
+                log.info("     linear solver did not converge: %s", remedy)
             if spent and norms[-1] > 0:
                 self._spent += spent
                 self._gained += math.log10(norms[0] / norms[-1])

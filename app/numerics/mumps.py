@@ -39,7 +39,8 @@ def _petsc() -> ctypes.CDLL:
 
 
 def _call(name: str, *arguments: Any) -> None:
-    if error := getattr(_petsc(), name)(*arguments):
+    error = getattr(_petsc(), name)(*arguments)
+    if error:
         raise ArithmeticError(f"{name} of PETSc: error {error}")
 
 
