@@ -34,14 +34,20 @@ SPRINGS = 1e-2
 STILL = 1e-12
 # Forces are in balance if their work in motions of unit size is below this part of their size.
 UNBALANCED = 1e-8
-# Shear is likely to come from the doubt about normals up to this multiple of it.
+# Shear counts as an effect of uncertain normals up to this multiple of their uncertainty.
 LIKELY = 3.0
 
 
 def mechanical(
     problem: Problem, solves: float = 1.0, memory: float = math.inf
 ) -> BondedSystem | ContactSystem:
-    """The system of a mechanical problem, for so many solves in so much memory [byte]."""
+    """Return the system of a mechanical problem.
+
+    Args:
+        problem: The problem.
+        solves: Expected number of solves; decides on condensation.
+        memory: Memory of a rank [byte].
+    """
     return ContactSystem(problem, solves, memory) if problem.contact else BondedSystem(problem)
 
 
@@ -79,7 +85,7 @@ class BondedSystem(System):
         self._problem.impose(x[0])
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
-        """K u - f."""
+        """Residual K u - f."""
         self._problem.residual(x[0], None, f[0])
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
@@ -95,11 +101,12 @@ class ContactSystem(BondedSystem):
     Attributes:
         contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
-        factors: Blocks in the rows of the jumps as last set, times equilibrium and added to it.
-        law_status: States of local points when they were set (n,).
+        factors: Blocks of the last Jacobian in the rows of the jumps: factors of the equilibrium,
+            and blocks added to it (`ContactInterfaces.row_factors`).
+        law_status: States of local points at the last Jacobian (n,).
 
     Args:
-        solves: Number of solves foreseen; 0 if it is not to be condensed.
+        solves: Expected number of solves; 0 if it is not to be condensed.
         memory: Memory of a rank [byte].
     """
 
@@ -149,10 +156,11 @@ class ContactSystem(BondedSystem):
         f[1].array[:] = self._without_doubt(r, trial.equilibrium, trial.law)
 
     def _without_doubt(self, r: Floats, e: Floats, law: PointForces) -> Floats:
-        """Residual of contact (3 n,) [N], without small loads along free motions; collective.
+        """Residual of contact (3 n,) [N] without small loads along free motions; collective.
 
-        If normals are in doubt, so is the axis of their surface, and the moment of the loads about
-        it. Nothing resists this moment. The contact points bear it if it is within the doubt.
+        If normals are uncertain, so is the axis of their surface, and the moment of the loads about
+        it. Nothing resists this moment. If it is within the uncertainty of the normals, the contact
+        points bear it.
         """
         contact, problem = self.contact, self._problem
         doubt = contact.points.doubt[contact.local.rows]
@@ -162,17 +170,19 @@ class ContactSystem(BondedSystem):
         if not motions.shape[1]:
             return r.ravel()
         moved, w = contact.relative_motion(motions), contact.local.weight
+        # Products of the motions, the same weighted by the squared uncertainty, squared forces.
         local = (
             np.einsum("p,pik,pil->kl", w, moved, moved),
             np.einsum("p,pik,pik,p->", w, moved, moved, doubt**2),
             np.einsum("pi,pi->", e, e),
         )
-        gram, off, size = (self.comm.allreduce(v) for v in local)
+        products, uncertain, forces = (self.comm.allreduce(v) for v in local)
         work = self._work(motions, problem.f_q.reshape(-1, 3))
-        borne = w[:, None] * (moved @ np.linalg.lstsq(gram, work, rcond=None)[0])
-        part = self.comm.allreduce(np.einsum("pi,pi->", borne, borne))
-        likely = LIKELY**2 * off / np.trace(gram) * size
-        return (r + borne if part <= likely else r).ravel()
+        # Forces at the points that do the work of the loads in these motions.
+        borne = w[:, None] * (moved @ np.linalg.lstsq(products, work, rcond=None)[0])
+        squared = self.comm.allreduce(np.einsum("pi,pi->", borne, borne))
+        limit = LIKELY**2 * uncertain / np.trace(products) * forces
+        return (r + borne if squared <= limit else r).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
@@ -189,7 +199,7 @@ class ContactSystem(BondedSystem):
         fill(self._added, added)
         for product, A in ((self._A_qu, contact.coupling.Ct), (self._A_qq, contact.coupling.D)):
             if self._problem.stiffness.constraints.follows:
-                # On several ranks a product knows the pattern of its factors as they were.
+                # On several ranks a product keeps the pattern of its former factors.
                 renew(product, self.times.matMult(A), anew=True)
             else:
                 self.times.matMult(A, result=product)
