@@ -75,8 +75,13 @@ def test_rooms_core_solves_finite_sliding_without_the_room_of_bearings(tmp_path:
     done = run(program, case, "output.report=false", *two)
     assert done.returncode == 0, done.stderr
     assert "converged" in done.stdout and "torque" not in done.stdout
-    heat = "{conductivity: 1 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K)}"
+    heat = "{conductivity: 1 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
+    heat += "initial_temperature: 37 degC}"
     warm = [f"regions.{region}.thermal={heat}" for region in ("plate", "block")]
-    refused = run(program, case, *two, *warm, "interfaces.contact.conductance=5000 W/(m^2 K)")
+    warm += [
+        "stages=[{name: press}, {name: warm, duration: 60 s}]",
+        "supports.along.history=[0, 1]",
+    ]
+    refused = run(program, case, *warm, "interfaces.contact.conductance=5000 W/(m^2 K)")
     assert refused.returncode == 2
     assert "interfaces.contact.conductance: no package computes the heat" in refused.stderr
