@@ -39,11 +39,11 @@ def area(boundary: str) -> float:
     return float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2)
 
 
-def assert_lumped(found: Results, h: float, head: float, liner: float = 0.0) -> None:
+def assert_lumped(result: Results, h: float, head: float, liner: float = 0.0) -> None:
     """Two bodies that conduct perfectly, between them h [mW/K], heated by so much [mW]."""
     G, S = NECK * area("head_bore"), SHELL * area("liner_outer")
     above = np.linalg.solve([[G + h, -h], [-h, S + h]], [head, liner])
-    thermal = found.summary["thermal"]
+    thermal = result.summary["thermal"]
     means = [thermal["regions"][name]["temperature_mean"] for name in ("head", "liner")]
     assert means == pytest.approx(OUTSIDE + above, rel=1e-5)
     assert thermal["flows"]["through"]["bearing"] == pytest.approx(h * -np.diff(above)[0], rel=1e-4)
@@ -55,10 +55,10 @@ def test_cycle_heat_of_friction_warms_two_lumped_bodies(
 ) -> None:
     """The heat of a cycle in its time of 1 s; between the bodies h times the cup's area."""
     few = STEADY, "motions.ball.largest_step=20 deg", f"interfaces.bearing.friction_heating={SHARE}"
-    found = support.run(CASE, tmp_path, *heated((1e6, 1e6), "50 W/(m^2 K)", *changes, *few))
-    power = found.summary["interfaces"]["bearing"]["dissipation_cycle"]
-    assert found.summary["thermal"]["flows"]["into"]["friction bearing"] == pytest.approx(power)
-    assert_lumped(found, 0.05 * area("liner_inner"), SHARE * power, (1 - SHARE) * power)
+    result = support.run(CASE, tmp_path, *heated((1e6, 1e6), "50 W/(m^2 K)", *changes, *few))
+    power = result.summary["interfaces"]["bearing"]["dissipation_cycle"]
+    assert result.summary["thermal"]["flows"]["into"]["friction bearing"] == pytest.approx(power)
+    assert_lumped(result, 0.05 * area("liner_inner"), SHARE * power, (1 - SHARE) * power)
 
 
 def test_cycle_heat_conductance_without_a_time_course(tmp_path: Path) -> None:
@@ -68,13 +68,13 @@ def test_cycle_heat_conductance_without_a_time_course(tmp_path: Path) -> None:
     warm = "heat.source={kind: source, regions: [head], density: 1e5 W/m^3}"
     rub = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
     changes = heated((1e6, 1e6), PRESSED, rub, still, stages)
-    found = support.run(CASE, tmp_path, *changes, warm)
-    run = Run(found.folder)
+    result = support.run(CASE, tmp_path, *changes, warm)
+    run = Run(result.folder)
     liner = areas(run, "liner")
     volume = float(run.volumes()[run.region == run.regions["head"]].sum())
     pressed = float(liner @ run.on_points("bearing_pressure"))
     assert pressed > LOAD
-    assert_lumped(found, 1e-2 * pressed, 0.1 * volume)
+    assert_lumped(result, 1e-2 * pressed, 0.1 * volume)
 
 
 def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
@@ -88,8 +88,8 @@ def test_cycle_heat_of_a_spinning_ball_is_symmetric(tmp_path: Path) -> None:
         f"interfaces.bearing.friction_heating={SHARE}",
         "mesh.size=3 mm",
     )
-    found = support.run(CASE, tmp_path, *heated((0.2, 0.2), PRESSED, *few))
-    run = Run(found.folder)
+    result = support.run(CASE, tmp_path, *heated((0.2, 0.2), PRESSED, *few))
+    run = Run(result.folder)
     T, first = run.on_points("temperature"), []
     for region, radius in (("head", RADIUS), ("liner", RADIUS + 0.1)):
         nodes = run.nodes_of(run.regions[region])

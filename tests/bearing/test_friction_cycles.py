@@ -32,13 +32,13 @@ def test_friction_cycles_torque_is_the_sum_of_friction_moments(ball: Results) ->
     )
     force = FRICTION * p * liner
     expected = RADIUS * (force * np.hypot(n[:, 0], n[:, 2])).sum()
-    found = ball.summary["interfaces"]["bearing"]
-    assert "uncovered_fraction" not in found
-    assert found["torque_along"] == pytest.approx(-expected, rel=1e-3)
-    assert abs(found["torque"][1]) == pytest.approx(expected, rel=1e-3)
-    assert found["torque_max"] >= found["torque_size"] * (1 - 1e-12)
-    assert found["force"][2] == pytest.approx(LOAD, rel=1e-9)
-    np.testing.assert_allclose(found["force"][:2], 0, atol=1e-6)
+    result = ball.summary["interfaces"]["bearing"]
+    assert "uncovered_fraction" not in result
+    assert result["torque_along"] == pytest.approx(-expected, rel=1e-3)
+    assert abs(result["torque"][1]) == pytest.approx(expected, rel=1e-3)
+    assert result["torque_max"] >= result["torque_size"] * (1 - 1e-12)
+    assert result["force"][2] == pytest.approx(LOAD, rel=1e-9)
+    np.testing.assert_allclose(result["force"][:2], 0, atol=1e-6)
 
 
 def test_friction_cycles_torque_work_equals_dissipation(ball: Results) -> None:
@@ -52,21 +52,21 @@ def test_friction_cycles_torque_work_equals_dissipation(ball: Results) -> None:
 
 
 def test_friction_cycles_wear_follows_archard_on_both_sides(ball: Results) -> None:
-    """Worn volume k E / μ and slid area are the same on liner and ball, by their own facets."""
-    run, found = Run(ball.folder), ball.summary["interfaces"]["bearing"]
-    expected = WEAR * found["dissipation_cycle"] / FRICTION
-    assert found["wear_volume"] == pytest.approx(expected, rel=1e-12)
+    """Worn volume k E / μ and slid area are the same on liner and ball, by the facets of each."""
+    run, result = Run(ball.folder), ball.summary["interfaces"]["bearing"]
+    expected = WEAR * result["dissipation_cycle"] / FRICTION
+    assert result["wear_volume"] == pytest.approx(expected, rel=1e-12)
     worn, slid = (run.on_points(f"bearing_{key}") for key in ("wear", "slid"))
     sides = [areas(run, name) for name in ("liner", "head")]
     assert [float(side @ worn) for side in sides] == pytest.approx([expected] * 2, rel=1e-9)
     assert sides[0] @ slid == pytest.approx(sides[1] @ slid, rel=1e-9)
-    assert found["wear_depth_max_million"] == pytest.approx(1e6 * worn[sides[0] > 0].max())
+    assert result["wear_depth_max_million"] == pytest.approx(1e6 * worn[sides[0] > 0].max())
 
 
 def test_friction_cycles_errors_cover_a_finer_mesh(tmp_path: Path) -> None:
     once = ("mesh.order=2", "stages=[{name: press}, {name: turn, increments: 6}]")
     meshes = {"fine": ("mesh.size=3 mm",), "coarse": ("output.error=true",)}
-    runs = [support.run(CASE, tmp_path / name, *once, *own) for name, own in meshes.items()]
+    runs = [support.run(CASE, tmp_path / name, *once, *change) for name, change in meshes.items()]
     assert not runs[1].summary["error"]["failed"]  # on 10 mm, too, the ball stays in its cup
     fine, coarse = (run.summary["interfaces"]["bearing"] for run in runs)
     for key in ("torque_max", "dissipation_cycle", "slid_max", "wear_volume"):
@@ -77,14 +77,14 @@ def test_friction_cycles_reports_the_share_facing_a_bore(tmp_path: Path) -> None
     """That within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
     cycle_table = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
     moved = (f"motions.ball.rotation.cycle_table={cycle_table}", "motions.ball.largest_step=45 deg")
-    found = support.run(CASE, tmp_path, *moved, "stages=[{name: press}, {name: turn}]")
-    run = Run(found.folder)
+    result = support.run(CASE, tmp_path, *moved, "stages=[{name: press}, {name: turn}]")
+    run = Run(result.folder)
     liner, (x, y, z) = areas(run, "liner"), run.points.T
     share = liner @ ((x < 0) & (np.hypot(y, z) < 6.5 / RADIUS * np.hypot(x, np.hypot(y, z))))
-    uncovered = found.summary["interfaces"]["bearing"]["uncovered_fraction"]
+    uncovered = result.summary["interfaces"]["bearing"]["uncovered_fraction"]
     assert uncovered == pytest.approx(share / liner.sum(), rel=0.02) and uncovered > 0.05
     sentence = f"bearing: {100 * uncovered:.1f} % of the slave surface left the master at some time"
-    assert sentence in [*closing_lines.lines(found.summary)]
+    assert sentence in [*closing_lines.lines(result.summary)]
 
 
 def test_friction_cycles_difference_of_the_last_two_cycles(ball: Results) -> None:
@@ -130,7 +130,7 @@ def test_friction_cycles_power_and_temperature_amplitude(tmp_path: Path) -> None
         "{{conductivity: {} W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
         "initial_temperature: 37 degC}}"
     )
-    found = support.run(
+    result = support.run(
         CASE,
         tmp_path,
         f"regions.head.thermal={thermal.format(16)}",
@@ -140,8 +140,8 @@ def test_friction_cycles_power_and_temperature_amplitude(tmp_path: Path) -> None
         "heat.neck={kind: temperature, boundary: head_surface, temperature: 37 degC}",
         "stages=[{name: press}, {name: rest, steady: true}, {name: turn, increments: 6}]",
     ).summary["interfaces"]["bearing"]
-    assert found["friction_power"] == pytest.approx(1e-3 * found["dissipation_cycle"])
-    flux = found["wear_depth_max"] * FRICTION / WEAR  # N/mm: mW/mm2 through 1 s
+    assert result["friction_power"] == pytest.approx(1e-3 * result["dissipation_cycle"])
+    flux = result["wear_depth_max"] * FRICTION / WEAR  # N/mm: mW/mm2 through 1 s
     effusivity = 1e-3 * (math.sqrt(16e6) + math.sqrt(0.25e6))  # N/(mm K s^1/2)
     swing = 2 * flux * math.sqrt(0.5 / math.pi) / effusivity
-    assert found["temperature_swing"] == pytest.approx(swing, rel=1e-9)
+    assert result["temperature_swing"] == pytest.approx(swing, rel=1e-9)

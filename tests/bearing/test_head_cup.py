@@ -85,8 +85,8 @@ def exact() -> dict[str, float]:
 def test_head_cup_volumes_and_areas_converge(cup: MeshData) -> None:
     """Edges are curved on both sides of the bearing, too."""
     for data, error in ((cup, 5e-4), (mesh(1.4), 2.5e-4)):
-        found = region_volumes(data) | boundary_areas(data)
-        assert {name: found[name] for name in exact()} == pytest.approx(exact(), rel=error)
+        sizes = region_volumes(data) | boundary_areas(data)
+        assert {name: sizes[name] for name in exact()} == pytest.approx(exact(), rel=error)
 
 
 def test_head_cup_bearing_is_finer_on_the_cup(cup: MeshData) -> None:

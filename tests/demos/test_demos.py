@@ -29,23 +29,23 @@ def test_demos_are_short_and_tested(path: Path) -> None:
 
 def test_demos_patch_test() -> None:
     """Uniform pressure, and the shortening of two columns: 3 MPa (2 mm/1 GPa + 2 mm/2 GPa)."""
-    found = numbers("patch_test")
-    assert found["pressure"] == pytest.approx(3.0, rel=1e-9)
-    assert found["shortening"] == pytest.approx(0.009, rel=1e-9)
+    result = numbers("patch_test")
+    assert result["pressure"] == pytest.approx(3.0, rel=1e-9)
+    assert result["shortening"] == pytest.approx(0.009, rel=1e-9)
 
 
 def test_demos_hertz() -> None:
     """p_0 = sqrt(F E* / (pi R)); near the contact cells have 0.1 to 0.3 of its half-width."""
-    found = numbers("hertz")
-    exact = math.sqrt(found["F"] * 1000 / (2 * 0.91) / (math.pi * 50))
-    assert found["peak"] == pytest.approx(exact, rel=0.02)
+    result = numbers("hertz")
+    exact = math.sqrt(result["F"] * 1000 / (2 * 0.91) / (math.pi * 50))
+    assert result["peak"] == pytest.approx(exact, rel=0.02)
 
 
 def test_demos_incline() -> None:
     """T / N = tan 12 deg at rest; nothing holds a block on 20 deg, beyond arctan 0.3."""
-    found = numbers("incline")
-    assert found["at_rest"] == pytest.approx(math.tan(math.radians(12)), rel=1e-8)
-    assert "nothing holds body 'block'" in found["sliding"]
+    result = numbers("incline")
+    assert result["at_rest"] == pytest.approx(math.tan(math.radians(12)), rel=1e-8)
+    assert "nothing holds body 'block'" in result["sliding"]
 
 
 def test_demos_press_fit() -> None:
@@ -62,9 +62,9 @@ def test_demos_friction_heat() -> None:
 
 def test_demos_setting_cement() -> None:
     """The degree after the time by quadrature, and T_0 + (Q / C) (a - a_0)."""
-    found = numbers("setting_cement")
-    assert found["degree"] == pytest.approx(0.9, abs=1e-4)
-    assert found["temperature"] == pytest.approx(296 + 155 / 1.752 * 0.89, abs=0.01)
+    result = numbers("setting_cement")
+    assert result["degree"] == pytest.approx(0.9, abs=1e-4)
+    assert result["temperature"] == pytest.approx(296 + 155 / 1.752 * 0.89, abs=0.01)
 
 
 def test_demos_double_cantilever() -> None:
@@ -74,11 +74,11 @@ def test_demos_double_cantilever() -> None:
 
 def test_demos_ball_in_cup() -> None:
     """M = mu sum p s dA: every point slides; positions are those of the unloaded cup."""
-    found = numbers("ball_in_cup")
-    samples = found["samples"]
+    result = numbers("ball_in_cup")
+    samples = result["samples"]
     arms = np.hypot(samples.x[:, 0], samples.x[:, 1])
     exact = 0.06 * float(samples.weight @ (samples.pressure * arms))
-    assert found["torque"] == pytest.approx(exact, rel=4e-3)
+    assert result["torque"] == pytest.approx(exact, rel=4e-3)
     # The pressure bears the load: 1000 N along z, shared by friction about z.
     assert abs(samples.weight @ samples.force[:, 2]) == pytest.approx(1000, rel=1e-8)
 
@@ -93,7 +93,7 @@ def test_demos_stem_in_cylinder() -> None:
 
 
 def test_demos_own_law() -> None:
-    """Springs in series; in a process of its own, because the law stays registered."""
+    """Springs in series; in a separate process, because the law stays registered."""
     said = support.python(DEMOS / "own_law.py", PYTHONPATH=str(support.ROOT)).stdout
     exact = 3 * (2 / 2000 + 1 / 50 + 2 / 1000)
     assert float(said.split()[1]) == pytest.approx(exact, rel=1e-8)

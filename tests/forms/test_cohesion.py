@@ -39,12 +39,14 @@ class Points:
         normals[:, :faces] = np.eye(3)[::-1][:faces]
         number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
         interface, x, given = np.arange(n) % len(μ), np.zeros((n, 3)), np.full(n, faces)
-        own = LocalPoints(number, interface, x, sides, given, normals, np.ones(n), tensors, tensors)
+        points = LocalPoints(
+            number, interface, x, sides, given, normals, np.ones(n), tensors, tensors
+        )
         laws = [
             Cohesive.model_validate(
                 {
                     "kind": "cohesive",
-                    "friction_coefficient": own_μ,
+                    "friction_coefficient": friction,
                     "stiffness": f"{K} MPa/mm",
                     "tensile_strength": f"{N} MPa",
                     "shear_strength": f"{S} MPa",
@@ -55,11 +57,11 @@ class Points:
                     "unbonded": f"{100 * free} %",
                 }
             )
-            for own_μ in μ
+            for friction in μ
         ]
-        self.law = PointLaw(MPI.COMM_SELF, own, Timing())
+        self.law = PointLaw(MPI.COMM_SELF, points, Timing())
         every = [{k: float(v) for k, v in law.values.items()} for law in laws]
-        values = {k: np.array([own[k] for own in every])[interface] for k in every[0]}
+        values = {k: np.array([constants[k] for constants in every])[interface] for k in every[0]}
         self.law.begin(laws, values, 1.0, tensors + 1e3 * np.eye(3))
         self.state = ContactState.at_rest(np.zeros((n, 3)), INTERNAL_VARIABLES)
         self.force, self.work, self.spent = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
@@ -73,15 +75,15 @@ class Points:
         """Go to a jump and commit it."""
         force, step = self.force, jump - self.state.jump
         for _ in range(3):  # the multiplier: nothing is pressed
-            found = self.at(force, jump)
-            force = found.force
+            response = self.at(force, jump)
+            force = response.force
         self.work = self.work + np.einsum("pi,pi->p", (force + self.force) / 2, step)
-        used = found.outputs["dissipated"]
+        used = response.outputs["dissipated"]
         self.least, self.spent = min(self.least, used.min()), self.spent + used
         self.force = force
         self.state.jump = jump
-        self.state.internal_variables = dict(found.internal_variables)
-        return found
+        self.state.internal_variables = dict(response.internal_variables)
+        return response
 
 
 @pytest.mark.parametrize("softening", ["linear", "exponential"])

@@ -110,12 +110,13 @@ def derived(p: Points, friction: bool, *wanted: str) -> list[Floats]:
         F, D, gap, r = ufl.variable(x["F"]), ufl.variable(x["D"]), x["gap"], x["r"]
         μ = x["μ"] if friction else None
         energy = contact_law(F, D, gap, x["old"], x["star"], [x[n] for n in normals], μ, r).energy
-        found = {"energy": energy, "F": ufl.diff(energy, F), "D": ufl.diff(energy, D)}
+        derivatives = {"energy": energy, "F": ufl.diff(energy, F), "D": ufl.diff(energy, D)}
         # The starred force takes its value after all derivatives. Labels of variables would make
         # each compilation a new one.
         star = {x["star"]: F + r * (D + gap)}
         return [
-            strip_variables(ufl.replace(expand_derivatives(found[name]), star)) for name in wanted
+            strip_variables(ufl.replace(expand_derivatives(derivatives[name]), star))
+            for name in wanted
         ]
 
     sizes = {name: v.size // len(v) for name, v in values.items()}
@@ -130,8 +131,10 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     faces = np.full(n, p.faces)
     none, tensors = np.zeros((n, 3)), np.zeros((n, 3, 3))
     number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
-    own = LocalPoints(number, number, none, sides, faces, normals, np.ones(n), tensors, tensors)
-    law = PointLaw(MPI.COMM_SELF, own, Timing())
+    local_points = LocalPoints(
+        number, number, none, sides, faces, normals, np.ones(n), tensors, tensors
+    )
+    law = PointLaw(MPI.COMM_SELF, local_points, Timing())
     laws = [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ]
     law.begin(laws, {"μ": p.μ * friction}, 1.0, tensors + np.eye(3))
     return law

@@ -98,14 +98,14 @@ def test_cure_limit_is_linear_between_its_pairs() -> None:
     T = np.linspace(250, 400, 31)
     for pairs in (LIMITED.limit, LIMITED.limit[:1]):
         table = np.array(pairs).T
-        found = evaluate(lambda x, t=table: forms.piecewise_linear(x, *t), T=T)  # type: ignore[misc]
-        assert found == pytest.approx(np.interp(T, *table), abs=1e-14)
+        result = evaluate(lambda x, t=table: forms.piecewise_linear(x, *t), T=T)  # type: ignore[misc]
+        assert result == pytest.approx(np.interp(T, *table), abs=1e-14)
 
 
 def test_cure_modulus_grows_after_gelation() -> None:
     a = np.array([0.0, 0.5, 0.85, 0.9, 1.0])
-    found = evaluate(lambda x: forms.modulus_factor(x, 0.85, 0.01, 2.0), a=a)
-    assert found == pytest.approx([0.01, 0.01, 0.01, 0.01 + 0.99 / 9, 1.0], abs=1e-14)
+    result = evaluate(lambda x: forms.modulus_factor(x, 0.85, 0.01, 2.0), a=a)
+    assert result == pytest.approx([0.01, 0.01, 0.01, 0.01 + 0.99 / 9, 1.0], abs=1e-14)
 
 
 # The local step
@@ -120,8 +120,8 @@ def test_cure_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> Non
     start = np.concatenate([10 ** rng.uniform(-6, 0, n), 1 - 10 ** rng.uniform(-8, 0, n)])
     T = rng.uniform(270, 420, 2 * n)
     curing = setting(kinetics, 2 * n)
-    found = curing.update(start, T, h, 0.0)
-    a, limit = found.degree, np.interp(T, *np.array(kinetics.limit or ((300, 1.0),)).T)
+    result = curing.update(start, T, h, 0.0)
+    a, limit = result.degree, np.interp(T, *np.array(kinetics.limit or ((300, 1.0),)).T)
     assert (a >= start).all() and (a <= np.maximum(limit, start)).all()
 
     free = (a < limit - 2 * UNREACTED) & (start < limit)
@@ -138,7 +138,7 @@ def test_cure_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> Non
     smooth = free & (up < limit - 2 * UNREACTED)
     for knot, _ in kinetics.limit or ():
         smooth &= np.abs(T - knot) > 1
-    assert np.abs(found.by_temperature - slope)[smooth].max() < 1e-5 * max(slope.max(), 1e-3)
+    assert np.abs(result.by_temperature - slope)[smooth].max() < 1e-5 * max(slope.max(), 1e-3)
 
 
 @given(
@@ -152,11 +152,11 @@ def test_cure_degree_stays_within_bounds_and_rises(
 ) -> None:
     curing = compiled(which)
     a = np.full(3, start)
-    found = curing.update(a, np.array([T, T + 5, T + 50]), h, 0.0)
-    degree = found.degree
+    result = curing.update(a, np.array([T, T + 5, T + 50]), h, 0.0)
+    degree = result.degree
     assert (degree >= start).all() and (degree <= 1).all()
     assert (np.diff(degree) >= -1e-12).all()
-    assert (found.by_temperature >= 0).all()
+    assert (result.by_temperature >= 0).all()
     assert (curing.update(a, np.full(3, T), 2 * h, 0.0).degree[0] >= degree[0] - 1e-12).all()
 
 
@@ -175,16 +175,16 @@ def test_cure_steps_are_finite_where_rates_underflow(kinetics: Autocatalytic) ->
         for before in (hot, warm):
             curing.update(start, before, 1e-2, 0.0)
             for none in (cold, np.full(3, np.nan), np.full(3, -np.inf)):
-                found = curing.update(start, none, 1e-2, 0.0)
-                assert found.degree == pytest.approx(start, abs=1e-20)
-                assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
+                result = curing.update(start, none, 1e-2, 0.0)
+                assert result.degree == pytest.approx(start, abs=1e-20)
+                assert result.by_temperature == pytest.approx(0.0, abs=1e-20)
                 assert np.isfinite(curing._mean).all()
         curing.update(start, np.full(3, np.inf), 1e-2, 0.0)
         assert np.isfinite(curing._mean).all()
-        found = curing.update(start, warm, 60.0, 0.0)
+        result = curing.update(start, warm, 60.0, 0.0)
     expected = fresh.update(start, warm, 60.0, 0.0)
-    assert found.degree == pytest.approx(expected.degree, abs=1e-7)
-    assert found.by_temperature == pytest.approx(expected.by_temperature, abs=1e-7)
+    assert result.degree == pytest.approx(expected.degree, abs=1e-7)
+    assert result.by_temperature == pytest.approx(expected.by_temperature, abs=1e-7)
 
 
 def test_cure_near_zero_degree_depends_little_on_temperature() -> None:
@@ -196,9 +196,9 @@ def test_cure_near_zero_degree_depends_little_on_temperature() -> None:
     with np.errstate(invalid="raise"):
         curing.update(np.array([1e-3]), T, h, 0.0)
         for _ in range(2):
-            found = curing.update(start, T, h, 0.0)
-            assert found.degree == pytest.approx(0.0, abs=1e-20)
-            assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
+            result = curing.update(start, T, h, 0.0)
+            assert result.degree == pytest.approx(0.0, abs=1e-20)
+            assert result.by_temperature == pytest.approx(0.0, abs=1e-20)
             assert np.isfinite(curing._mean).all()
 
 
@@ -206,15 +206,15 @@ def test_cure_refuses_degrees_beyond_bounds() -> None:
     rounded = np.array([-1e-15, 1 + 1e-15])
     assert admissible(np.array([0.0, 1.0])) and admissible(rounded) and admissible(np.zeros(0))
     for kinetics in (BALIGA, Prescribed.model_construct(rate=COURSE)):
-        found = setting(kinetics, 2).update(rounded, np.full(2, 310.0), 1.0, 350.0)
-        assert (found.degree >= 0).all() and (found.degree <= 1).all()
+        result = setting(kinetics, 2).update(rounded, np.full(2, 310.0), 1.0, 350.0)
+        assert (result.degree >= 0).all() and (result.degree <= 1).all()
     for outside in (-1e-6, 1 + 1e-6, np.nan):
         assert not admissible(np.array([0.5, outside]))
 
 
 def test_cure_on_a_rank_without_nodes() -> None:
-    found = setting(nodes=0).update(np.zeros(0), np.zeros(0), 1.0, 0.0)
-    assert len(found.degree) == len(found.by_temperature) == 0
+    result = setting(nodes=0).update(np.zeros(0), np.zeros(0), 1.0, 0.0)
+    assert len(result.degree) == len(result.by_temperature) == 0
 
 
 # Time
@@ -258,15 +258,15 @@ class Point:
             return None
         T = T_start
         for _ in range(50):
-            found = self.curing.update(a_start, T, h, seconds)
-            slope = 1 - self.gain * found.by_temperature
+            result = self.curing.update(a_start, T, h, seconds)
+            slope = 1 - self.gain * result.by_temperature
             if slope[0] <= 0:
                 return None
-            step = (T_start + self.gain * (found.degree - a_start) - T) / slope
+            step = (T_start + self.gain * (result.degree - a_start) - T) / slope
             T = T + step
             if abs(step[0]) < 1e-11 * T[0]:
                 # What is released is what warms, to the last bit.
-                return [T_start + self.gain * (found.degree - a_start), found.degree]
+                return [T_start + self.gain * (result.degree - a_start), result.degree]
         return None
 
 
@@ -397,10 +397,10 @@ def test_cure_prescribed_rate_stops_at_full_cure() -> None:
     curing = setting(Prescribed.model_construct(rate=((0.0, 1.0), (100.0, 1.0))))
     y = np.array([1e-3])
     for k in range(1, 8):
-        found = curing.update(y, np.full(1, 310.0), 30.0, 30.0 * k)
-        assert y <= found.degree <= 1
-        assert found.by_temperature == 0
-        y = found.degree
+        result = curing.update(y, np.full(1, 310.0), 30.0, 30.0 * k)
+        assert y <= result.degree <= 1
+        assert result.by_temperature == 0
+        y = result.degree
     assert y == pytest.approx(1e-3 + 0.999 * 0.9)
 
 
@@ -453,6 +453,6 @@ def test_cure_strain_is_independent_of_steps_on_a_straight_path() -> None:
 
 
 def test_cure_errors_are_weighted_by_heat() -> None:
-    found = as_temperature(np.array([0.5, 1e-3, 0.0]), np.full(3, -1e-6), RISE)
-    assert found[:2] == pytest.approx([-1e-6 * RISE, -1e-5 * RISE])
-    assert np.isfinite(found[2])
+    result = as_temperature(np.array([0.5, 1e-3, 0.0]), np.full(3, -1e-6), RISE)
+    assert result[:2] == pytest.approx([-1e-6 * RISE, -1e-5 * RISE])
+    assert np.isfinite(result[2])

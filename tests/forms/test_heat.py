@@ -86,8 +86,8 @@ def test_heat_conduction_is_fouriers_law(box: Box) -> None:
     g = np.array([3.0, -1.0, 2.0])
     k = box.constant(CONDUCTIVITY)
     for h in np.eye(3):
-        found = box.conducted(lambda grad: heat.isotropic_conduction(grad, k), g, h)
-        assert found == pytest.approx(CONDUCTIVITY * g @ h)
+        flow = box.conducted(lambda grad: heat.isotropic_conduction(grad, k), g, h)
+        assert flow == pytest.approx(CONDUCTIVITY * g @ h)
 
 
 def test_heat_conduction_along_and_across_a_fibre(box: Box) -> None:

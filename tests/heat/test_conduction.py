@@ -107,9 +107,9 @@ class Solved(HeatState):
     def advance(self, dt: float, method: str = "sdirk4") -> float:
         """A time step; heat that came in, by the integrator's sum [N mm]."""
         self.method = METHODS[method]
-        found = self.attempt(dt)
-        assert found is not None
-        return sum(self.accept(*found, dt).heats.values())
+        attempt = self.attempt(dt)
+        assert attempt is not None
+        return sum(self.accept(*attempt, dt).heats.values())
 
     @property
     def stored(self) -> float:

@@ -1,4 +1,4 @@
-"""The augmentation r: chosen from the stiffness at hand, found again where it is badly given."""
+"""The augmentation r: chosen from the local stiffness, and anew if the case gives a bad one."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_augmentation_does_not_change_a_penalty() -> None:
     laws = [law.format("stem_cement", 2e3), law.format("cement_bone", 5e3)]
     path = "loads.hip.history=[1, 0.2]"
     stages = "stages=[{name: on, adaptive: false}, {name: off, adaptive: false}]"
-    found = []
+    statuses = []
     for factor in (1.0, 0.1):
         tight = "solver.tolerance=1e-12"
         problem, solver = support.assemble(support.case(STEM, path, stages, tight, *laws))
@@ -133,11 +133,11 @@ def test_augmentation_does_not_change_a_penalty() -> None:
             problem.commit(problem.trial(u, q))
             h = j.state
             states.append(np.column_stack([h.jump, h.force, h.path, h.dissipation]))
-        found.append(np.array(states))
+        statuses.append(np.array(states))
         assert (j.law.stiffness <= factor * 5e3).all()
-    size = np.abs(found[0]).max(axis=(0, 1))
-    assert (np.abs(found[1] - found[0]).max(axis=(0, 1)) <= 1e-8 * size).all()
-    assert found[0][-1, :, -1].sum() > 0
+    size = np.abs(statuses[0]).max(axis=(0, 1))
+    assert (np.abs(statuses[1] - statuses[0]).max(axis=(0, 1)) <= 1e-8 * size).all()
+    assert statuses[0][-1, :, -1].sum() > 0
 
 
 def test_augmentation_remedies_restore_the_line_search(tmp_path: Path) -> None:

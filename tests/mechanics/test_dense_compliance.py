@@ -84,14 +84,14 @@ def step(S: Floats, x: Floats, load: Floats, old: Floats, turn: Floats, start: F
 def test_sliding_forces_equal_those_of_dense_compliance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pressed, then turned by 5 degrees twice: every normal force to 1e-7 of the largest."""
     monkeypatch.setattr(contact, "ACCURACY", 1e-12)
-    found = solve(turning((0, 0, 0), (0, 10, 0)), stages(2))[-3:]
+    steps = solve(turning((0, 0, 0), (0, 10, 0)), stages(2))[-3:]
     S, x = compliance()
     n = len(x)
     z = np.zeros(3 * n + 3)
-    z[-3:] = found[0].place  # near: Newton does not find the contact from afar
-    z[:-3] = (found[0].load[:, None] * found[0].normal).ravel()
+    z[-3:] = steps[0].place  # near: Newton does not find the contact from afar
+    z[:-3] = (steps[0].load[:, None] * steps[0].normal).ravel()
     old: Floats = np.zeros((n, 3))
-    for one in found:
+    for one in steps:
         z = step(S, x, FORCE, old, one.turn, z)
         f = z[:-3].reshape(n, 3)
         old = (np.einsum("piqj,qj->pi", S, f) - z[-3:]).reshape(n, 3)

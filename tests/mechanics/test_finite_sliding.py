@@ -169,8 +169,8 @@ def test_finite_sliding_friction_varies_on_one_model(soft: bool) -> None:
     for k, μ in enumerate((MU, 0, 0.2)):
         turn = turning((0, 0, 0), (5, 10 + k, 0), **{"boundary": "head_bore"} if soft else {})
         case = support.case(CUP, turn, stages(2), f"{FRICTION}={μ}", *changes)
-        found, expected = runs.run(case)[0], Runs().run(case)[0]
-        for u, v in zip(found, expected, strict=True):
+        reused, expected = runs.run(case)[0], Runs().run(case)[0]
+        for u, v in zip(reused, expected, strict=True):
             assert support.difference(u, v) < 1e-8
         assert runs.last and len(runs.last._others) == 1
 

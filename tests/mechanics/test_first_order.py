@@ -22,21 +22,21 @@ stages: [{name: push}]
 
 def problem(size: float = 3.0) -> SimpleNamespace:
     """The block: displacement space, stiffness, and which unknowns supports hold."""
-    found = support.assemble(support.case(BLOCK, f"mesh.size={size} mm"))[0]
-    K, constraints = found.stiffness.K, found.stiffness.constraints
-    return SimpleNamespace(space=found.space, K=K, held=constraints.constrained)
+    result = support.assemble(support.case(BLOCK, f"mesh.size={size} mm"))[0]
+    K, constraints = result.stiffness.K, result.stiffness.constraints
+    return SimpleNamespace(space=result.space, K=K, held=constraints.constrained)
 
 
 def test_multigrid_by_degree_reproduces_linear_displacements() -> None:
     fine = problem()
     lower = CoarseOrder(fine.space, lambda: np.zeros_like(fine.held))
     P, below = lower.prolongation(), lower.space.tabulate_dof_coordinates()
-    coarse, found = P.createVecs()
+    coarse, result = P.createVecs()
     x = fine.space.tabulate_dof_coordinates()
     slope = np.random.default_rng(1).normal(size=(3, 3))
     coarse.array[:] = (below @ slope).ravel()
-    P.mult(coarse, found)
-    np.testing.assert_allclose(found.array, (x @ slope).ravel(), atol=1e-12)
+    P.mult(coarse, result)
+    np.testing.assert_allclose(result.array, (x @ slope).ravel(), atol=1e-12)
 
 
 def test_multigrid_by_degree_separates_held_and_free_unknowns() -> None:
@@ -44,15 +44,15 @@ def test_multigrid_by_degree_separates_held_and_free_unknowns() -> None:
     lower = CoarseOrder(fine.space, lambda: fine.held)
     P = lower.prolongation()
     assert P.getSize() == (len(fine.held), lower.size)
-    coarse, found = P.createVecs()
+    coarse, result = P.createVecs()
     # What moves free vertices leaves all that is held, and the other way round.
     at = lower.space.tabulate_dof_coordinates()
     side, _, floor = (at < at.min(axis=0) + 1e-9).T
     held = np.column_stack([side, side, side | floor]).ravel()
     for below, other in ((held, ~fine.held), (~held, fine.held)):
         coarse.array[:] = below
-        P.mult(coarse, found)
-        assert found.array.any() and np.abs(found.array[other]).max() < 1e-12
+        P.mult(coarse, result)
+        assert result.array.any() and np.abs(result.array[other]).max() < 1e-12
 
 
 @pytest.mark.parametrize("factored_below", [True, False])

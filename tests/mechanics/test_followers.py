@@ -99,7 +99,7 @@ def test_followers_across_a_matching_cut_equal_the_uncut_body(tmp_path: Path) ->
     data, shear = block(3), "supports.guide.x=0.0001 * y"
     one = support.solve(STACK, stack(tmp_path / "one.msh", data, data, False), shear)
     two = support.solve(STACK, stack(tmp_path / "two.msh", data, data), sliding(1e3), shear)
-    found = []
+    displacements = []
     for solved in (one, two):
         problem = solved.problem
         x, tags = problem.space.tabulate_dof_coordinates(), problem.tagged.cell_tags
@@ -107,8 +107,8 @@ def test_followers_across_a_matching_cut_equal_the_uncut_body(tmp_path: Path) ->
             cells = tags.find(problem.tagged.regions[region])
             nodes = np.unique(problem.space.dofmap.list[cells])
             u = problem.displacements()[problem.bodies.of_region[region]].x.array.reshape(-1, 3)
-            found.append(u[nodes[np.lexsort(x[nodes].round(6).T)]])
-    for before, after in zip(found[:2], found[2:], strict=True):
+            displacements.append(u[nodes[np.lexsort(x[nodes].round(6).T)]])
+    for before, after in zip(displacements[:2], displacements[2:], strict=True):
         assert support.difference(after, before) < 1e-10
 
 

@@ -275,7 +275,7 @@ def test_interfaces_that_meet_stem_of_a_t_depends_on_its_bars(tmp_path: Path) ->
 
 def test_interfaces_that_meet_are_independent_of_their_order(tmp_path: Path) -> None:
     """A block pulled off its neighbours, which part: the same state in any order and naming."""
-    found = []
+    tables = []
     for turn in range(3):
         text = scene(tmp_path, LYING_T, contact(0.2), cells=(4, 2, 4), turn=turn)
         text["supports"]["x0"] = {"kind": "displacement", "boundary": "x0", "x": "0.01 mm"}
@@ -283,9 +283,9 @@ def test_interfaces_that_meet_are_independent_of_their_order(tmp_path: Path) -> 
         solved = support.solve(text, balances=True)
         assert solved.balances.max() < 1e-7
         numbers = solved.last.numbers
-        found.append([numbers[name] for name in sorted(numbers)])
-    for other in found[1:]:
-        for one, two in zip(found[0], other, strict=True):
+        tables.append([numbers[name] for name in sorted(numbers)])
+    for other in tables[1:]:
+        for one, two in zip(tables[0], other, strict=True):
             assert one["area"] == pytest.approx(two["area"])
             np.testing.assert_allclose(one["force"], two["force"], rtol=1e-6, atol=1e-7)
             assert one["pressure_mean"] == pytest.approx(two["pressure_mean"], rel=1e-6, abs=1e-8)

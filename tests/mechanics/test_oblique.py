@@ -74,8 +74,8 @@ def same(text: str, *overrides: str, face: bool = False, tolerance: float = 1e-9
     for name, numbers in one.interfaces.items():
         for key, value in numbers.items():
             if isinstance(value, float) and not key.startswith("penetration"):
-                found = other.interfaces[name][key]
-                assert found == pytest.approx(value, rel=1e-8, abs=1e-10), (name, key)
+                number = other.interfaces[name][key]
+                assert number == pytest.approx(value, rel=1e-8, abs=1e-10), (name, key)
     assert other.balances.max() < 1e-8
 
 
@@ -239,9 +239,9 @@ def test_oblique_rollers_free_motions_of_normals(y: str, expected: str) -> None:
         "supports.x={kind: roller, boundary: x_min, normal: [1, 1, 0]}",
         f"supports.y={{kind: roller, boundary: y_min, normal: {y}}}",
     )
-    found = look(this, meshes.build(this.geometry, this.mesh, None))
+    parts = look(this, meshes.build(this.geometry, this.mesh, None))
     if expected:
         with pytest.raises(InputError, match=expected):
-            judge(this, found)
+            judge(this, parts)
     else:
-        assert not judge(this, found)
+        assert not judge(this, parts)

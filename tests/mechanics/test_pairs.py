@@ -113,9 +113,9 @@ def test_pairs_gap_and_normals_are_those_of_the_surface(
         nodes, exact = bent(of.x / R, bend)
         body = SmoothSurface(nodes, of.triangles, exact[of.triangles].mean(axis=1))
         off = np.linalg.norm(np.cross(body.normals, exact), axis=1).max()
-        found = [(g, *body.gap(x + g * normals)) for g in (-0.05, 0.0, 0.1)]
-        errors.append([off, max(np.abs(gap - g).max() for g, gap, _ in found)])
-        assert all(normal == pytest.approx(normals, abs=0.01) for *_, normal in found)
+        gaps = [(g, *body.gap(x + g * normals)) for g in (-0.05, 0.0, 0.1)]
+        errors.append([off, max(np.abs(gap - g).max() for g, gap, _ in gaps)])
+        assert all(normal == pytest.approx(normals, abs=0.01) for *_, normal in gaps)
     h = R * np.sqrt(8 * np.pi / np.sqrt(3) / 500)
     assert np.rad2deg(errors[0][0]) < angle and errors[0][1] < sagittas * h**2 / (8 * R)
     orders = np.log2(np.array(errors)[:-1] / np.array(errors)[1:])

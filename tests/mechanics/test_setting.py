@@ -40,8 +40,8 @@ def test_setting_rate_form_equals_total_form_when_cured(
         rate.set(1.0, -α_T * fall, "cement")
         rate.step()
     assert rate.problem.stiffness.version == 0
-    expected, found = (m.problem.displacements()[-1].x.array for m in (total, rate))
-    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+    expected, by_rate = (m.problem.displacements()[-1].x.array for m in (total, rate))
+    assert np.abs(by_rate - expected).max() < 1e-10 * np.abs(expected).max()
     for region in ("stem", "cement", "bone"):
         whole, steps = (m.stresses.mean(region) for m in (total, rate))
         assert np.abs(steps - whole).max() < 1e-9 * 12.5, region
@@ -120,7 +120,7 @@ def test_setting_strain_before_gelation_leaves_no_stress() -> None:
 
 def test_setting_with_contact_and_varying_degree_of_cure() -> None:
     """Second order in the step where the outside sets first; balances close in every step."""
-    found = {}
+    stresses = {}
     for n in (3, 6, 12):
         model = Heated.make(
             CYLINDERS,
@@ -142,8 +142,8 @@ def test_setting_with_contact_and_varying_degree_of_cure() -> None:
             model.step()
             assert max(model.balance.force, model.balance.energy) < 1e-8
         assert model.problem.stiffness.version >= n
-        found[n] = model.stress("cement").mean(axis=0)
-    first, second = (np.abs(found[a] - found[b]).max() for a, b in ((3, 6), (6, 12)))
+        stresses[n] = model.stress("cement").mean(axis=0)
+    first, second = (np.abs(stresses[a] - stresses[b]).max() for a, b in ((3, 6), (6, 12)))
     assert first / second == pytest.approx(4, rel=0.2)
 
 

@@ -39,7 +39,7 @@ def test_thermal_strain_of_a_clamped_bar(order: int) -> None:
     expected[2, 2] = -E * 8e-5 * dT
     for region in ("one", "two"):
         assert np.abs(bar.stress(region) - expected).max() < 1e-10 * abs(expected[2, 2])
-    # Temperatures of their own, though the two regions are one body.
+    # Separate temperatures, although the two regions are one body.
     bar.solve({"one": 300 + dT, "two": 300.0 - dT})
     assert max(bar.balance.force, bar.balance.moment, bar.balance.energy) < 1e-10
 
@@ -113,17 +113,17 @@ def test_thermal_strain_tractions_of_cooled_bonded_cylinders(curved: str, tolera
     forces = BondForces(cold.problem, cold.stresses, None).numbers
     for fall, fraction in ((40.0, 1.0), (5.0, 0.0)):
         cold.solve({"cement": 300.0 - fall})
-        found = forces()
+        by_interface = forces()
         assert cold.balance.energy < 1e-10
         for name, full in (("stem_cement", 5.696), ("cement_bone", 7.884)):
-            numbers, exact = found[name], full * fall / 40
+            numbers, exact = by_interface[name], full * fall / 40
             for key in ("normal_mean", "normal_max"):
                 assert numbers[key] == pytest.approx(exact, rel=0.6 * tolerance)
             assert numbers["shear_max"] < 0.1 * exact
             assert numbers["strength_fraction"] == pytest.approx(fraction)
             for key in ("failure_index_max", "failure_index_p99"):
                 assert numbers[key] == pytest.approx(exact / 1.35, rel=0.6 * tolerance)
-    assert found["stem_cement"]["area"] == pytest.approx(np.pi * 3 * 0.5, rel=2e-2)
+    assert by_interface["stem_cement"]["area"] == pytest.approx(np.pi * 3 * 0.5, rel=2e-2)
 
 
 @pytest.mark.parametrize(

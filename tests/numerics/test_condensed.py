@@ -79,8 +79,8 @@ def test_condensed_jumps_equal_krylov_jumps(law: str, order: int) -> None:
     krylov = support.solve(support.STEM, *changes, "solver.linear=multigrid")
     condensed = support.solve(support.STEM, *changes, CONDENSED)
     assert condensed.solver.linear.exact and not krylov.solver.linear.exact
-    expected, found = (s.problem.contact.state.jump for s in (krylov, condensed))
-    assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+    expected, condensed_state = (s.problem.contact.state.jump for s in (krylov, condensed))
+    assert condensed_state == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.skipif(substructures.library() is Mumps, reason="PETSc has no CHOLMOD")
@@ -89,8 +89,8 @@ def test_condensed_jumps_equal_with_mumps_factors(monkeypatch: pytest.MonkeyPatc
     law = f"interfaces.stem_cement={LAWS[0]}"
     expected = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
     monkeypatch.setattr(substructures, "library", lambda: Mumps)
-    found = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
-    a, b = (s.problem.contact.state.jump for s in (expected, found))
+    condensed_state = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
+    a, b = (s.problem.contact.state.jump for s in (expected, condensed_state))
     assert b == pytest.approx(a, abs=1e-12 * np.abs(a).max())
     assert not np.array_equal(a, b)
 

@@ -49,10 +49,10 @@ def test_preconditioners_inverse_solves_from_any_start(options: dict[str, str]) 
 def test_coarse_space_free_directions_have_no_resistance() -> None:
     """Open, sticking, and slipping along x on a face normal to z with friction 0.4."""
     slip = np.array([[0.0, 0.0, 0.4], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]])
-    found = free_directions(np.array([np.zeros((3, 3)), np.eye(3), slip]))
-    np.testing.assert_allclose(found[0], np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(found[1], 0.0, atol=1e-14)
-    np.testing.assert_allclose(found[2], np.diag([1.0, 0.0, 0.0]), atol=1e-14)
+    projectors = free_directions(np.array([np.zeros((3, 3)), np.eye(3), slip]))
+    np.testing.assert_allclose(projectors[0], np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(projectors[1], 0.0, atol=1e-14)
+    np.testing.assert_allclose(projectors[2], np.diag([1.0, 0.0, 0.0]), atol=1e-14)
 
 
 def test_coarse_space_boxes_reproduce_linear_functions() -> None:
@@ -65,8 +65,8 @@ def test_coarse_space_boxes_reproduce_linear_functions() -> None:
     # The matrix of all functions at the points reproduces the coordinates.
     matrix = np.zeros((len(x), boxes.size))
     np.put_along_axis(matrix, functions, values, axis=1)
-    found, *_ = np.linalg.lstsq(matrix, x, rcond=None)
-    np.testing.assert_allclose(matrix @ found, x, atol=1e-12)
+    weights, *_ = np.linalg.lstsq(matrix, x, rcond=None)
+    np.testing.assert_allclose(matrix @ weights, x, atol=1e-12)
     far, near = boxes(np.array([[100.0, 1, 1]])), boxes(np.array([[50.0, 1, 1]]))
     np.testing.assert_array_equal(far[0], near[0])
     np.testing.assert_allclose(far[1], near[1])
@@ -140,12 +140,12 @@ def test_deflation_is_exact_for_its_motions() -> None:
         vectors[0].zeroEntries()
         motions.moved(weights, *vectors[1:])
         wanted = PETSc.Vec().createNest(vectors)
-        r, found = wanted.duplicate(), wanted.duplicate()
+        r, solution = wanted.duplicate(), wanted.duplicate()
         nest.mult(wanted, r)
-        pc.apply(r, found)
-        found.axpy(-1.0, wanted)
+        pc.apply(r, solution)
+        solution.axpy(-1.0, wanted)
         # The motions are a little stiffer than they are: one without resistance does no harm.
-        assert found.norm() < 1e-5 * wanted.norm()
+        assert solution.norm() < 1e-5 * wanted.norm()
 
 
 FACTORED_LATE = ("contact block", "stiffness")
@@ -179,8 +179,8 @@ def test_krylov_remedies_factor_interfaces_then_stiffness(
     assert [m.partition("factorizing the ")[2] for m in said] == [*FACTORED_LATE]
     problem, solver = support.assemble(support.case(PUSHED, "solver.linear=multigrid"))
     linear = solver.linear
-    found = [linear._fall_back() for _ in range(3)]
-    assert [text.partition("factorizing the ")[2] for text in found] == [*FACTORED_LATE, ""]
+    remedies = [linear._fall_back() for _ in range(3)]
+    assert [text.partition("factorizing the ")[2] for text in remedies] == [*FACTORED_LATE, ""]
     problem.set_time(0.5)
     assert solve(solver).converged
 

@@ -31,5 +31,5 @@ def test_pointwise_values_keep_the_order_of_points() -> None:
 
 def test_pointwise_without_points_gives_empty_arrays() -> None:
     law = Pointwise(MPI.COMM_SELF, 0, {"s": 1, "v": 3}, expressions)
-    found = law(s=np.zeros(0), v=np.zeros((0, 3)))
-    assert [f.shape for f in found] == [(0,), (0, 2), (0, 3, 3)]
+    values = law(s=np.zeros(0), v=np.zeros((0, 3)))
+    assert [f.shape for f in values] == [(0,), (0, 2), (0, 3, 3)]

@@ -17,8 +17,8 @@ PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(6, 11)), min_size=1, m
 @settings(max_examples=200, deadline=None)
 def test_substructures_vertex_cover_is_minimal(pairs: list[tuple[int, int]]) -> None:
     """By trying all smaller sets of nodes."""
-    found = set(vertex_cover(np.array(pairs)).tolist())
-    assert all(found & set(pair) for pair in pairs)
+    cover = set(vertex_cover(np.array(pairs)).tolist())
+    assert all(cover & set(pair) for pair in pairs)
     nodes = {node for pair in pairs for node in pair}
-    for fewer in combinations(nodes, len(found) - 1):
+    for fewer in combinations(nodes, len(cover) - 1):
         assert not all(set(fewer) & set(pair) for pair in pairs)

@@ -87,8 +87,8 @@ def test_fibres_cured_ring_is_elastic() -> None:
         rate.step()
     strain = "regions.ring.eigenstrains=[{strain: 1e-3}]"
     total = support.solve(text, change, strain)
-    found, expected = rate.problem.u.x.array, total.problem.u.x.array
-    assert support.difference(found, expected) < 1e-10
+    computed, expected = rate.problem.u.x.array, total.problem.u.x.array
+    assert support.difference(computed, expected) < 1e-10
     assert support.difference(rate.stress("ring"), total.stress("ring")) < 1e-9
     assert rate.balance.energy < 1e-9
 
@@ -165,9 +165,9 @@ def test_fibres_refuse_an_axis_inside_the_region(
     key = "regions.ring.thermal.fibre" if of_heat else "regions.ring.fibre"
     changes = (f"{key}.through={through}", f"{key}.axis={axis}", "mesh.size=2 mm")
     case = support.case(HOT, *changes) if of_heat else ring("radial", *changes)
-    found = well_posedness.look(case, build(case))
+    computed = well_posedness.look(case, build(case))
     if not refused:
-        well_posedness.judge(case, found)
+        well_posedness.judge(case, computed)
         return
     with pytest.raises(InputError, match=rf"^{key}: its axis meets the region, e.g. at \(.*axis o"):
-        well_posedness.judge(case, found)
+        well_posedness.judge(case, computed)

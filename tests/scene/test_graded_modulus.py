@@ -35,7 +35,7 @@ def test_graded_modulus_equal_values_are_a_constant() -> None:
     """In contact, at the second order: to the rounding of the solutions."""
     even = "regions.bone.youngs_modulus=[[0 mm, 17 GPa], [10 mm, 17 GPa], [15 mm, 17 GPa]]"
     more = ("mesh.order=2", "mesh.curved=false", "solver.tolerance=1e-13")
-    both = [support.solve(support.STEM, *more, *own) for own in ((even,), ())]
+    both = [support.solve(support.STEM, *more, *change) for change in ((even,), ())]
     for region in ("stem", "cement", "bone"):
         assert support.difference(*(s.displacement(region)[1] for s in both)) < 1e-12
         assert support.difference(*(s.stress(region) for s in both)) < 1e-11

@@ -69,7 +69,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
         return v
 
     x, J = solver.x, solver.snes.getJacobian()[0]
-    # Off the last state, which is its own history: nothing slips there.
+    # Off the last state, which is its history: nothing slips there.
     x.axpy(3.0, some(*free))
     assert set(map(int, problem.trial(*solver.u_and_q()).law.status)) == {OPEN, STICK, SLIP}
     base, moved, linear, there = (solver.vector() for _ in range(4))
@@ -232,7 +232,7 @@ def test_coupled_system_cured_cement_equals_an_elastic_solid(
         f"regions.upper.thermal.cure={{kinetics: {clock}, heat: 1e6 J/m^3, initial: 0.999999, "
         "gel: 0.5, shrinkage: 0}"
     )
-    runs = [coupled.solve(monkeypatch, *one_sided, *own) for own in ((), (cement,))]
+    runs = [coupled.solve(monkeypatch, *one_sided, *change) for change in ((), (cement,))]
     solid, hardened = (run.model.mechanical_path.solver.blocks_by_name() for run in runs)
     for name in MOTION:
         size = np.abs(solid[name].array).max()

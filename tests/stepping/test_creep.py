@@ -43,7 +43,7 @@ output: {fields: false}
 
 
 def at_points(strain: float, n: int) -> CreepState:
-    """Points of one strain so far, in a state of its own."""
+    """Points of one strain so far, in a separate state."""
     state = object.__new__(CreepState)
     state._law = {key: np.full(n, value) for key, value in LAW.items()} | {"unit": np.ones(n)}
     state._stiff, state.of, state.strain = np.full(n, 2538.0), {}, np.full(n, strain)
@@ -53,7 +53,7 @@ def at_points(strain: float, n: int) -> CreepState:
 @pytest.mark.parametrize("strain", [0.0, 1e-9, 1e-4, 1e-2])
 @pytest.mark.parametrize("cycles", [1.0, 1e3, 1e7])
 def test_creep_equation_at_a_point(strain: float, cycles: float) -> None:
-    """By bisection of its own, in s, over all stresses of cement; flow is along the deviator."""
+    """By a separate bisection, in s, over all stresses of cement; flow is along the deviator."""
     sizes = np.array([0.01, 0.3, 5.0, 50.0])
     σ = sizes[:, None] * np.array([[1.0, -0.2, 0.4, 0.3, 0.0, -0.5]])
     taken = at_points(strain, len(sizes)).relaxed(σ, cycles)
@@ -124,9 +124,9 @@ def test_creep_time_in_any_unit(tmp_path: Path) -> None:
         folder.mkdir()
         s = support.run(BAR, folder, *changes).summary
         for region in ("lower", "upper"):
-            found = s["regions"][region]
-            assert found["creep_strain_max"] == pytest.approx(expected, rel=1e-3)
-            assert found["creep_strain_mean"] == pytest.approx(expected, rel=1e-3)
+            numbers = s["regions"][region]
+            assert numbers["creep_strain_max"] == pytest.approx(expected, rel=1e-3)
+            assert numbers["creep_strain_mean"] == pytest.approx(expected, rel=1e-3)
         assert s["creep"] == {
             "time": seconds,
             "dissipation": pytest.approx(10 * expected * 6 * 4 * 4, rel=1e-3),
@@ -149,7 +149,7 @@ def test_creep_near_zero_equals_elasticity(
     tmp_path: Path,
 ) -> None:
     """Its stress is then history: of strains and temperatures, the same as the law's."""
-    numbers = []
+    summaries = []
     cool = ("regions.upper.thermal.cure=null", "interfaces.lower_upper.friction_coefficient=0")
     stage = "stages[1]={name: load, increments: 2, creep_cycles: 1, adaptive: false}"
     creeps = ("regions.upper.creep={A: 1e-20, p: 1, m0: 1}", stage, "stages[1].creep_tolerance=1")
@@ -158,8 +158,8 @@ def test_creep_near_zero_equals_elasticity(
         folder.mkdir()
         s = support.run(restarted.SETTING, folder, *changes).summary
         assert max(v for name, v in s["balance"].items() if name != "heat_quadrature") < 1e-8
-        numbers.append(s)
+        summaries.append(s)
     for key in ("von_mises_max", "principal_min"):
-        one, other = (s["regions"]["upper"][key] for s in numbers)
+        one, other = (s["regions"]["upper"][key] for s in summaries)
         assert one == pytest.approx(other, rel=1e-6) and abs(one) > 0.1
-    assert numbers[1]["regions"]["upper"]["creep_strain_max"] < 1e-18
+    assert summaries[1]["regions"]["upper"]["creep_strain_max"] < 1e-18

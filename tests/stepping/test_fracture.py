@@ -1,4 +1,4 @@
-"""Steps of given fracture energy on whole cases: snap-back, a law of one's own."""
+"""Steps of given fracture energy on whole cases: snap-back, a law of the user."""
 
 from __future__ import annotations
 
@@ -109,10 +109,10 @@ def test_energy_control_of_a_law_from_outside(tmp_path: Path, pull: str) -> None
     text = text.replace("x: 0 mm, y: 0 mm, z: 0.4 mm", pull)
     text = text.replace("increments: 10", "increments: 20")
     support.run(text, tmp_path)
-    own = text.replace("kind: cohesive\n    friction_coefficient: 0.3", "kind: own_cohesion")
-    done = support.extended(tmp_path, OWN, own, "run", "case.yaml", "-o", "own")
+    case = text.replace("kind: cohesive\n    friction_coefficient: 0.3", "kind: own_cohesion")
+    done = support.extended(tmp_path, OWN, case, "run", "case.yaml", "-o", "outside")
     assert done.returncode == 0, done.stdout + done.stderr
-    runs = [Run(tmp_path / name) for name in ("out", "own")]
+    runs = [Run(tmp_path / name) for name in ("out", "outside")]
     for name in ("gap_max [mm]", "pressure_p95 [MPa]", "shear_p95 [MPa]", "dissipation [N mm]"):
         a, b = (np.asarray(run.step_record[f"lower_upper {name}"]) for run in runs)
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-8)
