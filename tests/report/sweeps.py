@@ -63,6 +63,10 @@ class Maker:
 Law = Callable[[str, float, float, str], float]
 
 
+# Quantities of an interface with cement; motion has the values of slip.
+CEMENTED = ("gap", "slip", "motion", "pressure", "shear")
+
+
 def contact(law: Law, stem: str, t: float, mu: float, error: float) -> dict[str, Any]:
     """Numbers of both interfaces: the percentile by a law, the largest twice that."""
     found: dict[str, Any] = {}
@@ -70,7 +74,7 @@ def contact(law: Law, stem: str, t: float, mu: float, error: float) -> dict[str,
         found[place] = {"area": 100.0}
         found[place] |= {f"area_{q}_over_30um": 40.0 for q in ("slip", "motion")}
         found[place]["area_gap_over_30um"] = 1.0
-        for quantity in PERCENTILES:
+        for quantity in CEMENTED:
             unit = 1 if quantity in ("pressure", "shear") else 1e-3
             value = unit * law(stem, t, mu, f"{place}.{quantity}")
             part = PERCENTILES[quantity]
