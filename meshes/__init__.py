@@ -18,7 +18,6 @@ from importlib import import_module
 from itertools import combinations, product
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
@@ -38,6 +37,7 @@ from meshes.data import (
     interface_facets,
     region_volumes,
 )
+from meshes.geometry import FileKeys, GeometryKeys, is_file, is_hip
 from meshes.imported import write as write_msh
 from meshes.pieces import coincident
 
@@ -50,7 +50,7 @@ OTHERS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
 MANTLE = (1.0, 8.0)  # mm of cement that a femur may have
 
 
-def build(geometry: Any, mesh: MeshKeys, cache: Path | None = None) -> MeshData:
+def build(geometry: GeometryKeys, mesh: MeshKeys, cache: Path | None = None) -> MeshData:
     """Mesh a geometry, or take the mesh from the cache; the same input gives the same mesh.
 
     ``geometry`` is one of the case's geometries, which names its ``mesher``; ``mesh`` has ``size``,
@@ -72,16 +72,18 @@ def build(geometry: Any, mesh: MeshKeys, cache: Path | None = None) -> MeshData:
     return data
 
 
-def _make(geometry: Any, mesh: MeshKeys) -> MeshData:
+def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
     # Imported here: a block needs no femur, and no scipy.
     mesher = import_module(geometry.mesher)
     try:
         data, quality = _checked(mesher, geometry, mesh)
     except _quality.PoorCellsError as error:
         raise GeometryError(f"{error}\n{_remedy(mesher, geometry, mesh)}") from None
-    file = geometry.kind == "file"  # of a file the case knows which interfaces are meshed apart
-    whole = () if file else set(data.regions) - DIVISIBLE
-    _check_parts(data, whole, geometry.interface_sides if file else geometry.faces)
+    if is_file(geometry):
+        # The case knows which interfaces of a file are meshed apart.
+        _check_parts(data, (), geometry.interface_sides)
+    else:
+        _check_parts(data, set(data.regions) - DIVISIBLE, geometry.faces)
     _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,
@@ -96,26 +98,26 @@ def _make(geometry: Any, mesh: MeshKeys) -> MeshData:
     for m in geometry.mantles:
         from meshes import gruen, mantle
 
-        zones = gruen.Zones(geometry) if geometry.has_gruen_zones else None
+        zones = gruen.Zones(geometry) if is_hip(geometry) else None
         notes["mantle"] = mantle.describe(data, m.thickness, m.tip, zones)
         if zones:
             notes["mantle"]["cortex_min"] = mantle.least_cortex(data, m.tip)
-    if "stem_bone" in data.interfaces and geometry.has_gruen_zones:
+    if "stem_bone" in data.interfaces and is_hip(geometry):
         from meshes import mantle
 
         notes["cortex_min"] = mantle.least_cortex(data, geometry.flanks_end)
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
-def _checked(mesher: ModuleType, geometry: Any, mesh: MeshKeys) -> tuple[MeshData, Floats]:
+def _checked(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> tuple[MeshData, Floats]:
     """The mesh and the quality of its cells (m,), all of which are good enough."""
     data = canonical(mesher.build(geometry, mesh))
     return data, _quality.check(data.points, data.cells, data.cell_tags, data.regions)
 
 
-def _remedy(mesher: ModuleType, geometry: Any, mesh: MeshKeys) -> str:
+def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
     """Return the change that gives good cells: a size that meshes, else a thickness of cement."""
-    if geometry.kind == "file":
+    if is_file(geometry):
         return "Try another mesh.size." if geometry.is_script else "Repair the mesh file."
 
     def near(length: float, least: float, most: float) -> list[float]:
@@ -123,15 +125,17 @@ def _remedy(mesher: ModuleType, geometry: Any, mesh: MeshKeys) -> str:
         return [other for other in others if least <= other <= most]
 
     sizes = near(mesh.size, 0.0, min(mesh.far, geometry.coarsest_size))
-    changes = [("mesh.size", x, geometry, mesh.model_copy(update={"size": x})) for x in sizes]
+    changes: list[tuple[str, float, GeometryKeys, MeshKeys]] = [
+        ("mesh.size", x, geometry, mesh.model_copy(update={"size": x})) for x in sizes
+    ]
     thickness = getattr(geometry, "cement_thickness", None)
     if isinstance(thickness, float):
         for x in near(thickness, *MANTLE):
-            other = geometry.model_copy(update={"cement_thickness": x})
-            changes.append(("geometry.cement_thickness", x, other, mesh))
-    for key, length, *changed in changes:
+            thinner = geometry.model_copy(update={"cement_thickness": x})
+            changes.append(("geometry.cement_thickness", x, thinner, mesh))
+    for key, length, other, keys in changes:
         with contextlib.suppress(GeometryError):
-            _checked(mesher, *changed)
+            _checked(mesher, other, keys)
             return f"Set {key}: {length:g} mm; all elements are good then."
     tried = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
     words = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
@@ -162,7 +166,9 @@ def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] 
     pieces = {n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in whole}
     broken = ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
     if broken:
-        raise GeometryError(f"regions in several pieces: {broken}")
+        raise GeometryError(
+            f"regions in several pieces: {broken}; each is one body: change sizes in `geometry`"
+        )
 
 
 def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> None:
@@ -203,7 +209,7 @@ def _between(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
             yield a, b, faces_of(data.cells, cell[on], face[on])
 
 
-def meeting(geometry: Any, mesh: MeshKeys) -> tuple[list[tuple[str, str]], list[str]]:
+def meeting(geometry: FileKeys, mesh: MeshKeys) -> tuple[list[tuple[str, str]], list[str]]:
     """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
     from meshes import imported
 

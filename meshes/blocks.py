@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
+from meshes.geometry import StackKeys
 from meshes.gmsh_child import grade, session, tetrahedra
 
 
-def build(geometry: Any, mesh: MeshKeys) -> MeshData:
+def build(geometry: StackKeys, mesh: MeshKeys) -> MeshData:
     """Mesh a stack of blocks with the origin at its corner: interfaces are ``<lower>_<upper>``.
 
     Args:

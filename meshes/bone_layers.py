@@ -161,5 +161,5 @@ class TableLayers:
                 x = placed.where(start[twice[0]])
                 raise GeometryError(
                     f"geometry: a line across the bone from {x} meets the {name} more than once;"
-                    " sections must be star-shaped about the stem"
+                    " move or turn the stem, or smooth the surface there"
                 )

@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 
 from app.foundation import files
-from meshes.data import MeshData
+from meshes.data import MeshData, MeshKeys
+from meshes.geometry import GeometryKeys, is_file
 
 log = logging.getLogger("mantle")
 
 MESHER_VERSION = 33  # raise it whenever the same input gives another mesh or other notes
 
 
-def key(geometry: Any, mesh: Any) -> str:
+def key(geometry: GeometryKeys, mesh: MeshKeys) -> str:
     """Hash of everything the mesh depends on; of files their content, not their names."""
     content: dict[str, Any] = {
         "geometry": _without_paths(geometry.model_dump()),
@@ -34,9 +35,11 @@ def key(geometry: Any, mesh: Any) -> str:
     content["mesh"].pop("order", None)
     content["version"] = MESHER_VERSION
     content["files"] = geometry.content
-    if geometry.kind == "file":
+    is_meshed = True
+    if is_file(geometry):
         content["apart"] = geometry.apart
-    if geometry.kind != "file" or geometry.is_script:
+        is_meshed = geometry.is_script
+    if is_meshed:
         content["gmsh"] = _gmsh_version()
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
@@ -92,7 +95,7 @@ def lock(path: Path) -> Iterator[None]:
 def store(data: MeshData, path: Path) -> None:
     """Write the mesh under another name and rename it; skipped where the folder is not writable."""
     names = json.dumps({name: getattr(data, name) for name in NAMES})
-    arrays: dict[str, Any] = {name: getattr(data, name) for name in ARRAYS}
+    arrays = {name: getattr(data, name) for name in ARRAYS}
     content = io.BytesIO()
     np.savez(content, **arrays, names=np.array(names))
     try:

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Bools, Floats
+from app.foundation.arrays import Bools, Floats, Numbers
 from app.foundation.errors import GeometryError
 from meshes.data import StepKeys
 from meshes.femur_stem import ARC, LEAST_WHOLE, Thickness, allotted, limited, unit
@@ -202,11 +201,15 @@ class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
     def __init__(
-        self, shape: Mapping[str, Any], ends: tuple[float, float], placed: Placement, mesh: StepKeys
+        self,
+        shape: Mapping[str, Floats],
+        ends: tuple[float, float],
+        placed: Placement,
+        mesh: StepKeys,
     ) -> None:
         """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
         (self._low, high), self._placed = ends, placed
-        self._high = self._low + shape["shoulder"] - TIP if high < placed.top else np.inf
+        self._high = self._low + float(shape["shoulder"]) - TIP if high < placed.top else np.inf
         way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, self._low])
         self._x, self._coarse = shape["x"] * way + shift, shape["coarse"] * way + shift
         self._kept = lru_cache(maxsize=4096)(self._outline)
@@ -248,10 +251,11 @@ class CadStem:
         except ValueError:
             where = self._placed.where(self._placed.to_model(origin))
             raise GeometryError(
-                f"geometry.stem: around {where}, the section of the stem is met more than once from"
-                " there: a collar, or a neck that leaves the body below the neck cut? Move it"
-                " proximally (geometry.tip_z, geometry.insertion.depth), cut lower"
-                " (geometry.resection_height, geometry.resection.height), or leave the collar out"
+                f"geometry.stem: around {where}, rays from the stem's axis meet its surface more"
+                " than once. Is there a collar, or does the neck leave the body below the neck"
+                " cut? Move the stem proximally (geometry.tip_z, geometry.insertion.depth), cut"
+                " lower (geometry.resection_height, geometry.resection.height), or remove the"
+                " collar from the file"
             ) from None
 
     def _lines(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
@@ -294,7 +298,7 @@ class CadStem:
         self._placed_lines.cache_clear()
         return self
 
-    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
+    def point(self, phi: Floats, zeta: Numbers, slope: Numbers) -> Floats:
         """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""
         zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
         return self._at(phi, self._low + np.abs(zeta - self._low), slope, np.zeros(len(phi)))

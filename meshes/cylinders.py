@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import MeshData, MeshKeys, assemble, exterior_facets, number
+from meshes.geometry import CylinderKeys
 from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
 
@@ -17,7 +17,7 @@ SLICE = 2.0  # mesh sizes: shorter cylinders may be swept
 Radii = tuple[float, float, float]  # of the stem, the cement and the bone [mm]
 
 
-def build(geometry: Any, mesh: MeshKeys) -> MeshData:
+def build(geometry: CylinderKeys, mesh: MeshKeys) -> MeshData:
     """Mesh concentric cylinders about the z axis, from z = 0 (distal) to ``length``.
 
     Regions are stem, cement and bone, interfaces stem_cement and cement_bone.
@@ -53,7 +53,7 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
 
 
 def _tetrahedra(
-    geometry: Any, mesh: MeshKeys, radii: Radii, swept: bool
+    geometry: CylinderKeys, mesh: MeshKeys, radii: Radii, swept: bool
 ) -> tuple[Floats, Ints, Ints]:
     """Nodes, cells and the volume of each cell."""
     slope, length = math.tan(geometry.taper), geometry.length
@@ -99,12 +99,12 @@ def _slice(gmsh: ModuleType, radii: Radii, length: float, sector: str, layers: i
 
 
 def _boundaries(
-    x: Floats, region: Ints, regions: dict[str, int], geometry: Any, outer: float
+    x: Floats, region: Ints, regions: dict[str, int], geometry: CylinderKeys, outer: float
 ) -> dict[str, Bools]:
     """Masks over facets with corners x (n, 3, 3): ends, planes of symmetry, the outer surface."""
     near = 1e-6 * geometry.length
-    on_x, on_y, bottom = (np.abs(x) < near).all(axis=1).T
-    top = (np.abs(x[..., 2] - geometry.length) < near).all(axis=1)
+    on_x, on_y, bottom = np.all(np.abs(x) < near, axis=1).T
+    top = np.all(np.abs(x[..., 2] - geometry.length) < near, axis=1)
     masks: dict[str, Bools] = {}
     for name, tag in regions.items():
         masks |= {f"{name}_bottom": bottom & (region == tag), f"{name}_top": top & (region == tag)}

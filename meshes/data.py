@@ -19,7 +19,9 @@ import numpy.typing as npt
 
 from app.foundation.arrays import Bools, Floats, Ints
 
-Tags = npt.NDArray[np.integer[Any]]
+Tags = npt.NDArray[np.integer]
+# Names of the regions on the two sides of an interface.
+Sides = tuple[tuple[str, ...], tuple[str, ...]]
 AT_ONCE = 1 << 13  # cells, of which all intermediate numbers fit a cache
 
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
@@ -64,6 +66,9 @@ class MeshKeys(StepKeys, Protocol):
     def model_copy(self, *, update: Mapping[str, Any]) -> Self:
         """The keys with some of them changed."""
 
+    def model_dump(self) -> dict[str, Any]:
+        """Keys and values."""
+
     def lines_around(self, section: tuple[float, float, float]) -> int:
         """Lines around a stem, by half-width, half-depth and corner radius of a section."""
 
@@ -101,7 +106,7 @@ class MeshData:
     facet_tags: npt.NDArray[np.int32]
     regions: Mapping[str, int]
     boundaries: Mapping[str, tuple[int, ...]]
-    interfaces: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+    interfaces: Mapping[str, Sides]
     notes: Mapping[str, Any] = field(default_factory=dict)
     behind: Ints | None = None
 

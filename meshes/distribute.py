@@ -83,7 +83,9 @@ class TaggedMesh:
         tagged = np.isin(cell_tags.values, list(regions.values())).sum()
         missing = cells.size_local + cells.num_ghosts - int(tagged)
         if mesh.topology.cell_type != CellType.tetrahedron:
-            raise InputError(f"cells are of type {mesh.topology.cell_type.name}, not tetrahedron")
+            raise InputError(
+                f"cells are of type {mesh.topology.cell_type.name}; expected tetrahedron"
+            )
         if mesh.comm.allreduce(missing):
             raise InputError("cells without a region; tag every cell, ghosts too")
         patches = {n: (t,) if isinstance(t, int) else tuple(t) for n, t in boundaries.items()}

@@ -23,6 +23,7 @@ from app.foundation.implant import Implant
 from meshes import swept
 from meshes.data import MeshData, MeshKeys
 from meshes.femur import assembled
+from meshes.geometry import IntactHipKeys
 from meshes.layered_surfaces import LEAST_MANTLE, SPREAD, LayeredSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
@@ -47,6 +48,8 @@ RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
 
 class Intact(LayeredSurfaces):
     """Surfaces of the intact bone; beyond station ``neck``, in the head, nodes are on no line."""
+
+    _geometry: IntactHipKeys
 
     def _continue(self, implant: Implant) -> None:
         geometry, placed = self._geometry, self._placed
@@ -169,7 +172,7 @@ def _longer(start: Floats, end: Floats, endosteum: Floats, by: Floats) -> tuple[
     return end + (by / length)[:, None] * way, (endosteum * length + by) / (length + by)
 
 
-def build(geometry: Any, mesh: MeshKeys) -> MeshData:
+def build(geometry: IntactHipKeys, mesh: MeshKeys) -> MeshData:
     """Mesh the bone: two regions.
 
     Boundaries are distal_cut, bone_surface, head and six muscle patches, the last two parts of

@@ -12,11 +12,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Numbers
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes.data import StepKeys
@@ -36,14 +36,22 @@ LEAST_ARM = 0.5  # mm before and after it
 SHOULDER = 6.0  # mm that the shoulder may be above the cut without standing out
 
 
-# Thickness of a mantle at angles [rad] and levels [mm], the same for all or (n,) [mm].
-Thickness = Callable[[Any, Any], Any]
+# Thickness of a mantle at angles [rad] and levels [mm] (n,) [mm].
+Thickness = Callable[[Floats, Floats], Floats]
 
 
-def thickness(given: Any, low: float, top: float) -> Thickness:
+class Graded(Protocol):
+    """Thickness of a mantle by height and side."""
+
+    @property
+    def tables(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """Mean thickness [mm] by fraction of the height; ratio to it by angle in turns."""
+
+
+def thickness(given: float | Graded, low: float, top: float) -> Thickness:
     """Thickness of a mantle at angles and levels, given from the tip's level to the cut's [mm]."""
     if isinstance(given, float):
-        return lambda theta, z: given
+        return lambda theta, z: np.full(np.shape(z), given)
     (parts, means), (turns, ratios) = (np.transpose(table) for table in given.tables)
 
     def at(theta: Floats, z: Floats) -> Floats:
@@ -76,23 +84,24 @@ class Body:
     """A tapered rounded rectangle: value + slope * z for half-width, half-depth and corner.
 
     Attributes:
-        half: Values at z = 0 of half-width (x), half-depth (y) and corner radius [mm].
+        half: Values at z = 0 of half-width (x), half-depth (y) and corner radius, each a number or
+            one for each point (n,) [mm].
         slope: Their slopes [-].
         lean: Slope of the planes of `point` along y over that along x.
         shares: Parts of a quarter's lines on its half side, its corner and its half front.
     """
 
-    half: tuple[float, float, float]
+    half: tuple[Numbers, Numbers, Numbers]
     slope: tuple[float, float, float]
     lean: float = 0.0
     shares: tuple[float, float, float] = (0.25, 0.5, 0.25)
 
-    def section(self, z: Any) -> tuple[Any, Any, Any]:
+    def section(self, z: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """Half-width, half-depth and corner radius at z [mm]."""
         a, b, r = (v + s * z for v, s in zip(self.half, self.slope, strict=True))
         return a, b, r
 
-    def _weights(self, z: Any) -> Floats:
+    def _weights(self, z: Numbers) -> Floats:
         """Lengths of half a side, a corner, which counts more, and half a front, (3, ...) [mm]."""
         a, b, r = self.section(np.asarray(z))
         return np.stack([b - r, ARC * 0.5 * np.pi * r, a - r])
@@ -108,7 +117,7 @@ class Body:
         side, corner, front = map(float, weights / weights.sum())
         return replace(self, shares=(side, corner, front))
 
-    def _shares(self, z: Any) -> Floats:
+    def _shares(self, z: Numbers) -> Floats:
         """Shares at levels z (3, ...).
 
         They are the same everywhere, so that lines do not leave the ends of arcs, but for pieces
@@ -131,7 +140,7 @@ class Body:
         rounded = (flat * c > a - r) & (flat * s > b - r)
         return np.where(rounded, corner, flat)
 
-    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
+    def point(self, phi: Floats, zeta: Numbers, slope: Numbers) -> Floats:
         """Points of the outline in the planes z = zeta - slope (x + lean y) (n, 3) [mm].
 
         Args:
@@ -163,7 +172,7 @@ class Body:
                 x, y, _ = level.point(phi, z, 0.0).T
         return np.stack([x, y, z], axis=1)
 
-    def offset(self, thickness: Any) -> Body:
+    def offset(self, thickness: Numbers) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
         a, b, r = self.half
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
@@ -277,7 +286,7 @@ class Upper:
         ring = self.ring(phi, 0)
         return ring - self.body.point(phi, *self.planes[1]), self.ring(phi, 1) - ring
 
-    def point(self, phi: Floats, zeta: Any) -> Floats:
+    def point(self, phi: Floats, zeta: Numbers) -> Floats:
         """Points in planes above the body's end, parallel to it (n, 3) [mm]."""
         (way, _), (base, slope) = self.ways(phi), self.planes[1]
         rise = way[:, 2] + slope * (way[:, 0] + self.body.lean * way[:, 1])

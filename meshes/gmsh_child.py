@@ -16,9 +16,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from app import mesh_files
 from app.foundation.arrays import Floats, Ints
@@ -35,6 +36,18 @@ GROWTH = 0.4  # mm of element size per mm of distance from an interface
 # How often the finest cells of a script may be in its diagonal; any more would never be meshed.
 MOST_EDGES = 20_000
 WRITTEN = 1 << 30  # bytes in a file
+
+
+class ReadRequest(TypedDict):
+    """What to read: lengths in mm; ``unit`` is that of the file in mm."""
+
+    path: str
+    script: bool
+    size: float
+    far_size: float
+    curved: bool | None
+    unit: float
+    regions: tuple[str, ...]
 
 
 @contextmanager
@@ -139,7 +152,7 @@ def elements(gmsh: ModuleType, kind: int, entities: Iterable[int], row: Ints) ->
     return row[np.concatenate(blocks).astype(np.int64) - 1].reshape(-1, width)
 
 
-def serve(reader: Callable[[Any], dict[str, Any]], seconds: int) -> None:
+def serve(reader: Callable[[Any], Mapping[str, ArrayLike]], seconds: int) -> None:
     """Answer the request on standard input, within the limits: arrays by name, or an error."""
     request = json.load(sys.stdin)
     answer = os.dup(1)
@@ -153,14 +166,14 @@ def serve(reader: Callable[[Any], dict[str, Any]], seconds: int) -> None:
     ):
         resource.setrlimit(limit, (most, most))
     try:
-        arrays = reader(request)
+        arrays: dict[str, Any] = {**reader(request)}
     except GeometryError as error:
-        arrays = {"error": np.array(str(error))}
+        arrays = {"error": str(error)}
     with open(answer, "wb") as pipe:
         np.savez(pipe, **arrays)
 
 
-def read(request: Mapping[str, Any]) -> dict[str, Any]:
+def read(request: ReadRequest) -> dict[str, ArrayLike]:
     """Read a ``.msh`` file, or mesh a script.
 
     Returns:
@@ -173,7 +186,11 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         if request["script"]:
             _run_script(gmsh, request)
         else:
-            gmsh.merge(path.name)
+            try:
+                gmsh.merge(path.name)
+            except Exception as error:  # gmsh raises bare Exception
+                text = "is damaged or cut short; export it again"
+                raise GeometryError(f"{path}: {text} (gmsh: {error})") from error
         groups: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
         for dim, tag in gmsh.model.getPhysicalGroups(2) + gmsh.model.getPhysicalGroups(3):
             entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
@@ -198,23 +215,29 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         numbers, x, _ = mesh.getNodes()
         bad = numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]
         if len(bad):
-            raise GeometryError(f"{path}: node {bad[0]}: its coordinates are no numbers")
+            raise GeometryError(
+                f"{path}: node {bad[0]} has a coordinate that is not a number; export the "
+                "mesh again"
+            )
         points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
         cells = {name: elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
         full = {mesh_files.word(name) for name, block in cells.items() if len(block)}
         absent = [name for name in request["regions"] if name not in full]
         if absent:
-            raise GeometryError(f"{listing}; no cells in the volumes {_listed(absent)}")
+            raise GeometryError(
+                f"{listing}; the volumes {_listed(absent)} have no cells; mesh them, or "
+                "leave them out"
+            )
         _, tags, _ = mesh.getElements(3)
-        arrays = {"points": points, "everything": np.array(sum(map(len, tags)))}
+        arrays: dict[str, ArrayLike] = {"points": points, "everything": sum(map(len, tags))}
         arrays |= {f"cells {name}": block for name, block in cells.items() if len(block)}
         for name, on in surfaces.items():
             arrays[f"surfaces {name}"] = elements(gmsh, triangle, on, row)
         return arrays
 
 
-def _run_script(gmsh: ModuleType, request: Mapping[str, Any]) -> None:
+def _run_script(gmsh: ModuleType, request: ReadRequest) -> None:
     size, unit = request["size"], request["unit"]
     gmsh.parser.setNumber("size", [size / unit])
     gmsh.parser.setNumber("far_size", [request["far_size"] / unit])
@@ -226,12 +249,12 @@ def _run_script(gmsh: ModuleType, request: Mapping[str, Any]) -> None:
     if not edges <= MOST_EDGES:
         raise GeometryError(
             f"mesh.size: {size:g} mm: the diagonal of {request['path']} is {edges:.1g} cells "
-            f"long; at most {MOST_EDGES}"
+            f"long; at most {MOST_EDGES}: use a larger size, or correct `unit`"
         )
     gmsh.model.mesh.generate(3)
     if request["curved"]:
         gmsh.model.mesh.setOrder(2)
 
 
-def _listed(names: Any) -> str:
+def _listed(names: Iterable[str]) -> str:
     return ", ".join(name or "(unnamed)" for name in names) or "none"

@@ -15,12 +15,11 @@ zone.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from meshes import femur_stem
+from meshes.geometry import HipKeys, is_radial
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
 RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
@@ -39,7 +38,7 @@ class Zones:
     numbers = range(1, 15)
     regions = ("cortical_bone", "cancellous_bone")
 
-    def __init__(self, geometry: Any) -> None:
+    def __init__(self, geometry: HipKeys) -> None:
         self._geometry, self._local = geometry, geometry.placement.to_stem
         placed, implant = geometry.placement, geometry.implant
         self._normal = placed.normal @ placed.turn
@@ -67,8 +66,8 @@ class Zones:
         """Distance of points (n, 3) below the plane of the neck cut (n,) [mm]."""
         return np.asarray(self._level - self._local(x) @ self._normal)
 
-    def thickness(self, x: Floats) -> Any:
-        """Thickness asked for of the mantle at points (n, 3), the same for all or (n,) [mm]."""
+    def thickness(self, x: Floats) -> Floats:
+        """Thickness asked for of the mantle at points (n, 3), (n,) [mm]."""
         x = self._local(x)
         return self._thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
 
@@ -76,13 +75,14 @@ class Zones:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
         return {"tip": self._local(x)[:, 2] - self._end - EDGE, "rim": self.depth(x) - RIM}
 
-    def is_left(self, x: Floats) -> Any:
-        """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
+    def is_left(self, x: Floats) -> Bools:
+        """Mask of the points (n, 3) [mm] of bone that the planned operation leaves (n,)."""
         g = self._geometry
-        if g.implant.cad is not None or not g.femur.is_radial:
+        bone = g.femur
+        if g.implant.cad is not None or not is_radial(bone):
             # The bone around such a stem is what the operation leaves.
             return np.ones(len(x), dtype=bool)
-        canal = g.femur.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        canal = bone.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         x = self._local(x)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
@@ -93,4 +93,5 @@ class Zones:
         else:
             end = g.implant.tip_z - g.implant.tip_void
         below = z < end + EDGE
-        return (x @ self._normal <= self._level + EDGE) & ((r >= cavity - EDGE) | below)
+        below_cut = x @ self._normal <= self._level + EDGE
+        return np.asarray(below_cut & ((r >= cavity - EDGE) | below))

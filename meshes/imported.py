@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from app import mesh_files
 from app.foundation import confined
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
 from meshes.data import (
     MeshData,
@@ -23,7 +23,8 @@ from meshes.data import (
     number,
     same_triangles,
 )
-from meshes.gmsh_child import MILLIMETRES, session
+from meshes.geometry import FileKeys
+from meshes.gmsh_child import MILLIMETRES, ReadRequest, session
 from meshes.pieces import coincident
 from meshes.quality import bent, overlapping, places, untangle
 
@@ -31,7 +32,26 @@ from meshes.quality import bent, overlapping, places, untangle
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
 
-def build(geometry: Any, mesh: MeshKeys) -> MeshData:
+@dataclass(frozen=True)
+class FileMesh:
+    """Content of a mesh file, by the names in it.
+
+    Attributes:
+        points: Nodes, in the unit of the file (n, 3).
+        cells: Nodes of the cells of each region (m, 4 or 10).
+        surfaces: Nodes of the triangles of each surface (k, 3 or 6).
+        everything: Number of cells, including those without a region.
+        messages: Notes on what was left out or merged.
+    """
+
+    points: Floats
+    cells: dict[str, Ints]
+    surfaces: dict[str, Ints]
+    everything: int
+    messages: list[str] = field(default_factory=list)
+
+
+def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
     """Read a file of straight or quadratic tetrahedra, or run a script.
 
     Args:
@@ -48,11 +68,9 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
         GeometryError: A script that fails, no tetrahedra, other elements, missing or overlapping
             physical groups (with the names in the file), cells that overlap, a file that changes.
     """
-    arrays, path = _read(geometry, mesh), geometry.path
-    blocks, surfaces = (
-        {key.removeprefix(kind): block for key, block in arrays.items() if key.startswith(kind)}
-        for kind in ("cells ", "surfaces ")
-    )
+    path = geometry.path
+    mesh_file = _read(geometry, mesh)
+    blocks, surfaces = mesh_file.cells, mesh_file.surfaces
     try:
         clean = mesh_files.case_names(blocks)
         blocks = {clean[name]: block for name, block in blocks.items()}
@@ -63,8 +81,11 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     regions, cells = number(blocks), np.concatenate([*blocks.values()])
     cell_tags = np.repeat([*regions.values()], [*map(len, blocks.values())]).astype(np.int32)
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
-        raise GeometryError(f"{path}: some cells belong to two physical volumes")
-    points = arrays["points"] * MILLIMETRES[geometry.unit]
+        raise GeometryError(
+            f"{path}: some cells belong to two physical volumes; give each volume one "
+            "physical group"
+        )
+    points = mesh_file.points * MILLIMETRES[geometry.unit]
     if cells.shape[1] == 10 and geometry.is_script and not bent(points, cells):
         cells = cells[:, :4]
     negative = cell_volumes(points, cells) < 0
@@ -72,7 +93,7 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     try:
         overlap, (facets, _) = overlapping(cells), exterior_facets(cells)
     except ValueError as error:
-        raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
+        raise GeometryError(f"{path}: {error}; remove cells that overlap or stand twice") from error
     if len(overlap):
         where = "\n".join(places(points, cells, cell_tags, regions, overlap))
         raise GeometryError(
@@ -90,8 +111,8 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
     turned += "inside out: they are turned, and no cell overlaps its neighbours"
-    messages = [*([turned] if negative.any() else []), *arrays.get("messages", [])]
-    everything = int(arrays["everything"])
+    messages = [*([turned] if negative.any() else []), *mesh_file.messages]
+    everything = mesh_file.everything
     if everything > len(cells):
         messages.append(
             f"geometry: {everything - len(cells)} of {everything} cells of the file belong to no "
@@ -106,15 +127,15 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
     return replace(data, notes=notes)
 
 
-def _read(geometry: Any, mesh: MeshKeys) -> dict[str, Any]:
-    """Arrays of the file by name; gmsh reads in a child process (`meshes.gmsh_child.read`)."""
+def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:
+    """Read the file; gmsh reads in a child process (`meshes.gmsh_child.read`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
-            raise GeometryError(f"{path} has changed since it was looked at: run it again")
-        if path.suffix in mesh_files.READERS:
+            raise GeometryError(f"{path} has changed since the case was read; run the case again")
+        if path.suffix.lower() in mesh_files.READERS:
             return _of_others(path, geometry)
-        request = {
+        request: ReadRequest = {
             "path": str(path),
             "script": geometry.is_script,
             "size": mesh.size,
@@ -123,11 +144,16 @@ def _read(geometry: Any, mesh: MeshKeys) -> dict[str, Any]:
             "unit": MILLIMETRES[geometry.unit],
             "regions": geometry.region_names,
         }
-        return confined.ask("meshes.gmsh_child:read", request, folder)
+        arrays = confined.ask("meshes.gmsh_child:read", request, folder)
+    cells, surfaces = (
+        {key.removeprefix(kind): block for key, block in arrays.items() if key.startswith(kind)}
+        for kind in ("cells ", "surfaces ")
+    )
+    return FileMesh(arrays["points"], cells, surfaces, int(arrays["everything"]))
 
 
-def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
-    """Return the same as `gmsh_child.read` for a file of another program.
+def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
+    """Read a file of another program.
 
     Boundaries of sets of nodes have the facets whose nodes are all in the set. Coincident nodes are
     merged, except between the regions on the two sides of ``apart`` of the geometry.
@@ -137,7 +163,7 @@ def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
     try:
         facets = exterior_facets(cells)[0][:, :3]
     except ValueError as error:
-        raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
+        raise GeometryError(f"{path}: {error}; remove cells that overlap or stand twice") from error
     whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in content.nodes.items()}
     empty = [n for n, block in whole.items() if not len(block) and n not in content.triangles]
     pairs = coincident(points)
@@ -152,17 +178,17 @@ def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
     doubled = int((row != np.arange(len(row))).sum())
     if doubled:
         notes.append(f"geometry: {doubled} nodes are merged with others at their places")
-    blocks, twice = dict[str, Any](), 0
+    blocks = dict[str, Ints]()
+    twice = 0
     for name, rows in content.sets.items():
         block = row[cells[rows]]
         once = np.unique(np.sort(block[:, :4], axis=1), axis=0, return_index=True)[1]
         twice += len(block) - len(once)
-        blocks[f"cells {name}"] = block[np.sort(once)]
+        blocks[name] = block[np.sort(once)]
     if twice:
         notes.append(f"geometry: {twice} cells stand twice in the file: one of each is kept")
-    arrays: dict[str, Any] = {"points": points, "everything": len(cells) - twice, "messages": notes}
-    arrays |= blocks
-    return arrays | {f"surfaces {n}": row[t] for n, t in (whole | content.triangles).items()}
+    surfaces = {name: row[rows] for name, rows in (whole | content.triangles).items()}
+    return FileMesh(points, blocks, surfaces, len(cells) - twice, notes)
 
 
 def write(data: MeshData, path: Path) -> None:

@@ -29,6 +29,7 @@ from meshes.bone_layers import BoneLayers
 from meshes.cad_stem import CadStem
 from meshes.data import MeshKeys
 from meshes.femur_stem import Upper
+from meshes.geometry import HipKeys
 from meshes.layers import DIGITS, Lines, Nodes, Sections, root
 from meshes.reference_body import COARSER, ReferenceBody, Segment
 
@@ -66,7 +67,7 @@ class StemWithMantle:
         is_cad: True if it is from a file.
     """
 
-    def __init__(self, geometry: Any, mesh: MeshKeys) -> None:
+    def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
         implant, placed = geometry.implant, geometry.placement
         self._implant, self._placed, self._mesh = implant, placed, mesh
         self.plug, self.is_cemented = implant.plug, geometry.is_cemented
@@ -75,7 +76,7 @@ class StemWithMantle:
         self.is_cad = implant.cad is not None
         height = 0.0 if self.is_cad else implant.tip_height
         self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
-        if self.is_cad:
+        if implant.cad is not None:
             ends = implant.tip_z, self.shoulder
             body: Any = CadStem(implant.cad, ends, placed, mesh)
         else:
@@ -158,7 +159,7 @@ class LayeredSurfaces:
     coarser, spared = COARSER, 0.0
     mirrored = range(0)
 
-    def __init__(self, geometry: Any, mesh: MeshKeys) -> None:
+    def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
         self.mesh, self._placed = mesh, geometry.placement
         self._geometry = geometry
         self.notes = list[str]()
@@ -374,7 +375,7 @@ class LayeredSurfaces:
 
 
 @lru_cache(maxsize=2)
-def kept(geometry: Any, mesh: MeshKeys, files: str) -> LayeredSurfaces:
+def kept(geometry: HipKeys, mesh: MeshKeys, files: str) -> LayeredSurfaces:
     """The surfaces of a patient; with a stem from CAD they take some seconds."""
     return LayeredSurfaces(geometry, mesh)
 

@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import GeometryError
@@ -48,11 +49,11 @@ class Placement:
         """Origin of the stem's axes (3,) [mm]."""
         return np.asarray(self.foot - self.top * self.turn[:, 2])
 
-    def to_stem(self, x: Any) -> Floats:
+    def to_stem(self, x: ArrayLike) -> Floats:
         """Points of the model (..., 3) in the stem's axes [mm]."""
-        return np.asarray((x - self.origin) @ self.turn)
+        return np.asarray((np.asarray(x) - self.origin) @ self.turn)
 
-    def to_model(self, x: Any) -> Floats:
+    def to_model(self, x: ArrayLike) -> Floats:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
         return np.asarray(np.asarray(x) @ self.turn.T + self.origin)
 
@@ -112,6 +113,85 @@ class ResectedBone(Protocol):
         Raises:
             GeometryError: The axis is outside of the bone at this height.
         """
+
+
+class ResectionKeys(Protocol):
+    """The cut across the neck."""
+
+    @property
+    def height(self) -> float:
+        """Height at which it leaves the medial cortex [mm]."""
+
+    @property
+    def angle(self) -> float:
+        """Angle to the transverse plane [rad]."""
+
+    @property
+    def azimuth(self) -> float | None:
+        """Direction of its normal about the shaft, from medial to anterior [rad].
+
+        None: the neck's.
+        """
+
+
+class VersionKeys(Protocol):
+    """Rotation of the stem about the shaft's axis."""
+
+    @property
+    def relative_to(self) -> str:
+        """Line from which the angle is measured: neck or condyles."""
+
+    @property
+    def angle(self) -> float:
+        """The rotation, positive if the head moves to anterior [rad]."""
+
+
+class InsertionKeys(Protocol):
+    """Position of the stem in the femur."""
+
+    @property
+    def version(self) -> VersionKeys:
+        """Rotation about the shaft's axis."""
+
+    @property
+    def varus(self) -> float:
+        """Tilt, the tip to lateral, about the point where the stem's axis meets the cut [rad]."""
+
+    @property
+    def flexion(self) -> float:
+        """Tilt, the tip to posterior, about the same point [rad]."""
+
+    @property
+    def medial_offset(self) -> float:
+        """Distance of the stem's axis from the shaft's to medial [mm]."""
+
+    @property
+    def anterior_offset(self) -> float:
+        """Distance of the stem's axis from the shaft's to anterior [mm]."""
+
+
+class StemInBone(Protocol):
+    """Bone, cut and stem of a geometry, from which its placement follows."""
+
+    @property
+    def femur(self) -> ResectedBone:
+        """The bone before the operation."""
+
+    @property
+    def implant(self) -> Implant:
+        """The stem with its plug, in its axes."""
+
+    @property
+    def resection(self) -> ResectionKeys:
+        """The cut across the neck."""
+
+    @property
+    def insertion(self) -> InsertionKeys | None:
+        """Position of the stem; None: along the shaft's axis."""
+
+    @property
+    def shoulder_depth(self) -> float | None:
+        """Depth of the stem's shoulder below the cut [mm]; None: the implant has its level."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +292,7 @@ def position(geometry: Any) -> Position:
     return Position(geometry.shoulder_depth, *tilts, version, *offsets)
 
 
-def place(geometry: Any) -> Placement:
+def place(geometry: StemInBone) -> Placement:
     """Cut the neck of a bone and place the stem in it.
 
     Raises:

@@ -6,14 +6,13 @@ the answer: z along the stem, proximal, 0 at the end of its tip; x towards the h
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Floats, Ints, Numbers
 from app.foundation.errors import GeometryError
 from meshes.cad_stem import INSIDE, around, outline
 from meshes.data import facet_areas
@@ -40,7 +39,20 @@ TAPER = (25.0, 80.0)  # deg between axis and neck
 ASIDE = 10.0  # mm of the neck's end from the axis, at least
 
 
-def read(request: Mapping[str, Any]) -> dict[str, Any]:
+Vector = tuple[float, float, float]
+
+
+class StemRequest(TypedDict):
+    """The file of a stem, and its landmarks in the file's coordinates [mm]; None: not given."""
+
+    path: str
+    unit: str
+    head_centre: Vector | None
+    axis: tuple[Vector, Vector] | None
+    taper_face: Vector | None
+
+
+def read(request: StemRequest) -> dict[str, Numbers]:
     """The stem of a file.
 
     Args:
@@ -99,7 +111,7 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _faces(request: Mapping[str, Any]) -> tuple[Floats, list[Any]]:
+def _faces(request: StemRequest) -> tuple[Floats, list[Ints]]:
     """Nodes (n, 3) [mm], and the second-order triangles of each face (m, 6)."""
     path = Path(request["path"])
     with session(path.name) as gmsh:
@@ -109,7 +121,9 @@ def _faces(request: Mapping[str, Any]) -> tuple[Floats, list[Any]]:
                 occ.healShapes([], SEWN)  # IGES has faces alone
             occ.synchronize()
         except Exception as error:
-            raise GeometryError(f"{path}: no STEP, IGES or BREP file: {error}") from error
+            raise GeometryError(
+                f"{path}: cannot be read as STEP, IGES or BREP; export it again ({error})"
+            ) from error
         solids = len(gmsh.model.getEntities(3))
         if solids != 1:
             count = f"{solids} solids" if solids else "no solid"
@@ -186,7 +200,7 @@ def _axis(x: Floats) -> tuple[Floats, Floats]:
 
 
 def _taper(
-    path: str, points: Floats, faces: list[Any], origin: Floats, axis: Floats, given: Any
+    path: str, points: Floats, faces: list[Ints], origin: Floats, axis: Floats, given: Vector | None
 ) -> tuple[Floats, Floats, float]:
     """Centre of the planar face that ends the neck, its normal, radius of a circle as large."""
     candidates = []

@@ -300,7 +300,7 @@ class MeshFile(Shape):
     @property
     def is_script(self) -> bool:
         """Whether the file is still to be meshed."""
-        return self.path.suffix == ".geo"
+        return self.path.suffix.lower() == ".geo"
 
     @cached_property
     def content(self) -> str:

@@ -35,7 +35,7 @@ def physical_names(path: Path, dimension: int, pick: Pick = EVERYTHING) -> tuple
             not allowed to run.
     """
     mesh_files.check(path, pick)
-    if path.suffix in mesh_files.READERS:
+    if path.suffix.lower() in mesh_files.READERS:
         found = mesh_files.read(path, pick)
         return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
     groups = _groups(path, path.stat().st_mtime_ns)
@@ -46,10 +46,11 @@ def physical_names(path: Path, dimension: int, pick: Pick = EVERYTHING) -> tuple
 def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     """Dimension and name of every physical group; `modified` invalidates the cache."""
     readers = {".geo": _groups_of_script, ".msh": _groups_of_mesh}
-    if path.suffix not in readers:
-        others = ", ".join(mesh_files.READERS)
-        raise ValueError(f"is neither a .msh file nor a .geo script, nor one of {others}")
-    return tuple(dict.fromkeys(readers[path.suffix](path)))
+    suffix = path.suffix.lower()
+    if suffix not in readers:
+        others = ", ".join([*readers, *mesh_files.READERS])
+        raise ValueError(f"is not one of {others}; gmsh or ParaView can convert it")
+    return tuple(dict.fromkeys(readers[suffix](path)))
 
 
 def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
@@ -88,7 +89,7 @@ def content(path: Path, copies: Path | None = None) -> str:
 
 def counts(path: Path, pick: Pick) -> int:
     """Number of cells, in a ``.msh`` file of all dimensions as announced; 0 if unknown."""
-    if path.suffix in mesh_files.READERS:
+    if path.suffix.lower() in mesh_files.READERS:
         return len(mesh_files.read(path, pick).cells)
     data = path.read_bytes()
     elements = data.partition(b"$Elements\n")[2]

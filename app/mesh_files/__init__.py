@@ -12,13 +12,15 @@ import re
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.mesh_files import abaqus, med, named, regions, vtu, xdmf
 from app.mesh_files.content import (
+    AGAIN,
     NO_REGION,
     ONLY,
     CellGrid,
@@ -35,6 +37,7 @@ from app.mesh_files.content import (
 __all__ = ["READERS", "FileContent", "Pick", "case_names", "check", "left_out", "read", "word"]
 
 EVERYTHING = Pick()
+Number = TypeVar("Number", np.float64, np.int64)
 
 
 def read(path: Path, pick: Pick = EVERYTHING) -> FileContent:
@@ -49,18 +52,18 @@ def read(path: Path, pick: Pick = EVERYTHING) -> FileContent:
 def check(path: Path, pick: Pick) -> None:
     """Raise ValueError if parts are picked that files of this kind do not have."""
     for key, suffixes in PICKED.items():
-        if getattr(pick, key) and path.suffix not in suffixes:
-            raise ValueError(f"`{key}` is for {', '.join(suffixes)} alone")
+        if getattr(pick, key) and path.suffix.lower() not in suffixes:
+            raise ValueError(f"`{key}` applies only to {', '.join(suffixes)}; leave it out")
 
 
 @lru_cache(maxsize=1)
 def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> FileContent:
     try:
-        content = READERS[path.suffix](path, pick)
+        content = READERS[path.suffix.lower()](path, pick)
         content.points = np.asarray(content.points, dtype=float)
         bad = np.flatnonzero(~np.isfinite(content.points).all(axis=1))
         if len(bad):
-            raise ValueError(f"node {bad[0] + 1}: its coordinates are no numbers")
+            raise ValueError(f"node {bad[0] + 1} has a coordinate that is not a number; {AGAIN}")
         _divide(content)
         clean = case_names(content.sets)
         content.sets = {clean[name]: rows for name, rows in content.sets.items()}
@@ -68,24 +71,28 @@ def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> FileC
         content.triangles = {clean[name]: block for name, block in content.triangles.items()}
         content.nodes = {clean[name]: rows for name, rows in content.nodes.items()}
     except Exception as error:  # damaged files let readers fail in any way
-        cause = f"damaged, or no {path.suffix} file ({type(error).__name__} {error})"
+        cause = f"is not a {path.suffix} file, or it is damaged: {AGAIN}"
+        cause += f" (reading ended with {type(error).__name__}: {error})"
         raise ValueError(str(error) if type(error) is ValueError else cause) from error
     return content
 
 
 def _divide(content: FileContent) -> None:
-    """Drop sets of cells that smaller or later sets fill: they are no regions."""
+    """Drop sets of cells that smaller or later sets fill: they are not regions."""
     free, left = np.ones(len(content.cells), dtype=bool), []
     for name, rows in sorted(reversed(content.sets.items()), key=lambda item: len(item[1])):
         if not free[rows].any():
             left.append(name)
         elif not free[rows].all():
             raise ValueError(
-                f"its set {name} shares some cells with smaller ones: keep only the sets that are "
-                "regions, or name them by *SOLID SECTION in an .inp file"
+                f"its set {name} shares some of its cells with smaller sets, so these cells "
+                "would be "
+                "in two regions: keep only the sets that are regions, or name the regions by "
+                "*SOLID SECTION in an .inp file"
             )
         free[rows] = False
-    content.notes += left_out("sets whose cells are all in smaller sets are no regions", left)
+    text = "sets whose cells are all in smaller sets, which are not regions"
+    content.notes += left_out(text, left)
     if free.all():
         raise ValueError(NO_REGION)
     content.sets = {name: rows for name, rows in content.sets.items() if name not in left}
@@ -101,7 +108,7 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
     content, root = FileContent(), ET.parse(path).getroot()
     mesh = [part for grid in root if grid.tag in ("Mesh", "Geometry") for part in grid]
     items = [node for part in mesh if part.tag == "Nodes" for node in part]
-    content.points = _table("Nodes", [node.text or "" for node in items], 3, float)
+    content.points = _table("Nodes", [node.text or "" for node in items], 3, np.float64)
     number = np.array([node.attrib["id"] for node in items], dtype=np.int64)
     other = []
     for part in mesh:
@@ -111,11 +118,11 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
         if part.tag in ("Elements", "Surface") and not all(known):
             raise ValueError(f"{name}: is of type {', '.join(sorted(kinds))}; {ONLY}")
         if part.tag == "Elements" and known[0]:
-            table = _table(name, [e.text or "" for e in part], int(known[0][2]), int)
+            table = _table(name, [e.text or "" for e in part], int(known[0][2]), np.int64)
             extend(content.sets, [name], content.add(rows_of(number, table, "node")))
         elif part.tag == "Surface":
             corners = [",".join((e.text or "").split(",")[:3]) for e in part]
-            table = _table(name, corners, 3, int)
+            table = _table(name, corners, 3, np.int64)
             extend(content.triangles, [name], rows_of(number, table, "node"))
         elif part.tag == "NodeSet":
             words = (part.text or "").replace(",", " ").split() + [n.attrib["id"] for n in part]
@@ -123,18 +130,18 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
             extend(content.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
         elif part.tag != "Nodes":
             other.append(f"{part.tag} {name}")
-    content.notes += left_out("of the file's mesh are not read", other)
+    content.notes += left_out("parts of the file's mesh that are not read", other)
     return content
 
 
-def _table(name: str, lines: list[str], width: int, kind: type) -> Any:
+def _table(name: str, lines: list[str], width: int, kind: type[Number]) -> NDArray[Number]:
     """Numbers of lines, separated by commas or blanks (n, width)."""
     try:
-        numbers: Any = np.array(" ".join(lines).replace(",", " ").split(), dtype=kind)
+        numbers = np.array(" ".join(lines).replace(",", " ").split(), dtype=kind)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     if len(numbers) % width:
-        text = f"{name}: {len(numbers)} numbers are no rows of {width}: is it cut short?"
+        text = f"{name}: {len(numbers)} numbers do not make rows of {width}: {AGAIN}"
         raise ValueError(text)
     return numbers.reshape(-1, width)
 

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -43,9 +43,13 @@ SIMILAR = 0.75
 EXPONENT = re.compile(r"(?<=[\d.])(?:[dD]|(?=[+-]))(?=[+-]?\d)")
 # Least sine of the angle between the two directions that a coordinate system is made of.
 ON_A_LINE = 1e-9
+# Numbers in the line of a node: its own and three coordinates; with its normal.
+LEAST_OF_NODE = 4
+MOST_OF_NODE = 7
 # Most numbers of a range.
 LONGEST_RANGE = 10**9
 
+T = TypeVar("T", int, float)
 # A set: its instance or part, "" for the assembly; its name in capitals.
 Key = tuple[str, str]
 
@@ -88,13 +92,13 @@ class Keyword:
             return [word.strip() for word in row]
         return [word.strip() for word in line.split(",")]
 
-    def number(self, at: int, text: str, kind: Callable[[str], Any]) -> Any:
+    def number(self, at: int, text: str, kind: Callable[[str], T]) -> T:
         """Return the number in a field of a line, 0 if the field is empty."""
         try:
             return kind(EXPONENT.sub("e", text) if kind is float else text) if text else kind("0")
         except ValueError:
             what = "number" if kind is float else "whole number"
-            raise ValueError(f"{self.at}: line {at}: {text!r} is no {what}") from None
+            raise ValueError(f"{self.at}: line {at}: {text!r} is not a {what}") from None
 
     def coordinates(self) -> tuple[Floats, int]:
         """Return the number and coordinates of each node (n, 4), and the count of empty fields."""
@@ -102,10 +106,25 @@ class Keyword:
         for at, line in self.lines:
             words = [*self.fields(line), "", "", ""][:4]
             if len(self.fields(line)) < 2 or not words[0]:
-                raise ValueError(f"{self.at}: line {at}: is no node: is it cut short?")
+                raise ValueError(
+                    f"{self.at}: line {at}: expected a node number and coordinates; is the "
+                    "file cut short?"
+                )
+            self._check_commas(at, line)
             empty += words.count("")
             rows.append([self.number(at, w, float) for w in words])
         return np.array(rows, dtype=float).reshape(-1, 4), empty
+
+    def _check_commas(self, at: int, line: str) -> None:
+        """Refuse commas in place of decimal points.
+
+        A node may have its normal after its coordinates. Abaqus writes these with points.
+        """
+        words = [word for word in self.fields(line) if word]
+        whole = all(word.lstrip("+-").isdigit() for word in words)
+        if len(words) > MOST_OF_NODE or (len(words) > LEAST_OF_NODE and whole):
+            text = f"line {at}: {len(words)} numbers for a node and three coordinates"
+            raise ValueError(f"{self.at}: {text}; write decimal points, not commas")
 
     def table(self, width: int) -> Ints:
         """Return the whole numbers of records, each on one line or several (n, width)."""
@@ -118,12 +137,12 @@ class Keyword:
                 raise ValueError(f"{self.at}: line {at}: a node is missing")
             record += [self.number(at, w, int) for w in words]
             if len(record) > width:
-                raise ValueError(f"{self.at}: line {at}: {len(record)} numbers for {width}")
+                raise ValueError(f"{self.at}: line {at}: {len(record)} numbers instead of {width}")
             if len(record) == width:
                 rows.append(record)
                 record = []
         if record:
-            text = f"{len(record)} numbers for {width}: is it cut short?"
+            text = f"{len(record)} numbers instead of {width}; is the file cut short?"
             raise ValueError(f"{self.at}: line {at}: {text}")
         return np.array(rows, dtype=np.int64).reshape(-1, width)
 
@@ -143,7 +162,9 @@ def _options(at: str, words: list[str]) -> dict[str, str]:
     pairs = (word.partition("=") for word in words if word.strip())
     named = {a.strip().upper(): b.strip().strip('"').strip() for a, _, b in pairs}
     if "INPUT" in named or "OFFSET" in named:
-        raise ValueError(f"{at}: takes numbers from elsewhere; save the mesh as one file")
+        raise ValueError(
+            f"{at}: takes numbers from another file or with an offset; export the mesh as one file"
+        )
     for name in named.keys() - KNOWN:
         close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, SIMILAR)
         if close:
@@ -166,7 +187,9 @@ def blocks(path: Path) -> Iterator[Keyword]:
     rows = enumerate(text_of(path).splitlines(), 1)
     lines = [(n, text.strip()) for n, text in rows if text.strip() and text.strip()[:2] != "**"]
     if not lines or lines[0][1][0] != "*":
-        raise ValueError("no .inp file of Abaqus or CalculiX: it does not begin with a keyword")
+        raise ValueError(
+            "is not an .inp file of Abaqus or CalculiX: it does not begin with a keyword (*)"
+        )
     heads = [k for k, (_, text) in enumerate(lines) if text[0] == "*"]
     scope = ""
     for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
@@ -186,7 +209,10 @@ def blocks(path: Path) -> Iterator[Keyword]:
         if key in READ:
             block = Keyword(at, key, _options(at, words[1:]), lines[first:end], scope)
         if key in MOVING or (key == "INSTANCE" and (block.lines or "LIBRARY" in block.options)):
-            raise ValueError(f"{at}: makes or moves nodes; save the mesh as one file without it")
+            raise ValueError(
+                f"{at}: makes, moves or includes nodes; export the model flat, as one file "
+                "without it"
+            )
         if key in ("PART", "INSTANCE"):
             scope = block.option("NAME").upper()
         elif key in ("ENDPART", "ENDINSTANCE"):
@@ -235,7 +261,9 @@ class _Axes:
         for (at, line), width in zip(block.lines, (6, 3), strict=False):
             words = block.fields(line.rstrip(", \t"))
             if len(words) > width:
-                raise ValueError(f"{block.at}: line {at}: {len(words)} numbers for {width}")
+                raise ValueError(
+                    f"{block.at}: line {at}: {len(words)} numbers; expected at most {width}"
+                )
             given = len(numbers) + len(words)
             numbers += [block.number(at, word, float) for word in [*words, *[""] * width][:width]]
         origin, on_x, in_plane = np.array([*numbers, *[0.0] * 9][:9]).reshape(3, 3)
@@ -248,7 +276,9 @@ class _Axes:
             other = np.array([-first[1], first[0], 0.0])
         third = np.cross(first, other)
         if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first) * np.linalg.norm(other):
-            raise ValueError(f"{block.at}: its points are on a straight line")
+            raise ValueError(
+                f"{block.at}: its points are on a straight line and give no axes; correct them"
+            )
         axes = np.stack([first, np.cross(third, first), third])
         return cls(origin, axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
@@ -295,7 +325,7 @@ class _Sets:
         if key not in self.made[kind]:
             others = [k for k in self.made[kind] if k[1] == key[1]]
             if len(others) != 1 or ("." in name and key[0] != scope):
-                raise ValueError(f"{at}: there is no set {name} in the file")
+                raise ValueError(f"{at}: the file has no set {name}")
             key = others[0]
         return self.members(kind, key)
 
@@ -307,7 +337,9 @@ class _Sets:
         """
         what = (kind, key)
         if what in self.open:
-            raise ValueError(f"the set {self.spelled[key]} contains itself")
+            raise ValueError(
+                f"the set {self.spelled[key]} contains itself; remove its name from its own list"
+            )
         if what not in self.done:
             self.open.add(what)
             try:
@@ -329,14 +361,16 @@ def read(path: Path) -> FileContent:
     for name, b in instance.items():
         part = b.option("PART").upper()
         if part in of_part:
-            raise ValueError(f"{b.at}: part {part} has two instances; save the mesh as one part")
+            raise ValueError(
+                f"{b.at}: part {part} has two instances; export the model flat, without instances"
+            )
         of_part[part] = name
     parts = {b.options["NAME"].upper(): b.options["NAME"] for b in everything if b.key == "PART"}
     unused = {p for p in parts if instance and p not in of_part}
     content.notes += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
     used = [b for b in everything if b.scope not in unused]
     content.notes += left_out(
-        "of the file are not read", (f"*{b.key}" for b in used if b.key not in READ)
+        "keywords of the file that are not read", (f"*{b.key}" for b in used if b.key not in READ)
     )
     sets = _Sets({*instance} | {*parts})
 
@@ -414,7 +448,7 @@ def _elements(
             for at, line in b.lines:
                 limits = [b.number(at, w, int) for w in b.fields(line.rstrip(", "))]
                 if not 1 <= len(limits) <= 3 or (len(limits) == 3 and limits[2] < 1):
-                    raise ValueError(f"{b.at}: line {at}: is no range: from, to, step")
+                    raise ValueError(f"{b.at}: line {at}: is not a range; expected from, to, step")
                 if len(limits) > 1 and limits[1] - limits[0] > LONGEST_RANGE:
                     raise ValueError(f"{b.at}: line {at}: the range is too long")
                 out.append(numbers_in(*limits))
@@ -458,13 +492,16 @@ def _elements(
                     content.notes += left_out(text, [b.options["NAME"]])
             elif side in ("SPOS", "SNEG"):
                 if solid.any():
-                    text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
+                    text = f"{side} is not a face of a tetrahedron; expected S1 to S4, or none"
                     raise ValueError(f"{b.at}: line {at}: {text}")
                 out.append(triangles)
             elif not side:
                 out += [triangles, *(cells[solid][:, f] for f in SIDES.values())]
             else:
-                raise ValueError(f"{b.at}: line {at}: {side} is no face of a tetrahedron")
+                raise ValueError(
+                    f"{b.at}: line {at}: {side} is not a face of a tetrahedron; expected S1 "
+                    "to S4, or none"
+                )
         return np.concatenate(out)
 
     for b in used:
@@ -529,7 +566,7 @@ def _named(
         if key not in sets.made["ELSET"] and len(others) == 1:
             key = others[0]
         if key not in sets.made["ELSET"]:
-            raise ValueError(f"{b.at}: there is no set {b.option('ELSET')} in the file")
+            raise ValueError(f"{b.at}: the file has no set {b.option('ELSET')}")
         sections.add(key)
     title = titles("ELSET")
     solids: dict[Key, np.ndarray] = {}
@@ -542,7 +579,7 @@ def _named(
     regions = [key for key, members in solids.items() if len(members)]
     left = [k for k in regions if sections & {*regions} and k not in sections]
     content.notes += left_out(
-        "sets without *SOLID SECTION are no regions", [title[k] for k in left]
+        "sets without *SOLID SECTION, which are not regions", [title[k] for k in left]
     )
     for key in regions:
         if key not in left:

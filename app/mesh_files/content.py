@@ -17,6 +17,7 @@ ORDER = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 ORDER_MED = [0, 2, 1, 3, 6, 5, 4, 7, 8, 9]
 # Ends of messages.
 ONLY = "only straight tetrahedra, or only quadratic ones, can be used"
+AGAIN = "export it again from the program that made it"
 NO_REGION = "names no region: it has no set of tetrahedra with a name"
 NOT_READ = "geometry: cells that are no tetrahedra or triangles are not read"
 
@@ -108,8 +109,9 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
         other = by_clean.setdefault(clean[name], name)
         if other != name:
             raise ValueError(
-                f"its sets {other} and {name} are both called {clean[name]} here; "
-                "rename one of them"
+                f"its sets {other} and {name} are both called {clean[name]} in a case, "
+                "which allows "
+                "letters, digits, _ and -; rename one of them"
             )
     return clean
 
@@ -123,12 +125,14 @@ def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
     order = np.argsort(numbers, kind="stable")
     again = np.flatnonzero(np.diff(numbers[order]) == 0)
     if len(again):
-        text = f"{what} {numbers[order][again[0]]} is there twice"
-        raise ValueError(f"{text}; save a model of parts as one, without parts and instances")
+        text = f"{what} {numbers[order][again[0]]} is defined twice"
+        raise ValueError(f"{text}; export the model flat, without parts and instances")
     at = order[np.searchsorted(numbers, wanted, sorter=order).clip(max=len(order) - 1)]
     wrong = numbers[at] != wanted
     if wrong.any():
-        raise ValueError(f"{what} {wanted[wrong][0]} is used, but is not in the file")
+        raise ValueError(
+            f"{what} {wanted[wrong][0]} is used, but the file does not define it: {AGAIN}"
+        )
     return np.asarray(at)
 
 

@@ -7,13 +7,45 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from app.foundation.arrays import Floats, Ints
 from app.mesh_files.content import ONLY, ORDER_MED, FileContent, Pick, extend, left_out
 
+if TYPE_CHECKING:
+    import h5py
+
 TETRAHEDRA = ("tetra", "tetra10")
+
+
+class MedBlock(Protocol):
+    """Cells of one type."""
+
+    dim: int
+    type: str
+    data: Ints
+
+
+class MedMesh(Protocol):
+    """A mesh as `meshio.med.read` returns it.
+
+    Attributes:
+        points: Nodes (n, 3).
+        cells: Blocks of cells of one type.
+        cell_data: Number of the family of each cell, by block.
+        point_data: Number of the family of each node.
+        cell_tags: Groups of each family of cells.
+        point_tags: Groups of each family of nodes.
+    """
+
+    points: Floats
+    cells: list[MedBlock]
+    cell_data: dict[str, list[Ints]]
+    point_data: dict[str, Ints]
+    cell_tags: dict[int, list[str]]
+    point_tags: dict[int, list[str]]
 
 
 def read(path: Path, pick: Pick) -> FileContent:
@@ -32,7 +64,7 @@ def read(path: Path, pick: Pick) -> FileContent:
     listed = ", ".join(f"{name} ({count:,} tetrahedra)" for name, count in solid.items())
     missing = [name for name in pick.meshes if name not in meshes]
     if missing:
-        raise ValueError(f"has no mesh {missing[0]}; its meshes: {listed}")
+        raise ValueError(f"has no mesh {missing[0]}; it has the meshes {listed}")
     if len(full) > 1 and not pick.meshes:
         raise ValueError(f"has the meshes {listed}: set `geometry.meshes` to those of the model")
     chosen = pick.meshes or full or [*meshes]
@@ -51,7 +83,7 @@ def read(path: Path, pick: Pick) -> FileContent:
     return content
 
 
-def _meshes(path: Path) -> dict[str, Any]:
+def _meshes(path: Path) -> dict[str, MedMesh]:
     """Return the meshes by name. meshio reads each from a file that has no other mesh."""
     import h5py
     import meshio
@@ -72,20 +104,20 @@ def _meshes(path: Path) -> dict[str, Any]:
     return meshes
 
 
-def _add_families(_name: str, group: Any) -> None:
+def _add_families(_name: str, group: h5py.Group | h5py.Dataset) -> None:
     """Put nodes and cells without families into the family 0, which has no group."""
     for content in ("COO", "NOD"):
         if content in getattr(group, "keys", tuple)() and "FAM" not in group:
             group["FAM"] = np.zeros(group[content].attrs["NBR"], dtype=np.int64)
 
 
-def _groups(mesh: Any) -> set[str]:
+def _groups(mesh: MedMesh) -> set[str]:
     """Names of the groups of a mesh."""
     families = [*mesh.cell_tags.values(), *mesh.point_tags.values()]
     return {name for names in families for name in names}
 
 
-def _add(content: FileContent, mesh: Any, shift: int, titles: dict[str, str]) -> None:
+def _add(content: FileContent, mesh: MedMesh, shift: int, titles: dict[str, str]) -> None:
     """Add cells and groups of a mesh.
 
     Args:

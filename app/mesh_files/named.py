@@ -20,7 +20,7 @@ def names(path: Path) -> list[str]:
     """Return the names of a file and of all files in its folder or below to which it refers."""
     folder, names = path.parent.resolve(), [path.name]
     for name in names:  # it grows
-        if Path(name).suffix not in NAMES:
+        if Path(name).suffix.lower() not in NAMES:
             continue
         for words in _words(folder / name, (folder / name).stat().st_mtime_ns):
             other = os.path.normpath(Path(name).parent / words)
@@ -39,5 +39,5 @@ def stamps(path: Path) -> tuple[tuple[str, int], ...]:
 @lru_cache(maxsize=8)
 def _words(path: Path, _modified: int) -> tuple[str, ...]:
     """Return the words of a file that may be names of files."""
-    matches = NAMES[path.suffix].finditer(path.read_text("utf-8", "replace"))
+    matches = NAMES[path.suffix.lower()].finditer(path.read_text("utf-8", "replace"))
     return tuple(unescape((m[1] or m[2] or ".").strip()) for m in matches)

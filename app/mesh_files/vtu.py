@@ -19,7 +19,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from app.mesh_files.content import NOT_READ, ONLY, CellBlock, CellGrid
+from app.mesh_files.content import AGAIN, NOT_READ, ONLY, CellBlock, CellGrid
 
 # Types of numbers in numpy's letters.
 TYPES = {
@@ -38,6 +38,9 @@ TYPES = {
 TRIANGLES = {5: (3,), 22: (6,), 69: (3, 6)}
 TETRAHEDRA = {10: (4,), 24: (10,), 71: (4, 10)}
 SOLIDS = {*range(10, 17), 24, 25, 26, 27, 29, 32, 33, 42, *range(71, 75), *range(78, 82)}
+# Names of the most frequent other volumes.
+NAMES = {11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids"}
+NAMES |= {25: "quadratic hexahedra", 26: "quadratic wedges", 27: "quadratic pyramids"}
 # Bit of ``vtkGhostType`` for a cell that is a copy of another piece's cell.
 DUPLICATE = 1
 # LZ4: a length of 15 in a token continues in the next bytes; the first byte below 255 ends it.
@@ -60,7 +63,7 @@ def lz4_decompress(block: bytes) -> bytes:
             token = block[at]
             count, at = _lz4_length(block, at + 1, token >> 4)
             if at + count > len(block):
-                raise ValueError("an array compressed by LZ4 is cut short")
+                raise ValueError(f"an array compressed by LZ4 is cut short; {AGAIN}")
             out += block[at : at + count]
             at += count
             if at == len(block):
@@ -68,13 +71,13 @@ def lz4_decompress(block: bytes) -> bytes:
             back = block[at] | block[at + 1] << 8
             count, at = _lz4_length(block, at + 2, token & LZ4_LONG)
             if not 0 < back <= len(out):
-                raise ValueError("an array compressed by LZ4 is damaged")
+                raise ValueError(f"an array compressed by LZ4 is damaged; {AGAIN}")
             count += LZ4_SHORTEST
             earlier = bytes(out[-back:])
             # A copy may be longer than what it repeats.
             out += (earlier * (count // back + 1))[:count]
     except IndexError:
-        raise ValueError("an array compressed by LZ4 is cut short") from None
+        raise ValueError(f"an array compressed by LZ4 is cut short; {AGAIN}") from None
     return bytes(out)
 
 
@@ -104,14 +107,16 @@ class _Source:
         opening = re.search(rb"<AppendedData[^>]*>", raw)
         end = raw.rfind(b"</AppendedData>")
         if opening and end < opening.end():
-            raise ValueError("its appended data do not end: the file is cut short")
+            raise ValueError(f"its appended data have no end: the file is cut short; {AGAIN}")
         self.raw = False
         if opening:
             self.raw = b"raw" in opening[0]
             blob = raw[opening.end() : end]
             mark = blob.find(b"_")
             if mark < 0:
-                raise ValueError("its appended data do not begin with _: the file is damaged")
+                raise ValueError(
+                    f"its appended data do not begin with _: the file is damaged; {AGAIN}"
+                )
             self.appended = blob[mark + 1 :]
             raw = raw[: opening.end()] + raw[end:]
         self.root = ET.fromstring(raw)
@@ -129,7 +134,10 @@ class _Source:
         """Return the values of a ``DataArray`` (n,) or (n, components)."""
         name, kind = item.get("Name", "(unnamed)"), item.get("type", "")
         if kind not in TYPES:
-            raise ValueError(f"its array {name} is of type {kind or 'nothing'}, which is not read")
+            raise ValueError(
+                f"its array {name} has the type {kind or '(none)'}; expected one of "
+                f"{', '.join(TYPES)}"
+            )
         dtype = np.dtype(self.order + TYPES[kind])
         form = item.get("format", "ascii")
         if form == "ascii":
@@ -138,11 +146,13 @@ class _Source:
         elif form in ("binary", "appended"):
             values = self._binary(item, form, dtype, name)
         else:
-            raise ValueError(f"its array {name} is of format {form}, which is not read")
+            raise ValueError(
+                f"its array {name} has the format {form}; expected ascii, binary or appended"
+            )
         values = values.astype(dtype.newbyteorder("="))
         width = int(item.get("NumberOfComponents", 1) or 1)
         if width > 1 and len(values) % width:
-            raise ValueError(f"its array {name}: {len(values)} values are no rows of {width}")
+            raise ValueError(f"its array {name}: {len(values)} values do not make rows of {width}")
         return values.reshape(-1, width) if width > 1 else values
 
     def _binary(self, item: ET.Element, form: str, dtype: np.dtype, name: str) -> np.ndarray:
@@ -160,7 +170,7 @@ class _Source:
             else:
                 part = base64.b64decode(text[at : at + 4 * -(-count // 3)])[:count]
             if len(part) < count:
-                raise ValueError(f"its array {name} is cut short")
+                raise ValueError(f"its array {name} is cut short; {AGAIN}")
             return part
 
         def numbers(at: int, count: int) -> list[int]:
@@ -171,7 +181,7 @@ class _Source:
 
         (first,) = numbers(0, 1)
         if first > len(text):
-            raise ValueError(f"its array {name} is cut short")
+            raise ValueError(f"its array {name} is cut short; {AGAIN}")
         if not self.compressor:
             # The header is padded alone, or together with the data.
             together = take(0, size + first) if raw or not self._padded(text, size) else b""
@@ -185,7 +195,7 @@ class _Source:
             unpack = DECOMPRESS[self.compressor]
             content = b"".join(unpack(part) for part in parts)
         if len(content) % dtype.itemsize:
-            raise ValueError(f"its array {name} is cut short")
+            raise ValueError(f"its array {name} is cut short; {AGAIN}")
         return np.frombuffer(content, dtype)
 
     @staticmethod
@@ -223,16 +233,18 @@ def read_parallel(path: Path) -> CellGrid:
     root = ET.fromstring(path.read_bytes())
     grid = root.find("PUnstructuredGrid")
     if grid is None:
-        raise ValueError(f"is no PUnstructuredGrid but {root.get('type', 'something else')}")
+        raise ValueError(_not_a("PUnstructuredGrid", root))
     names = [piece.get("Source", "") for piece in grid.findall("Piece")]
     folder = path.parent.resolve()
     outside = [n for n in names if not (folder / n).resolve().is_relative_to(folder)]
     if outside:
-        raise ValueError(f"its pieces {', '.join(outside)} are not in its folder or below")
+        raise ValueError(
+            f"its pieces {', '.join(outside)} are not in its folder or below; move them there"
+        )
     missing = [n or "(no Source)" for n in names if not (folder / n).is_file()]
     if missing:
         count = f"{len(missing)} of its {len(names)} pieces are not there"
-        raise ValueError(f"{count}: {', '.join(missing)}")
+        raise ValueError(f"{count}: {', '.join(missing)}; put them into its folder")
     pieces = []
     for name in names:
         try:
@@ -242,12 +254,18 @@ def read_parallel(path: Path) -> CellGrid:
     return _joined(pieces)
 
 
+def _not_a(wanted: str, root: ET.Element) -> str:
+    """Message for a file of another type than the one wanted."""
+    kind = root.get("type", "of an unknown type")
+    return f"is {kind}; expected {wanted}: save it as an unstructured grid of tetrahedra"
+
+
 def _pieces(path: Path) -> list[_Piece]:
     """Return the pieces of a file that have cells."""
     source = _Source(path)
     grid = source.root.find("UnstructuredGrid")
     if grid is None:
-        raise ValueError(f"is no UnstructuredGrid but {source.root.get('type', 'something else')}")
+        raise ValueError(_not_a("UnstructuredGrid", source.root))
     full = (piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0)))
     return [_piece(source, piece) for piece in full]
 
@@ -256,15 +274,17 @@ def _piece(source: _Source, piece: ET.Element) -> _Piece:
     """Read a piece; cells that are copies of other pieces' cells are left out."""
     x = source.array(_required(piece, "Points/DataArray"))
     if x.ndim != 2 or x.shape[1] != 3 or len(x) != int(piece.get("NumberOfPoints", -1)):
-        raise ValueError("its points are no rows of three, or not as many as announced")
+        raise ValueError(f"its points do not match NumberOfPoints in rows of three; {AGAIN}")
     arrays = {a.get("Name", ""): source.array(a) for a in piece.findall("CellData/DataArray")}
     cells = {a.get("Name", ""): source.array(a) for a in piece.findall("Cells/DataArray")}
     count = int(piece.get("NumberOfCells", 0))
     wrong = [name for name, values in arrays.items() if len(values) != count]
     if {*cells} < {"connectivity", "offsets", "types"} or len(cells["types"]) != count:
-        raise ValueError("its cells are not as many as announced")
+        raise ValueError(f"its cells do not match NumberOfCells; {AGAIN}")
     if wrong or len(cells["offsets"]) != count:
-        raise ValueError(f"its array {(wrong or ['offsets'])[0]} has not a value for each cell")
+        raise ValueError(
+            f"its array {(wrong or ['offsets'])[0]} does not have one value per cell; {AGAIN}"
+        )
     names = {*arrays}
     flag = arrays.pop("vtkGhostType", None)
     level = arrays.pop("vtkGhostLevels", None)
@@ -276,7 +296,7 @@ def _piece(source: _Source, piece: ET.Element) -> _Piece:
     unread: dict[int, int] = {}
     blocks = [*_blocks(cells, arrays, keep, unread)]
     if any(block.data.min() < 0 or block.data.max() >= len(x) for block in blocks):
-        raise ValueError("a cell has a node that is not in the file")
+        raise ValueError(f"a cell has a node that is not in the file; {AGAIN}")
     return _Piece(x, blocks, names, int((~keep).sum()), unread)
 
 
@@ -285,7 +305,9 @@ def _joined(pieces: Sequence[_Piece]) -> CellGrid:
     if not pieces:
         raise ValueError("has no cells")
     if any(piece.names != pieces[0].names for piece in pieces):
-        raise ValueError("its pieces have different arrays of cells")
+        raise ValueError(
+            "its pieces have different arrays of cells; merge them (in ParaView: Merge Blocks)"
+        )
     blocks = []
     shift = 0
     for piece in pieces:
@@ -308,7 +330,7 @@ def _required(piece: ET.Element, path: str) -> ET.Element:
     """Return the element at a path in a piece."""
     element = piece.find(path)
     if element is None:
-        raise ValueError(f"has no {path}: it is damaged")
+        raise ValueError(f"has no {path}: the file is damaged; {AGAIN}")
     return element
 
 
@@ -322,7 +344,7 @@ def _blocks(
     offsets = cells["offsets"].astype(np.int64)
     width = np.diff(offsets, prepend=0)
     if (width < 0).any() or (len(offsets) and offsets[-1] > len(cells["connectivity"])):
-        raise ValueError("its offsets of cells are damaged")
+        raise ValueError(f"its offsets of cells are damaged; {AGAIN}")
     kinds = cells["types"].astype(np.int64)
     for kind in np.unique(kinds).tolist():
         for w in np.unique(width[kinds == kind]).tolist():
@@ -335,6 +357,8 @@ def _blocks(
                 dim = 3 if kind in TETRAHEDRA else 2
                 yield CellBlock(dim, data, {n: v[rows] for n, v in arrays.items()})
             elif kind in SOLIDS:
-                raise ValueError(f"has cells of VTK type {kind}; {ONLY}")
+                raise ValueError(
+                    f"has {NAMES.get(kind, 'other volumes')} (VTK type {kind}); {ONLY}"
+                )
             else:
                 unread[kind] = unread.get(kind, 0) + len(rows)

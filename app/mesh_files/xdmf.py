@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from app.foundation.arrays import Ints
-from app.mesh_files.content import NOT_READ, ONLY, CellBlock, CellGrid
+from app.mesh_files.content import AGAIN, NOT_READ, ONLY, CellBlock, CellGrid
 
 # Dimension and number of nodes of the kinds of cells that are read.
 SIMPLICES = {
@@ -60,7 +60,7 @@ def read(path: Path) -> CellGrid:
             parts.setdefault(part.tag, []).append(part)
         missing = [tag for tag in ("Topology", "Geometry") if tag not in parts]
         if missing:
-            raise ValueError(f"its grid {name} has no {missing[0]}")
+            raise ValueError(f"its grid {name} has no {missing[0]}; {AGAIN}")
         geometry = parts["Geometry"][0]
         place = "".join(geometry.itertext()).strip()
         if place not in nodes:
@@ -73,7 +73,9 @@ def read(path: Path) -> CellGrid:
         }
         for block in file.blocks(parts["Topology"][0], arrays, unread):
             if block.data.min() < 0 or block.data.max() >= len(x):
-                raise ValueError(f"its grid {name}: a cell has a node that is not in the file")
+                raise ValueError(
+                    f"its grid {name}: a cell has a node that is not in the file; {AGAIN}"
+                )
             grid.blocks.append(replace(block, data=block.data + shift))
     if len(nodes) > 1:
         text = f"its grids have {len(nodes)} sets of nodes, which are read as one mesh"
@@ -162,7 +164,9 @@ class _File:
                 return elements
         except (SyntaxError, KeyError, ValueError, IndexError):
             pass
-        raise ValueError(f"refers to {address}, which is not in the file or cannot be read")
+        raise ValueError(
+            f"refers to {address}, which is not in the file or cannot be read; {AGAIN}"
+        )
 
     def points(self, geometry: ET.Element) -> np.ndarray:
         """Return nodes (n, 3)."""
@@ -171,7 +175,7 @@ class _File:
             raise ValueError(f"its nodes are of type {kind}; expected XYZ")
         x = self.array(_item(geometry))
         if x.size % 3:
-            raise ValueError("its nodes are no rows of three")
+            raise ValueError(f"its coordinates do not make rows of three; {AGAIN}")
         return x.reshape(-1, 3).astype(float)
 
     def array(self, item: ET.Element) -> np.ndarray:
@@ -182,11 +186,17 @@ class _File:
         name, text = item.get("Name", ""), (item.text or "").strip()
         called = f"its array {name}" if name else "an array"
         if item.get("ItemType", "Uniform") != "Uniform":
-            raise ValueError(f"{called} is a {item.get('ItemType')}, which is not read")
+            raise ValueError(
+                f"{called} is a {item.get('ItemType')}, which is not read; save it as a "
+                "Uniform array"
+            )
         form = item.get("Format", "XML")
         kind = KINDS.get((item.get("NumberType") or item.get("DataType") or "Float").lower())
         if kind is None:
-            raise ValueError(f"{called} is of type {item.get('NumberType')}, which is not read")
+            raise ValueError(
+                f"{called} has the type {item.get('NumberType')}; expected one of "
+                f"{', '.join(KINDS)}"
+            )
         if form == "XML":
             values = np.array(text.split(), dtype=float if kind == "f" else np.int64)
         elif form == "HDF":
@@ -198,7 +208,7 @@ class _File:
             values = np.fromfile(self._file(text), dtype, count, offset=int(item.get("Seek", 0)))
             values = values.astype(dtype.newbyteorder("="))
         else:
-            raise ValueError(f"{called} is of format {form}, which is not read")
+            raise ValueError(f"{called} has the format {form}; expected XML, HDF or Binary")
         shape = [int(n) for n in item.get("Dimensions", str(values.size)).split()]
         if int(np.prod(shape)) != values.size:
             raise ValueError(f"{called} has {values.size} values for {' x '.join(map(str, shape))}")
@@ -213,9 +223,9 @@ class _File:
         """
         folder = self.folder.resolve()
         if not (folder / name).resolve().is_relative_to(folder):
-            raise ValueError(f"its file {name} is not in its folder or below")
+            raise ValueError(f"its file {name} is not in its folder or below; move it there")
         if not (self.folder / name).is_file():
-            raise ValueError(f"its file {name} is not there")
+            raise ValueError(f"its file {name} is missing; put it next to the .xdmf file")
         return self.folder / name
 
     def _hdf(self, text: str, called: str) -> np.ndarray:
@@ -224,10 +234,10 @@ class _File:
 
         name, colon, inside = text.rpartition(":")
         if not colon:
-            raise ValueError(f"{called} names no part of an HDF5 file: {text[:80]}")
+            raise ValueError(f"{called} does not name an array as FILE:PATH: {text[:80]}")
         with h5py.File(self._file(name), "r", locking=False) as file:
             if inside not in file:
-                raise ValueError(f"{called}: {inside} is not in {name}")
+                raise ValueError(f"{called}: {inside} is not in {name}; {AGAIN}")
             return np.asarray(file[inside])
 
     def blocks(
@@ -250,7 +260,9 @@ class _File:
         count = sum(len(rows) for rows, _ in blocks.values())
         wrong = [name for name, values in arrays.items() if len(values) != count]
         if wrong:
-            raise ValueError(f"its array {wrong[0]} has not a value for each of {count} cells")
+            raise ValueError(
+                f"its array {wrong[0]} does not have one value for each of {count} cells"
+            )
         for name, (rows, nodes) in blocks.items():
             if SOLIDS.search(name):
                 raise ValueError(f"the cells are of type {name}; {ONLY}")
@@ -281,7 +293,7 @@ def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
         at = first + run * (width + 1) - 1
         count += run
     if at > len(data):
-        raise ValueError("its cells of several kinds are cut short")
+        raise ValueError(f"its cells of several kinds are cut short; {AGAIN}")
     blocks: dict[str, tuple[Ints, Ints]] = {}
     for name, places in starts.items():
         rows, first_nodes = (np.concatenate(parts) for parts in zip(*places, strict=True))

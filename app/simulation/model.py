@@ -41,6 +41,7 @@ from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
+from meshes.geometry import is_hip
 from meshes.gruen import Zones
 from meshes.pieces import Parts
 
@@ -79,7 +80,7 @@ class Mechanical:
         self.stem = StemMotion(problem, case)
         self.surfaces: list[Surface] = []
         depth = None
-        if geometry.has_gruen_zones:
+        if is_hip(geometry):
             self.zones = zones = Zones(geometry)
             depth = zones.depth
             if problem.contact:

@@ -128,7 +128,7 @@ FILE = "geometry:\n  kind: file\n  path: {}\nmesh: {{size: 1 mm}}\nregions: {{}}
         ("a.msh", "$MeshFormat\n2.1 0 8\n", "not of .msh format 2.2 or 4.1"),
         ("a.msh", "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", "names no region"),
         ("a.msh", None, "no such file: "),
-        ("mesh.py", "$MeshFormat\n", "neither a .msh file nor a .geo script"),
+        ("mesh.py", "$MeshFormat\n", "is not one of .geo, .msh, .inp"),
         ("~nosuchuser/a.msh", None, "'~nosuchuser/a.msh': Could not determine home directory"),
         ("a" * 300 + ".msh", None, "cannot be read: File name too long"),
         ('"a\\0.msh"', None, "no such file"),

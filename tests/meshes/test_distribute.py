@@ -34,5 +34,5 @@ def test_distribute_needs_a_region_for_every_cell() -> None:
 
 
 def test_distribute_needs_tetrahedra() -> None:
-    with pytest.raises(InputError, match="type hexahedron, not tetrahedron"):
+    with pytest.raises(InputError, match="type hexahedron; expected tetrahedron"):
         TaggedMesh.from_markers(box(mesh.CellType.hexahedron), {"all": lambda x: x[2] >= 0}, {})

@@ -88,7 +88,9 @@ def test_mesh_file_with_nan_coordinate_is_refused(
     k = next(k for k, line in enumerate(lines) if re.search(r"(^|^\d+ )10 10 10$", line))
     lines[k] = lines[k].replace("10 10 10", f"10 {word} 10")
     path.write_text("\n".join(lines))
-    text = "mesh generator failed" if word == "x" else r"node \d+: its coordinates are no numbers"
+    text = r"node \d+ has a coordinate that is not a number"
+    if word == "x":
+        text = r"is damaged or cut short; export it again \(gmsh: "
     with pytest.raises(GeometryError, match=text):
         meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
 
@@ -96,7 +98,7 @@ def test_mesh_file_with_nan_coordinate_is_refused(
 def test_mesh_file_binary_with_nan_coordinate_is_refused(tmp_path: Path) -> None:
     data = cube()
     data.points[0, 0] = np.nan
-    with pytest.raises(GeometryError, match="node 1: its coordinates are no numbers"):
+    with pytest.raises(GeometryError, match="node 1 has a coordinate that is not a number"):
         read(tmp_path, data)
 
 
@@ -138,7 +140,7 @@ def test_mesh_file_volume_without_cells_is_reported(tmp_path: Path) -> None:
     path.write_bytes(head + names + b'%d\n3 99 "void"\n' % (int(count) + 1) + rest)
     case = support.case(CASE.format(path=path), "regions.void={rigid: true, tissue: other}")
     assert sorted(case.geometry.region_names) == ["cube", "void"]
-    with pytest.raises(GeometryError, match="no cells in the volumes void"):
+    with pytest.raises(GeometryError, match="the volumes void have no cells"):
         meshes.build(case.geometry, case.mesh)
 
 

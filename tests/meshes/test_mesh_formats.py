@@ -260,6 +260,7 @@ SPELLINGS = {
     "tabs": (deck().replace("*ELEMENT,", "*ELEMENT\t,\t").replace(", ", ",\t"), {}),
     "mark": ("\ufeff" + deck(), {}),
     "quotes": (deck('"bone"', '"cement"'), {}),
+    "normals": (re.sub(r"(?m)(\.0)$", r"\1, 0., 0., 1.", deck()), {}),
     "lower case": (deck().lower().replace("\n", "\r\n"), {}),
     "comments": (deck().replace("*ELEMENT", "** of the mesh\n\n*Element"), {}),
     "SPOS": (deck(more=f"{SKIN}SPOS\n"), {"skin": AREA, "s": AREA}),
@@ -286,6 +287,13 @@ def test_inp_blanks_in_quotes_count(tmp_path: Path) -> None:
     assert whole(data, "upper_one") == pytest.approx({"its_skin": FREE})
 
 
+def test_mesh_files_suffixes_have_no_case(tmp_path: Path) -> None:
+    whole(build(tmp_path / "JOB.INP", deck()))
+    data = bonded(tmp_path / "JOB.INP")
+    meshes.write_msh(data, tmp_path / "a.msh")
+    whole(build(tmp_path / "A.MSH", (tmp_path / "a.msh").read_bytes()))
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
 def test_inp_encodings(encoding: str, tmp_path: Path) -> None:
     whole(build(tmp_path / "a.inp", deck("Knochen_ä").encode(encoding)), "Knochen__")
@@ -304,21 +312,25 @@ def test_inp_encodings(encoding: str, tmp_path: Path) -> None:
             "line 14: has no option ELSE; did you mean ELSET",
         ),
         (deck(more="*ELSET, NAME=x\n1\n"), "line 28: has no option ELSET"),
-        (deck(more="*SURFACE, NAME=x\nbone, S7\n"), "line 29: S7 is no face of a tetrahedron"),
-        (deck(more="*SURFACE, NAME=x\nbone, SPOS\n"), "line 29: SPOS is no face of a tetrahedron"),
+        (deck(more="*SURFACE, NAME=x\nbone, S7\n"), "line 29: S7 is not a face of a tetrahedron"),
+        (
+            deck(more="*SURFACE, NAME=x\nbone, SPOS\n"),
+            "line 29: SPOS is not a face of a tetrahedron",
+        ),
         (deck(more="*ELSET, ELSET=x\ny\n*ELSET, ELSET=y\nx\n"), "contains itself"),
-        (deck(more="*ELSET, ELSET=x\nbonn\n"), "there is no set bonn"),
-        (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "takes numbers from elsewhere"),
+        (deck(more="*ELSET, ELSET=x\nbonn\n"), "the file has no set bonn"),
+        (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "takes numbers from another file"),
         (deck().replace("*NODE", "*NODE, SYSTEM=P"), "SYSTEM=P is not read; expected R, C or S"),
-        (f"*SYSTEM\n0, 0, 0, 1, x\n{deck()}", "*SYSTEM in line 1: line 2: 'x' is no number"),
+        (f"*SYSTEM\n0, 0, 0, 1, x\n{deck()}", "*SYSTEM in line 1: line 2: 'x' is not a number"),
         (
             f"*SYSTEM\n0, 0, 0, 1, 0, 0\n2, 0, 0\n{deck()}",
             "line 1: its points are on a straight line",
         ),
         (f"*SYSTEM\n0, 0, 0, 0, 0, 1\n{deck()}", "line 1: its points are on a straight line"),
-        (f"*SYSTEM\n0, 0, 0, 1, 0, 0, 0, 1, 0\n{deck()}", "line 2: 9 numbers for 6"),
+        (f"*SYSTEM\n0, 0, 0, 1, 0, 0, 0, 1, 0\n{deck()}", "line 2: 9 numbers; expected at most 6"),
         (f"*SYSTEM\n0, 0, 0\n0, 1, 0\n1, 0, 0\n{deck()}", "line 1: has more than two lines"),
-        (deck().replace("3.0", "3.x"), "line 3: '3.x' is no number"),
+        (re.sub(r"(?<=\d)\.(?=\d)", ",", deck()), "line 2: 7 numbers for a node and three"),
+        (deck().replace("3.0", "3.x"), "line 3: '3.x' is not a number"),
     ],
 )
 def test_inp_faults_name_the_line(text: str, words: str, tmp_path: Path) -> None:
@@ -401,7 +413,7 @@ def test_pvtu_pieces_that_are_damaged_or_elsewhere_are_named(tmp_path: Path) -> 
     path.write_text(text.replace("box_1", "../box_1"))
     assert "its pieces ../box_1.vtu are not in its folder or below" in refused(path)
     path.write_text(text.replace("PUnstructured", "PPoly"))
-    assert "is no PUnstructuredGrid but PPolyGrid" in refused(path)
+    assert "is PPolyGrid; expected PUnstructuredGrid" in refused(path)
 
 
 def later(path: Path, raw: bytes) -> None:
@@ -491,8 +503,8 @@ def test_regions_array_can_be_given(suffix: str, tmp_path: Path) -> None:
 def test_regions_parts_can_be_given(tmp_path: Path) -> None:
     path = tmp_path / "a.inp"
     path.write_text(deck())
-    assert "`array` is for .vtu, .pvtu, .xdmf, .xmf alone" in refused(path, array="x")
-    assert "`meshes` is for .med alone" in refused(path, meshes=["x"])
+    assert "`array` applies only to .vtu, .pvtu, .xdmf, .xmf" in refused(path, array="x")
+    assert "`meshes` applies only to .med" in refused(path, meshes=["x"])
 
 
 # --------------------------------------------------------------------------------------- .xdmf
@@ -665,7 +677,7 @@ def test_xdmf_arrays_in_other_files(form: str, tmp_path: Path) -> None:
     outside = text.replace("> ", "> ../", 1)
     assert "is not in its folder or below" in refused(tmp_path / "b.xdmf", outside)
     (tmp_path / min(other)).unlink()
-    assert f"its file {min(other)} is not there" in refused(path)
+    assert f"its file {min(other)} is missing" in refused(path)
 
 
 CUBE = np.arange(8)[None]
@@ -700,7 +712,7 @@ CUBE = np.arange(8)[None]
         ),
         (
             xdmf(grid(geometry(), topology(), attribute(TAGS[:5]))),
-            "its array material has not a value for each of 12 cells",
+            "its array material does not have one value for each of 12 cells",
         ),
         (
             xdmf(grid(include("xpointer(/Xdmf/Domain/Grid/Nodes)"), topology())),
@@ -806,7 +818,7 @@ def test_med_meshes_are_picked(tmp_path: Path) -> None:
     assert region_volumes(bonded(path, meshes=["Fine"]))["bone"] == pytest.approx(
         8 * VOLUMES["bone"]
     )
-    assert "has no mesh Mesh_1; its meshes: Coarse (12" in refused(path, meshes=["Mesh_1"])
+    assert "has no mesh Mesh_1; it has the meshes Coarse (12" in refused(path, meshes=["Mesh_1"])
 
 
 def test_med_meshes_of_parts_are_joined(tmp_path: Path) -> None:
@@ -845,7 +857,7 @@ def test_mesh_files_names_that_become_equal_are_refused(tmp_path: Path) -> None:
     arrays = {"a b-a.b": (TAGS > 5).astype(np.int64)}
     (tmp_path / "a.vtu").write_bytes(vtu(one_piece(**arrays)))
     for suffix in ("med", "feb", "vtu"):
-        with pytest.raises(ValueError, match=r"its sets a.b and a.b are both called a_b here"):
+        with pytest.raises(ValueError, match=r"its sets a.b and a.b are both called a_b in a case"):
             MeshFile(path=tmp_path / f"a.{suffix}")
 
 

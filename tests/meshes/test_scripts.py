@@ -151,7 +151,7 @@ def test_scripts_with_changed_files_are_refused(tmp_path: Path) -> None:
     geometry = MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     assert geometry.content
     script(tmp_path, PIN.replace("5, 2}", "5, 3}"))
-    with pytest.raises(GeometryError, match="has changed since it was looked at"):
+    with pytest.raises(GeometryError, match="has changed since the case was read"):
         meshes.build(geometry, options(size="1 mm"))
 
 
@@ -186,7 +186,7 @@ def test_scripts_refused_unread(text: str, expected: str, tmp_path: Path) -> Non
     [
         (LAYERS + "Point(5) = {0, 0, nowhere};\n", "line 15: Unknown variable 'nowhere'"),
         (LAYERS + "Physical Volume('x') = ;\n", "line 15: syntax error"),
-        (LAYERS.replace("{high[1]}", "{44}"), "no cells in the volumes high"),
+        (LAYERS.replace("{high[1]}", "{44}"), "the volumes high have no cells"),
     ],
     ids=["unknown variable", "syntax", "no such volume"],
 )
