@@ -249,14 +249,21 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
     if not isinstance(upper, dict):
         return lower, upper
     sets = upper.get("library")
-    if isinstance(sets, str | dict):
+    if sets is not None:
         upper = {k: v for k, v in upper.items() if k != "library"}
+        if not isinstance(sets, str | dict):
+            text = f"{show(sets)} is not the name of a set, or names with their histories"
+            case.complaints.append(Fault((*path, "library"), f"{text}: {{gait: [1, 0]}}"))
+            return lower, upper
         entry = _activities(case, sets, path) if isinstance(sets, dict) else _set(case, sets, path)
         lower = entry or lower
     loads = lower if isinstance(lower, dict) else {}
     if MEASURED.keys() & upper:
         lower = loads = _measured(case, loads, upper)
         upper = {k: v for k, v in upper.items() if k not in MEASURED}
+    if upper.keys() >= {*IN_TIME}:
+        text = f"the loads have a {IN_TIME[1]}, too; leave one of the two out"
+        case.complaints.append(Fault((*path, IN_TIME[0]), text))
     for key in IN_TIME:
         if isinstance(upper.get(key), list) or (key == "cycle_table" and key in upper):
             lower = loads = _changing(case, loads, key, upper[key])
@@ -284,7 +291,7 @@ def _activities(case: CaseFile, sets: Mapping[str, object], path: Path) -> dict[
     for name, history in sets.items():
         found = _set(case, str(name), path)
         weight = weight or case.measured.get("body_weight")
-        if weight and "body_weight" in case.measured:
+        if found and weight and "body_weight" in case.measured:
             found = _measured(case, found, {"body_weight": f"{weight!r} N"})
         loads |= {f"{name}_{load}": values | {"history": history} for load, values in found.items()}
     return loads

@@ -478,8 +478,34 @@ stages: [{name: walk}, {name: rest}, {name: stairs}]
         (text.replace("[0, 0, 1]", "[1]"), "loads.stairs_up_hip.history: has 1 values"),
         (text.replace("[0, 0, 1]", "yes"), "loads.stairs_up_hip.history: "),
     ):
-        with pytest.raises(InputError, match=re.escape(words)):
+        with pytest.raises(InputError, match=re.escape(words)) as caught:
             loaded(tmp_path, wrong)
+        assert "body_weight" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("loads", "words"),
+    [
+        ("{library: [gait]}", "is not the name of a set, or names with their histories: {gait: "),
+        (
+            "{library: gait, history: [1], cycle_table: walking_cycle}",
+            "loads.history: the loads have a cycle_table, too; leave one of the two out",
+        ),
+    ],
+)
+def test_library_of_loads_refuses(loads: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        loaded(tmp_path, f"base: stance\nloads: {loads}\n")
+    assert len(caught.value.messages) == 1
+
+
+def test_library_cycle_in_the_first_stage_has_a_note(tmp_path: Path) -> None:
+    text = "base: stance\nloads: {library: gait, cycle_table: walking_cycle}\n"
+    case = mantle.load(write(tmp_path, case=text))
+    notes = [str(n) for n in mantle.check(case).notes]
+    assert "the cycle begins in the first stage, with all of its loads" in notes[0]
+    later = mantle.load(case.path, stages=[{"name": "rise"}, {"name": "gait"}])
+    assert mantle.check(later).notes == ()
 
 
 def test_library_counts_of_a_day_are_those_of_the_case_of_a_year() -> None:

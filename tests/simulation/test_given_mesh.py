@@ -15,6 +15,7 @@ import mantle
 from app.foundation.errors import InputError
 from meshes import data as mesh_data
 from meshes.distribute import TaggedMesh, distribute, gather
+from tests import support
 from tests.support import CONFIGS
 
 ELASTIC = {"youngs_modulus": "1 GPa", "poisson_ratio": 0.3, "tissue": "other"}
@@ -32,8 +33,8 @@ CASE: dict[str, Any] = {
 }
 
 
-def blocks() -> TaggedMesh:
-    box = create_box(MPI.COMM_SELF, [[0, 0, 0], [4, 4, 4]], [2, 2, 2])
+def blocks(comm: MPI.Comm = MPI.COMM_SELF) -> TaggedMesh:
+    box = create_box(comm, [[0, 0, 0], [4, 4, 4]], [2, 2, 2])
     return TaggedMesh.from_markers(
         box,
         regions={"lower": lambda x: x[2] <= 2, "upper": lambda x: x[2] >= 2},
@@ -57,6 +58,18 @@ def test_given_mesh_is_solved_and_gives_functions(tmp_path: Path) -> None:
     assert np.isclose(x[:, 2], 2).sum() == 2 * np.isclose(x[:, 2], 0).sum()
     again = mantle.load(tmp_path / "box.yaml")
     assert again.config.title == "Two blocks" and (tmp_path / "box.msh").is_file()
+
+
+@pytest.mark.parallel
+def test_given_mesh_on_two_ranks_is_that_of_one(tmp_path: Path) -> None:
+    program = "from tests.simulation.test_given_mesh import *\n"
+    program += f"mantle.run(CASE, {str(tmp_path / 'box')!r}, mesh=blocks(MPI.COMM_WORLD))\n"
+    (tmp_path / "program.py").write_text(program)
+    support.on_ranks(2, tmp_path / "program.py")
+    results = mantle.read(tmp_path / "box")
+    assert results.summary["solver"]["ranks"] == 2
+    assert results.summary["interfaces"]["joint"]["pressure_mean"] == pytest.approx(3.0)
+    assert results.fields.volumes().sum() == pytest.approx(64.0)
 
 
 def test_given_mesh_is_gathered_as_it_was_distributed() -> None:

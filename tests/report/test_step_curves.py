@@ -1,0 +1,40 @@
+"""Panels of a run over time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.report import step_curves
+from tests import support
+
+GAIT = """\
+base: stance
+loads: {library: gait, body_weight: 750 N, cycle_table: walking_cycle}
+stages: [{name: rise}, {name: gait, cycles: 2, increments: 20}]
+"""
+
+
+def test_step_curves_draw_forces_against_seconds_of_the_cycle() -> None:
+    """Two strides of 1.1 s, from peak to peak: 247 % of 750 N, and 12 % of it in the swing."""
+    times = np.array([0.5, 1.0, *np.linspace(1, 2, 41)[1:]])
+    (panel,) = step_curves.forces(support.case(GAIT), {step_curves.TIME: times})
+    hip = panel.lines[0]
+    assert (panel.x, panel.y) == ("time in the stage gait (s)", "N")
+    assert (hip.x[0], hip.x[-1]) == pytest.approx((0.0, 2.2))
+    peak = 2.4648 * 750
+    assert (hip.y[0], hip.y[20], hip.y[-1]) == pytest.approx((peak,) * 3, rel=1e-4)
+    assert min(hip.y) == pytest.approx(0.12 * peak, rel=1e-4)
+    assert len(panel.lines) == 5
+
+
+def test_step_curves_draw_forces_over_stages_that_change_them() -> None:
+    text = "base: stance\nloads: {library: gait, history: [1, 0.5]}\n"
+    text += "stages: [{name: walk}, {name: rest}]\n"
+    (panel,) = step_curves.forces(support.case(text), {step_curves.TIME: np.array([1.0, 2.0])})
+    assert panel.lines[0].x == [0.0, 1.0, 2.0]
+    assert np.array(panel.lines[0].y) == pytest.approx(
+        2.4648 * 600 * np.array([0, 1, 0.5]), rel=1e-4
+    )
+    alone = support.case("base: stance\n")
+    assert step_curves.forces(alone, {step_curves.TIME: np.array([0.5, 1.0])}) == []
