@@ -1,8 +1,10 @@
-"""Search for the position of a stem with the largest least room for cement.
+"""Search for the position of a stem with the thickest mantle where it is thinnest.
 
-Room is measured as in `room`. At each step it is made linear in the five numbers of the position,
-within a trust region: the largest least room is then a linear program (scipy's HiGHS). Between
-positions with equal room the one nearest to the start is taken.
+Room is measured as in `room`. The excess of a point is its room less the thickness that is wanted
+there. At each step it is made linear in the five numbers of the position, within a trust region:
+the largest least excess is then a linear program (scipy's HiGHS). Room beyond the wanted thickness
+counts for nothing, so that a stem with enough room is not moved for more. Between positions with
+equal excess the one nearest to the start is taken.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ from scipy.optimize import linprog
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import room
-from meshes.placement import Position, position
+from meshes import femur_stem, room
+from meshes.femur_stem import Thickness
+from meshes.placement import Placement, Position, position
 from meshes.room import StemSurface, WidestCanal
 
 NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
@@ -27,6 +30,8 @@ SMALLEST = 0.005  # of the limits: last size of the trust region
 DIFFERENCE = 0.01  # of the limits: step of the derivatives
 CLOSE = 2.0  # mm of room above the least: points that a step may make the closest
 THINNED = 3  # lines along the stem of which one is searched
+RESERVE = 0.1  # mm of room above the wanted thickness: more counts for nothing
+UNCEMENTED = 2.0  # mm of room that is wanted without cement
 STEPS = 60  # at most
 # Starts of the search next to the given position: number of `NUMBERS`, and part of its limit.
 STARTS = ((2, 0.5), (2, -0.5))
@@ -52,8 +57,22 @@ class Limits:
         return cls(keys.varus, keys.flexion, keys.version, keys.offset, keys.offset)
 
 
-def best(canal: WidestCanal, stem: StemSurface, start: Position, limits: Limits) -> Position:
-    """The position, of the depth of the start, with the largest least room."""
+def best(
+    canal: WidestCanal,
+    stem: StemSurface,
+    start: Position,
+    limits: Limits,
+    wanted: Thickness,
+) -> Position:
+    """The position, of the depth of the start, with the largest least excess of room.
+
+    Args:
+        canal: The widest possible canal.
+        stem: The stem.
+        start: Position at which the search begins.
+        limits: Largest changes of it.
+        wanted: Thickness of the mantle that is asked for, at angles and levels of the stem.
+    """
     points = None if stem.points is None else stem.points[:, ::THINNED]
     coarse = replace(stem, start=stem.start[::THINNED], way=stem.way[::THINNED], points=points)
     first = np.array([getattr(start, name) for name in NUMBERS])
@@ -64,37 +83,43 @@ def best(canal: WidestCanal, stem: StemSurface, start: Position, limits: Limits)
     def changed(u: Floats) -> Position:
         return replace(start, **dict(zip(NUMBERS, map(float, first + scale * u), strict=True)))
 
-    def rooms_at(u: Floats, points: Floats | None = None) -> tuple[Floats, Floats]:
+    def excess_at(u: Floats, points: Floats | None = None) -> tuple[Floats, Floats]:
         placed = canal.cut.put(stem.implant, changed(u), False)
         x = coarse.cemented(placed, canal.cut) if points is None else points
-        return canal.room(placed.to_model(x)), x
+        return canal.room(placed.to_model(x)) - wanted(np.arctan2(x[:, 1], x[:, 0]), x[:, 2]), x
 
-    def worth(rooms: Floats, u: Floats) -> float:
-        return float(rooms.min() - WORTH * np.abs(u).sum())
+    def worth(excess: Floats, u: Floats) -> float:
+        return float(min(excess.min(), RESERVE) - WORTH * np.abs(u).sum())
 
     def searched_from(u: Floats) -> tuple[float, Floats]:
         """Worth and changes of the best position near a start."""
-        trust, (rooms, x) = TRUST, rooms_at(u)
+        trust, (excess, x) = TRUST, excess_at(u)
         for _ in range(STEPS):
-            near = x[rooms < rooms.min() + CLOSE]
-            here, _ = rooms_at(u, near)
+            near = x[excess < excess.min() + CLOSE]
+            here, _ = excess_at(u, near)
             shifts = DIFFERENCE * np.eye(len(NUMBERS))[free]
-            slopes = np.array([(rooms_at(u + s, near)[0] - here) / DIFFERENCE for s in shifts])
+            slopes = np.array([(excess_at(u + s, near)[0] - here) / DIFFERENCE for s in shifts])
             step = np.zeros(len(NUMBERS))
             step[free] = _largest_least(here, slopes.T, u[free], trust)
-            next_rooms, next_x = rooms_at(u + step)
-            if worth(next_rooms, u + step) > worth(rooms, u):
-                u, rooms, x = u + step, next_rooms, next_x
+            next_excess, next_x = excess_at(u + step)
+            if worth(next_excess, u + step) > worth(excess, u):
+                u, excess, x = u + step, next_excess, next_x
             else:
                 trust /= 2
                 if trust < SMALLEST:
                     break
-        return worth(rooms, u), u
+        return worth(excess, u), u
 
     starts = [part * np.eye(len(NUMBERS))[number] for number, part in STARTS if scale[number]]
     found = [searched_from(u) for u in (np.zeros(len(NUMBERS)), *starts)]
     _, u = max(found, key=lambda pair: pair[0])
     return changed(u)
+
+
+def wanted_thickness(geometry: Any, placed: Placement) -> Thickness:
+    """Thickness of the mantle that a geometry asks for; without cement `UNCEMENTED`."""
+    thickness = geometry.cement_thickness or UNCEMENTED
+    return femur_stem.thickness(thickness, geometry.implant.tip_z, placed.top)
 
 
 def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
@@ -112,7 +137,7 @@ def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
     given = cut.put(implant, start, mirrored)
     stem = StemSurface.of(implant, given)
-    found = best(canal, stem, start, Limits.of(limits))
+    found = best(canal, stem, start, Limits.of(limits), wanted_thickness(geometry, given))
     relative = neck if insertion.version.relative_to == "neck" else 0.0
     angle = _rounded_angle(found.version - relative)
     keys = {
@@ -153,17 +178,17 @@ def _rounded_angle(angle: float) -> float:
     return math.radians(round(math.degrees(angle), ANGLE_DIGITS))
 
 
-def _largest_least(rooms: Floats, slopes: Floats, u: Floats, trust: float) -> Floats:
-    """Step (k,) that makes the least of linear rooms largest.
+def _largest_least(excess: Floats, slopes: Floats, u: Floats, trust: float) -> Floats:
+    """Step (k,) that makes the least of linear excesses largest.
 
     Args:
-        rooms: Rooms of the points (n,) [mm].
+        excess: Excesses of the points (n,) [mm].
         slopes: Their derivatives (n, k) [mm].
         u: Changes of the numbers so far, over their limits (k,).
         trust: Largest change in this step.
     """
     n, k = slopes.shape
-    # Unknowns are the step (k,), the size of the whole change (k,), and the least room.
+    # Unknowns are the step (k,), the size of the whole change (k,), and the least excess.
     cost = np.concatenate([np.zeros(k), np.full(k, WORTH), [-1.0]])
     eye, none = np.eye(k), np.zeros((k, 1))
     left = np.block(
@@ -173,7 +198,7 @@ def _largest_least(rooms: Floats, slopes: Floats, u: Floats, trust: float) -> Fl
             [-eye, -eye, none],
         ]
     )
-    right = np.concatenate([rooms, -u, u])
+    right = np.concatenate([excess, -u, u])
     low, high = np.maximum(-trust, -1.0 - u), np.minimum(trust, 1.0 - u)
-    bounds = [*zip(low, high, strict=True), *[(0.0, None)] * k, (None, None)]
+    bounds = [*zip(low, high, strict=True), *[(0.0, None)] * k, (None, RESERVE)]
     return np.asarray(linprog(cost, left, right, bounds=bounds).x[:k])

@@ -310,9 +310,10 @@ def head_in_words(geometry: Any) -> str:
     placed, implant, femur = geometry.placement, geometry.implant, geometry.femur
     head, intact = placed.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
     offset, before = math.hypot(*head[:2]), math.hypot(*intact[:2])
-    version = math.atan2(placed.turn[1, 0], placed.turn[0, 0])
+    version = math.degrees(math.atan2(placed.turn[1, 0], placed.turn[0, 0]))
+    changes = offset - before, head[2] - intact[2], version - math.degrees(femur.neck)
+    wider, longer, turned = (round(float(change), 1) + 0.0 for change in changes)  # no "-0.0"
     return (
-        f"offset {offset:.1f} mm ({offset - before:+.1f} against the intact head),"
-        f" leg length {head[2] - intact[2]:+.1f} mm,"
-        f" version {math.degrees(version):.1f} deg ({math.degrees(version - femur.neck):+.1f})"
+        f"offset {offset:.1f} mm ({wider:+.1f} against the intact head),"
+        f" leg length {longer:+.1f} mm, version {version:.1f} deg ({turned:+.1f})"
     )

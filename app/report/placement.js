@@ -181,7 +181,7 @@
   if (stems.length > 1) {
     const row = make("div", $("sliders"), { className: "row" });
     make("label", row, { textContent: "size", htmlFor: "size" });
-    const size = make("select", row, { id: "size" });
+    const size = make("select", row, { id: "size", className: "size" });
     stems.forEach((s, k) => make("option", size, { value: k, textContent: s.name }));
     size.value = state.size;
     size.onchange = () => { state.size = +size.value; reshape(); update(); };
@@ -212,11 +212,14 @@
   scene.background = new THREE.Color("#ffffff");
   if (head.side === "right") model.scale.x = -1; // the model of a right femur is its mirror image
   scene.add(model);
-  const surface = (points, triangles, material) => {
+  const shape = (points, triangles) => {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
     geometry.setIndex(new THREE.BufferAttribute(triangles, 1));
     geometry.computeVertexNormals();
+    return geometry;
+  };
+  const surface = (geometry, material) => {
     const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ side: THREE.DoubleSide, ...material }));
     model.add(mesh);
     return mesh;
@@ -225,10 +228,10 @@
   const flip = head.side === "right" ? -1 : 1;
   const kept = new THREE.Plane(new THREE.Vector3(-flip * normal[0], -normal[1], -normal[2]), level);
   const removed = new THREE.Plane(kept.normal.clone().negate(), -level);
-  const bonePoints = places(head.bone.points), boneTriangles = array(head.bone.triangles);
-  const bone = surface(bonePoints, boneTriangles, { ...clear("#d8c3a5", 0.3), clippingPlanes: [kept] });
-  surface(bonePoints, boneTriangles, { ...clear("#d8c3a5", 0.1), clippingPlanes: [removed] });
-  const canal = surface(places(head.canal.points), array(head.canal.triangles), clear("#5b8fc7", 0.16));
+  const whole = shape(places(head.bone.points), array(head.bone.triangles));
+  const bone = surface(whole, { ...clear("#d8c3a5", 0.3), clippingPlanes: [kept] });
+  surface(whole, { ...clear("#d8c3a5", 0.1), clippingPlanes: [removed] });
+  const canal = surface(shape(places(head.canal.points), array(head.canal.triangles)), clear("#5b8fc7", 0.16));
   bone.renderOrder = 2; canal.renderOrder = 1;
   const sheet = new THREE.Mesh(new THREE.CircleGeometry(38, 48), new THREE.MeshBasicMaterial({ side: THREE.DoubleSide, ...clear("#2f6f4f", 0.14) }));
   sheet.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), new THREE.Vector3(...normal));
@@ -268,7 +271,7 @@
     }
     // Its ends.
     for (const k of [0, rows - 1]) for (let i = 1; i < around - 1; i++) triangles.push(k * around, k * around + i, k * around + i + 1);
-    body = surface(new Float32Array(3 * rows * around), Uint32Array.from(triangles), { vertexColors: THREE.VertexColors });
+    body = surface(shape(new Float32Array(3 * rows * around), Uint32Array.from(triangles)), { vertexColors: THREE.VertexColors });
     body.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * rows * around), 3));
     body.frustumCulled = false;
   }
@@ -311,8 +314,13 @@
     canvas.setAttribute("aria-label", "Bone, canal and stem in three dimensions; arrow keys rotate");
     stage.prepend(canvas);
   }
-  function draw() { if (renderer) renderer.render(scene, camera); }
-  const bounds = new THREE.Box3().setFromBufferAttribute(canal.geometry.getAttribute("position")).expandByPoint(new THREE.Vector3(...head.head));
+  let waiting = false; // for the next frame, in which all changes are drawn at once
+  function draw() {
+    if (!renderer || waiting) return;
+    waiting = true;
+    requestAnimationFrame(() => { waiting = false; renderer.render(scene, camera); });
+  }
+  const bounds = new THREE.Box3().setFromBufferAttribute(canal.geometry.getAttribute("position")).expandByPoint(new THREE.Vector3(...head.head).add(new THREE.Vector3(0, 0, 1.8 * HEAD)));
   bounds.expandByPoint(new THREE.Vector3(...evaluate(state.p, stems[state.size]).centre).add(new THREE.Vector3(0, 0, HEAD)));
   const middle = bounds.getCenter(new THREE.Vector3()), tall = bounds.getSize(new THREE.Vector3());
   middle.x *= flip;
@@ -374,7 +382,7 @@
       ...cemented ? [["least thickness of the cement", "", Math.max(0, now.thinnest).toFixed(2) + " mm"]] : [],
       ["offset of the head", "against the intact head", `${now.offset.toFixed(1)} mm (${signed(now.offsetChange, 1)})`],
       ["leg length", "against the intact head", `${signed(now.leg, 1)} mm`],
-      ["version", head.condyles ? "from the condyles; change" : "from the neck; change", `${now.version.toFixed(1)}° (${signed(now.versionChange, 1)})`],
+      ["version", head.condyles ? "from the condyles; change" : "from the neck; change", `${now.version.toFixed(1).replace("-", "−")}° (${signed(now.versionChange, 1)})`],
     ];
     $("numbers").textContent = "";
     for (const [name, more, value] of rows) {
@@ -399,5 +407,6 @@
   view("from the front");
   window.addEventListener("resize", resize);
   window.mantlePlace = { head, state, change, best, view, yaml, evaluate: (p, size = state.size) => evaluate(p, stems[size]), get now() { return now; } };
+  await new Promise(requestAnimationFrame);
   document.documentElement.dataset.ready = String(Math.round(performance.now()));
 })();

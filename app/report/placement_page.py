@@ -199,9 +199,10 @@ def _packed_stem(
     implant, mirrored = size.implant, geometry.femur.mirrored
     stem = room.StemSurface.of(implant, canal.cut.put(implant, start, mirrored))
     bests = []
+    thickness = best_position.wanted_thickness(geometry, geometry.placement)
     for depth in DEPTHS:
         at = replace(start, depth=float(depth))
-        bests.append(_shown(best_position.best(canal, stem, at, limits)))
+        bests.append(_shown(best_position.best(canal, stem, at, limits, thickness)))
     surface: dict[str, object] = {"points": None}
     if stem.points is not None:
         surface = {"points": numbers.add(stem.points.astype("<f4"))}

@@ -13,7 +13,13 @@ from meshes.best_position import Limits
 from meshes.room import StemSurface
 from tests.meshes.canals import CUT, IMPLANT, RADIUS, START, rod, tube
 
+WANTED = 4.0  # mm: all the room that a rod of 5 mm has in the middle of the canal
 LIMITS = Limits(math.radians(3), math.radians(3), math.radians(10), 4.0, 4.0)
+
+
+def wanted(theta: object, z: object) -> float:
+    """Thickness that is asked for [mm]."""
+    return WANTED
 
 
 @pytest.mark.parametrize(("varus", "flexion"), [(1.5, 0.0), (-1.0, 2.0), (0.0, 0.0)])
@@ -22,7 +28,7 @@ def test_best_position_is_the_axis_of_a_round_canal(varus: float, flexion: float
     lean = math.tan(math.radians(varus)), math.tan(math.radians(flexion))
     canal = room.canal_of(CUT, tube((1.5, -1.0), lean))
     rod_in = rod(5.0)
-    best = best_position.best(canal, rod_in, START, LIMITS)
+    best = best_position.best(canal, rod_in, START, LIMITS, wanted)
     fit = room.fit(canal, rod_in, CUT.put(IMPLANT, best, False))
     assert fit.least == pytest.approx(RADIUS - 5.0, abs=0.1)
     assert math.degrees(best.varus) == pytest.approx(varus, abs=0.15)
@@ -33,9 +39,15 @@ def test_best_position_is_the_axis_of_a_round_canal(varus: float, flexion: float
 def test_best_position_stays_within_limits_and_keeps_what_is_fixed() -> None:
     canal = room.canal_of(CUT, tube((6.0, 0.0), (0.0, 0.0)))
     limits = replace(LIMITS, varus=0.0, flexion=0.0, version=0.0, medial=2.0)
-    best = best_position.best(canal, rod(5.0), START, limits)
+    best = best_position.best(canal, rod(5.0), START, limits, wanted)
     assert (best.varus, best.flexion, best.version) == (0.0, 0.0, 0.0)
     assert best.medial == pytest.approx(2.0, abs=1e-6)
+
+
+def test_best_position_with_enough_room_is_the_given_one() -> None:
+    canal = room.canal_of(CUT, tube((0.5, 0.0), (0.0, 0.0)))
+    best = best_position.best(canal, rod(5.0), START, LIMITS, lambda theta, z: 3.0)
+    assert best == START
 
 
 def test_best_position_places_a_stem_that_does_not_fit() -> None:
