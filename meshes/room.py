@@ -6,7 +6,8 @@ the page of `mantle place` interpolates the same numbers, and the search for a p
 (`best_position`) too.
 
 Cement is within a distance from the stem and within the canal. Its thickness at a point of the stem
-is therefore the lesser of the thickness that is asked for and the room there.
+is therefore the lesser of the thickness that is asked for and the room there. A stem without cement
+may reach into the cortex: its canal is then what leaves the least cortex.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.cad_stem import CadStem
-from meshes.layered_surfaces import DEEP, SIDES
+from meshes.layered_surfaces import DEEP, LEAST_CORTEX, SIDES
 from meshes.layers import Sections
 from meshes.placement import NeckCut, Placement, Position
 
@@ -90,7 +91,12 @@ def canal(geometry: Any) -> WidestCanal:
     sections = Sections(placed, placed.top, implant.plug, zeta)
     layers = femur.layers(geometry, sections, None)
     theta, levels = np.meshgrid(2 * np.pi * np.arange(AROUND) / AROUND, zeta)
-    points = placed.to_model(layers.canal(theta.ravel(), levels.ravel()))
+    around, along = theta.ravel(), levels.ravel()
+    points = layers.canal(around, along)
+    if not geometry.is_cemented:
+        ends = layers.ends(around, along)
+        points = ends - LEAST_CORTEX * femur_stem.unit(ends - points)
+    points = placed.to_model(points)
     return canal_of(cut, points.reshape(len(zeta), AROUND, 3))
 
 

@@ -365,7 +365,7 @@ class OperatedHip(Hip):
     @property
     def least_room(self) -> float:
         """Room that the stem must have everywhere (mm): for cement, or none without cement."""
-        return LEAST_CEMENT if spread(self.cement_thickness)[0] else 0.0
+        return LEAST_CEMENT if self.is_cemented else 0.0
 
     def search(self) -> None:
         """Replace a position that is to be searched by the best one."""

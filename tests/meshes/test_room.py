@@ -11,6 +11,7 @@ import meshes
 from app.case.geometries import Femur, MeshOptions
 from app.foundation.errors import GeometryError
 from meshes import room
+from meshes.layered_surfaces import LEAST_CORTEX, LayeredSurfaces
 from meshes.room import StemSurface
 from tests.meshes.canals import CUT, IMPLANT, RADIUS, START, rod, tube
 
@@ -47,3 +48,18 @@ def test_room_of_a_stem_above_the_cut_is_refused() -> None:
     placed = CUT.put(IMPLANT, replace(START, depth=-400.0), False)
     with pytest.raises(GeometryError, match="above the neck cut"):
         room.fit(canal, rod(5.0), placed)
+
+
+def test_room_without_cement_is_the_cortex_left_above_the_least() -> None:
+    """Lines from stem to periosteum are oblique by a few degrees: within 0.15 mm."""
+    geometry = Femur.model_validate({"cement_thickness": "0 mm", "tip_void": "5 mm"})
+    mesh = MeshOptions.model_validate({"size": "6 mm"}).model_copy(update={"curved": True})
+    surfaces = LayeredSurfaces(geometry, mesh)
+    phi, s = (
+        v.ravel()
+        for v in np.meshgrid(np.arange(72) / 72, np.linspace(surfaces.tip, surfaces.cut, 90))
+    )
+    left = surfaces.lines(phi, s).length.min()
+    stem = StemSurface.of(geometry.implant, geometry.placement)
+    fit = room.fit(room.canal(geometry), stem, geometry.placement)
+    assert fit.least == pytest.approx(left - LEAST_CORTEX, abs=0.15)
