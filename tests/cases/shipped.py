@@ -73,6 +73,12 @@ COARSE: dict[str, list[str]] = {
         "stages.0.cycles=1",
         "stages.4.cycles=1",
     ],
+    "day.yaml": [
+        "mesh.size=12 mm",
+        "mesh.around=8",
+        "output.error=false",
+        *(f"stages.{k}.cycles=1" for k in (0, 2, 4, 6, 8)),
+    ],
     "debonding.yaml": [
         "mesh.size=10 mm",
         "mesh.around=8",

@@ -638,6 +638,7 @@ CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "thermal_rings.yaml": check_rings,
     "cure.yaml": check_cure,
     "history.yaml": check_history,
+    "day.yaml": check_fatigue,
     "fatigue.yaml": check_fatigue,
     "debonding.yaml": check_debonding,
     "remodelling.yaml": check_bone,

@@ -109,7 +109,7 @@ EXPECTED = {
     "verification/wavy_contact": {"initial temperatures decide"},
     "verification/columns": {"lazy_zone is 0"},
     "verification/plate": {"strains are not small"},
-    **{key: {"from memory: check"} for key in ("fatigue", "creep_taper")},
+    **{key: {"from memory: check"} for key in ("day", "fatigue", "creep_taper")},
     "life": {"from memory: check", STAYS},
     "verification/creep_taper": {"mean slope of 1.5 degrees"},
     "verification/layer": {"1e+09 MPa: a wrong unit?"},
