@@ -115,7 +115,8 @@ def test_press_fit_pressure(problem: KnownProblem) -> None:
         tolerance=1e-3,
         source=LAME,
     )
-    solved = problem.solve(ROD, NO_FRICTION, "stages=[{name: fit}]", "supports.rod.history=[0]")
+    one_stage = "stages=[{name: fit}]", "supports.rod.history=[0]"
+    solved = problem.solve(ROD, NO_FRICTION, *one_stage, *slice_of(1.0))
     problem.compare(number(solved, PRESSURE, fit_pressure()))
 
 
@@ -130,10 +131,10 @@ def fit_pressure() -> float:
     [pytest.param("into", -1, id="in", marks=quick), pytest.param("out of", 1, id="out")],
 )
 def test_press_fit_pushed(problem: KnownProblem, way: str, sign: int) -> None:
-    """All of the rod slides; the axial stress of the ring changes the pressure."""
+    """All of the rod slides; the axial stress of the ring changes the pressure by a tenth."""
     problem.expects(
         f"force that moves a rod {way} its ring [N], relative",
-        tolerance=0.01,
+        tolerance=0.015,  # the axial stress is taken as uniform across the ring
         source="Lamé with Poisson's effect of the axial stress",
     )
     solved = problem.solve(ROD, f"supports.rod.z={sign * 0.2} mm")
