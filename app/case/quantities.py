@@ -328,8 +328,11 @@ add_quantity(
         label="micromotion, max",
         peak=True,
         step_record=True,
+        on_page=True,
     ),
-    _interface("micromotion_p95", "mm", "um", 1, label="micromotion, p95", order=MOTION),
+    _interface(
+        "micromotion_p95", "mm", "um", 1, label="micromotion, p95", order=MOTION, on_page=True
+    ),
     _interface(
         "micromotion_p99",
         "mm",
@@ -339,8 +342,11 @@ add_quantity(
         order=MOTION,
         step_record=True,
         headline=True,
+        on_page=True,
     ),
-    _interface("micromotion_mean", "mm", "um", 1, label="micromotion, mean", order=MOTION),
+    _interface(
+        "micromotion_mean", "mm", "um", 1, label="micromotion, mean", order=MOTION, on_page=True
+    ),
     _interface("pressure_max", "MPa", label="pressure, max", peak=True, step_record=True),
     _interface(
         "pressure_p95",

@@ -339,6 +339,13 @@ def _axes(axes: Axes, flat: Sheet) -> None:
 # From three sides
 
 
+def _on_sides(run: Run, name: str) -> dict[str, str]:
+    """Colours of the quantities of an interface; micromotion in place of slip for a press fit."""
+    if f"{name}_micromotion" not in run.point_fields:
+        return ON_SIDES
+    return {"micromotion" if key == "slip" else key: colours for key, colours in ON_SIDES.items()}
+
+
 def sides(run: Run, folder: Path) -> list[Figure]:
     """Draw slip, gap and pressure of every interface on its inner body; nothing without contact."""
     bodies = outsides(run, curved=True)
@@ -353,7 +360,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     axes = figure.subplots(len(shown), len(ON_SIDES) * len(VIEWS), squeeze=False)
     for row, (name, (body, triangles)) in zip(axes, shown.items(), strict=True):
         panels = iter(row)
-        for quantity, colours in ON_SIDES.items():
+        for quantity, colours in _on_sides(run, name).items():
             label, unit, factor = INTERFACE[quantity]
             values = factor * lengths(run, f"{name}_{quantity}")
             most = float(np.percentile(values[triangles], CLIP)) or 1.0
@@ -369,9 +376,11 @@ def sides(run: Run, folder: Path) -> list[Figure]:
             bar.set_label(f"{label} on the {named(body)} ({unit}), largest {values.max():.3g}")
     figures.save(figure, folder / f"{SIDES}.png", 130)
     names = " and ".join(name.replace("_", "-") for name in shown)
+    motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in shown)
+    moved = " or ".join(motions).capitalize()
     caption = (
-        "Slip, gap and contact pressure at the end, on the inner body of each interface. Colours "
-        f"end at the {CLIP:g}th percentile; the labels have the largest values."
+        f"{moved}, gap and contact pressure at the end, on the inner body of each interface. "
+        f"Colours end at the {CLIP:g}th percentile; the labels have the largest values."
     )
-    text = f"Slip, gap and pressure of {names}, drawn on the surface from three sides."
+    text = f"{moved}, gap and pressure of {names}, drawn on the surface from three sides."
     return [Figure(f"{SIDES}.png", "", caption, text)]
