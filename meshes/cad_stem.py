@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.foundation.arrays import Bools, Floats, Numbers
+from app.foundation.arrays import Bools, FloatOrFloats, Floats
 from app.foundation.errors import GeometryError
 from meshes.data import StepKeys
 from meshes.femur_stem import ARC, LEAST_WHOLE, Thickness, allotted, limited, unit
@@ -298,7 +298,7 @@ class CadStem:
         self._placed_lines.cache_clear()
         return self
 
-    def point(self, phi: Floats, zeta: Numbers, slope: Numbers) -> Floats:
+    def point(self, phi: Floats, zeta: FloatOrFloats, slope: FloatOrFloats) -> Floats:
         """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""
         zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
         return self._at(phi, self._low + np.abs(zeta - self._low), slope, np.zeros(len(phi)))

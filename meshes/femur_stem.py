@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Numbers
+from app.foundation.arrays import FloatOrFloats, Floats
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes.data import StepKeys
@@ -91,17 +91,17 @@ class Body:
         shares: Parts of a quarter's lines on its half side, its corner and its half front.
     """
 
-    half: tuple[Numbers, Numbers, Numbers]
+    half: tuple[FloatOrFloats, FloatOrFloats, FloatOrFloats]
     slope: tuple[float, float, float]
     lean: float = 0.0
     shares: tuple[float, float, float] = (0.25, 0.5, 0.25)
 
-    def section(self, z: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    def section(self, z: FloatOrFloats) -> tuple[FloatOrFloats, FloatOrFloats, FloatOrFloats]:
         """Half-width, half-depth and corner radius at z [mm]."""
         a, b, r = (v + s * z for v, s in zip(self.half, self.slope, strict=True))
         return a, b, r
 
-    def _weights(self, z: Numbers) -> Floats:
+    def _weights(self, z: FloatOrFloats) -> Floats:
         """Lengths of half a side, a corner, which counts more, and half a front, (3, ...) [mm]."""
         a, b, r = self.section(np.asarray(z))
         return np.stack([b - r, ARC * 0.5 * np.pi * r, a - r])
@@ -117,7 +117,7 @@ class Body:
         side, corner, front = map(float, weights / weights.sum())
         return replace(self, shares=(side, corner, front))
 
-    def _shares(self, z: Numbers) -> Floats:
+    def _shares(self, z: FloatOrFloats) -> Floats:
         """Shares at levels z (3, ...).
 
         They are the same everywhere, so that lines do not leave the ends of arcs, but for pieces
@@ -140,7 +140,7 @@ class Body:
         rounded = (flat * c > a - r) & (flat * s > b - r)
         return np.where(rounded, corner, flat)
 
-    def point(self, phi: Floats, zeta: Numbers, slope: Numbers) -> Floats:
+    def point(self, phi: Floats, zeta: FloatOrFloats, slope: FloatOrFloats) -> Floats:
         """Points of the outline in the planes z = zeta - slope (x + lean y) (n, 3) [mm].
 
         Args:
@@ -172,7 +172,7 @@ class Body:
                 x, y, _ = level.point(phi, z, 0.0).T
         return np.stack([x, y, z], axis=1)
 
-    def offset(self, thickness: Numbers) -> Body:
+    def offset(self, thickness: FloatOrFloats) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
         a, b, r = self.half
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
@@ -286,7 +286,7 @@ class Upper:
         ring = self.ring(phi, 0)
         return ring - self.body.point(phi, *self.planes[1]), self.ring(phi, 1) - ring
 
-    def point(self, phi: Floats, zeta: Numbers) -> Floats:
+    def point(self, phi: Floats, zeta: FloatOrFloats) -> Floats:
         """Points in planes above the body's end, parallel to it (n, 3) [mm]."""
         (way, _), (base, slope) = self.ways(phi), self.planes[1]
         rise = way[:, 2] + slope * (way[:, 0] + self.body.lean * way[:, 1])

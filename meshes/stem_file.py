@@ -12,7 +12,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints, Numbers
+from app.foundation.arrays import FloatOrFloats, Floats, Ints
 from app.foundation.errors import GeometryError
 from meshes.cad_stem import INSIDE, around, outline
 from meshes.data import facet_areas
@@ -52,7 +52,7 @@ class StemRequest(TypedDict):
     taper_face: Vector | None
 
 
-def read(request: StemRequest) -> dict[str, Numbers]:
+def read(request: StemRequest) -> dict[str, FloatOrFloats]:
     """The stem of a file.
 
     Args:

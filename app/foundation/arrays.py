@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 # A number, or one for each point.
-Numbers = float | Floats
+FloatOrFloats = float | Floats
 # Values at points (n, 3).
 Field = Callable[[Floats], Floats]
 # Numbers of any type, such as those of voxels.
