@@ -9,18 +9,25 @@ and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypedDict, cast
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+)
 from pydantic.config import JsonDict
 
 from app.case import checks, overlay, points
 from app.case.geometries import Geometry, MeshFile, MeshOptions
 from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
+from app.case.shapes import Point3
 from app.case.variations import Variations, expand, title_with_changes
 from app.foundation.errors import InputError
 from app.laws.heat_conditions import HeatCondition
@@ -31,7 +38,7 @@ from app.laws.motions import Motion
 from app.laws.supports import AnySupport
 from app.schema import section, yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text
-from app.schema.yaml_file import CaseFile, Fault
+from app.schema.yaml_file import CaseFile, Fault, YamlMapping
 
 # Sections whose entries are valid one by one.
 TABLES = ("regions", "interfaces", "supports", "motions", "loads", "heat")
@@ -43,6 +50,18 @@ LIBRARY_KEYS: JsonDict = {
     "history": {"type": "array"},
     "cycle_table": {"type": ["object", "array", "string"]},
 }
+
+
+class Notes(TypedDict):
+    """Context of the validation of a case."""
+
+    # Folder of the case file, of which paths are relative.
+    folder: Path
+    # Named points of the geometry; None before it is read.
+    points: dict[str, Point3] | None
+    # Valid parts by name; None for the others.
+    parts: YamlMapping
+    faults: list[Fault]
 
 
 class Case(Section):
@@ -107,18 +126,20 @@ class Case(Section):
 
     @field_validator("*", mode="wrap")
     @classmethod
-    def _noted(cls, value: Any, handler: Callable[[Any], Any], info: ValidationInfo) -> object:
+    def _noted(
+        cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> object:
         """Store the part or its errors in the context; continue without an invalid part."""
         name = str(info.field_name)
-        notes: dict[str, Any] = info.context  # type: ignore[assignment]
-        part: Any = None
+        notes = cast(Notes, info.context)
+        part = None
         try:
             part = handler(value)
         except ValidationError as error:
-            found = [Fault((name, *f.path), f.text) for f in section.faults(error)]
-            notes["faults"] += found
+            faults = [Fault((name, *f.path), f.text) for f in section.faults(error)]
+            notes["faults"] += faults
             if name in TABLES and isinstance(value, dict):
-                wrong = {fault.path[1] for fault in found}
+                wrong = {fault.path[1] for fault in faults}
                 part = handler({k: v for k, v in value.items() if k not in wrong})
                 part |= dict.fromkeys(wrong)
             elif name in ("interfaces", "motions", "loads", "heat"):
@@ -328,24 +349,24 @@ def _with_tissues(case: Case, of_materials: Mapping[str, str]) -> Case:
     return case.model_copy(update={"regions": regions})
 
 
-def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
+def valid_parts(data: Mapping[str, object], folder: Path) -> tuple[Case, list[Fault]]:
     """A case whose missing or invalid parts are None, and their faults."""
     faults: list[Fault] = []
-    parts: dict[str, Any] = dict.fromkeys(("geometry", "regions"))
-    notes = {"folder": folder, "points": None, "parts": parts, "faults": faults}
+    parts: YamlMapping = dict.fromkeys(("geometry", "regions"))
+    notes: Notes = {"folder": folder, "points": None, "parts": parts, "faults": faults}
     try:
-        Case.model_validate(data, context=notes)
+        Case.model_validate(data, context=cast(YamlMapping, notes))
     except ValidationError as error:
         faults += section.faults(error)
     return Case.model_construct(**parts), faults
 
 
-def read_geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
+def read_geometry(data: Mapping[str, object], folder: Path) -> Geometry | None:
     """Geometry of a case file, even if other parts are invalid."""
     return valid_parts(data, folder)[0].geometry
 
 
-def plain(case: Case) -> dict[str, Any]:
+def plain(case: Case) -> YamlMapping:
     """A case without its variations as mappings, lists and scalars."""
     return case.model_dump(mode="json", exclude_none=True, exclude={"variations"})
 

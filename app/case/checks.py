@@ -5,15 +5,23 @@ They work on the valid parts, so that an error in one section does not hide erro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Protocol, TypeVar
 
 from app.case.quantities import ADDED, of_run
-from app.case.run_options import STAGE_KINDS
-from app.case.shapes import COMPANION, MOST_LINES
+from app.case.run_options import STAGE_KINDS, OutputOptions, Stage, TimeOptions
+from app.case.shapes import COMPANION, MOST_LINES, MeshOptions, Shape
 from app.foundation.verdict import Reason
-from app.schema.section import did_you_mean
+from app.laws.heat_conditions import HeatCondition
+from app.laws.interface_laws import InterfaceLaw
+from app.laws.loads import Load
+from app.laws.materials import Material
+from app.laws.motions import Motion
+from app.laws.supports import AnySupport
+from app.schema.section import Section, did_you_mean
 from app.schema.yaml_file import Fault, Path
+
+T = TypeVar("T")
 
 # Keys that a stage with cycle tables cannot have, and why.
 NO_CYCLE_TABLE = {
@@ -23,7 +31,68 @@ NO_CYCLE_TABLE = {
 }
 
 
-Check = Callable[[Any], Iterable[Fault]]
+class CaseParts(Protocol):
+    """Parts of a case that checks read.
+
+    A part that is not valid is None, unless a check names it as needed. An entry of a table that is
+    not valid is None too.
+    """
+
+    @property
+    def geometry(self) -> Shape:
+        """Bodies, interfaces and boundaries."""
+
+    @property
+    def side(self) -> str:
+        """Side of the hip, left or right."""
+
+    @property
+    def mesh(self) -> MeshOptions:
+        """Mesh size and order."""
+
+    @property
+    def regions(self) -> Mapping[str, Material | None]:
+        """Material of each region."""
+
+    @property
+    def interfaces(self) -> Mapping[str, InterfaceLaw | None]:
+        """Law of each interface."""
+
+    @property
+    def supports(self) -> Mapping[str, AnySupport | None]:
+        """Supports of the bodies."""
+
+    @property
+    def motions(self) -> Mapping[str, Motion | None]:
+        """Regions that rotate far."""
+
+    @property
+    def loads(self) -> Mapping[str, Load | None]:
+        """Loads on the bodies."""
+
+    @property
+    def heat(self) -> Mapping[str, HeatCondition | None]:
+        """Heat conditions."""
+
+    @property
+    def stages(self) -> Sequence[Stage]:
+        """Stages of the loading history."""
+
+    @property
+    def time(self) -> TimeOptions | None:
+        """Division of stages into time steps."""
+
+    @property
+    def output(self) -> OutputOptions:
+        """Results that are written."""
+
+    @property
+    def variations(self) -> Mapping[str, object]:
+        """Overrides of each variation."""
+
+
+# A check takes a case, or the parts of it that it reads.
+Check = Callable[..., Iterable[Fault]]
 # Every check of a case, with the parts that it needs.
 _CHECKS: list[tuple[tuple[str, ...], Check]] = []
 
@@ -42,7 +111,7 @@ def check(*needed: str) -> Callable[[Check], Check]:
     return register
 
 
-def cross_check(case: Any) -> list[Fault]:
+def cross_check(case: CaseParts) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
     return [
         fault
@@ -59,20 +128,26 @@ def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str)
     return Fault(path, text + did_you_mean(name, known))
 
 
-def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:
+def _valid(entries: Mapping[str, T | None] | None) -> Iterator[tuple[str, T]]:
+    """Name and entry of the valid entries of a section."""
+    for name, entry in (entries or {}).items():
+        if entry is not None:
+            yield name, entry
+
+
+def _entries(case: CaseParts, *sections: str) -> Iterator[tuple[str, str, Section]]:
     """Section, name and entry of the valid entries of sections."""
     for section in sections:
-        for name, entry in (getattr(case, section) or {}).items():
-            if entry is not None:
-                yield section, name, entry
+        for name, entry in _valid(getattr(case, section)):
+            yield section, name, entry
 
 
 @check("geometry")
-def _names(case: Any) -> Iterable[Fault]:
+def _names(case: CaseParts) -> Iterable[Fault]:
     """Names unknown to the geometry, and regions without material."""
     kind, regions = case.geometry.kind, case.geometry.region_names
     boundaries, interfaces = case.geometry.boundary_names, case.geometry.interface_sides
-    used: list[tuple[Path, str, Any]] = [
+    used: list[tuple[Path, str, str | None]] = [
         *((("regions", name), "region", name) for name in case.regions or ()),
         *((("interfaces", name), "interface", name) for name in case.interfaces),
     ]
@@ -98,14 +173,14 @@ def _names(case: Any) -> Iterable[Fault]:
     missing = [name for name in regions if name not in case.regions]
     if missing:
         yield Fault(("regions",), f"no material for {', '.join(missing)}; every region needs one")
-    for _, name, region in _entries(case, "regions"):
+    for name, region in _valid(case.regions):
         if region.tissue is None and name in regions:
             text = "'tissue' is missing; expected bone, cement, implant or other"
             yield Fault(("regions", name), text)
 
 
 @check("geometry")
-def _cement(case: Any) -> Iterable[Fault]:
+def _cement(case: CaseParts) -> Iterable[Fault]:
     """Names of a base that has cement, or none; interfaces that need a law."""
     geometry = case.geometry
     missing = {n: law for n, law in geometry.laws_to_write.items() if n not in case.interfaces}
@@ -130,7 +205,7 @@ def _cement(case: Any) -> Iterable[Fault]:
 
 
 @check("geometry")
-def _mesh(case: Any) -> Iterable[Fault]:
+def _mesh(case: CaseParts) -> Iterable[Fault]:
     """Lengths too small for the mesh size, and numbers of what the mesh does not have."""
     largest = case.geometry.coarsest_size
     if case.mesh is not None:
@@ -148,7 +223,7 @@ def _mesh(case: Any) -> Iterable[Fault]:
                 yield Fault(("mesh", key), f"{text}; leave {key} out")
         if case.mesh.through_cement and "cement" in case.geometry.left_out.get("regions", ()):
             yield Fault(("mesh", "through_cement"), "there is no cement; leave through_cement out")
-        yield from _lines(case)
+        yield from _lines(case.geometry, case.mesh)
     size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
@@ -157,9 +232,9 @@ def _mesh(case: Any) -> Iterable[Fault]:
             yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
 
 
-def _lines(case: Any) -> Iterable[Fault]:
+def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
     """Distances of lines that the stem's section cannot hold, and steps that no part can."""
-    around, length = case.mesh.around, case.geometry.stem_perimeter
+    around, length = mesh.around, geometry.stem_perimeter
     if isinstance(around, float) and length:
         # Rounded inwards: what the message allows is allowed.
         least, most = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
@@ -167,14 +242,14 @@ def _lines(case: Any) -> Iterable[Fault]:
             text = f"{around:g} mm: the stem is {length:.3g} mm around where lines are counted"
             expected = f"expected {least:.2g} to {most:.3g} mm, or a number of lines"
             yield Fault(("mesh", "around"), f"{text}; {expected}")
-    along, most = case.mesh.along, case.geometry.coarsest_size
+    along, most = mesh.along, geometry.coarsest_size
     if along and length and along > most:
         text = f"{along:g} mm: is longer than every part; expected at most {most:g} mm"
         yield Fault(("mesh", "along"), text)
 
 
 @check("stages")
-def _stages(case: Any) -> Iterable[Fault]:
+def _stages(case: CaseParts) -> Iterable[Fault]:
     """Missing or duplicate stages, load histories of wrong length, unknown stages of supports."""
     names = [stage.name for stage in case.stages]
     if not names:
@@ -183,19 +258,19 @@ def _stages(case: Any) -> Iterable[Fault]:
         if name in names[:i]:
             text = f"'{name}' is the name of an earlier stage too; expected another"
             yield Fault(("stages", i, "name"), text)
-    laws = [law for _, _, law in _entries(case, "interfaces")]
+    laws = [law for _, law in _valid(case.interfaces)]
     if len(laws) == len(case.interfaces or ()) and not any(w.dissipates for w in laws):
         for i, stage in enumerate(case.stages):
             if stage.fracture_step:
                 text = "no interface can break; expected an interface of kind: cohesive"
                 yield Fault(("stages", i, "fracture_step"), text)
-    load_histories: list[tuple[Path, Any]] = [
+    load_histories: list[tuple[Path, Sequence[float] | None]] = [
         ((section, name, key), getattr(entry, key))
         for section, name, entry in _entries(case, "interfaces", "supports", "loads")
         for key in ("history", "gap_history")
         if key in type(entry).model_fields
     ]
-    for _, name, region in _entries(case, "regions"):
+    for name, region in _valid(case.regions):
         for i, strain in enumerate(getattr(region, "eigenstrains", ())):
             key = ("regions", name, "eigenstrains", i, "history")
             load_histories.append((key, getattr(strain, "history", None)))
@@ -204,7 +279,7 @@ def _stages(case: Any) -> Iterable[Fault]:
             wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
             yield Fault(path, f"has {len(load_history)} values; expected {wanted}")
     used: list[tuple[Path, str]] = []
-    for _, name, support in _entries(case, "supports"):
+    for name, support in _valid(case.supports):
         stages = enumerate(getattr(support, "stages", None) or ())
         used += [(("supports", name, "stages", i), stage) for i, stage in stages]
     for path, stage in used:
@@ -214,7 +289,7 @@ def _stages(case: Any) -> Iterable[Fault]:
 
 
 @check("geometry")
-def _accuracy(case: Any) -> Iterable[Fault]:
+def _accuracy(case: CaseParts) -> Iterable[Fault]:
     """An accuracy where there is no mesh to choose, or no number that counts."""
     given = case.geometry.kind == "file" or case.variations
     touches = any(law and law.can_part for law in case.interfaces.values())
@@ -224,13 +299,13 @@ def _accuracy(case: Any) -> Iterable[Fault]:
 
 
 @check("geometry")
-def _rigid(case: Any) -> Iterable[Fault]:
+def _rigid(case: CaseParts) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
-    rigid = {name for _, name, region in _entries(case, "regions") if region.moves_rigidly}
+    rigid = {name for name, region in _valid(case.regions) if region.moves_rigidly}
     if rigid.issuperset(case.geometry.region_names):
         yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
-    for _, name, law in _entries(case, "interfaces"):
+    for name, law in _valid(case.interfaces):
         sides = case.geometry.interface_sides.get(name)
         if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
@@ -241,17 +316,18 @@ def _rigid(case: Any) -> Iterable[Fault]:
 
 
 @check("supports")
-def _held(case: Any) -> Iterable[Fault]:
+def _held(case: CaseParts) -> Iterable[Fault]:
     """Directions in which the whole model is not constrained."""
-    if any(support is None for support in case.supports.values()):
+    supports = [support for _, support in _valid(case.supports)]
+    if len(supports) < len(case.supports):
         return
     if case.regions and all(r and r.only_conducts for r in case.regions.values()):
         return
-    limited = any(getattr(support, "stages", None) for support in case.supports.values())
+    limited = any(getattr(support, "stages", None) for support in supports)
     for stage in [s.name for s in case.stages or ()] if limited else [""]:
         held = {
             axis
-            for support in case.supports.values()
+            for support in supports
             for axis in getattr(support, "felt_axes", support.held_axes)
             if not (stages := getattr(support, "stages", None)) or stage in stages
         }
@@ -265,7 +341,7 @@ def _held(case: Any) -> Iterable[Fault]:
 
 
 @check("geometry")
-def _side(case: Any) -> Iterable[Fault]:
+def _side(case: CaseParts) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and case.geometry.has_gruen_zones:
         text = (
@@ -276,12 +352,12 @@ def _side(case: Any) -> Iterable[Fault]:
 
 
 @check("regions")
-def _creep(case: Any) -> Iterable[Fault]:
+def _creep(case: CaseParts) -> Iterable[Fault]:
     """Stages of creep where no region creeps, or where a law counts in another measure."""
-    regions = list(_entries(case, "regions"))
+    regions = list(_valid(case.regions))
     if not case.regions or len(regions) < len(case.regions):
         return
-    laws = {name: law for _, name, region in regions if (law := getattr(region, "creep", None))}
+    laws = {name: law for name, region in regions if (law := getattr(region, "creep", None))}
     for i, stage in enumerate(case.stages or ()):
         key = ("stages", i, stage.creep_key)
         if stage.creep and not laws:
@@ -293,10 +369,10 @@ def _creep(case: Any) -> Iterable[Fault]:
 
 
 @check("geometry")
-def _sliding(case: Any) -> Iterable[Fault]:
+def _sliding(case: CaseParts) -> Iterable[Fault]:
     """Finite sliding without boundaries, parts that move twice, cycle tables without a stage."""
-    whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
-    for _, name, law in _entries(case, "interfaces"):
+    whole = [(("motions", n, "region"), m.region) for n, m in _valid(case.motions)]
+    for name, law in _valid(case.interfaces):
         if law.finite_sliding:
             faces = law.sliding_boundaries or case.geometry.faces.get(name)
             if not faces:
@@ -311,7 +387,7 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if other:
             yield Fault(path, f"{part} is used by {path[0]}.{other} already; expected another")
         taken[path[0], part] = path[1]
-    for _, name, motion in _entries(case, "motions"):
+    for name, motion in _valid(case.motions):
         region = (case.regions or {}).get(motion.region)
         if region is not None and region.moves_rigidly == bool(motion.boundary):
             text = f"{motion.region} is elastic; expected `boundary`, the part that moves"
@@ -319,8 +395,8 @@ def _sliding(case: Any) -> Iterable[Fault]:
                 text = f"{motion.region} is rigid and moves as a whole; leave `boundary` out"
             yield Fault(("motions", name, "region"), text)
     motions = tuple(case.motions or ())
-    cyclic = any(motion.cycle for _, _, motion in _entries(case, "motions"))
-    for _, name, load in _entries(case, "loads"):
+    cyclic = any(motion.cycle for _, motion in _valid(case.motions))
+    for name, load in _valid(case.loads):
         cyclic |= load.cycle is not None
         followed = getattr(load, "follows", None)
         if followed is not None and followed not in motions:
@@ -340,14 +416,12 @@ def _sliding(case: Any) -> Iterable[Fault]:
             yield Fault(("stages", through, key), f"{text}; expected an earlier stage")
 
 
-def quantities(case: Any, study: Any) -> Iterable[Fault]:
+def quantities(case: CaseParts, names: Sequence[str]) -> Iterable[Fault]:
     """Quantities of interfaces, regions or other owners of numbers unknown to a case."""
     geometry = case.geometry
-    if geometry is None or study is None:
-        return
     added = [owner for section in ADDED.values() for owner in section.owners(case)]
     known = (*geometry.interface_sides, *geometry.region_names, *added)
-    for i, quantity in enumerate(study.quantities):
+    for i, quantity in enumerate(names):
         name = quantity.partition(".")[0]
         if name not in known and quantity not in of_run():
             path = ("study", "quantities", i)
@@ -358,9 +432,9 @@ def quantities(case: Any, study: Any) -> Iterable[Fault]:
 
 
 @check("regions")
-def _heat(case: Any) -> Iterable[Fault]:
+def _heat(case: CaseParts) -> Iterable[Fault]:
     """Regions with and without heat, and what needs heat or has none."""
-    regions = {name: region for name, region in case.regions.items() if region is not None}
+    regions = dict(_valid(case.regions))
     cold = [name for name, region in regions.items() if region.thermal is None]
     if len(cold) == len(regions):
         yield from _without_heat(case, whole=len(regions) == len(case.regions))
@@ -373,7 +447,7 @@ def _heat(case: Any) -> Iterable[Fault]:
     yield from _flow(case, regions)
 
 
-def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
+def _without_heat(case: CaseParts, whole: bool) -> Iterable[Fault]:
     """Faults of keys that need a region that conducts heat."""
     if not whole or not case.regions:
         return  # an invalid region may be the one that conducts
@@ -392,7 +466,7 @@ def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
                 yield Fault(("interfaces", name, key), text)
 
 
-def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
+def _conductors(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:
     """Mechanical sections where every region is a conductor; conductors beside solids."""
     solid = [name for name, region in regions.items() if not region.only_conducts]
     if len(solid) == len(regions):
@@ -415,7 +489,7 @@ def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
             yield Fault(("interfaces", name), text)
 
 
-def _flow(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
+def _flow(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:
     """Stages in which heat does not flow, or has no steady state."""
     if not case.stages:
         return

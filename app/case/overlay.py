@@ -309,7 +309,7 @@ def _cycle_table(case: CaseFile, lower: object, upper: object, path: Path) -> tu
     return lower, upper
 
 
-def _without_origin(lower: object, upper: Mapping[str, object]) -> Any:
+def _without_origin(lower: object, upper: Mapping[str, object]) -> object:
     """A region or load without its status and source, unless what changes has none."""
     if not isinstance(lower, dict) or upper.keys() <= OF_USE:
         return lower
@@ -450,7 +450,7 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dic
     return {}
 
 
-def _kind(data: Mapping[str, object], path: Path) -> Any:
+def _kind(data: Mapping[str, object], path: Path) -> object:
     """Kind of a mapping; regions have a default."""
     if len(path) != 2 or path[0] != "regions":
         return data.get("kind")

@@ -77,6 +77,8 @@ def in_print(text: str) -> str:
     return re.sub(r"(?:(?<=\d )|(?<=\())(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
+# Numbers of `summary.json` by key.
+Numbers = dict[str, Any]
 # Mark of a number whose error exceeds it.
 NOT_RESOLVED = " (not resolved)"
 
@@ -127,7 +129,7 @@ class Quantity:
     sentence: str = ""
     caption: str = ""
     detail: str = ""
-    compute: Callable[[Any, Any], float] | None = None
+    compute: Callable[..., float] | None = None
 
     def __post_init__(self) -> None:
         """Fill in the defaults."""
@@ -144,7 +146,7 @@ class Quantity:
         """Names in a study, after that of the interface or region."""
         return [f"{self.key}.{axis}" for axis in "xyz"] if self.vector else [self.key]
 
-    def text(self, numbers: Mapping[str, Any]) -> str:
+    def text(self, numbers: Numbers) -> str:
         """Format the number: ``41.3 ± 1.8`` with its error, a dash if it is missing.
 
         Errors show one digit at least; one below two decimals more than usual is left out.
@@ -159,7 +161,7 @@ class Quantity:
         text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
         return text + (NOT_RESOLVED if error > self.factor * abs(value) else "")
 
-    def with_unit(self, numbers: Mapping[str, Any], unit: str) -> str:
+    def with_unit(self, numbers: Numbers, unit: str) -> str:
         """Format the number with a unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
         value, mark, _ = self.text(numbers).partition(NOT_RESOLVED)
         return f"{value} {unit}".removesuffix(" -") + mark
@@ -644,13 +646,11 @@ def known_value(name: str, value: object) -> float:
     return float(kind.read(value))
 
 
-def numbers_of(
-    summary: Mapping[str, Any], parts: bool = False
-) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def numbers_of(summary: Numbers, parts: bool = False) -> Iterator[tuple[str, str, Numbers]]:
     """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
         content: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
-        named: dict[str, Any] = {section: content} if section in WHOLE else content
+        named: Numbers = {section: content} if section in WHOLE else content
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers
@@ -660,12 +660,12 @@ def numbers_of(
             yield from ((section, f"{name}_{zone}", own) for zone, own in zones.items())
 
 
-def largest(numbers: Mapping[str, Any], key: str) -> float:
+def largest(numbers: Numbers, key: str) -> float:
     """A maximum of an interface or a region with its parts; 0 if it is missing."""
     return max(part.get(key, 0.0) for part in (numbers, *(numbers.get(p, {}) for p in PARTS)))
 
 
-def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
+def read(summary: Numbers, name: str, suffix: str = "") -> float | None:
     """Number of ``summary.json`` in its unit, by name as in `get`; None if it is missing."""
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")

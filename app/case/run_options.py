@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
@@ -155,8 +155,8 @@ class StageKind:
     key: str
     doc: str
     no_cycle_table: str
-    loads: Callable[[Any], str]
-    solves: Callable[[Any], int]
+    loads: Callable[..., str]
+    solves: Callable[..., int]
 
     def seconds(self, stage: Stage) -> float:
         """Time that a stage of this kind takes [s]."""
@@ -176,7 +176,7 @@ def add_stage_kind(kind: StageKind) -> None:
     STAGE_KINDS.append(kind)
 
 
-def _petsc(value: dict[str, Any]) -> object:
+def _petsc(value: dict[str, object]) -> object:
     for name, entry in value.items():
         if name.startswith("-"):
             fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))

@@ -7,14 +7,13 @@ Only changes that keep mesh and bonded stiffness, which the runs share
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator
 
 from app.case.points import short_keys
 from app.schema.section import MAPPING, Name, did_you_mean, fail, show
-from app.schema.yaml_file import CaseFile, key_parts
+from app.schema.yaml_file import CaseFile, YamlMapping, key_parts
 from app.system.layout import plain
 
 OF_LOADS = ("force", "at", "pressure", "density", "history", "status", "source")
@@ -57,7 +56,7 @@ def _section(value: dict[str, object]) -> dict[str, object]:
 Variations = Annotated[dict[Name, dict[str, object]], BeforeValidator(_section), MAPPING]
 
 
-def split(data: Mapping[str, Any]) -> tuple[dict[str, object], dict[str, object]]:
+def split(data: YamlMapping) -> tuple[dict[str, object], dict[str, object]]:
     """Split a resolved case into the data that variations share and those that may vary, by key."""
     shared = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
     varied: dict[str, object] = {
@@ -73,7 +72,7 @@ def split(data: Mapping[str, Any]) -> tuple[dict[str, object], dict[str, object]
     return shared | {"loads": loads, "solver": solver}, varied
 
 
-def expand(key: str, data: Mapping[str, Any]) -> list[str]:
+def expand(key: str, data: YamlMapping) -> list[str]:
     """Expand ``*`` in a key to every name of its section in the data."""
     section, _, rest = key.partition(".*")
     return [f"{section}.{name}{rest}" for name in data.get(section, {})] if rest else [key]

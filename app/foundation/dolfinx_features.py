@@ -34,7 +34,7 @@ from app.foundation.arrays import Floats, Ints
 Entities = NDArray[np.int32]
 
 
-def _takes(function: Any, argument: str) -> bool:
+def _takes(function: object, argument: str) -> bool:
     """Return True if a function of DOLFINx, written in Python or in C++, has an argument."""
     if inspect.isfunction(function):
         return argument in inspect.signature(function).parameters
@@ -56,13 +56,13 @@ def partitioner(ghosts: mesh.GhostMode) -> Any:
     return mesh.create_cell_partitioner(ghosts, *_CELLS_OF_A_FACET)
 
 
-def facet_domain(kind: fem.IntegralType, topology: Any, facets: Entities) -> Entities:
+def facet_domain(kind: fem.IntegralType, topology: mesh.Topology, facets: Entities) -> Entities:
     """Integration entities of owned facets: a cell and a local number for each side, flat."""
     domain = fem.compute_integration_domains(kind, topology, facets, *_DIMENSION_OF_FACETS)
     return np.asarray(domain, dtype=np.int32)
 
 
-def exterior_facets(topology: Any, facets: Entities) -> Entities:
+def exterior_facets(topology: mesh.Topology, facets: Entities) -> Entities:
     """Integration entities of owned exterior facets: a cell and a local number each, flat."""
     return facet_domain(fem.IntegralType.exterior_facet, topology, facets)
 
@@ -109,7 +109,7 @@ class CompiledExpression:
         coefficients: Functions in the order of the code, as in C++.
     """
 
-    def __init__(self, ffi: Any, code: Any, coefficients: Sequence[Any]) -> None:
+    def __init__(self, ffi: Any, code: Any, coefficients: Sequence[object]) -> None:
         self._ffi, self._code, self._expression = ffi, code, None
         if coefficients:
             address = ffi.cast("uintptr_t", ffi.addressof(code))

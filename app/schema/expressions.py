@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
 
 import numpy as np
 
@@ -37,10 +36,13 @@ FUNCTIONS: dict[str, tuple[str, int, int]] = {
     "atan2": ("arctan2", 2, 2),
     "hypot": ("hypot", 2, 2),
 }
+# Longest expression [characters].
 LONGEST = 1000
+# A number, or its values at points (n,).
+Value = float | Floats
 
 
-def calculate(expression: str, names: Mapping[str, Any]) -> Any:
+def calculate(expression: str, names: Mapping[str, Value]) -> Value:
     """Value of an expression of x, y, z, pi: an array (n,) or a float.
 
     Raises:
@@ -57,7 +59,7 @@ def calculate(expression: str, names: Mapping[str, Any]) -> Any:
         raise ValueError(f"{expression!r} is not an expression in x, y, z: {reason}") from error
 
 
-def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
+def _value(node: ast.expr, names: Mapping[str, Value]) -> Value:
     """Value of a node; nodes outside the language are refused."""
     match node:
         case ast.Constant(value=bool()):
@@ -65,7 +67,7 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
         case ast.Constant(value=int() | float() as value):
             if value > LARGEST:
                 raise ValueError("a number in the expression is too large")
-            return np.float64(value)
+            return float(np.float64(value))
         case ast.Name(id=name):
             if name not in names:
                 hint = did_you_mean(name, (*names, *FUNCTIONS))
@@ -100,11 +102,13 @@ def evaluate(expression: str, x: Floats) -> Floats:
         InputError: The expression is malformed or not finite at a point.
     """
     points = np.asarray(x, dtype=np.float64).reshape(-1, 3)
+    names: dict[str, Value] = dict(zip("xyz", points.T, strict=True))
+    names["pi"] = np.pi
     try:
-        found = calculate(expression, dict(zip("xyz", points.T, strict=True), pi=np.pi))
+        values = calculate(expression, names)
     except ValueError as error:
         raise InputError(str(error)) from error
-    result = np.broadcast_to(found, len(points)).astype(np.float64)
+    result = np.broadcast_to(values, len(points)).astype(np.float64)
     bad = np.flatnonzero(~np.isfinite(result))
     if bad.size:
         place = ", ".join(f"{c:g}" for c in points[bad[0]])

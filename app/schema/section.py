@@ -61,7 +61,7 @@ class Section(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _in_words_of_the_file(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _in_words_of_the_file(cls, value: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         try:
             return handler(value)
         except ValidationError as error:

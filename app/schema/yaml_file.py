@@ -26,6 +26,8 @@ from app.foundation.errors import GeometryError, InputError
 from app.foundation.verdict import Reason, Severity, Verdict
 
 Path = tuple[str | int, ...]
+# Values by key, as a file has them: text, numbers, truth values, None, lists and mappings.
+YamlMapping = dict[str, Any]
 # Name of the file, line and column (from 1); or the key of an option.
 Place = tuple[str, int, int] | str
 # Largest file [bytes].
@@ -99,11 +101,11 @@ class CaseFile:
     """
 
     name: str
-    data: dict[str, Any] = field(default_factory=dict)
+    data: YamlMapping = field(default_factory=dict)
     places: dict[Path, Place] = field(default_factory=dict)
     complaints: list[Fault] = field(default_factory=list)
     notes: list[Verdict] = field(default_factory=list)
-    given: dict[str, Any] = field(default_factory=dict)
+    given: dict[str, object] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     libraries: list[CaseFile] = field(default_factory=list)
     tissues: dict[str, str] = field(default_factory=dict)
@@ -309,7 +311,7 @@ class Reader:
             raise BadYaml(f"the YAML tag {node.tag} is not supported; leave it out", _start(node))
         if isinstance(node, SequenceNode):
             return [self.value(v, (*path, i), depth + 1) for i, v in enumerate(node.value)]
-        data: dict[str, Any] = {}
+        data: YamlMapping = {}
         merged: list[Node] = []
         for key_node, value_node in node.value:
             if not isinstance(key_node, ScalarNode):
