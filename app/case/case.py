@@ -175,11 +175,11 @@ class PlannedRun:
         file: The file of its case.
         overrides: ``key=value`` each, as after ``--set``.
         case: The case with the overrides.
-        point: Its name, which need not be unique, and what it changes compared with other runs.
+        point: Name, which need not be unique, and the changes compared with other runs.
         ranks: Number of MPI ranks.
-        alone: Whether no other run may be active at the same time, so that its time can be
+        alone: True if no other run may be active at the same time, so that run times can be
             compared.
-        share: Whether it may share a process with runs of the same mesh and stiffness.
+        share: True if it may share a process with runs of the same mesh and stiffness.
     """
 
     file: Path
@@ -266,7 +266,7 @@ def load(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> L
     Args:
         path: The YAML file.
         overrides: ``a.b.c=value`` each, applied in order before anything is checked.
-        option: What stands before their keys in messages.
+        option: Text before the keys of overrides in messages.
 
     Raises:
         InputError: Every error of the file at once, one line each.

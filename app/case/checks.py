@@ -138,7 +138,8 @@ def _valid(entries: Mapping[str, T | None] | None) -> Iterator[tuple[str, T]]:
 def _entries(case: CaseParts, *sections: str) -> Iterator[tuple[str, str, Section]]:
     """Section, name and entry of the valid entries of sections."""
     for section in sections:
-        for name, entry in _valid(getattr(case, section)):
+        entries: Mapping[str, Section | None] | None = getattr(case, section)
+        for name, entry in _valid(entries):
             yield section, name, entry
 
 
@@ -165,9 +166,9 @@ def _names(case: CaseParts) -> Iterable[Fault]:
         probes = (case.output.probes or {}).items()
         used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
     known = {"region": regions, "interface": interfaces, "boundary": boundaries}
-    for path, what, name in used:
-        if name is not None and name not in known[what]:
-            yield _unknown(path, what, name, known[what], kind)
+    for path, what, used_name in used:
+        if used_name is not None and used_name not in known[what]:
+            yield _unknown(path, what, used_name, known[what], kind)
     if case.regions is None:
         return
     missing = [name for name in regions if name not in case.regions]
@@ -225,11 +226,11 @@ def _mesh(case: CaseParts) -> Iterable[Fault]:
             yield Fault(("mesh", "through_cement"), "there is no cement; leave through_cement out")
         yield from _lines(case.geometry, case.mesh)
     size = 0.0 if case.mesh is None else case.mesh.size
-    for key, (length, most) in case.geometry.spans.items():
+    for keys, (length, most) in case.geometry.spans.items():
         if size > most * length:
             text = f"is too small for edges of {size:g} mm (mesh.size)"
             expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
-            yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
+            yield Fault(("geometry", *keys), f"{text}; expected {expected} {most * length:.3g} mm")
 
 
 def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
@@ -282,9 +283,10 @@ def _stages(case: CaseParts) -> Iterable[Fault]:
     for name, support in _valid(case.supports):
         stages = enumerate(getattr(support, "stages", None) or ())
         used += [(("supports", name, "stages", i), stage) for i, stage in stages]
-    for path, stage in used:
-        if stage not in names:
-            text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
+    for path, used_stage in used:
+        if used_stage not in names:
+            hint = did_you_mean(used_stage, names)
+            text = f"'{used_stage}' is not one of {', '.join(names)}{hint}"
             yield Fault(path, text)
 
 
@@ -318,7 +320,7 @@ def _rigid(case: CaseParts) -> Iterable[Fault]:
 @check("supports")
 def _held(case: CaseParts) -> Iterable[Fault]:
     """Directions in which the whole model is not constrained."""
-    supports = [support for _, support in _valid(case.supports)]
+    supports = [support for support in case.supports.values() if support is not None]
     if len(supports) < len(case.supports):
         return
     if case.regions and all(r and r.only_conducts for r in case.regions.values()):

@@ -141,7 +141,7 @@ class Cylinders(Shape):
     taper: Angle = 0.0
     """Half-angle of the cones (rad)."""
     sector: Literal["full", "half", "quarter"] = "full"
-    """How much of the full circle is modelled."""
+    """Modelled part of the full circle."""
 
     @model_validator(mode="after")
     def _solid(self) -> Cylinders:
@@ -244,7 +244,7 @@ class MeshFile(Shape):
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """Whether it is a script: its cells are straight where the surface is flat."""
+        """True for a script: its cells are straight where the surface is flat."""
         return self.is_script
 
     @property
@@ -299,7 +299,7 @@ class MeshFile(Shape):
 
     @property
     def is_script(self) -> bool:
-        """Whether the file is still to be meshed."""
+        """True if the file is still to be meshed."""
         return self.path.suffix.lower() == ".geo"
 
     @cached_property

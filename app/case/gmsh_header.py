@@ -36,8 +36,8 @@ def physical_names(path: Path, dimension: int, pick: Pick = EVERYTHING) -> tuple
     """
     mesh_files.check(path, pick)
     if path.suffix.lower() in mesh_files.READERS:
-        found = mesh_files.read(path, pick)
-        return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
+        mesh_file = mesh_files.read(path, pick)
+        return tuple(mesh_file.sets if dimension == 3 else mesh_file.triangles | mesh_file.nodes)
     groups = _groups(path, path.stat().st_mtime_ns)
     return tuple(mesh_files.case_names(name for d, name in groups if d == dimension).values())
 

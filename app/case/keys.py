@@ -48,10 +48,10 @@ class _Generator(GenerateJsonSchema):
 
 def json_schema(model: type[BaseModel] = Case) -> Schema:
     """JSON schema of a file for editors; no key is required, as a base may have it."""
-    found = model.model_json_schema(schema_generator=_Generator)
-    for section in (found, *found["$defs"].values()):
+    schema = model.model_json_schema(schema_generator=_Generator)
+    for section in (schema, *schema["$defs"].values()):
         section.pop("required", None)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,9 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
     for name, section in places.items():
         for key, field in schemas[name]["properties"].items():
             value, unit = _value(field, places)
-            own = "Says that it is of this kind."
-            meaning = own if key == "kind" else prose(field.get("description", ""))
+            meaning = prose(field.get("description", ""))
+            if key == "kind":
+                meaning = "Says that it is of this kind."
             default = "" if key in schemas[name].get("required", ()) else _default(key, field)
             inner = tuple(
                 (_kind(schemas[n]), tuple(k for k in schemas[n]["properties"] if k != "kind"))
@@ -171,11 +172,11 @@ def _value(schema: Schema, places: dict[str, Keys]) -> tuple[str, str]:
             text, unit = _value(inner, places)
             return f"by name: {text}", unit
         case {"prefixItems": list(items)}:
-            found = [_value(item, places) for item in items]
-            if len(set(found)) == 1:
-                return f"list of {NUMBERS[len(found)]}: {found[0][0]}", found[0][1]
-            units = ", ".join(dict.fromkeys(unit for _, unit in found if unit))
-            return f"pair of {' and '.join(text for text, _ in found)}", units
+            entries = [_value(item, places) for item in items]
+            if len(set(entries)) == 1:
+                return f"list of {NUMBERS[len(entries)]}: {entries[0][0]}", entries[0][1]
+            units = ", ".join(dict.fromkeys(unit for _, unit in entries if unit))
+            return f"pair of {' and '.join(text for text, _ in entries)}", units
         case {"items": dict(inner)}:
             text, unit = _value(inner, places)
             return f"list of: {text}", unit
@@ -185,13 +186,14 @@ def _value(schema: Schema, places: dict[str, Keys]) -> tuple[str, str]:
     return f"{TYPES.get(schema.get('type', ''), 'any value')}{bounds}", ""
 
 
-def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
-    kinds = [text.removeprefix("kind ") for text, _ in found if text.startswith("kind ")]
-    others = list(dict.fromkeys(text for text, _ in found if not text.startswith("kind ")))
+def _union(values: list[tuple[str, str]]) -> tuple[str, str]:
+    """Types of a value that may have several, in words, and the first unit among them."""
+    kinds = [text.removeprefix("kind ") for text, _ in values if text.startswith("kind ")]
+    others = list(dict.fromkeys(text for text, _ in values if not text.startswith("kind ")))
     if {"text", "whole number", "number"} <= set(others):
         others = ["number, text" + (", `true`, `false`" if len(others) > 3 else "")]
     parts = [*filter(None, others), *([f"kind {', '.join(kinds)}"] if kinds else [])]
-    return " or ".join(parts), next((unit for _, unit in found if unit), "")
+    return " or ".join(parts), next((unit for _, unit in values if unit), "")
 
 
 def _default(key: str, field: Schema) -> str:

@@ -75,5 +75,5 @@ def listed(kind: str) -> str:
 
 def described() -> dict[str, str]:
     """Text of each shipped entry with its source, as in the library, by name."""
-    found = re.finditer(ENTRY, SHIPPED.read_text(encoding="utf-8"), re.MULTILINE)
-    return {entry[1]: textwrap.dedent(entry[0]).strip() for entry in found}
+    entries = re.finditer(ENTRY, SHIPPED.read_text(encoding="utf-8"), re.MULTILINE)
+    return {entry[1]: textwrap.dedent(entry[0]).strip() for entry in entries}

@@ -31,7 +31,7 @@ MISSING = """\
 def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None) -> Path:
     """Write a new case that runs as it is, its stem of one of `STEMS`; return its file.
 
-    `meeting` tells which regions of a mesh meet (`meshes.meeting`); by default none is known.
+    `meeting` returns the pairs of regions of a mesh that meet (`meshes.meeting`); by default none.
 
     Raises:
         InputError: The file exists or cannot be written; the kind has no stem.
@@ -73,7 +73,7 @@ def _own(mesh: Path, meeting: Meeting | None) -> str:
         names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
         about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
         inside: list[str] = []
-        # A mesh that cannot be read here is told by `check --mesh`.
+        # `check --mesh` reports a mesh that cannot be read here.
         with suppress(MantleError, ModuleNotFoundError, ValueError):
             if meeting:
                 file = MeshFile(kind="file", path=mesh)
@@ -97,8 +97,8 @@ def _own(mesh: Path, meeting: Meeting | None) -> str:
 
 
 def _section(head: str, lines: Iterable[str]) -> str:
-    found = list(lines)
-    return "\n".join([head, *found, ""]) if found else ""
+    entries = list(lines)
+    return "\n".join([head, *entries, ""]) if entries else ""
 
 
 def _word(text: str) -> str:

@@ -32,7 +32,7 @@ MOST_BASES = 10
 # Keys that a region keeps when it gets another material.
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
-# Keys of a region or a load that its status and source do not tell of.
+# Keys of a region or a load that its status and source do not describe.
 OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Key that names an entry of the library, by section.
 NAMED = {"regions": "material", "interfaces": "finish", "loads": "library"}
@@ -381,7 +381,7 @@ def _measured(
     result = dict(loads)
     for name, load in loads.items():
         if isinstance(load, dict) and "force" in load:
-            with suppress(PydanticCustomError):  # it is told where the load is read
+            with suppress(PydanticCustomError):  # reported where the load is read
                 x, y, z = _vector(load["force"])
                 turned = (factor * x, c * y + s * z, c * z - s * y)
                 result[name] = load | {"force": [f"{part!r} N" for part in turned]}

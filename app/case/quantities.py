@@ -78,7 +78,7 @@ def in_print(text: str) -> str:
 
 
 # Numbers of `summary.json` by key.
-Numbers = dict[str, Any]
+Numbers = Mapping[str, Any]
 # Mark of a number whose error exceeds it.
 NOT_RESOLVED = " (not resolved)"
 
@@ -95,11 +95,11 @@ class Quantity:
         digits: Decimals in the terminal, in unit `shown`.
         label: Name in tables and figures; the key by default.
         order: Orders of convergence of P1 and P2; None: its error is not estimated.
-        peak: Whether it is a maximum, which may diverge with refinement.
-        exact: Whether it has no discretization error: counts, run times, penetrations.
-        vector: Whether it has three components, ``.x`` .. in a study.
+        peak: True if it is a maximum, which may diverge with refinement.
+        exact: True if it has no discretization error: counts, run times, penetrations.
+        vector: True if it has three components, ``.x`` .. in a study.
         step_record: True if history.csv has it; of interfaces and the stem.
-        headline: Whether sweeps and variations compare runs by it.
+        headline: True if sweeps and variations compare runs by it.
         curve: True if the page of a run draws its step record, as it does of headlines.
         on_page: True if the page of a run has it in a table, as it has the closing table.
         sentence: Of an interface: sentence below the closing table. It names quantities of the
@@ -172,9 +172,9 @@ class InterfaceField:
     """A field on interfaces that another package writes, as pages show it.
 
     Attributes:
-        name: Its name in files, after that of the interface.
-        label: Its name for people.
-        unit: Its unit for people.
+        name: Name in files, after that of the interface.
+        label: Name in pages and pictures.
+        unit: Unit there.
         factor: Factor from the value in files to this unit.
         loaded: True for the colours of tractions, False for those of motions.
     """
@@ -239,11 +239,11 @@ class NumberSection:
     """A section of ``summary.json`` that another package publishes: numbers by owner.
 
     Attributes:
-        name: Its key.
+        name: Key of the section.
         title: Heading in pages.
-        columns: Its table in the terminal: by heading, the keys of a cell; none in the first.
+        columns: Table in the terminal: keys of a cell by heading; none in the first.
         owners: Returns the owners of its numbers in a case.
-        leads: Whether its headlines stand before those of interfaces in figures of many runs.
+        leads: True if its headlines precede those of interfaces in figures of many runs.
     """
 
     name: str
@@ -581,13 +581,13 @@ def of_run() -> list[str]:
 
 def _tables(owner: str) -> Iterator[dict[str, Quantity]]:
     """Tables with quantities of an interface, a region, the stem or the run."""
-    return (own for section, own in TABLE.items() if section not in WHOLE or section == owner)
+    return (rows for section, rows in TABLE.items() if section not in WHOLE or section == owner)
 
 
 def get(name: str) -> Quantity | None:
     """Quantity by its full name, ``<owner>.<key>`` or one of `of_run`; None if there is none."""
     owner, _, key = name.partition(".")
-    return next((q for own in _tables(owner) for q in own.values() if key in q.names), None)
+    return next((q for rows in _tables(owner) for q in rows.values() if key in q.names), None)
 
 
 def find(name: str) -> Quantity:
@@ -602,7 +602,7 @@ def find(name: str) -> Quantity:
     owner, _, key = name.partition(".")
     if owner in RUN:
         fail(f"{show(name)} is not one of {', '.join(of_run())}")
-    known = dict.fromkeys(n for own in _tables(owner) for q in own.values() for n in q.names)
+    known = dict.fromkeys(n for rows in _tables(owner) for q in rows.values() for n in q.names)
     hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
     fail(f"{show(name)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
 
@@ -646,11 +646,11 @@ def known_value(name: str, value: object) -> float:
     return float(kind.read(value))
 
 
-def numbers_of(summary: Numbers, parts: bool = False) -> Iterator[tuple[str, str, Numbers]]:
+def numbers_of(summary: Numbers, parts: bool = False) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
         content: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
-        named: Numbers = {section: content} if section in WHOLE else content
+        named: dict[str, Any] = {section: content} if section in WHOLE else content
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers

@@ -146,8 +146,8 @@ class StageKind:
 
     Attributes:
         key: Key of a stage, whose value is the time that it takes [s].
-        doc: Its text in the manual.
-        no_cycle_table: Why cycle tables cannot run through such a stage.
+        doc: Text of the key in the manual.
+        no_cycle_table: Reason why cycle tables cannot run through such a stage.
         loads: Returns the name of the stage of a case at whose end its loads are.
         solves: Returns about how many solves such a stage of a case needs.
     """
@@ -167,7 +167,7 @@ STAGE_KINDS: list[StageKind] = []
 
 
 def add_stage_kind(kind: StageKind) -> None:
-    """Let another package step through stages with a key of its own.
+    """Let another package step through stages that have an additional key.
 
     Raises:
         ValueError: A stage has the key.

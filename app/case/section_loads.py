@@ -47,24 +47,24 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
         return []
     F = np.array([np.multiply(load.resultant, amplitude(load.history, time)) for load in loads])
     x = np.array([load.point for load in loads])
-    found = []
+    sections = []
     for z in [*map(float, np.linspace(TOP, geometry.distal_cut_z, LEVELS)), KNEE]:
         above = x[:, 2] > z
         force = F[above].sum(axis=0).tolist()
         moment = np.cross(x[above] - [0.0, 0.0, z], F[above]).sum(axis=0).tolist()
         medial = -moment[1] / force[2] if force[2] else None
         off = None if medial is None else medial - geometry.head_centre[0]
-        found.append(SectionLoad(z, tuple(force), tuple(moment), medial, off))
-    return found
+        sections.append(SectionLoad(z, tuple(force), tuple(moment), medial, off))
+    return sections
 
 
-def table(found: list[SectionLoad]) -> str:
+def table(sections: list[SectionLoad]) -> str:
     """Section loads as a text table, moments in N m."""
     head = ["z", "force x", "y", "z", "moment x", "y", "z", "medial of shaft", "of head"]
     units = ["mm", *["N"] * 3, *["N m"] * 3, "mm", "mm"]
     rows = [
         [f"{s.z:.0f}", *(f"{f:z.0f}" for f in s.force), *(f"{m / 1e3:z.1f}" for m in s.moment)]
         + ["-" if v is None else f"{v:.0f}" for v in (s.medial_of_shaft, s.medial_of_head)]
-        for s in found
+        for s in sections
     ]
     return layout.table(head, rows, units)

@@ -105,8 +105,8 @@ class StemFile(Section):
     step: Annotated[Path, file(*SUFFIXES)]
     """STEP, IGES or BREP file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
-    """What a millimetre of the file is, if it names no unit or a wrong one: STEP and IGES files
-    name theirs, and are read in millimetres."""
+    """Unit of a file that names none or a wrong one. STEP and IGES files name their unit, and are
+    read in millimetres; then this is the length that a millimetre stands for."""
     head_centre: _Point | None = None
     """Centre of the head; by default that of the face that ends the neck."""
     axis: _Line | None = None
@@ -146,7 +146,7 @@ class StemFile(Section):
 
     @property
     def details(self) -> dict[str, str]:
-        """Its length and head, and the places of axis, head and neck in the file, in words (mm)."""
+        """Length and head, and the places of axis, head and neck in the file, in words (mm)."""
         low, high, head, end, medial = (self.shape["in_file"].round(2) + 0.0).tolist()
         name = self.step.name
         numbers = self.values(0.0)

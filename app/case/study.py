@@ -167,10 +167,10 @@ def read(
     Raises:
         InputError: Every error of the file and its runs, at its place.
     """
-    own = [o for o in overrides if re.match(r"\s*study\b", o)]
-    others = [o for o in overrides if o not in own]
+    of_study = [o for o in overrides if re.match(r"\s*study\b", o)]
+    others = [o for o in overrides if o not in of_study]
     file = yaml_file.read(path)
-    overlay.apply(file, own)
+    overlay.apply(file, of_study)
     if "study" not in file.data or "geometry" in file.data:
         text = "expected a study file: base: CASE, set, and study with quantities, lines, reference"
         file.raise_all([Fault(("study",) if "study" in file.data else (), text)])

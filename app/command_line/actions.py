@@ -62,7 +62,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     """Describe a case as understood, its size, and doubtful values in it.
 
     With ``meshed``, or with probes, the mesh is made: sizes are counted instead of estimated, and
-    loose parts, unsolvable problems and probes outside their regions are found.
+    loose parts, unsolvable problems and probes outside their regions are reported.
 
     Returns:
         Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
@@ -135,7 +135,7 @@ def run(
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:
-        What `read` gives of the folder.
+        Results, as `read` returns them.
 
     Raises:
         InputError: The case cannot be solved, or the folder holds something already.

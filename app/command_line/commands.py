@@ -119,12 +119,12 @@ def _init(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     case = _load(options)
-    found = actions.check(case)
-    print(found.description)
+    checked = actions.check(case)
+    print(checked.description)
     if options.mesh or options.output:
         configure_log("info", sys.stderr)
-        found = actions.check(case, meshed=True)
-    print(found.size)
+        checked = actions.check(case, meshed=True)
+    print(checked.size)
     if case.config.geometry.placement_details:
         program = os.environ.get("MANTLE_CALLED", "mantle")
         print(f"to place the stem by eye: {program} place {shlex.quote(str(options.case))}")
@@ -135,7 +135,7 @@ def _check(options: argparse.Namespace) -> int:
         path = options.output / f"{options.case.stem}.png"
         case_picture.draw(case.config, actions.mesh(case), path)
         print(path)
-    for note in found.notes:
+    for note in checked.notes:
         print(painted(note, note.tone, sys.stderr), file=sys.stderr)
     return 0
 

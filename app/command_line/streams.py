@@ -11,7 +11,7 @@ from app.system.ranks import rank, world_size
 
 # Terminal colours of good, doubtful and bad.
 TONES = {"good": "32", "doubtful": "33", "bad": "1;31"}
-# Set for ranks that print to a terminal: mpirun gives them one of its own in any case.
+# Set for ranks that print to a terminal: they cannot ask, as mpirun always gives them another one.
 COLOURS = "MANTLE_COLOURS"
 
 

@@ -1,4 +1,4 @@
-"""Readers of files that others made, each in a process of its own, which those may crash."""
+"""Readers of foreign files, each in a separate process, which a damaged file may crash."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
 
 # Packages of the program.
 OWN = ("app", "configs", "forms", "mantle", "meshes")
-# Errors with an exit code of their own.
+# Errors with different exit codes.
 KINDS = (
     InputError,
     GeometryError,

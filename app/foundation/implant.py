@@ -14,7 +14,7 @@ SECTION = ("half_width", "half_depth", "corner_radius")
 
 @dataclass(frozen=True, eq=False)  # arrays have no one truth
 class Implant:
-    """A stem with its plug, in axes of its own: z along it, x towards its head.
+    """A stem with its plug, in the stem's axes: z along it, x towards its head.
 
     Sections are rounded rectangles, given at the tip and at `section_z`, and linear in z; of a stem
     from a file they are None. Levels are in the stem's axes, lengths in mm.
@@ -29,8 +29,8 @@ class Implant:
         head_offset: Distance of the head's centre from the axis.
         head_height: Level of the head's centre.
         neck_angle: Angle between neck and stem [rad].
-        cad: Shape of a stem from a file, as `meshes.stem_file.read` returns it; None for mantle's
-            own.
+        cad: Shape of a stem from a file, as `meshes.stem_file.read` returns it; None for a stem by
+            its numbers.
     """
 
     tip_z: float

@@ -64,10 +64,10 @@ class Verdict:
 
     Attributes:
         what: The finding, with its numbers and units.
-        where: Its place: a key of the file, a stage, or the part of the result that it judges.
+        where: Place: a key of the file, a stage, or the part of the result that it judges.
         cure: The remedy.
-        severity: Its severity.
-        code: Its reason, for programs.
+        severity: Severity, from an error to a passed check.
+        code: Reason, for programs.
     """
 
     what: str

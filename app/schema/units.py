@@ -57,7 +57,7 @@ SUGGESTIONS = (
 
 @lru_cache(maxsize=1)
 def registry() -> Any:
-    """The unit registry: pint's own units, in rational arithmetic."""
+    """The unit registry of pint, in rational arithmetic."""
     import pint
 
     return pint.UnitRegistry(non_int_type=Fraction, autoconvert_offset_to_baseunit=True)
@@ -135,8 +135,8 @@ class _Bounded(Scalar):
     @property
     def bounds(self) -> dict[str, float]:
         """Bounds by their name in a JSON schema."""
-        found = {name: getattr(self, key) for key, (_, _, name) in BOUNDS.items()}
-        return {name: bound for name, bound in found.items() if bound is not None}
+        bounds = {name: getattr(self, key) for key, (_, _, name) in BOUNDS.items()}
+        return {name: bound for name, bound in bounds.items() if bound is not None}
 
     def check(self, value: float, shown: str, unit: str = "") -> None:
         """Refuse a value beyond a bound.
@@ -160,7 +160,7 @@ class Dimension(_Bounded):
         unit: Internal unit.
         what: Dimension in words, with its article.
         example: Value as written in a file.
-        offset: Whether a unit may have another zero: degC of a temperature, not of a difference.
+        offset: True if a unit may have another zero: degC of a temperature, not of a difference.
     """
 
     unit: str
@@ -277,13 +277,13 @@ class Part(Dimension):
         Raises:
             PydanticCustomError: Not a number, or not from 0 to 1.
         """
-        found = _part(value)
-        match = NUMBER.fullmatch(found) if isinstance(found, str) else None
-        if isinstance(found, bool) or not (isinstance(found, int | float) or match):
+        share = _part(value)
+        match = NUMBER.fullmatch(share) if isinstance(share, str) else None
+        if isinstance(share, bool) or not (isinstance(share, int | float) or match):
             fail(f"{show(value)} is not {self.what} such as '{self.example}'")
         if match and match[2]:
             fail(f"{show(value)}: a share has no unit except %")
-        result = float(match[1]) if match else float(found)  # type: ignore[arg-type]
+        result = float(match[1]) if match else float(share)  # type: ignore[arg-type]
         self.check(result, show(value))
         return result
 

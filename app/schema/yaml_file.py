@@ -62,9 +62,9 @@ class Fault:
     Attributes:
         path: Keys from the top to the value.
         text: The defect; what is allowed.
-        place: Its place where that is not the place of the path; "" if the text tells it.
-        cure: What is allowed, where the text does not say it.
-        code: Its reason, for programs.
+        place: Place, if it differs from that of the path; "" if the text names it.
+        cure: Allowed values or the remedy, if the text does not say it.
+        code: Reason, for programs.
     """
 
     path: Path
@@ -90,14 +90,14 @@ class CaseFile:
         name: The file as named by the user.
         data: Mappings, lists and scalars.
         places: Place of each path.
-        complaints: Errors found while reading.
+        complaints: Errors of reading.
         notes: Notes on what was read, such as former names of keys.
         given: Values of overrides as given, by key.
         digests: SHA-256 of the file, its bases and libraries, by name.
         libraries: Files of materials and loads by name, the newest last.
         tissues: Tissue of the library's material of each region that has one.
         measured: Body weight [N], if it is known, and sagittal tilt [rad] of the loads, by key.
-        option: What stands before the key of an override in messages.
+        option: Text before the key of an override in messages.
     """
 
     name: str
@@ -116,7 +116,7 @@ class CaseFile:
         """Raise one error for all problems, in the order of the file.
 
         Raises:
-            InputError: There is at least one problem, given or found while reading.
+            InputError: There is at least one problem, given or a complaint of reading.
         """
         located = map(self._locate, (*self.complaints, *problems))
         verdicts = sorted(located, key=lambda pair: (pair[0], pair[1].text))
@@ -220,8 +220,8 @@ def read(path: FilePath) -> CaseFile:
     try:
         node = compose(raw.decode("utf-8-sig", errors="surrogateescape"))
         if not isinstance(node, MappingNode):
-            found = "" if node else "the file is empty; "
-            text = f"{found}expected a mapping with geometry, mesh, regions"
+            empty = "" if node else "the file is empty; "
+            text = f"{empty}expected a mapping with geometry, mesh, regions"
             raise BadYaml(text, _start(node) if node else (1, 1))
         case.data = Reader(case).value(node)
     except BadYaml as error:
@@ -274,8 +274,8 @@ class _Counting(Composer):
         if self.nodes > MOST_NODES:
             mark = self.parser.peek_event().start_mark
             raise BadYaml(TOO_MANY, (mark.line + 1, mark.column + 1))
-        found: Node | None = super().compose_node(parent, index)
-        return found
+        node: Node | None = super().compose_node(parent, index)
+        return node
 
 
 def _start(node: Node) -> tuple[int, int]:

@@ -54,8 +54,8 @@ def report() -> str:
         "ranks here": str(ranks.world_size() or 1),
     }
     lines = [f"{name:<{max(map(len, rows)) + 2}}{value}" for name, value in rows.items()]
-    found = [f"warning: {problem}" for problem in problems()] or ["no problems found"]
-    return "\n".join([*lines, "", *found])
+    warnings = [f"warning: {problem}" for problem in problems()] or ["no problems found"]
+    return "\n".join([*lines, "", *warnings])
 
 
 def problems() -> list[str]:
@@ -70,7 +70,7 @@ def problems() -> list[str]:
     shared = _try(lambda: str(shutil.disk_usage("/dev/shm").total))
     room = int(shared) if shared.isdigit() else 0
     wrong = "" if missing else _try(wrong_blas)
-    found = {
+    checks = {
         f"not installed: {', '.join(missing)}; `./mantle setup` or the packages in packages.txt": (
             bool(missing)
         ),
@@ -100,7 +100,7 @@ def problems() -> list[str]:
             not _is_writable(form_cache())
         ),
     }
-    return [text for text, applies in found.items() if applies]
+    return [text for text, applies in checks.items() if applies]
 
 
 def wrong_blas() -> str:
@@ -142,10 +142,10 @@ def is_reference_blas(path: str) -> bool:
     return Path(path).name.startswith("libblas.so") and Path(path).parent.name in ("blas", "lib64")
 
 
-def _try(tell: Callable[[], str]) -> str:
+def _try(call: Callable[[], str]) -> str:
     """Result of a call, or the reason why a package cannot be loaded."""
     try:
-        return tell()
+        return call()
     except ImportError:
         return _MISSING
     except Exception as error:

@@ -61,16 +61,16 @@ def settle_cache() -> str:
         why = ""
     except OSError as error:
         why = f"{error.filename}: {error.strerror}" if "XDG_CACHE_HOME" in os.environ else ""
-    own = Path(f"/tmp/mantle-{os.geteuid()}")
+    private = Path(f"/tmp/mantle-{os.geteuid()}")
     try:
-        files.make_private(own)
+        files.make_private(private)
     except OSError as error:
         raise EnvironmentProblem(
-            f"no folder for caches: {own}: {error.strerror}; set XDG_CACHE_HOME to one"
+            f"no folder for caches: {private}: {error.strerror}; set XDG_CACHE_HOME to one"
         ) from error
-    os.environ["XDG_CACHE_HOME"] = str(own)
-    os.environ.setdefault("MPLCONFIGDIR", str(own / "matplotlib"))
-    return f"caches are in {own} now: {why}" if why else ""
+    os.environ["XDG_CACHE_HOME"] = str(private)
+    os.environ.setdefault("MPLCONFIGDIR", str(private / "matplotlib"))
+    return f"caches are in {private} now: {why}" if why else ""
 
 
 def _copy(seed: Path, folder: Path) -> None:
@@ -161,8 +161,8 @@ def claim(folder: Path) -> Iterator[None]:
 
 def saved(folder: Path) -> list[Path]:
     """The checkpoints in a run directory, the newest first."""
-    found = [p for p in folder.glob("checkpoint-*.state") if p.stem.partition("-")[2].isdigit()]
-    return sorted(found, key=lambda p: int(p.stem.partition("-")[2]), reverse=True)
+    states = [p for p in folder.glob("checkpoint-*.state") if p.stem.partition("-")[2].isdigit()]
+    return sorted(states, key=lambda p: int(p.stem.partition("-")[2]), reverse=True)
 
 
 def remove(paths: Iterable[Path]) -> None:

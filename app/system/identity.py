@@ -65,19 +65,19 @@ def sources() -> dict[str, Path]:
 
 def _version(*packages: str) -> str:
     """Version of the first of some packages that is installed."""
-    found = (d.version for name in packages for d in metadata.distributions(name=name))
-    return next(found, MISSING)
+    versions = (d.version for name in packages for d in metadata.distributions(name=name))
+    return next(versions, MISSING)
 
 
 def _petsc() -> ctypes.CDLL | None:
     """Load PETSc and its dependencies without starting it; None if missing."""
     spec = importlib.util.find_spec("petsc4py")
     folders = (spec and spec.submodule_search_locations) or ()
-    found = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
+    libraries = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
     mpi = sorted(Path(sys.prefix).glob("lib/libmpi.so.*"))
     if mpi:  # of wheels: their PETSc needs it
         ctypes.CDLL(str(mpi[0]), mode=ctypes.RTLD_GLOBAL)
-    return ctypes.CDLL(str(found[0])) if found else None
+    return ctypes.CDLL(str(libraries[0])) if libraries else None
 
 
 def _version_of(petsc: ctypes.CDLL) -> str:

@@ -54,13 +54,13 @@ def point_text(x: Iterable[float]) -> str:
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
     """Notes of several cases, each once, with the names of its cases."""
     every = list(cases)
-    found: dict[str, list[str]] = {}
+    cases_of: dict[str, list[str]] = {}
     for name, notes in every:
         for note in notes:
-            found.setdefault(note, []).append(name)
+            cases_of.setdefault(note, []).append(name)
     return [
         f"{note} ({'all cases' if len(names) == len(every) else ', '.join(names)})"
-        for note, names in found.items()
+        for note, names in cases_of.items()
     ]
 
 

@@ -161,10 +161,10 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     if mpirun is None:
         raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
     libc = ctypes.CDLL(None)
-    with scratch.variables() as own:
+    with scratch.variables() as of_scratch:
         child = subprocess.Popen(
             [mpirun, "-n", str(ranks), *command],
-            env=environment() | own,
+            env=environment() | of_scratch,
             stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             # The terminal sends Ctrl-C to the whole process group, which would end mpirun at once.

@@ -37,16 +37,16 @@ def variables() -> Iterator[dict[str, str]]:
                 with _locked(old):
                     shutil.rmtree(old, ignore_errors=True)
     with ExitStack() as stack:
-        found = {}
+        variables = {}
         with suppress(OSError):
             folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=place))
             stack.callback(shutil.rmtree, folder, ignore_errors=True)
             # Another run may take it for an old one, until it is locked: then there is none.
             stack.enter_context(_locked(folder))
-            found = {"TMPDIR": str(folder)} if folder.exists() else {}
-            if found and place == SHARED:
-                found["OMPI_MCA_btl_sm_backing_directory"] = str(folder)
-        yield found
+            variables = {"TMPDIR": str(folder)} if folder.exists() else {}
+            if variables and place == SHARED:
+                variables["OMPI_MCA_btl_sm_backing_directory"] = str(folder)
+        yield variables
 
 
 @contextmanager

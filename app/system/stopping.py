@@ -34,9 +34,9 @@ def seconds(text: str) -> float:
 
 
 def signals() -> Callable[[], str]:
-    """Record signals that ask the run to stop; the function tells the first one's name, or "".
+    """Record signals that ask the run to stop; the function returns the first one's name, or "".
 
-    The run asks it between Newton iterations. A second Ctrl-C, a second later or more, ends a
+    The run calls it between Newton iterations. A second Ctrl-C, a second later or more, ends a
     single rank at once.
     """
     received: list[str] = []
