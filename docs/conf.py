@@ -62,6 +62,7 @@ trouble
 """,
     "reference/README": """
 case
+former_keys
 campaigns
 results
 commands

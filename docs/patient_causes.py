@@ -41,7 +41,7 @@ def patient(bone: Path, azimuth: str | None, varus: float = 0.0, **keys: Any) ->
 
 def parametric(version: float, tip: float) -> dict[str, Any]:
     """The parametric hip with the same stem, its tip at a level [mm]."""
-    levels = {"tip_z": f"{tip} mm", "distal_cut_z": CUT, "resection_height": "8 mm"}
+    levels = {"tip_z": f"{tip} mm", "distal_cut_z": CUT, "resection": {"height": "8 mm"}}
     rotated = {"kind": "femur", "anteversion": f"{version} deg"}
     return rotated | levels | {"stem": {"length": f"{LENGTH} mm"}}
 

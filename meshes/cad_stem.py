@@ -254,7 +254,7 @@ class CadStem:
                 f"geometry.stem: around {where}, rays from the stem's axis meet its surface more"
                 " than once. Is there a collar, or does the neck leave the body below the neck"
                 " cut? Move the stem proximally (geometry.tip_z, geometry.insertion.depth), cut"
-                " lower (geometry.resection_height, geometry.resection.height), or remove the"
+                " lower (geometry.resection.height), or remove the"
                 " collar from the file"
             ) from None
 

@@ -8,34 +8,18 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
-from app.case.hips import INSIDE, MUSCLES, OF_BONE, Hip, InsertionOrBest, OperatedHip, Resection
+from app.case.former_keys import FORMER_KEYS_OF_FEMURS, new_name
+from app.case.hips import INSIDE, MUSCLES, OF_BONE, Hip, InsertionOrBest, OperatedHip
 from app.case.shapes import MeshOptions, Point3, spread
 from app.case.stems import Stem, StemFile, length
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
-from app.schema.section import Kinds, fail
+from app.foundation.verdict import Verdict
+from app.schema.section import Kinds, Section, fail
 from app.schema.units import Angle, Dimension, Length
 
 MEDIAL = 24.747  # mm from the shaft's axis to the medial cortex, where the cut usually leaves it
 HEAD = (20.0, 100.0)  # mm: levels of the head's centre
-# Keys of a stem in earlier versions, by that below `stem` which has replaced each.
-OLD_KEYS = {
-    "stem_length": "length",
-    "stem_half_width": "half_width",
-    "stem_half_depth": "half_depth",
-    "stem_corner_radius": "corner_radius",
-    "stem_tip_half_width": "tip_half_width",
-    "stem_tip_half_depth": "tip_half_depth",
-    "stem_tip_corner_radius": "tip_corner_radius",
-    "tip_rounding": "tip_rounding",
-    "neck_diameter": "neck_diameter",
-    "neck_fillet": "neck_fillet",
-    "trunnion_diameter": "trunnion_diameter",
-    "head_offset": "head_offset",
-    "neck_angle": "neck_angle",
-    "stem_section_z": "section_depth",
-    "head_height": "head_height",
-}
 # Levels in earlier versions without a key (mm).
 OLD_TIP = -118.0
 OLD_SECTION = 15.0
@@ -44,28 +28,41 @@ STEM_LENGTH: float = Stem.model_fields["length"].default
 _LEVEL = Dimension("mm", "a length", "4 mm")
 
 
-def _with_new_keys(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Keys of a femur in place of those of earlier versions, and the old ones by their new names.
+class NeckCut(Section):
+    """The cut across the neck of a parametric femur."""
+
+    azimuth: ClassVar[None] = None
+
+    height: Length = 5.0
+    """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
+    angle: Angle = math.radians(38.0)
+    """Angle to the transverse plane (rad)."""
+
+
+def _with_present_keys(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Keys of a femur with their present names, and the former names with the present ones.
 
     Levels of section and head were those of the model. They are now depth below the shoulder and
     height above it.
     """
-    replaced = {old: f"stem.{key}" for old, key in OLD_KEYS.items() if old in given}
-    if "stem_tip_z" in given:
-        replaced["stem_tip_z"] = "tip_z"
+    replaced = {old: key for old, key in FORMER_KEYS_OF_FEMURS.items() if old in given}
     if not replaced:
         return given, {}
     keys = {key: value for key, value in given.items() if key not in replaced}
     if "stem_tip_z" in given:
         if "tip_z" in given:
-            fail("is the old name of tip_z; expected only one of them", at=("stem_tip_z",))
+            fail("is the former name of tip_z; keep one", at=("stem_tip_z",))
         keys["tip_z"] = given["stem_tip_z"]
-    numbers = {key: given[old] for old, key in OLD_KEYS.items() if old in given}
+    numbers = {
+        key.removeprefix("stem."): given[old]
+        for old, key in replaced.items()
+        if key.startswith("stem.")
+    }
     stem = given.get("stem")
     if numbers and stem is not None:
         old = next(key for key in replaced if key != "stem_tip_z")
         is_file = isinstance(stem, StemFile) or (isinstance(stem, dict) and "step" in stem)
-        text = f"is the old name of {replaced[old]}; expected it below `stem`"
+        text = f"is the former name of {replaced[old]}; write it below `stem`"
         if is_file:
             text = "is given by the file of the stem; leave it out"
         fail(text, at=(old,))
@@ -100,14 +97,12 @@ class _Femur(Hip):
     """Level of the stem's tip."""
     anteversion: Angle = 0.0
     """Turn of stem, neck and neck cut about the shaft's axis, the head to anterior (rad)."""
-    resection_height: Length = 5.0
-    """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
-    resection_angle: Angle = math.radians(38.0)
-    """Angle of the cut to the transverse plane (rad)."""
+    resection: NeckCut = Field(default_factory=NeckCut)
+    """The cut across the neck."""
     distal_cut_z: Annotated[float, length("-200 mm", at_least=-350.0)] = -200.0
     """Level at which the shaft is cut and held: below the plug, at least -350 mm."""
 
-    # Keys of earlier versions that were given, with their new names.
+    # Former keys that were given, with their present names.
     _replaced: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="wrap")
@@ -115,7 +110,7 @@ class _Femur(Hip):
     def _renamed(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         replaced: dict[str, str] = {}
         if isinstance(value, dict):
-            value, replaced = _with_new_keys(value)
+            value, replaced = _with_present_keys(value)
         femur = handler(value)
         if replaced:
             femur._replaced = replaced
@@ -130,15 +125,15 @@ class _Femur(Hip):
             text = f"is not below {self.plug_end}; expected below {implant.plug:g} mm"
             fail(text, at=("distal_cut_z",))
         self.check_end()
-        if not 0.0 <= self.resection_angle < math.pi / 2:
-            fail("is not between 0 and 90 deg", at=("resection_angle",))
+        if not 0.0 <= self.resection.angle < math.pi / 2:
+            fail("is not between 0 and 90 deg", at=("resection", "angle"))
         if not HEAD[0] <= implant.head_height <= HEAD[1]:
             text = f"puts the head's centre at z = {implant.head_height:.3g} mm"
             fail(f"{text}; expected {HEAD[0]:g} to {HEAD[1]:g} mm", at=("stem", "head_height"))
         if self.cut_height >= implant.head_height:
             text = f"puts the neck cut at z = {self.cut_height:.3g} mm on the shaft's axis, above"
             text += f" the head's centre at {implant.head_height:g} mm"
-            fail(text, at=("resection_height",))
+            fail(text, at=("resection", "height"))
         longest = (self.cut_height - self.tip_z) / INSIDE
         if implant.length > longest:
             text = f"{implant.length:g} mm puts the shoulder at z = {implant.shoulder:g} mm, too"
@@ -147,9 +142,9 @@ class _Femur(Hip):
         return self
 
     @property
-    def replaced_keys(self) -> dict[str, str]:
-        """Keys of earlier versions that were given, with their new names."""
-        return {f"geometry.{old}": f"geometry.{new}" for old, new in self._replaced.items()}
+    def former_keys(self) -> list[Verdict]:
+        """Notes on former names of keys that were given."""
+        return [new_name(f"geometry.{old}", new) for old, new in self._replaced.items()]
 
     @property
     def content(self) -> str:
@@ -166,11 +161,6 @@ class _Femur(Hip):
         """The bone before the operation (`meshes.femur_bone.FemurBone`)."""
         bone = import_module("meshes.femur_bone").FemurBone
         return bone(self.anteversion, self.canal_widening, self.metaphyseal_cortex)
-
-    @property
-    def resection(self) -> Resection:
-        """The cut across the neck."""
-        return Resection.model_construct(height=self.resection_height, angle=self.resection_angle)
 
     @property
     def more_room(self) -> tuple[str, str]:
@@ -190,7 +180,7 @@ class _Femur(Hip):
     @property
     def cut_height(self) -> float:
         """Approximate height at which the neck cut meets the shaft's axis (mm)."""
-        return self.resection_height + MEDIAL * math.tan(self.resection_angle)
+        return self.resection.height + MEDIAL * math.tan(self.resection.angle)
 
     @property
     def distal_height(self) -> float:

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from app import __version__
-from app.foundation.verdict import note
+from app.foundation.verdict import Verdict, note
 from app.schema.section import show
-from app.schema.yaml_file import CaseFile, Fault, Path, path_text
+from app.schema.yaml_file import CaseFile, Fault, Path, key_parts, path_text
 
 # Newest version of the format that this program reads. Files without a version have the first.
 VERSION = 1
@@ -26,12 +26,40 @@ FORMER_KEYS: dict[tuple[str, ...], str] = {
     ("loads", "*", "course"): "cycle_table",
     ("motions", "*", "rotation", "course"): "cycle_table",
     ("heat", "*", "course"): "time_course",
+    ("geometry", "resection_height"): "resection.height",
+    ("geometry", "resection_angle"): "resection.angle",
 }
 # The same in libraries, where loads are in sets.
 FORMER_KEYS_OF_LIBRARIES: dict[tuple[str, ...], str] = {
     ("courses",): "cycle_tables",
     ("loads", "*", "*", "course"): "cycle_table",
 }
+# The same in the geometry of a parametric femur. Levels of the model have become lengths from the
+# shoulder of the stem, so that `case.femurs` converts the values, too.
+FORMER_KEYS_OF_FEMURS: dict[str, str] = {
+    "stem_tip_z": "tip_z",
+    "stem_length": "stem.length",
+    "stem_half_width": "stem.half_width",
+    "stem_half_depth": "stem.half_depth",
+    "stem_corner_radius": "stem.corner_radius",
+    "stem_tip_half_width": "stem.tip_half_width",
+    "stem_tip_half_depth": "stem.tip_half_depth",
+    "stem_tip_corner_radius": "stem.tip_corner_radius",
+    "tip_rounding": "stem.tip_rounding",
+    "neck_diameter": "stem.neck_diameter",
+    "neck_fillet": "stem.neck_fillet",
+    "trunnion_diameter": "stem.trunnion_diameter",
+    "head_offset": "stem.head_offset",
+    "neck_angle": "stem.neck_angle",
+    "stem_section_z": "stem.section_depth",
+    "head_height": "stem.head_height",
+}
+
+
+def new_name(former: str, present: str) -> Verdict:
+    """Note on a former key: the whole key, and its present name in the same section."""
+    last = key_parts(former)[-1]
+    return note(f"the key '{last}' has a new name", former, f"use {present}")
 
 
 def of_this_version(file: CaseFile) -> None:
@@ -64,7 +92,7 @@ def check_version(file: CaseFile) -> None:
 
 
 def present_name(path: Path, former: Mapping[tuple[str, ...], str] = FORMER_KEYS) -> str:
-    """Present name of the last key of a path."""
+    """Present name of the last key of a path; ``resection.height`` is in a section there."""
     for pattern, name in former.items():
         if len(pattern) == len(path) and all(
             part in ("*", key) for part, key in zip(pattern, path, strict=True)
@@ -85,19 +113,26 @@ def with_present_names(
     """
     if not isinstance(value, dict):
         return value
-    result: dict[str, object] = {}
+    result: dict[str, Any] = {}
+    former_names: dict[str, str] = {}
     for key, part in value.items():
         here = (*path, key)
         name = present_name(here, former)
-        if name != key:
-            file.notes.append(
-                note(f"the key '{key}' has a new name", path_text(here), f"use {name}")
-            )
-            if name in value:
-                file.complaints.append(Fault(here, f"is the former name of {name}; keep one"))
-                continue
-            move_places(file, here, (*path, name))
-        result[name] = with_present_names(file, part, (*path, name), former)
+        if name == key:
+            result[key] = with_present_names(file, part, here, former)
+        else:
+            former_names[key] = name
+    for key, name in former_names.items():
+        here = (*path, key)
+        file.notes.append(new_name(path_text(here), name))
+        section, _, last = name.rpartition(".")
+        there = (*path, section, last) if section else (*path, last)
+        holder = result.setdefault(section, {}) if section else result
+        if not isinstance(holder, dict) or last in holder:
+            file.complaints.append(Fault(here, f"is the former name of {name}; keep one"))
+            continue
+        move_places(file, here, there)
+        holder[last] = with_present_names(file, value[key], there, former)
     return result
 
 

@@ -20,9 +20,8 @@ from pydantic_core import PydanticCustomError
 
 import configs
 from app.case import library
-from app.case.former_keys import of_this_version, present_name, with_present_names
+from app.case.former_keys import new_name, of_this_version, present_name, with_present_names
 from app.foundation.errors import InputError
-from app.foundation.verdict import note
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
@@ -98,7 +97,7 @@ def _from(folder: FilePath, part: object, keys: Sequence[str]) -> None:
                 part[key] = str((folder / expanduser(name)).absolute())
 
 
-def found(folder: FilePath, base: str) -> FilePath:
+def base_file(folder: FilePath, base: str) -> FilePath:
     """Path of a base: a file relative to a folder, or a shipped case by its name alone."""
     shipped = configs.FOLDER / f"{base}.yaml"
     word = base.replace("_", "").isalnum()  # not a path
@@ -137,7 +136,7 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
     name, hint = file.data[key], ""
     if not isinstance(name, str):
         file.raise_all([Fault((key,), f"{show(name)} is not text; expected a file")])
-    path = found(FilePath(file.name).parent, name)
+    path = base_file(FilePath(file.name).parent, name)
     try:
         readable = path.is_file()
     except OSError as error:
@@ -522,8 +521,8 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     items = key_parts(key)
     present = present_name(tuple(items))
     if present != items[-1]:
-        case.notes.append(note(f"the key '{items[-1]}' has a new name", key, f"use {present}"))
-        items[-1] = str(present)
+        case.notes.append(new_name(key, present))
+        items[-1:] = present.split(".")
     if not equals or not all(items):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(items) > yaml_file.DEEPEST:

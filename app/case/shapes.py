@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from app.foundation.verdict import Verdict
 from app.schema.section import TAG, Extensible, Scalar, Section, Truth, fail
 from app.schema.units import Dimension, Plain, PositiveLength
 
@@ -247,9 +248,9 @@ class Shape(Extensible):
         return {}
 
     @property
-    def replaced_keys(self) -> dict[str, str]:
-        """Keys of earlier versions that were given, with their new names."""
-        return {}
+    def former_keys(self) -> list[Verdict]:
+        """Notes on former names of keys that were given, whose values are converted."""
+        return []
 
     @property
     def proud(self) -> float:

@@ -110,9 +110,9 @@ def plan(
     others = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
     failed: dict[tuple[Path, str], list[Point]] = {}
-    bases = Counter(overlay.found(folder, p.base) for p in every)
+    bases = Counter(overlay.base_file(folder, p.base) for p in every)
     for point in every:
-        base, used = overlay.found(folder, point.base), point.changes | given
+        base, used = overlay.base_file(folder, point.base), point.changes | given
         ranks = used.get("ranks", 1)
         if not isinstance(ranks, int) or isinstance(ranks, bool) or ranks < 1:
             text = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."

@@ -97,7 +97,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
 
 def _case_path(path: Path) -> Path:
     """File of the case of a command: a file, or a shipped case by its name alone."""
-    shipped = overlay.found(path.parent, str(path))
+    shipped = overlay.base_file(path.parent, str(path))
     return shipped if not path.exists() and shipped.exists() else path
 
 

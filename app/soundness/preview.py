@@ -229,10 +229,7 @@ def from_memory(place: str, source: str | None) -> list[Verdict]:
 
 def warnings(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input, for `mantle check` and the log."""
-    notes = [
-        note("is an old name, which this version reads", old, f"write {new}")
-        for old, new in case.geometry.replaced_keys.items()
-    ]
+    notes = case.geometry.former_keys
     acts = [
         *(getattr(law, "gap", None) for law in case.interfaces.values()),
         *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),

@@ -137,7 +137,7 @@ class _Stop:
         self._first = min(self._first, time.monotonic())
         if len(self.received) == 1:
             self._child.send_signal(signal.SIGUSR1)
-            tell("stopping; the state is saved first (once more: stop at once)")
+            notify("stopping; the state is saved first (once more: stop at once)")
         else:
             self._child.send_signal(signal.SIGTERM if len(self.received) < 4 else signal.SIGKILL)
 
@@ -184,7 +184,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         # The ranks had no signal handlers yet (nothing to save), or a second signal killed them.
         once = len(stop.received) == 1
         early = "stopped: no step had converged, so nothing was written"
-        tell(early if once else NOT_SAVED)
+        notify(early if once else NOT_SAVED)
         return StoppedError.exit_code if once else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has reported.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
@@ -238,6 +238,6 @@ def _write(target: IO[bytes], text: bytes) -> None:
         target.flush()
 
 
-def tell(message: str) -> None:
+def notify(message: str) -> None:
     """Print a message to standard error, unless it is closed."""
     _write(sys.stderr.buffer, f"mantle: {message}\n".encode())

@@ -49,9 +49,9 @@ def signals() -> Callable[[], str]:
         if len(received) == 1:
             first = now
             if alone:
-                ranks.tell("stopping; the state is saved first (once more: stop at once)")
+                ranks.notify("stopping; the state is saved first (once more: stop at once)")
         elif alone and number == signal.SIGINT and now > first + ranks.SAME_SIGNAL:
-            ranks.tell(ranks.NOT_SAVED)
+            ranks.notify(ranks.NOT_SAVED)
             os._exit(130)
 
     heard = ranks.stop_signals()

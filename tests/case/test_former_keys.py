@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -114,3 +115,23 @@ def test_former_keys_unknown_versions_are_refused(line: str, words: str, tmp_pat
         read_sweep(sweep)
     sweep.write_text(sweep.read_text().replace(line, "mantle: 1"))
     assert len(read_sweep(sweep)[1]) == 2
+
+
+def test_former_keys_move_into_a_section(tmp_path: Path) -> None:
+    case = tmp_path / "case.yaml"
+    case.write_text(
+        "base: stance\ngeometry: {resection_height: 4 mm, resection: {angle: 40 deg}}\n"
+    )
+    loaded = mantle.load(case, **{"geometry.resection_angle": "39 deg"})
+    cut = loaded.config.geometry.resection
+    assert (cut.height, round(math.degrees(cut.angle), 9)) == (4.0, 39.0)
+    assert [str(note) for note in loaded.file.notes] == [
+        f"note: geometry.{former}: the key '{former}' has a new name; use {present}"
+        for former, present in (
+            ("resection_height", "resection.height"),
+            ("resection_angle", "resection.angle"),
+        )
+    ]
+    case.write_text("base: stance\ngeometry: {resection_height: 4 mm, resection: {height: 5 mm}}\n")
+    with pytest.raises(InputError, match=r"is the former name of resection.height; keep one"):
+        mantle.load(case)

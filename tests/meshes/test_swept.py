@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.case.femurs import NeckCut
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from app.case.hips import MUSCLES
 from app.case.stems import Stem
@@ -46,7 +47,7 @@ from tests.patient.bones import cut, turned
 from tests.support import digest
 
 
-def hip(**values: float) -> Femur:
+def hip(**values: Any) -> Femur:
     """A femur with some parameters, of itself or of its stem, in mm and radians."""
     numbers = {key: values.pop(key) for key in [*values] if key in Stem.model_fields}
     stem = Stem().model_copy(update=numbers)
@@ -54,7 +55,7 @@ def hip(**values: float) -> Femur:
 
 
 @cache
-def built(size: float, curved: bool = False, **values: float) -> MeshData:
+def built(size: float, curved: bool = False, **values: Any) -> MeshData:
     return femur.build(hip(**values), sized(size, curved))
 
 
@@ -395,10 +396,10 @@ def test_femur_intact_cells_are_good(curved: bool, size: float) -> None:
         {"head_radius": 18.0},
         {"head_radius": 30.0},
         {"cement_thickness": 7.0, "canal_widening": 2.0},  # lines without a layer, up to the head
-        {"resection_angle": 0.87},
+        {"resection": NeckCut(angle="0.87 rad")},
     ],
 )
-def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, float]) -> None:
+def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, object]) -> None:
     geometry = IntactFemur().model_copy(update=values)
     for size in (8.0, 5.0):
         data = femur_intact.build(geometry, sized(size, False))
@@ -409,7 +410,8 @@ def test_swept_stem_of_any_length_meshes() -> None:
     """172 mm, which had none, and one from the shelf that stands out of a low cut."""
     assert built(6.0, length=172.0, tip_z=-143.0).cells.size
     levels = {"section_depth": 32.0, "head_height": 7.0}
-    out = built(6.0, length=165.0, resection_height=-10.0, resection_angle=0.3, **levels)
+    resection = NeckCut(height="-10 mm", angle="0.3 rad")
+    out = built(6.0, length=165.0, resection=resection, **levels)
     assert quality.stubby(out.points, out.cells).min() > 0.08
 
 

@@ -166,7 +166,7 @@ def turned(x: Floats, angle: float) -> Floats:
 
 def cut(geometry: Any) -> tuple[Floats, float]:
     """Unit normal n and level c of the parametric femur's cut, in axes that turn with its neck."""
-    angle, height = geometry.resection_angle, geometry.resection_height
+    angle, height = geometry.resection.angle, geometry.resection.height
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
     edge = femur_bone.PERIOSTEUM.radius(np.array(geometry.anteversion), np.array(height))
     return normal, float(normal @ [float(edge), 0.0, height])

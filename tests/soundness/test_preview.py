@@ -36,7 +36,7 @@ def test_preview_notes_a_stem_far_out_of_the_bone(
     """The shipped shoulder is at 29 mm, the cut 24.747 tan 38 deg above its medial end."""
     case = mantle.load(
         CONFIGS / "stance.yaml",
-        **{"geometry.tip_z": f"{-118 + up} mm", "geometry.resection_height": f"{cut} mm"},
+        **{"geometry.tip_z": f"{-118 + up} mm", "geometry.resection.height": f"{cut} mm"},
     ).config
     notes = [n for n in texts(case) if "neck cut" in n]
     text = f"geometry: the shoulder of the stem is {height} mm above the neck cut; in hips it is"
