@@ -72,9 +72,12 @@ class HeadCup(Shape):
         bottom = self.bore_depth - math.sqrt(self.head_radius**2 - radius**2)
         end = radius - self.bore_depth * math.tan(self.bore_taper)
         if abs(self.bore_taper) >= math.pi / 4 or end <= 0.1 * radius:
-            fail("closes the bore above its end; expected a smaller angle", at=("bore_taper",))
+            fail("closes the bore before its end; expected a smaller angle", at=("bore_taper",))
         if math.hypot(end, bottom) >= NEAR * self.head_radius:
-            fail("brings the bore to the head's surface; expected less", at=("bore_depth",))
+            fail(
+                "brings the bore too close to the head's surface; expected a smaller depth",
+                at=("bore_depth",),
+            )
         return self
 
     @property

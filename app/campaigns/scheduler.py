@@ -146,7 +146,9 @@ def _stop(child: subprocess.Popen[bytes]) -> None:
 
     On a cluster Snakemake cancels its jobs.
     """
-    log.info("stopping; running cases save their state first (once more: stop at once)")
+    log.info(
+        "stopping when the running cases have saved their state (a second signal stops at once)"
+    )
     end = time.monotonic() + ranks.SAME_SIGNAL
     _send(child, signal.SIGINT)
     while child.poll() is None:

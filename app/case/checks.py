@@ -25,9 +25,9 @@ T = TypeVar("T")
 
 # Keys that a stage with cycle tables cannot have, and why.
 NO_CYCLE_TABLE = {
-    "creep_cycles": "needs loads that stay",
-    "creep_time": "needs loads that stay",
-    "fracture_step": "may turn the loads back",
+    "creep_cycles": "needs constant loads",
+    "creep_time": "needs constant loads",
+    "fracture_step": "may reduce the loads",
 }
 
 
@@ -211,7 +211,7 @@ def _mesh(case: CaseParts) -> Iterable[Fault]:
     largest = case.geometry.coarsest_size
     if case.mesh is not None:
         if not case.mesh.size and largest:
-            text = "'size' is missing; expected: edge length at the interfaces"
+            text = "'size' is missing; expected the edge length at the interfaces, e.g. 4 mm"
             yield Fault(("mesh",), text)
         if not case.geometry.spans and 0.0 < largest < case.mesh.size:
             text = (
@@ -257,7 +257,7 @@ def _stages(case: CaseParts) -> Iterable[Fault]:
         yield Fault(("stages",), "is empty; expected at least one stage")
     for i, name in enumerate(names):
         if name in names[:i]:
-            text = f"'{name}' is the name of an earlier stage too; expected another"
+            text = f"'{name}' is the name of an earlier stage too; choose another name"
             yield Fault(("stages", i, "name"), text)
     laws = [law for _, law in _valid(case.interfaces)]
     if len(laws) == len(case.interfaces or ()) and not any(w.dissipates for w in laws):
@@ -296,7 +296,10 @@ def _accuracy(case: CaseParts) -> Iterable[Fault]:
     given = case.geometry.kind == "file" or case.variations
     touches = any(law and law.can_part for law in case.interfaces.values())
     if case.output and case.output.accuracy and (given or not touches):
-        text = "mesh size cannot be chosen; expected contact, no variations and no mesh from a file"
+        text = (
+            "mesh size cannot be chosen; an accuracy needs contact, and neither variations nor a "
+        )
+        text += "mesh file"
         yield Fault(("output", "accuracy"), text)
 
 
@@ -347,8 +350,8 @@ def _side(case: CaseParts) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and case.geometry.has_gruen_zones:
         text = (
-            f"the geometry ({case.geometry.kind}) is a left femur; expected left, whose numbers "
-            "are those of the mirrored right one"
+            f"the geometry ({case.geometry.kind}) is a left femur; use `side: left`, with the loads "
+            "of a right hip mirrored in x"
         )
         yield Fault(("side",), text)
 
@@ -392,7 +395,7 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     for name, motion in _valid(case.motions):
         region = (case.regions or {}).get(motion.region)
         if region is not None and region.moves_rigidly == bool(motion.boundary):
-            text = f"{motion.region} is elastic; expected `boundary`, the part that moves"
+            text = f"{motion.region} is elastic; expected `boundary`, the surface that moves"
             if motion.boundary:
                 text = f"{motion.region} is rigid and moves as a whole; leave `boundary` out"
             yield Fault(("motions", name, "region"), text)
@@ -407,15 +410,15 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     stages = case.stages or ()
     if cyclic and stages and all(stage.takes_time for stage in stages):
         last = "steady" if stages[-1].steady else "duration"
-        text = "cycle tables need a stage without duration; expected one before this stage, in "
-        text += "which the mean heat of a cycle then flows"
+        text = "cycle tables need a stage without duration; add one before this stage, in "
+        text += "which the mean heat of a cycle flows"
         yield Fault(("stages", len(stages) - 1, last), text)
     through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
     reasons = NO_CYCLE_TABLE | {kind.key: kind.no_cycle_table for kind in STAGE_KINDS}
     for key, why in reasons.items() if cyclic and stages else ():
         if getattr(stages[through], key):
-            text = f"{why}, and cycle tables run through this stage, the last without duration"
-            yield Fault(("stages", through, key), f"{text}; expected an earlier stage")
+            text = f"{why}, but cycle tables run through this stage, the last without duration"
+            yield Fault(("stages", through, key), f"{text}; use an earlier stage")
 
 
 def quantities(case: CaseParts, names: Sequence[str]) -> Iterable[Fault]:

@@ -59,7 +59,7 @@ class Blocks(Shape):
             fail("is empty; expected at least one block", at=("blocks",))
         for i, block in enumerate(self.blocks):
             if block.name in [b.name for b in self.blocks[:i]]:
-                text = f"'{block.name}' is the name of an earlier block too"
+                text = f"'{block.name}' is the name of an earlier block too; choose another name"
                 fail(text, at=("blocks", i, "name"))
             if block.size[:2] != self.blocks[0].size[:2]:
                 fail(

@@ -79,7 +79,7 @@ class Stage(Section):
                 at=("fracture_step",),
             )
         if self.takes_time and self.other:
-            text = "takes its own time; leave `duration` and `steady` out"
+            text = "is the time of the stage; leave `duration` and `steady` out"
             fail(text, at=(self.other.key,))
         if self.creep_cycles and self.creep_time:
             fail("creep is counted in cycles or in time; leave one out", at=("creep_time",))

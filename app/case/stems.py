@@ -82,7 +82,7 @@ class Stem(Section):
             if "length" in set_keys and "section_depth" not in set_keys:
                 text = "puts the tip above the proximal section, which is at section_depth ="
                 fail(f"{text} {self.section_depth:g} mm; set section_depth too", at=("length",))
-            fail("is not above the tip", at=("section_depth",))
+            fail(f"must be below the stem's length, {self.length:g} mm", at=("section_depth",))
         return self
 
     def implant(self, tip_z: float | None, plug_length: float, tip_void: float) -> Implant:

@@ -34,7 +34,7 @@ def _values(value: object) -> object:
         fail(f"{show(value)} is not a mapping of quantities to values")
     for quantity, entry in value.items():
         if quantity in quantities.of_run():
-            fail("is compared with nothing; expected at least two lines", at=(quantity,))
+            fail("has no reference value, as it describes the run; leave it out", at=(quantity,))
         try:
             quantities.known_value(quantity, entry)
         except PydanticCustomError as error:
@@ -56,8 +56,8 @@ class Reference(Section):
         if (self.values is None) == (self.run is None):
             fail("expected either values or run")
         if any(isinstance(value, list) and len(value) < 2 for value in (self.run or {}).values()):
-            text = "has a single run, so its error is unknown; expected at least two; "
-            fail(f"{text}without a list the run is the reference as it is", at=("run",))
+            text = "is a list with one value, so that the error of the reference is unknown; "
+            fail(f"{text}expected at least two values, or one without a list", at=("run",))
         return self
 
 
@@ -147,8 +147,8 @@ def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
     for r in ladder:
         density = _density(r.case)
         if density in judged:
-            text = f"has the mesh of {judged[density].name} ({density[1]}), whose error it cannot "
-            text += f"tell; expected sizes that no line has, the last {below}"
+            text = f"has the mesh of {judged[density].name} ({density[1]}) and cannot be its "
+            text += f"reference; expected sizes that no line has, the last {below}"
             yield Fault(r.point.places[key], text)
     finest = max(judged)
     if finest > _density(ladder[-1].case):

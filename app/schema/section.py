@@ -97,8 +97,7 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
         case "extra_forbidden":
             above = _above(path[-1], model, given if isinstance(given, Mapping) else {})
             if above:
-                text = f"it belongs below '{above}', indented: was its indentation lost?"
-                return path, f"unknown key; {text}"
+                return path, f"unknown key here; indent it below '{above}', where it belongs"
             hint = did_you_mean(str(path[-1]), keys)
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":

@@ -48,8 +48,8 @@ FAULTS = {
     "\\t": "a tab; indent with spaces, two for each level",
     "mapping values are not allowed": "no key can stand here; keys of one section begin in one "
     "column, and text with a colon needs quotes",
-    "<block end>": "this line is indented neither as those above nor below a key of theirs; keys "
-    "of one section begin in one column",
+    "<block end>": "this line is indented neither as the lines above nor as a section below them; "
+    "keys of one section begin in one column",
 }
 # Sorting key of what has no place in a file.
 LAST = (1 << 30, 0, 0)

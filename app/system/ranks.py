@@ -137,7 +137,7 @@ class _Stop:
         self._first = min(self._first, time.monotonic())
         if len(self.received) == 1:
             self._child.send_signal(signal.SIGUSR1)
-            notify("stopping; the state is saved first (once more: stop at once)")
+            notify("stopping when the state is saved (a second signal stops at once)")
         else:
             self._child.send_signal(signal.SIGTERM if len(self.received) < 4 else signal.SIGKILL)
 

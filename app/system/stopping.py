@@ -49,7 +49,7 @@ def signals() -> Callable[[], str]:
         if len(received) == 1:
             first = now
             if alone:
-                ranks.notify("stopping; the state is saved first (once more: stop at once)")
+                ranks.notify("stopping when the state is saved (a second signal stops at once)")
         elif alone and number == signal.SIGINT and now > first + ranks.SAME_SIGNAL:
             ranks.notify(ranks.NOT_SAVED)
             os._exit(130)

@@ -209,9 +209,9 @@ STUDIES = [
     ("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 mm]", "6:43: study.lines.P1.mesh.size[1]: '2 N' is "),
     ("2 mm, 1 mm]", "2 mm, 7 mm]", "6:5: study.lines.P1: P1/size=7mm: "),
     ("P2: {mesh.order", "P2: {mesh.oder", "7:10: study.lines.P2.mesh.oder: unknown key"),
-    ("[0.8 mm, 0.5 mm]", "[1 mm]", "9:5: study.reference.run: has a single run"),
+    ("[0.8 mm, 0.5 mm]", "[1 mm]", "9:5: study.reference.run: is a list with one value"),
     ("[0.8 mm, 0.5 mm]", "[2 mm, 0.5 mm]", "9:38: study.reference.run.mesh.size[0]: has the mesh "
-     "of P1/size=2mm (size 2 mm), whose error it cannot tell; expected sizes that no line has, the "
+     "of P1/size=2mm (size 2 mm) and cannot be its reference; expected sizes that no line has, the "
      "last below 1 mm"),
     ("[0.8 mm, 0.5 mm]", "[3 mm, 1.2 mm]", "9:44: study.reference.run.mesh.size[1]: is not finer "
      "than P1/size=1mm (size 1 mm); expected a last size below 1 mm"),

@@ -202,7 +202,10 @@ def test_section_with_cached_arrays_compares_by_fields() -> None:
         ({"stem_length": "120 mm"}, "stem_length: puts the shoulder at z = 2 mm; .* 15 mm and"),
         ({"stem_section_z": "31 mm"}, "stem_section_z: puts the shoulder at z = 29 mm; .* 31 mm"),
         ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the shoulder at z = 163 mm; .* 54 mm"),
-        ({"stem.section_depth": "147 mm"}, "stem.section_depth: is not above the tip"),
+        (
+            {"stem.section_depth": "147 mm"},
+            "stem.section_depth: must be below the stem's length, 147 mm",
+        ),
         ({"tip_z": "16 mm"}, "stem.head_height: puts the head's centre at z = 188 mm"),
     ],
 )

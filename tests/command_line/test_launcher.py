@@ -417,7 +417,7 @@ def test_launcher_signal_lets_ranks_save_their_state(
     told, message = process.communicate(timeout=60)
     assert process.returncode == 5
     assert told.count("saved after SIGUSR1") == 2
-    assert message == "mantle: stopping; the state is saved first (once more: stop at once)\n"
+    assert message == "mantle: stopping when the state is saved (a second signal stops at once)\n"
 
 
 @pytest.mark.parallel

@@ -191,7 +191,7 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
         ),
         ("remodelling=", r"stages\[1\].remodels: how bone remodels is missing or wrong"),
         ("stages=[{name: press}]", r"stages: nothing remodels"),
-        ("stages.1.duration=1 s", r"remodels: takes its own time"),
+        ("stages.1.duration=1 s", r"remodels: is the time of the stage"),
         (
             "stages.1.cycles=2",
             r"cycles: a stage with a duration cannot have cycles; use a stage without duration",

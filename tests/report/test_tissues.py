@@ -108,7 +108,9 @@ def test_tissues_mesh_size_is_required(name: str, mesh: str, tmp_path: Path) -> 
     with pytest.raises(InputError) as caught:
         load(path)
     (message,) = caught.value.messages
-    assert message.endswith("mesh: 'size' is missing; expected: edge length at the interfaces")
+    assert message.endswith(
+        "mesh: 'size' is missing; expected the edge length at the interfaces, e.g. 4 mm"
+    )
 
 
 def test_tissues_implant_moves_relative_to_bone() -> None:

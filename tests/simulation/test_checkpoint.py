@@ -272,7 +272,7 @@ def test_checkpoint_second_interrupt_stops_at_once(
     handlers[signal.SIGINT](signal.SIGINT, None)
     assert ended == [130]
     assert capfd.readouterr().err == (
-        "mantle: stopping; the state is saved first (once more: stop at once)\n"
+        "mantle: stopping when the state is saved (a second signal stops at once)\n"
         "mantle: stopped before the state was saved; --restart auto goes on from an earlier "
         "checkpoint, if any\n"
     )
