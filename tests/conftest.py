@@ -40,3 +40,21 @@ def log_of_other_tests() -> Iterator[None]:
     logger.propagate = True
     yield
     logger.propagate, logger.level, logger.handlers = before
+
+
+@pytest.fixture
+def two_blocks() -> str:
+    """Smallest case: an elastic block below a rigid one, lengths in four units."""
+    return """\
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: "[10, 20, 5] mm"}
+    - {name: upper, size: [1 cm, 0.02 m, 5000 um]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  lower: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
+  upper: {rigid: true}
+supports:
+  base: {kind: fixed, boundary: bottom}
+"""

@@ -350,8 +350,8 @@ def _side(case: CaseParts) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and case.geometry.has_gruen_zones:
         text = (
-            f"the geometry ({case.geometry.kind}) is a left femur; use `side: left`, with the loads "
-            "of a right hip mirrored in x"
+            f"the geometry ({case.geometry.kind}) is a left femur; use `side: left`, with the "
+            "loads of a right hip mirrored in x"
         )
         yield Fault(("side",), text)
 

@@ -120,25 +120,42 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     if not asked:
         return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
     word = re.sub("[ -]", "_", asked.lower().replace("'", ""))
+    texts = _answers(asked, word, options or {})
+    if texts:
+        return "\n\n".join(texts)
+    words = key.split()
+    if len(words) > 1:
+        return explained(words[-1], options)
+    nearest = ", ".join(_nearest(asked, library.described())) or ", ".join(Case.model_fields)
+    raise InputError(f"{key}: is no key, kind, result or term of mantle; nearest: {nearest}")
+
+
+def _answers(asked: str, word: str, options: Mapping[str, str]) -> list[str]:
+    """Explanations of keys, kinds or an entry of the library; then single lines in one text.
+
+    Args:
+        asked: A key, a kind or a name as asked for.
+        word: The same in lower case and with underscores.
+        options: Options of commands with their meanings.
+    """
     targets = WORDS.get(word, (asked,))
-    entries = library.described()
     blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
     lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
     blocks += lists
-    blocks += [entries[asked]] if asked in entries and not blocks else []
-    lines = [line for target in targets for line in _named(target, options or {})]
+    entry = library.described().get(asked)
+    if entry and not blocks:
+        blocks.append(entry)
+    lines = [line for target in targets for line in _named(target, options)]
     if not blocks and not lines:
         lines += [_line(k) for k in every() if word in k.name.lower()]
     if not lists:
-        lines += _lines_with(word, options or {})
+        lines += _lines_with(word, options)
     if not blocks and not lines:
         lines += list(_lines_on(word.replace("_", " ")))[:MOST_LINES]
-    if not blocks and not lines and len(key.split()) > 1:
-        return explained(key.split()[-1], options)
-    if not blocks and not lines:
-        nearest = ", ".join(_nearest(asked, entries)) or ", ".join(Case.model_fields)
-        raise InputError(f"{key}: is no key, kind, result or term of mantle; nearest: {nearest}")
-    return "\n\n".join(filter(None, [*dict.fromkeys(blocks), "\n".join(dict.fromkeys(lines))]))
+    texts = list(dict.fromkeys(blocks))
+    if lines:
+        texts.append("\n".join(dict.fromkeys(lines)))
+    return texts
 
 
 def _nearest(asked: str, names: Iterable[str]) -> list[str]:

@@ -32,20 +32,6 @@ EVERY = [
     for p in sorted((CONFIGS / f).glob("*.yaml"))
 ]
 
-MINIMAL = """\
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: "[10, 20, 5] mm"}
-    - {name: upper, size: [1 cm, 0.02 m, 5000 um]}
-mesh: {order: 1, size: 2 mm}
-regions:
-  lower: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
-  upper: {rigid: true}
-supports:
-  base: {kind: fixed, boundary: bottom}
-"""
-
 
 @pytest.mark.parametrize("path", EVERY, ids=lambda p: p.stem)
 def test_case_survives_dump_and_load(path: Path) -> None:
@@ -77,8 +63,8 @@ def test_case_stance_is_that_of_the_paper() -> None:
     assert forces[medius].sum(axis=0) == pytest.approx([320.6, 124.0, 989.1])
 
 
-def test_case_defaults_are_filled_in() -> None:
-    case = support.case(MINIMAL)
+def test_case_defaults_are_filled_in(two_blocks: str) -> None:
+    case = support.case(two_blocks)
     assert case.interfaces == {"lower_upper": Bonded()}
     assert [stage.name for stage in case.stages] == ["load"]
     assert case.mesh.far == 8.0
@@ -87,17 +73,17 @@ def test_case_defaults_are_filled_in() -> None:
 
 
 @pytest.mark.parametrize("change", ["={kind: rigid}", ".kind=rigid", ".rigid=true"])
-def test_case_region_is_rigid_by_its_kind(change: str) -> None:
+def test_case_region_is_rigid_by_its_kind(two_blocks: str, change: str) -> None:
     """Its moduli go with its old kind; what tissue it is stays."""
-    text = MINIMAL.replace("{rigid: true}", "{material: PMMA, tissue: cement}")
+    text = two_blocks.replace("{rigid: true}", "{material: PMMA, tissue: cement}")
     region = support.case(text, f"regions.upper{change}").regions["upper"]
     assert isinstance(region, Rigid)
     assert region.tissue == ("other" if "{" in change else "cement")
 
 
-def test_overlay_overrides_reach_every_key() -> None:
+def test_overlay_overrides_reach_every_key(two_blocks: str) -> None:
     case = support.case(
-        MINIMAL,
+        two_blocks,
         "mesh.size=0.1 cm",
         "geometry.blocks[1].name=top_one",
         "regions.upper=",
@@ -129,8 +115,8 @@ def test_overlay_overrides_reach_every_key() -> None:
 @pytest.mark.parametrize(
     "title", ["Lamé, 5 µm", "a\x85b", "a\u2028b", "\ttab", "two\nlines\n", "'", "~", "1e3"]
 )
-def test_case_title_survives(title: str) -> None:
-    case = support.case(MINIMAL).model_copy(update={"title": title})
+def test_case_title_survives(two_blocks: str, title: str) -> None:
+    case = support.case(two_blocks).model_copy(update={"title": title})
     assert support.case(dump(case)) == case
 
 
