@@ -201,6 +201,8 @@ class Femur(_Femur, OperatedHip):
     and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
     """
 
+    file_keys: ClassVar[tuple[str, ...]] = ("stem.step",)
+
     kind: Literal["femur"] = "femur"
     insertion: InsertionOrBest | None = None
     """Where the stem is put, other than along the shaft's axis, turned by `anteversion`; or `best`:

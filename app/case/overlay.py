@@ -21,9 +21,11 @@ from pydantic_core import PydanticCustomError
 import configs
 from app.case import library
 from app.case.former_keys import new_name, of_this_version, present_name, with_present_names
+from app.case.shapes import Shape
 from app.foundation.errors import InputError
+from app.laws.densities import ModulusField
 from app.schema import yaml_file
-from app.schema.section import VECTOR, Triple, did_you_mean, show
+from app.schema.section import VECTOR, Triple, did_you_mean, kinds_of, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
 from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Reader, key_parts, path_text
 
@@ -35,9 +37,9 @@ OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Key that names an entry of the library, by section.
 NAMED = {"regions": "material", "interfaces": "finish", "loads": "library"}
-# Files that a case names relative to its folder; a cycle table without a suffix is the library's.
-FILES = "geometry.path geometry.stem.step geometry.bone.surface geometry.canal.surface".split()
-FILES += ["loads.cycle_table", "loads.*.cycle_table", "motions.*.rotation.cycle_table"]
+# Files that a case names relative to its folder, in addition to those that a geometry or a form of
+# `youngs_modulus` declares; a cycle table without a suffix is the library's.
+FILES = ["loads.cycle_table", "loads.*.cycle_table", "motions.*.rotation.cycle_table"]
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 # Keys among the loads that say how all forces there change in time, one or the other.
@@ -67,7 +69,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             case.libraries.append(library.read(_named_file(file, "library")))
             case.digests |= case.libraries[-1].digests
             case.notes += case.libraries[-1].notes
-        for keys in FILES if file is not chain[0] else ():
+        for keys in _file_keys() if file is not chain[0] else ():
             _from(FilePath(file.name).parent, file.data, keys.split("."))
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
@@ -83,6 +85,17 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     if case.data.pop("study", None) is not None:
         case.complaints.append(Fault(("study",), STUDY_APART))
     return case
+
+
+def _file_keys() -> list[str]:
+    """Keys whose values are files; ``*`` is any name."""
+    of_geometries = [f"geometry.{key}" for kind in kinds_of(Shape) for key in kind.file_keys]
+    of_moduli = [
+        f"regions.*.youngs_modulus.{key}"
+        for kind in kinds_of(ModulusField)
+        for key in kind.file_keys
+    ]
+    return [*dict.fromkeys(of_geometries), *of_moduli, *FILES]
 
 
 def _from(folder: FilePath, part: object, keys: Sequence[str]) -> None:

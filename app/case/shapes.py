@@ -162,6 +162,8 @@ class Shape(Extensible):
 
     mesher: ClassVar[str]
     """Module that meshes it, by `build(geometry, mesh)`."""
+    file_keys: ClassVar[tuple[str, ...]] = ()
+    """Keys below `geometry` whose values are files, relative to the folder of the case."""
     shape_keys: ClassVar[str] = "geometry"
     """Keys to change where cells are poor, in words of a message."""
     is_around_z: ClassVar[bool] = False

@@ -121,6 +121,10 @@ class Patient(OperatedHip):
     along the posterior condyles, or along the neck where the surface has no condyles; y anterior.
     """
 
+    file_keys: ClassVar[tuple[str, ...]] = (
+        *("bone.surface", "bone.image", "canal.surface", "canal.image"),
+        "stem.step",
+    )
     shape_keys: ClassVar[str] = "geometry.insertion or geometry.resection"
 
     kind: Literal["patient"] = "patient"
