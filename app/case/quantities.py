@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
+from app.case.summary import Numbers
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
@@ -77,8 +78,6 @@ def in_print(text: str) -> str:
     return re.sub(r"(?:(?<=\d )|(?<=\())(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
-# Numbers of `summary.json` by key.
-Numbers = Mapping[str, Any]
 # Mark of a number whose error exceeds it.
 NOT_RESOLVED = " (not resolved)"
 
@@ -646,11 +645,13 @@ def known_value(name: str, value: object) -> float:
     return float(kind.read(value))
 
 
-def numbers_of(summary: Numbers, parts: bool = False) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def numbers_of(
+    summary: Mapping[str, Any], parts: bool = False
+) -> Iterator[tuple[str, str, Numbers]]:
     """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
         content: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
-        named: dict[str, Any] = {section: content} if section in WHOLE else content
+        named: Numbers = {section: content} if section in WHOLE else content
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers
@@ -665,7 +666,7 @@ def largest(numbers: Numbers, key: str) -> float:
     return max(part.get(key, 0.0) for part in (numbers, *(numbers.get(p, {}) for p in PARTS)))
 
 
-def read(summary: Numbers, name: str, suffix: str = "") -> float | None:
+def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
     """Number of ``summary.json`` in its unit, by name as in `get`; None if it is missing."""
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")

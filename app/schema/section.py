@@ -344,6 +344,7 @@ class Extensible(Section):
             renew()
 
 
+E = TypeVar("E", bound=Extensible)
 # Keys that packages added, by section.
 _ADDED: dict[type[Section], list[str]] = {}
 
@@ -390,7 +391,7 @@ def _derived(base: type[Section]) -> Iterator[type[Section]]:
         yield from _derived(section)
 
 
-def kinds_of(base: type[Extensible]) -> tuple[type[Extensible], ...]:
+def kinds_of(base: type[E]) -> tuple[type[E], ...]:
     """All subclasses that have a `kind` or a required key, in the order of their definition."""
     below = [c for sub in base.__subclasses__() for c in (sub, *kinds_of(sub))]
     kinds = dict.fromkeys(c for c in below if _is_kind(c))

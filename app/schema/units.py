@@ -249,7 +249,8 @@ class AbsoluteTemperature(Dimension):
             PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
         """
         if isinstance(value, str) and "delta" in value:
-            fail(f"{show(value)} is a difference; expected a temperature such as 37 degC")
+            text = "is a difference of temperatures; expected a temperature such as 37 degC"
+            fail(f"{show(value)} {text}")
         result = super().read(value)
         if result <= 0.0:
             fail(f"{show(value)} is not above absolute zero, -273.15 degC or 0 K")
