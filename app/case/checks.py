@@ -161,7 +161,7 @@ def _names(case: CaseParts) -> Iterable[Fault]:
         inside = enumerate(getattr(entry, "regions", None) or ())
         used += [((section, name, "regions", i), "region", region) for i, region in inside]
     left_out = case.geometry.left_out
-    used = [entry for entry in used if entry[2] not in left_out.get(entry[0][0], ())]
+    used = [entry for entry in used if entry[2] not in left_out.get(str(entry[0][0]), ())]
     if case.output is not None:
         probes = (case.output.probes or {}).items()
         used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
