@@ -160,3 +160,17 @@ def test_verdicts_on_physiology() -> None:
         "um/m; usual are 500 to 2500 um/m",
         "warning",
     )
+
+
+def test_verdicts_on_physiology_allow_cortex_shielded_by_a_stem() -> None:
+    """Beside a stem small strains are usual; strains that are all small are a load too small."""
+    femur = {"head_displacement": [0.0, 0.0, -1.0], "strain_lateral_10": 4e-4}
+    loads = [{"force": (0.0, 0.0, -500.0)}]
+    intact = femur | {"strain_lateral_80": 2e-3}
+    words = "the strain of the cortex is 400 to 2000 um/m; usual are 500 to 2500 um/m"
+    found = judged(summary(femur=intact, section_loads=loads, stem={}))
+    assert found["physiology"] == (words, "warning")
+    stem = {"subsidence": 0.02}
+    assert "physiology" not in judged(summary(femur=intact, section_loads=loads, stem=stem))
+    small = judged(summary(femur=femur, section_loads=loads, stem=stem))
+    assert small["physiology"][0].startswith("the strain of the cortex is 400 to 400 um/m")
