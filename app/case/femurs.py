@@ -28,7 +28,7 @@ STEM_LENGTH: float = Stem.model_fields["length"].default
 _LEVEL = Dimension("mm", "a length", "4 mm")
 
 
-class NeckCut(Section):
+class FemurResection(Section):
     """The cut across the neck of a parametric femur."""
 
     azimuth: ClassVar[None] = None
@@ -97,7 +97,7 @@ class _Femur(Hip):
     """Level of the stem's tip."""
     anteversion: Angle = 0.0
     """Turn of stem, neck and neck cut about the shaft's axis, the head to anterior (rad)."""
-    resection: NeckCut = Field(default_factory=NeckCut)
+    resection: FemurResection = Field(default_factory=FemurResection)
     """The cut across the neck."""
     distal_cut_z: Annotated[float, length("-200 mm", at_least=-350.0)] = -200.0
     """Level at which the shaft is cut and held: below the plug, at least -350 mm."""

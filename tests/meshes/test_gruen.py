@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import ufl
 
-from app.case.femurs import Femur, NeckCut
+from app.case.femurs import Femur, FemurResection
 from app.case.stems import Stem
 from app.mechanics.body_forms import OnBody, assembled_vector
 from app.results.stresses import Stresses
@@ -57,7 +57,7 @@ def test_gruen_thirds_are_of_the_length_in_the_bone() -> None:
 
 def test_gruen_rim_and_tip_follow_cut_and_end() -> None:
     """By hand: a cut at 45 degrees that leaves the anterior cortex at z = 5 mm."""
-    cut = {"resection": NeckCut(angle="45 deg"), "anteversion": np.pi / 2}
+    cut = {"resection": FemurResection(angle="45 deg"), "anteversion": np.pi / 2}
     zones = Zones(GEOMETRY.model_copy(update=cut))
     r = float(femur_bone.PERIOSTEUM.radius(np.array(np.pi / 2), np.array(5.0)))
     x = np.array([(0, r, 5.0), (3.0, r, 5.0), (0, r - 20.0, 5.0), (0, r, -15.0), (0, 0, -118.0)])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case.femurs import NeckCut
+from app.case.femurs import FemurResection
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from app.case.hips import MUSCLES
 from app.case.stems import Stem
@@ -396,7 +396,7 @@ def test_femur_intact_cells_are_good(curved: bool, size: float) -> None:
         {"head_radius": 18.0},
         {"head_radius": 30.0},
         {"cement_thickness": 7.0, "canal_widening": 2.0},  # lines without a layer, up to the head
-        {"resection": NeckCut(angle="0.87 rad")},
+        {"resection": FemurResection(angle="0.87 rad")},
     ],
 )
 def test_femur_intact_with_other_parameters_meshes_well(values: dict[str, object]) -> None:
@@ -410,7 +410,7 @@ def test_swept_stem_of_any_length_meshes() -> None:
     """172 mm, which had none, and one from the shelf that stands out of a low cut."""
     assert built(6.0, length=172.0, tip_z=-143.0).cells.size
     levels = {"section_depth": 32.0, "head_height": 7.0}
-    resection = NeckCut(height="-10 mm", angle="0.3 rad")
+    resection = FemurResection(height="-10 mm", angle="0.3 rad")
     out = built(6.0, length=165.0, resection=resection, **levels)
     assert quality.stubby(out.points, out.cells).min() > 0.08
 
