@@ -165,10 +165,15 @@ def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
         f" offsets {result.medial_offset:.1f} mm medial, {result.anterior_offset:.1f} mm anterior"
     )
     if after.least < geometry.least_room:
-        text = f"no position within the limits of the search leaves {geometry.least_room:g} mm"
-        at = f"the best, {words}, has {after.words(placed)}"
-        remedy = "ream the canal, take a smaller or shorter stem, or widen insertion.best"
-        raise GeometryError(f"geometry.insertion: {text} around the stem; {at}; {remedy}")
+        does = f"leaves {after.least:.2f} mm"
+        if after.least < 0:
+            does = f"cuts {-after.least:.2f} mm into the cortex"
+        raise GeometryError(
+            "geometry.insertion: no position within the limits of the search leaves"
+            f" {geometry.least_room:g} mm around the stem; the best ({words}) {does}"
+            f" {after.side} at {placed.where(after.place)}; ream the canal, take a smaller or"
+            " shorter stem, or widen insertion.best"
+        )
     gain = f"{after.words(placed)}, {after.least - before.least:.2f} mm more than as given"
     return result, f"{words}: room {gain}"
 

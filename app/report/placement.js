@@ -250,6 +250,8 @@
   const ball = new THREE.Mesh(new THREE.SphereGeometry(HEAD, 32, 24), new THREE.MeshLambertMaterial(clear("#e07b00", 0.18)));
   model.add(ball);
   intact.position.set(...head.head);
+  thin.material.depthTest = false; // it is seen through bone and stem
+  thin.renderOrder = 9;
   // Colours by room: dark red within the bone, red below what is needed, then viridis.
   const VIRIDIS = ["440154", "482475", "414487", "355f8d", "2a788e", "21918c", "22a884", "44bf70", "7ad151", "bddf26", "fde725"].map(h => new THREE.Color("#" + h));
   const most = cemented ? (head.thickness.tables ? Math.max(...head.thickness.tables[0].map(t => t[1])) : head.thickness.uniform) : 4;
