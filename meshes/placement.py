@@ -217,7 +217,7 @@ class Position:
 
 
 @dataclass(frozen=True, eq=False)
-class NeckCut:
+class CutPlane:
     """The plane of the neck cut, in the model's axes.
 
     Attributes:
@@ -231,7 +231,7 @@ class NeckCut:
     way: Floats
 
     @classmethod
-    def of(cls, geometry: Any) -> NeckCut:
+    def of(cls, geometry: Any) -> CutPlane:
         """The cut of a bone.
 
         Raises:
@@ -298,7 +298,7 @@ def place(geometry: StemInBone) -> Placement:
     Raises:
         GeometryError: The cut is beside the bone, or condyles are asked for that are not there.
     """
-    return NeckCut.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
+    return CutPlane.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
 
 
 def head_in_words(geometry: Any) -> str:

@@ -25,7 +25,7 @@ from meshes import femur_stem
 from meshes.cad_stem import CadStem
 from meshes.layered_surfaces import DEEP, LEAST_CORTEX, SIDES
 from meshes.layers import Sections
-from meshes.placement import NeckCut, Placement, Position
+from meshes.placement import CutPlane, Placement, Position
 
 STEP = np.array([1.0, 1.0, 2.0])  # mm between nodes of the grid; the canal is straighter along z
 UNIT = 0.002  # mm: distances on the grid are multiples of it
@@ -52,7 +52,7 @@ class WidestCanal:
         distances: Distances of the nodes from the surface, in `UNIT`; positive within (i, j, k).
     """
 
-    cut: NeckCut
+    cut: CutPlane
     points: Floats
     low: Floats
     distances: Floats
@@ -82,7 +82,7 @@ def canal(geometry: Any) -> WidestCanal:
     Raises:
         GeometryError: The shaft's axis leaves the bone, or a surface crosses itself.
     """
-    cut, implant, femur = NeckCut.of(geometry), geometry.implant, geometry.femur
+    cut, implant, femur = CutPlane.of(geometry), geometry.implant, geometry.femur
     placed = cut.put(implant, Position(0.0, 0.0, 0.0, femur.neck, 0.0, 0.0), femur.mirrored)
     end = placed.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW
     low = placed.along(max(float(end), femur.lowest + END))
@@ -100,7 +100,7 @@ def canal(geometry: Any) -> WidestCanal:
     return canal_of(cut, points.reshape(len(zeta), AROUND, 3))
 
 
-def canal_of(cut: NeckCut, points: Floats) -> WidestCanal:
+def canal_of(cut: CutPlane, points: Floats) -> WidestCanal:
     """A canal with points of its surface in sections from below (n, k, 3) [mm]."""
     first = points.min(axis=(0, 1)) - MARGIN
     size = np.ceil((points.max(axis=(0, 1)) + MARGIN - first) / STEP).astype(int) + 1
@@ -198,7 +198,7 @@ class StemSurface:
         blend = flanks[-1] + part * (first - flanks[-1])
         return np.concatenate([flanks, blend, first + part * (last - first)])
 
-    def cemented(self, placed: Placement, cut: NeckCut) -> Floats:
+    def cemented(self, placed: Placement, cut: CutPlane) -> Floats:
         """Points below the cut, and where lines along the stem meet it (n, 3) [mm]."""
         points = self.at(placed)
         height = placed.to_model(points) @ cut.normal - cut.level

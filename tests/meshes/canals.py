@@ -9,12 +9,12 @@ import numpy as np
 from app.case.stems import Stem
 from app.foundation.arrays import Floats
 from meshes import room
-from meshes.placement import NeckCut, Position
+from meshes.placement import CutPlane, Position
 from meshes.room import StemSurface
 
 RADIUS = 9.0  # of a straight canal [mm]
 IMPLANT = Stem().implant(None, 10.0, 0.0)
-CUT = NeckCut(np.array([math.sin(0.6), 0.0, math.cos(0.6)]), 20.0, np.array([1.0, 0.0]))
+CUT = CutPlane(np.array([math.sin(0.6), 0.0, math.cos(0.6)]), 20.0, np.array([1.0, 0.0]))
 START = Position(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
