@@ -18,6 +18,9 @@ from app.foundation.errors import InputError, MantleError
 
 # Pairs of regions of a mesh that meet, and its interior surfaces.
 Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]
+# Writer of a case by a segmentation: file, labels, CT, side, label; its lines say what is assumed.
+FromLabels = Callable[[Path, Path, Path | None, str | None, str | None], tuple[Path, list[str]]]
+_FROM_LABELS: list[FromLabels] = []
 FOLDER = configs.FOLDER / "start"
 STEMS = {"titanium": "Ti-6Al-4V", "cocr": "CoCrMo", "steel": "316L"}
 SCHEMA = f"# yaml-language-server: $schema={configs.FOLDER / 'schema.json'}\n"
@@ -38,12 +41,27 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
     """
     if stem and kind not in ("femur", "cylinders"):
         raise InputError(f"--stem {stem}: geometries of kind {kind} have no stem; leave --stem out")
-    path = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
+    path = yaml(path)
     if kind == "file":
         text = _own(path.with_suffix(".msh"), meeting)
     else:
         text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
         text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
+    save(path, text)
+    return path
+
+
+def yaml(path: Path) -> Path:
+    """Return the file of a case by its name, with or without its suffix."""
+    return path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
+
+
+def save(path: Path, text: str) -> None:
+    """Write a new file of a case.
+
+    Raises:
+        InputError: The file exists or cannot be written.
+    """
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(SCHEMA + text)
@@ -55,7 +73,31 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
         why = getattr(error, "strerror", None) or error
         why = "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else why
         raise InputError(f"{path}: cannot be written: {why}") from error
-    return path
+
+
+def add_from_labels(proposal: FromLabels) -> None:
+    """Add what writes a case by a segmentation, of a package that reads it."""
+    _FROM_LABELS.append(proposal)
+
+
+def from_labels(
+    path: Path, labels: Path, ct: Path | None, side: str | None, label: str | None
+) -> tuple[Path, list[str]]:
+    """Write a new case of the femur in a segmentation; return its file and what was assumed.
+
+    Args:
+        path: The new file.
+        labels: File or folder of the segmentation.
+        ct: CT of the same bone.
+        side: Side of the femur, where there are two.
+        label: Name or number of the femur's label.
+
+    Raises:
+        InputError: There is not one femur, no stem fits, or the file exists or cannot be written.
+    """
+    if not _FROM_LABELS:
+        raise InputError("--labels: this installation has no package that reads segmentations")
+    return _FROM_LABELS[-1](path, labels, ct, side, label)
 
 
 def _own(mesh: Path, meeting: Meeting | None) -> str:

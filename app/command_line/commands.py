@@ -107,7 +107,13 @@ def _load(options: argparse.Namespace) -> LoadedCase:
 
 
 def _init(options: argparse.Namespace) -> int:
-    path = new_case.write(options.name, options.kind, options.stem, meshes.meeting)
+    if options.labels:
+        given = options.labels, options.ct, options.side, options.label
+        path, assumed = new_case.from_labels(options.name, *given)
+        for line in assumed:
+            print(f"- {line}")
+    else:
+        path = new_case.write(options.name, options.kind, options.stem, meshes.meeting)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")

@@ -55,7 +55,10 @@ MANY = "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
 COMMANDS = {
-    "init": ("write a short case file to start from; it runs as it is", "name --kind --stem"),
+    "init": (
+        "write a short case file to start from; it runs as it is",
+        "name --kind --stem --labels --ct --side --label",
+    ),
     "run": (
         "solve a case and write its results, with a page report.html",
         f"{CASE} -o -n --force --restart --walltime --error --accuracy -v",
@@ -183,6 +186,15 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         default="",
         help="material of the stem (default: titanium)",
     ),
+    "--labels": dict(
+        type=Path,
+        metavar="FILE",
+        help="make the case of the femur in a segmentation: NIfTI, NRRD, DICOM, or a folder with "
+        "a file for each structure",
+    ),
+    "--ct": dict(type=Path, metavar="FILE", help="CT of --labels, by which the canal is known"),
+    "--side": dict(choices=("left", "right"), help="side of the femur, if --labels has both"),
+    "--label": dict(metavar="NAME", help="name or number of the femur in --labels"),
     "--cores": dict(type=int, metavar="N", help="cores to use (default: all available)"),
     "--dry-run": dict(
         action="store_true", help="list the runs and their estimated cost; run nothing"

@@ -5,6 +5,21 @@ the bone in the model's axes, `measured_layers` its layers in the sections of a 
 package registers it; the core does not know it.
 """
 
+from pathlib import Path
+
+from app.case import new_case
 from app.patient import findings as findings
 from app.patient.geometry import Patient as Patient
 from app.patient.image_modulus import ImageModulus as ImageModulus
+
+
+def _from_labels(
+    path: Path, labels: Path, ct: Path | None, side: str | None, label: str | None
+) -> tuple[Path, list[str]]:
+    """Write a first case by a segmentation."""
+    from app.patient import first_case  # most of scipy, which other commands do without
+
+    return first_case.write(path, labels, ct, side, label)
+
+
+new_case.add_from_labels(_from_labels)

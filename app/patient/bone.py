@@ -244,18 +244,36 @@ def read(bone: BoneKeys, canal: CanalKeys, content: str, known: Known) -> Patien
         GeometryError: A file is damaged or is no femur.
     """
     assert bone.path
-    frame, surface = _surface(bone.path, bone.unit, bone.label, content, known)
+    outer = bone.path, bone.unit, bone.label
+    if canal.ct:
+        inner = canal.ct, None, None
+    else:
+        inner = canal.path, canal.unit or bone.unit, canal.label
+    threshold = canal.threshold if canal.ct else None
+    return _read(outer, inner, threshold, bone.extend, content, known)
+
+
+@lru_cache(maxsize=4)
+def _read(
+    outer: tuple[Path, str | None, int | None],
+    inner: tuple[Path | None, str | None, int | None],
+    threshold: float | None,
+    extend: bool,
+    content: str,
+    known: Known,
+) -> PatientBone:
+    """Read a bone and its canal; a threshold is that of CT numbers."""
+    path, unit, label = outer
+    frame, surface = _surface(path, unit, label, content, known)
     lumen = None
-    if canal.path:
-        lumen = frame.surface(
-            bone_surface.read(
-                canal.path, canal.unit or bone.unit, canal.label, bone_surface.LEAST_CANAL
-            )
-        )
-    elif canal.ct and bone.label is not None:
-        body = label_surface.body(bone.path, bone.label)
-        lumen = ct_canal.read(canal.ct, body, canal.threshold, frame, surface)
-    if not bone.extend or frame.version is not None:
+    canal_path, canal_unit, canal_label = inner
+    if canal_path and threshold is not None and label is not None:
+        body = label_surface.body(path, label)
+        lumen = ct_canal.read(canal_path, body, threshold, frame, surface)
+    elif canal_path:
+        least = bone_surface.LEAST_CANAL
+        lumen = frame.surface(bone_surface.read(canal_path, canal_unit, canal_label, least))
+    if not extend or frame.version is not None:
         return PatientBone(frame, surface, lumen)
     return _continued(frame, surface, lumen)
 

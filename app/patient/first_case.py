@@ -1,0 +1,230 @@
+"""A first case of a patient's hip by a segmentation, for ``mantle init NAME --labels FILE``.
+
+Stems of the parametric kind are tried from large to small. The first one for which there is room
+in the reamed canal is proposed, in the position with the most room.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from pydantic import ValidationError
+
+from app.case import new_case
+from app.case.shapes import MeshOptions
+from app.foundation.errors import InputError
+from app.foundation.implant import Implant
+from app.patient import segmentation
+from app.patient.geometry import Patient
+from app.patient.segmentation import Structure
+from app.schema.section import faults
+
+if TYPE_CHECKING:
+    from app.patient.bone import PatientBone
+
+# Length, and width over that of the parametric stem, of stems that are tried.
+STEMS = ((147.0, 1.0), (130.0, 1.0), (130.0, 0.85), (115.0, 0.85), (100.0, 0.8), (90.0, 0.7))
+# Widths of the parametric stem (mm).
+WIDTHS = {
+    "half_width": 8.5,
+    "half_depth": 5.0,
+    "corner_radius": 3.0,
+    "tip_half_width": 3.0,
+    "tip_half_depth": 3.0,
+    "tip_corner_radius": 2.1,
+    "neck_diameter": 13.0,
+    "trunnion_diameter": 12.0,
+}
+CEMENT = 3.0  # thickness of the mantle (mm)
+HEIGHT = 8.0  # height of the neck cut above the lesser trochanter (mm)
+ANGLES = (38.0, 45.0, 30.0)  # angles of the neck cut that are tried (deg)
+OFFSETS = (32.0, 55.0)  # range of the stem's offset (mm)
+SIZE = 6.0  # size of cells (mm)
+THRESHOLD = 600.0  # CT number at the endosteum
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Geometry of a first case.
+
+    Attributes:
+        keys: Its keys, as in a case file.
+        geometry: The geometry that they make.
+    """
+
+    keys: dict[str, object]
+    geometry: Patient
+
+
+def write(
+    path: Path, labels: Path, ct: Path | None, side: str | None, label: str | None
+) -> tuple[Path, list[str]]:
+    """Write a case of the femur in a segmentation that runs as it is.
+
+    Args:
+        path: The new file.
+        labels: File of the segmentation, or folder of its files.
+        ct: CT of the same bone, by which the canal is known.
+        side: Side of the femur, where there are two.
+        label: Name or number of the femur's label.
+
+    Returns:
+        The file, and lines on what was assumed.
+
+    Raises:
+        InputError: There is not one femur, its scan is too short, or no stem fits; or the file
+            exists or cannot be written.
+    """
+    path = new_case.yaml(path)
+    bone = segmentation.femur(labels, side, label)
+    proposal = _proposed(path.parent, bone, segmentation.canal(labels, bone), ct)
+    keys = "".join(f"  {key}: {_flow(value)}\n" for key, value in proposal.keys.items())
+    new_case.save(
+        path,
+        "# The hip of a segmentation, standing on one leg. `mantle explain KEY` explains a key.\n"
+        "# `mantle place` shows and changes the position of the stem.\n\n"
+        f"base: stance\ntitle: Hip of {labels.name}\n\ngeometry:\n  kind: patient\n{keys}\n"
+        f"mesh:\n  size: {SIZE:g} mm\n\nloads:\n  library: one_leg_stance\n",
+    )
+    return path, list(_assumed(bone, ct, proposal))
+
+
+def _proposed(folder: Path, bone: Structure, canal: Structure | None, ct: Path | None) -> Proposal:
+    """Return the largest stem of `STEMS` that fits, with the keys of its geometry.
+
+    Raises:
+        InputError: The bone is refused, or no stem fits.
+    """
+    given: dict[str, object] = {"image": _relative(bone.path, folder), "label": bone.number}
+    if bone.side:
+        given["side"] = bone.side
+    canal_keys: dict[str, object] = {"ream": "broach"}
+    if canal:
+        image = {"image": _relative(canal.path, folder), "label": canal.number}
+        canal_keys = image | canal_keys
+    elif ct:
+        canal_keys = {"ct": _relative(ct, folder), "threshold": THRESHOLD} | canal_keys
+    femur = _made({"bone": given, "canal": canal_keys}, folder).femur
+    reasons = list[str]()
+    for angle in ANGLES:
+        resection = {"height": f"{HEIGHT:g} mm", "angle": f"{angle:g} deg"}
+        for length, width in STEMS:
+            keys: dict[str, object] = {
+                "bone": given,
+                "canal": canal_keys,
+                "stem": _stem(length, width, femur),
+                "resection": resection,
+                "insertion": "best",
+                "cement_thickness": f"{CEMENT:g} mm",
+            }
+            try:
+                geometry = _made(keys, folder)
+                geometry.check_fit(MeshOptions.model_validate({"size": f"{SIZE:g} mm"}))
+            except InputError as error:
+                reasons.append(f"{length:g} mm: {error}")
+            else:
+                return Proposal(keys, geometry)
+    raise InputError(
+        f"{bone.path}: no stem of {STEMS[-1][0]:g} to {STEMS[0][0]:g} mm fits into this femur. The"
+        f" smallest, {reasons[len(STEMS) - 1]}. Write a case with a stem of yours: see"
+        " docs/howto/patient.md"
+    )
+
+
+def _made(keys: dict[str, object], folder: Path) -> Patient:
+    """Return the geometry of keys.
+
+    Raises:
+        InputError: It is refused.
+    """
+    given = {"kind": "patient"} | keys
+    try:
+        return Patient.model_validate(given, context={"folder": folder})
+    except ValidationError as error:
+        texts = [fault.text for fault in faults(error, Patient, given)]
+        raise InputError("; ".join(texts)) from error
+
+
+def _stem(length: float, width: float, femur: PatientBone) -> dict[str, object]:
+    """Return keys of a stem with the offset of the patient's head, as far as its neck allows."""
+    offset = min(max(round(float(femur.head[0])), OFFSETS[0]), OFFSETS[1])
+    stem: dict[str, object] = {"length": f"{length:g} mm", "head_offset": f"{offset:g} mm"}
+    if width != 1.0:
+        stem |= {key: f"{round(width * size, 2):g} mm" for key, size in WIDTHS.items()}
+    return stem
+
+
+def _assumed(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[str]:
+    """Lines on what was assumed."""
+    geometry = proposal.geometry
+    femur, implant, details = geometry.femur, geometry.implant, geometry.details
+    frame = femur.frame
+    source = f", {bone.source}" if bone.source else ""
+    name = "" if bone.side else ", by the lesser trochanter"
+    yield f"femur: {bone}{source}; {frame.side}{name}{_against_axes(femur)}"
+    end = geometry.continued_below
+    scan = "the scan contains the shaft that is needed"
+    if end is not None:
+        scan = (
+            f"the scan ends {-end:.0f} mm below the lesser trochanter, and the shaft is continued"
+        )
+        scan += f" for {end - geometry.level:.0f} mm below it (bone.extend)"
+    neck = f"neck-shaft angle {details['neck-shaft angle']}"
+    yield f"bone: head of {frame.radius:.1f} mm, {neck}; {scan}"
+    yield f"canal: {_canal(geometry, ct)}"
+    angle = math.degrees(geometry.resection.angle)
+    cut = f"neck cut {HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
+    room = f"in the position with the most room ({geometry.room_details()})"
+    yield f"operation: {cut}; {_size(implant)} with {CEMENT:g} mm of cement, {room}"
+    medial = "the condyles" if femur.has_condyles else "the neck, as the scan has no condyles"
+    yield f"loads: one leg, body weight 600 N; x is along {medial}; bone and cement of `stance`"
+
+
+def _against_axes(femur: PatientBone) -> str:
+    """A warning if the axes of the image contradict the side.
+
+    To medial is to the right of a left femur.
+    """
+    to_right = float(femur.frame.axes[0, 0]) > 0.0
+    if to_right == (femur.frame.side == "left"):
+        return ", and the axes of the image agree"
+    return ". By the axes of the image it is the other side: is the image mirrored or turned?"
+
+
+def _canal(geometry: Patient, ct: Path | None) -> str:
+    """The source of the canal, in words."""
+    canal = geometry.femur.canal
+    if geometry.canal.ct and canal:
+        return f"{canal.notes[0]}; above, the cortex thins to 2 mm"
+    if geometry.canal.image:
+        return f"label {geometry.canal.label} of {geometry.canal.image.name}"
+    remedy = "" if ct else "; --ct FILE takes it from a CT"
+    return f"by the ratios of the parametric femur, as no label has it{remedy}"
+
+
+def _size(implant: Implant) -> str:
+    """Length and width of a stem, in words."""
+    return f"a stem of {implant.length:g} mm, {2 * implant.half_width:g} mm wide"
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """A path as a case file in a folder names it."""
+    return os.path.relpath(path.resolve(), folder.resolve())
+
+
+def _flow(value: object) -> str:
+    """A value as YAML on one line."""
+    if isinstance(value, dict):
+        entries = cast("dict[str, object]", value).items()
+        return "{" + ", ".join(f"{key}: {_flow(v)}" for key, v in entries) + "}"
+    if isinstance(value, int | float):
+        return f"{value:g}"
+    text = str(value)
+    return text if re.fullmatch(r"[\w/.][\w/. -]*[^\W\d]", text) else json.dumps(text)

@@ -1,0 +1,91 @@
+"""A first case by labels and CT: what it has, and that it is accepted as it is."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from app.case import case as case_file
+from app.foundation.errors import InputError
+from app.patient import first_case
+from app.patient.geometry import Patient
+from meshes import femur_bone
+from meshes.plane_sections import centroid
+from tests.patient.scans import in_patient, scan
+
+
+@pytest.mark.parametrize(
+    ("side", "edges", "tilt"),
+    [("left", (1.2, 1.2, 1.2), 0.0), ("right", (1.0, 1.0, 5.0), 10.0)],
+    ids=["left", "right oblique in thick slices"],
+)
+def test_first_case_of_a_scan_has_the_bone_of_the_patient(
+    tmp_path: Path, side: str, edges: tuple[float, float, float], tilt: float
+) -> None:
+    """The surface is within half a voxel of the truth on average, the cortex within 0.5 mm."""
+    folder = scan(tmp_path, 130.0, side, edges, tilt)
+    labels, ct = folder / "labels.nii.gz", folder / "ct.nii.gz"
+    path, assumed = first_case.write(folder / "hip", labels, ct, None, None)
+    assert len(assumed) == 5
+    assert f"femur_{side} (label" in assumed[0]
+    assert "the axes of the image agree" in assumed[0]
+    assert "the shaft is continued" in assumed[1]
+    geometry = case_file.load(path).config.geometry
+    assert isinstance(geometry, Patient)
+    femur, frame = geometry.femur, geometry.femur.frame
+    assert frame.side == side
+    truth, _, head = in_patient(side)
+    assert np.linalg.norm(frame.head - head) < 0.7
+    scanned = femur.surface.points[femur.surface.points[:, 2] > frame.end]
+    triangles = frame.to_model(truth.corners)
+    parts = np.random.default_rng(0).dirichlet([1.0, 1.0, 1.0], 40)
+    samples = np.einsum("pc,tcx->tpx", parts, triangles).reshape(-1, 3)
+    apart = cKDTree(samples).query(scanned)[0]
+    assert apart.mean() < 0.5 * max(edges[0], 1.0)
+    assert np.percentile(apart, 95) < 1.5
+    z, turn = -60.0, np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    for surface, table in ((femur.surface, femur_bone.OUTER), (femur.canal, femur_bone.CANAL)):
+        expected = femur_bone.Tube(table).radius(turn, np.full(48, z)).mean()
+        radius = math.sqrt(centroid(surface.level(z))[1] / math.pi)
+        assert radius == pytest.approx(expected, abs=0.25)
+
+
+def test_first_case_without_ct_has_the_canal_of_the_table(tmp_path: Path) -> None:
+    folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
+    path, assumed = first_case.write(
+        folder / "hip.yaml", folder / "labels.nii.gz", None, None, None
+    )
+    assert "ratios of the parametric femur" in assumed[2]
+    with pytest.raises(InputError, match="exists already"):
+        first_case.write(path, folder / "labels.nii.gz", None, None, None)
+
+
+def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
+    """It is read on its own grid; it must contain the femur."""
+    folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
+    image = nibabel.load(folder / "ct.nii.gz")
+    affine = image.affine.copy()
+    affine[2, 3] += 100.0
+    nibabel.Nifti1Image(np.asarray(image.dataobj), affine).to_filename(folder / "other.nii.gz")
+    with pytest.raises(InputError, match="CT does not contain the femur of the labels"):
+        first_case.write(
+            folder / "hip", folder / "labels.nii.gz", folder / "other.nii.gz", None, None
+        )
+    assert not (folder / "hip.yaml").exists()
+
+
+def test_first_case_refuses_a_femur_in_which_no_stem_fits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
+    widths = {key: 2.4 * size for key, size in first_case.WIDTHS.items()}
+    monkeypatch.setattr(first_case, "WIDTHS", widths | {"trunnion_diameter": 12.0})
+    monkeypatch.setattr(first_case, "STEMS", ((100.0, 0.99),))
+    monkeypatch.setattr(first_case, "ANGLES", (38.0,))
+    with pytest.raises(InputError, match="no stem of 100 to 100 mm fits into this femur"):
+        first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)

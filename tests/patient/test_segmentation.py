@@ -1,0 +1,123 @@
+"""The femur among the structures of a segmentation, by names and by numbers."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+
+from app.foundation.errors import InputError
+from app.patient import images, segmentation
+
+TABLE = """<?xml version="1.0" encoding="UTF-8"?> <CaretExtension> <VolumeInformation Index="0">
+<LabelTable> <Label Key="1" Alpha="1"><![CDATA[femur_left]]></Label>
+<Label Key="2" Alpha="1"><![CDATA[hip_left]]></Label></LabelTable>
+</VolumeInformation> </CaretExtension>"""
+
+
+def nifti(path: Path, *numbers: int, table: str = "") -> Path:
+    """An image whose first voxels have these numbers."""
+    values = np.zeros((4, 5, 30), dtype=np.uint8)
+    values.flat[: len(numbers)] = numbers
+    image = nibabel.Nifti1Image(values, np.diag([1.0, 2.0, 3.0, 1.0]))
+    if table:
+        image.header.extensions.append(nibabel.nifti1.Nifti1Extension(0, table.encode()))
+    image.to_filename(path)
+    return path
+
+
+def nrrd(path: Path, values: np.ndarray, *lines: str, sizes: str = "") -> Path:
+    """A file as 3D Slicer writes it, its axes to left, posterior, superior."""
+    header = [
+        "NRRD0004",
+        "type: unsigned char",
+        "dimension: 3",
+        "space: left-posterior-superior",
+        f"sizes: {sizes or ' '.join(map(str, values.shape))}",
+        "space directions: (0.5,0,0) (0,0.6,0) (0,0,2)",
+        "kinds: domain domain domain",
+        "encoding: gzip",
+        "space origin: (10,20,30)",
+        *lines,
+    ]
+    content = gzip.compress(values.astype(np.uint8).tobytes(order="F"))
+    path.write_bytes("\n".join([*header, "", ""]).encode() + content)
+    return path
+
+
+def test_segmentation_femur_by_number_of_totalsegmentator(tmp_path: Path) -> None:
+    """Of version 2, and of version 1 by its hip bones."""
+    second = segmentation.femur(nifti(tmp_path / "s.nii.gz", 75, 77, 51), None, None)
+    assert (second.number, second.name, second.side) == (75, "femur_left", "left")
+    first = segmentation.femur(nifti(tmp_path / "s1.nii.gz", 89, 91, 51), None, None)
+    assert (first.number, first.side) == (89, "right")
+    assert "version 1" in first.source
+
+
+def test_segmentation_femur_by_name(tmp_path: Path) -> None:
+    """Of the table in NIfTI, of the file, of a folder, of segments of 3D Slicer."""
+    table = segmentation.femur(nifti(tmp_path / "t.nii.gz", 1, 2, table=TABLE), None, None)
+    assert (table.number, table.name) == (1, "femur_left")
+    one = nifti(tmp_path / "femur_right.nii.gz", 1)
+    assert segmentation.femur(one, None, None).side == "right"
+    assert segmentation.femur(tmp_path, "right", None).path == one
+    values = np.zeros((3, 4, 5))
+    values[0, 0, 0], values[1, 2, 3] = 3, 7
+    names = ["Segment0_Name:=Femur L", "Segment0_LabelValue:=7"]
+    names += ["Segment1_Name:=medullary canal", "Segment1_LabelValue:=3"]
+    path = nrrd(tmp_path / "s.seg.nrrd", values, *names)
+    bone = segmentation.femur(path, None, None)
+    assert (bone.number, bone.side) == (7, "left")
+    canal = segmentation.canal(path, bone)
+    assert canal is not None
+    assert canal.number == 3
+
+
+def test_segmentation_nrrd_has_places_to_right_and_anterior(tmp_path: Path) -> None:
+    """The voxel (1, 2, 3) is at (10.5, 21.2, 36) to left, posterior, superior."""
+    values = np.arange(60).reshape(3, 4, 5)
+    image = images.read(nrrd(tmp_path / "a.nrrd", values))
+    assert image.affine @ [1, 2, 3, 1] == pytest.approx([-10.5, -21.2, 36.0, 1.0])
+    assert (image.values == values).all()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "side", "label", "message"),
+    [
+        ((51, 77), None, None, "no label is named femur; it has .*Give --label"),
+        ((75, 76), None, None, "has 2 femora: .*choose by --side left or --side right"),
+        ((1, 2), None, "3", "--label 3: .* has no such label; it has"),
+    ],
+)
+def test_segmentation_refuses_no_femur_and_two(
+    tmp_path: Path, numbers: tuple[int, ...], side: str | None, label: str | None, message: str
+) -> None:
+    path = nifti(tmp_path / "s.nii.gz", *numbers)
+    with pytest.raises(InputError, match=message):
+        segmentation.femur(path, side, label)
+    assert segmentation.femur(nifti(path, 75, 76), "right", None).number == 76
+
+
+def test_segmentation_refuses_files_that_are_damaged(tmp_path: Path) -> None:
+    """Layers, cut files, no axes, and folders without a femur."""
+    values = np.ones((3, 4, 5))
+    path = nrrd(tmp_path / "a.seg.nrrd", values, sizes="2 3 4 5")
+    with pytest.raises(InputError, match="its segments overlap, in 2 layers"):
+        images.read(path)
+    path = nrrd(tmp_path / "b.nrrd", values)
+    path.write_bytes(path.read_bytes()[:-8])
+    with pytest.raises(InputError, match="its voxels are damaged"):
+        images.read(path)
+    path = nrrd(tmp_path / "c.nrrd", values, sizes="9 9 9")
+    with pytest.raises(InputError, match="has 60 of 729 bytes"):
+        images.read(path)
+    folder = tmp_path / "segmentations"
+    folder.mkdir()
+    with pytest.raises(InputError, match="has no segmentation; expected files"):
+        segmentation.femur(folder, None, None)
+    nifti(folder / "liver.nii.gz", 1)
+    with pytest.raises(InputError, match="has no file of a femur"):
+        segmentation.femur(folder, None, None)
