@@ -245,10 +245,8 @@ def read(bone: BoneKeys, canal: CanalKeys, content: str, known: Known) -> Patien
     """
     assert bone.path
     outer = bone.path, bone.unit, bone.label
-    if canal.ct:
-        inner = canal.ct, None, None
-    else:
-        inner = canal.path, canal.unit or bone.unit, canal.label
+    by_file = canal.path, canal.unit or bone.unit, canal.label
+    inner = (canal.ct, None, None) if canal.ct else by_file
     threshold = canal.threshold if canal.ct else None
     return _read(outer, inner, threshold, bone.extend, content, known)
 
