@@ -349,8 +349,8 @@ class LayeredSurfaces:
         text = f"leaves {left[worst]:.2g} mm of the cortex, of {LEAST_CORTEX:g} mm at least,"
         if left[worst] <= 0:
             text = f"is {_rounded_up(-left[worst]):.2g} mm outside of the bone"
-        key, remedy = self._geometry.more_room
-        raise GeometryError(f"{key}: the stem {text} {where}; {remedy}")
+        key, _ = self._geometry.more_room
+        raise GeometryError(f"{key}: the stem {text} {where}; take a smaller stem, or move it")
 
     def _refuse_narrow(self) -> None:
         """Raise GeometryError where the stem has no room for cement."""

@@ -14,7 +14,7 @@ import numpy as np
 from app.case.case import Case
 from app.case.checks import check
 from app.case.quantities import TABLE, in_print
-from app.case.summary import Summary
+from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict
 from app.laws.values import gap_settled
 from app.results.verdicts import judge
@@ -49,10 +49,16 @@ def _stages(case: Case) -> Iterable[Fault]:
         return
     growing = [name for name, load in loads.items() if getattr(load, "history", ()) is None]
     if growing:
-        text = f"{', '.join(growing)}: act during the insertion, as the interference grows;"
-        text += " micromotion counts from its end. Expected `history` with one number for each"
-        text += " stage, e.g. `loads: {history: [0, 1]}`"
+        text = "micromotion counts from the end of the insertion, but loads act during it:"
+        text += f" {', '.join(growing)}. Expected `history` with one number for each stage, e.g."
+        text += " `loads: {history: [0, 1]}`"
         yield Fault(("loads",), text)
+
+
+def _areas(name: str, q: Numbers) -> str:
+    """Shares of the area of an interface or a zone with little and with much micromotion."""
+    little, much = (100 * q[f"area_micromotion_over_{level}um"] / q["area"] for level in (40, 150))
+    return f"{100 - little:.0f} % of {name} moves less than 40 um, {much:.0f} % more than 150 um"
 
 
 @judge
@@ -61,10 +67,10 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     for name, q in summary.get("interfaces", {}).items():
         if not q.get("area") or "area_micromotion_over_40um" not in q:
             continue
-        over = [100 * q[f"area_micromotion_over_{level}um"] / q["area"] for level in (40, 150)]
+        parts = {name: q} | {f"zone {zone}": own for zone, own in q.get("zones", {}).items()}
         text = (
-            f"{100 - over[0]:.0f} % of {name} moves less than 40 um, {over[1]:.0f} % more than"
-            " 150 um. In dogs bone grew in at 20 um, partly at 40 um, not at 150 um (Jasty 1997)."
+            f"{'; '.join(_areas(*part) for part in parts.items())}. In dogs bone grew in at 20 um,"
+            " partly at 40 um, not at 150 um (Jasty 1997)."
             " There is no universal limit: implants integrated at 112 +- 176 um, others did not at"
             " 349 +- 231 um (Kohli 2021)"
         )

@@ -121,7 +121,7 @@ def test_press_fit_loads_need_a_stage_after_the_insertion(tmp_path: Path) -> Non
     path = tmp_path / "case.yaml"
     load_ = "loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     path.write_text(PRESSED + load_)
-    with pytest.raises(InputError, match="push: act during the insertion"):
+    with pytest.raises(InputError, match="loads act during it: push"):
         load(path)
     one = ("stages=[{name: fit}]", "supports.top=null")
     with pytest.raises(InputError, match=r"stages: the interference grows until the end"):
