@@ -144,7 +144,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
         f"1.8 mm into the cortex medially at {PLACE}, 48 mm below the cut; ream",
     ),
     "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth, 5 mm"),
-    "void": ({"tip_void": "9.5 mm"}, "less than 1 mm of 10 mm of plug"),
+    "void": ({"tip_void": "9.5 mm"}, "less than 1 mm of plug_length, 10 mm"),
     "valgus neck": ({"stem": {"neck_angle": "150 deg"}}, "between 100 and 145 deg"),
     "too thick": ({"cement_thickness": "12 mm"}, "at most 8 mm"),
     "no room": ({"stem": {"tip_half_width": "6 mm"}}, f"the cortex laterally at {PLACE}"),
