@@ -71,8 +71,8 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
         text = (
             f"{'; '.join(_areas(*part) for part in parts.items())}. In dogs bone grew in at 20 um,"
             " partly at 40 um, not at 150 um (Jasty 1997)."
-            " There is no universal limit: implants integrated at 112 +- 176 um, others did not at"
-            " 349 +- 231 um (Kohli 2021)"
+            " There is no universal limit: implants integrated at 112 ± 176 um, others did not at"
+            " 349 ± 231 um (Kohli 2021)"
         )
         yield Verdict(in_print(text), "ingrowth", severity=Severity.PLAIN)
 
