@@ -50,8 +50,9 @@ WORDS: dict[str, tuple[str, ...]] = {
     "debonding": ("interfaces: cohesive", "interfaces.gap_p99", "interfaces.area_broken"),
     "cohesive_zone": ("interfaces: cohesive",),
     "czm": ("interfaces: cohesive",),
-    "press_fit": ("interfaces.gap",),
-    "interference": ("interfaces.gap",),
+    "press_fit": ("interfaces.interference", "interfaces.gap"),
+    "cementless": ("geometry.cement_thickness", "interfaces.interference"),
+    "coating": ("interfaces.zones",),
     # Supports and loads
     "encastre": ("supports: fixed",),
     "clamp": ("supports: fixed",),

@@ -52,7 +52,7 @@ FURTHER = {
     "debonding": ["interfaces.gap_p99"],
     "pressure": ["interfaces.pressure_p95"],
     "temperature": ["thermal.regions.temperature_max"],
-    "micromotion": ["motion: length of the whole relative displacement"],
+    "micromotion": ["interfaces.micromotion_p99", "micromotion: motion of a press fit"],
     "restart": ["mantle run --restart"],
     "tolerance": ["time.tolerance"],
     "gruen": ["Gruen zone: "],
