@@ -249,8 +249,8 @@ def warnings(case: Case) -> list[Verdict]:
         known = next(limits for word, limits in STIFFNESS.items() if word in name)
         notes += _far_off(place, region, dict.fromkeys(MODULI, known))
         notes += _far_off(f"{place}.thermal", thermal, USUAL)
-        cure = None if thermal is None else thermal.cure
-        notes += _far_off(f"{place}.thermal.cure", cure, {"heat": (1.0, 1e4)})
+        setting = None if thermal is None else thermal.cure
+        notes += _far_off(f"{place}.thermal.cure", setting, {"heat": (1.0, 1e4)})
     expands = any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values())
     for name, law in case.interfaces.items():
         feeds = law.conducts_by_pressure and name not in case.faces
