@@ -244,6 +244,10 @@ class Shape(Extensible):
         """Level below which bone is continued, not measured (mm); None: all of it is measured."""
         return None
 
+    def longer(self, length: float) -> Shape | None:
+        """The geometry with more of a continued shaft (mm); None: it has no more."""
+        return None
+
     @property
     def details(self) -> dict[str, Any]:
         """Lines about it for `mantle check`, by their captions."""

@@ -66,7 +66,7 @@ def read(
     height = frame.to_model(body.places(inner))[:, 2]
     top = -BELOW_TROCHANTER * frame.radius
     numbers[tuple(inner[height > top + 2.0 * WALL].T)] = np.inf
-    if top - frame.end < SHORTEST:
+    if not contains_canal(frame):
         raise GeometryError(
             f"geometry.canal.ct: the scan ends {-frame.end:.0f} mm below the lesser trochanter;"
             f" the canal needs {SHORTEST - top:.0f} mm. Leave out canal.ct: the canal is then that"

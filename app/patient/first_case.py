@@ -21,7 +21,7 @@ from app.case import new_case
 from app.case.shapes import MeshOptions
 from app.foundation.errors import InputError
 from app.foundation.implant import Implant
-from app.patient import segmentation
+from app.patient import ct_canal, segmentation
 from app.patient.geometry import Patient
 from app.patient.segmentation import Structure
 from app.schema.section import faults
@@ -109,9 +109,9 @@ def _proposed(folder: Path, bone: Structure, canal: Structure | None, ct: Path |
     if canal:
         image = {"image": _relative(canal.path, folder), "label": canal.number}
         canal_keys = image | canal_keys
-    elif ct:
-        canal_keys = {"ct": _relative(ct, folder), "threshold": THRESHOLD} | canal_keys
     femur = _made({"bone": given, "canal": canal_keys}, folder).femur
+    if ct and not canal and ct_canal.contains_canal(femur.frame):
+        canal_keys = {"ct": _relative(ct, folder), "threshold": THRESHOLD} | canal_keys
     reasons = list[str]()
     for angle in ANGLES:
         resection = {"height": f"{HEIGHT:g} mm", "angle": f"{angle:g} deg"}
@@ -205,8 +205,10 @@ def _canal(geometry: Patient, ct: Path | None) -> str:
         return f"{canal.notes[0]}; above, the cortex thins to 2 mm"
     if geometry.canal.image:
         return f"label {geometry.canal.label} of {geometry.canal.image.name}"
-    remedy = "" if ct else "; --ct FILE takes it from a CT"
-    return f"by the ratios of the parametric femur, as no label has it{remedy}"
+    reason = "as no label has it; --ct FILE takes it from a CT"
+    if ct:
+        reason = "as the scan has too little of the shaft"
+    return f"by the ratios of the parametric femur, {reason}"
 
 
 def _size(implant: Implant) -> str:

@@ -278,6 +278,13 @@ class Patient(OperatedHip):
         continuation = self.femur.continuation
         return continuation.end if continuation and continuation.end > self.level else None
 
+    def longer(self, length: float) -> Patient | None:
+        """The geometry whose continued shaft is held farther below (mm); None: it has no more."""
+        level = self.level - length
+        if level < float(self.femur.surface.points[:, 2].min()) + 2.0:
+            return None
+        return self.model_copy(update={"distal_cut_z": level})
+
     @property
     def _continued(self) -> dict[str, str]:
         """The continued part of the shaft, in words."""

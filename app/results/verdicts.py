@@ -111,6 +111,9 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     if failed:
         text = f"these coarser runs failed and are left out of the estimate: {failed}"
         verdicts.append(Verdict(text, "error", severity=Severity.WARNING))
+    if "continued_shaft" in summary:
+        text = summary["continued_shaft"]["sentence"]
+        verdicts.append(Verdict(text, "continued shaft", severity=Severity.PLAIN))
     if "accuracy" in summary:
         verdicts.append(Verdict(summary["accuracy"], severity=Severity.PLAIN))
     return [*verdicts, *_peaks(summary)]

@@ -31,7 +31,7 @@ from app.results import closing_lines as text
 from app.results import error_estimate, run_table, verdicts
 from app.results.run_folder import Writer, provenance
 from app.results.verdicts import UNUSABLE
-from app.simulation import accuracy, checkpoint, finished_runs
+from app.simulation import accuracy, checkpoint, finished_runs, shaft_influence
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -324,6 +324,11 @@ class _CaseRun:
             if setup.chosen:
                 summary["accuracy"] = accuracy.reached(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
+            verdicts.record(summary, notes)
+        with setup.timing.phase("error"), self._last_state_kept():
+            influence = shaft_influence.measured(case, model)
+        if influence:
+            summary["continued_shaft"] = influence
             verdicts.record(summary, notes)
         self._writer.finish(summary, done=True)
         if case.output.checkpoint == CheckpointOptions():

@@ -1,0 +1,74 @@
+"""Influence of a shaft that is continued below a scan on the numbers of a run.
+
+Two companions of the run on a coarser mesh differ in the level at which the shaft is held. The
+difference of their numbers says how much depends on bone that was not scanned.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+from app.case.case import Case
+from app.case.quantities import TABLE, numbers_of
+from app.foundation.errors import ConvergenceError, GeometryError, agree
+from app.results.error_estimate import largest_of_units
+from app.simulation.model import Model
+from app.system.layout import percent
+
+log = logging.getLogger("mantle")
+
+# Length by which the shaft of the second companion is longer [mm].
+LONGER = 40.0
+# Mesh size of the companions over that of the run.
+COARSER = 2.0
+# Part of the largest number of its unit below which the change of a number is not reported.
+NEGLIGIBLE = 0.1
+
+
+def measured(case: Case, model: Model) -> dict[str, Any] | None:
+    """Return the changes of main numbers by a longer continued shaft; collective.
+
+    None: Nothing is continued, the companions are not solved, or the scan has no longer shaft.
+    """
+    geometry = case.geometry
+    end, longer = geometry.continued_below, geometry.longer(LONGER)
+    if end is None or longer is None or not model.mechanical_path:
+        return None
+    limit = geometry.coarsest_size
+    mesh = case.mesh.coarser(min(COARSER, limit / case.mesh.size) if case.mesh.size else 1.0)
+    pair = [case.model_copy(update={"mesh": mesh, "geometry": g}) for g in (geometry, longer)]
+    try:
+        first, second = (model.relative(companion) for companion in pair)
+    except (ConvergenceError, GeometryError) as failure:
+        agree(model.tagged.mesh.comm, failure)
+        log.warning("continued shaft: its influence is unknown: %s", str(failure).splitlines()[0])
+        return None
+    changes, worst = _changes(first, second)
+    text = f"{LONGER:g} mm more of the continued shaft change the main numbers by at most"
+    sentence = f"{text} {worst}, on cells of {mesh.size:g} mm"
+    return {"end": end, "longer": LONGER, "mesh_size": mesh.size, "changes": changes} | {
+        "sentence": sentence
+    }
+
+
+def _changes(
+    first: Mapping[str, Any], second: Mapping[str, Any]
+) -> tuple[dict[str, list[float]], str]:
+    """Return main numbers of both companions by name, as ``stem.subsidence``; the largest change."""
+    largest = largest_of_units(dict(first))
+    others = {(section, name): numbers for section, name, numbers in numbers_of(second)}
+    changes = dict[str, list[float]]()
+    relative = dict[str, float]()
+    for section, name, numbers in numbers_of(first):
+        for key, quantity in TABLE[section].items():
+            one, two = numbers.get(key), others.get((section, name), {}).get(key)
+            if not (quantity.headline and quantity.order) or one is None or two is None:
+                continue
+            word = f"{name}.{key}"
+            changes[word] = [one, two]
+            size = max(abs(one), NEGLIGIBLE * largest[quantity.unit])
+            relative[word] = abs(two - one) / size if size else 0.0
+    worst = max(relative, key=lambda word: relative[word])
+    return changes, f"{percent(relative[worst])} ({worst})"
