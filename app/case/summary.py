@@ -154,6 +154,24 @@ class EstimatedErrors(TypedDict):
     unsettled: dict[str, list[list[float]]]
 
 
+class ShaftInfluence(TypedDict):
+    """Change of main numbers by a longer continued shaft.
+
+    Attributes:
+        end: Level at which the scan ends [mm].
+        longer: Length by which the shaft of the second run is longer [mm].
+        mesh_size: Size of the cells of both runs [mm].
+        changes: Number of the first and of the second run, by its name.
+        sentence: The largest change, in words.
+    """
+
+    end: float
+    longer: float
+    mesh_size: float
+    changes: dict[str, list[float]]
+    sentence: str
+
+
 class Summary(TypedDict, total=False):
     """Content of ``summary.json``.
 
@@ -185,6 +203,7 @@ class Summary(TypedDict, total=False):
         cpu: CPU time of all ranks by phase [s].
         memory: Peak of the memory.
         error: Estimate of errors.
+        continued_shaft: Change of main numbers by more of a shaft that is continued below a scan.
         accuracy: Accuracy that was asked for and reached, in words.
         verdicts: Statements on the run (`foundation.verdict.Verdict.record`).
     """
@@ -216,6 +235,7 @@ class Summary(TypedDict, total=False):
     cpu: dict[str, float]
     memory: Memory
     error: EstimatedErrors
+    continued_shaft: ShaftInfluence
     accuracy: str
     verdicts: list[dict[str, str]]
 

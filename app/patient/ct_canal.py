@@ -34,6 +34,11 @@ SHORTEST = 12.0
 STEP = 5.0
 
 
+def contains_canal(frame: Frame) -> bool:
+    """Return True if a scan contains enough of the shaft for its canal."""
+    return -BELOW_TROCHANTER * frame.radius - frame.end >= SHORTEST
+
+
 def read(
     path: Path, body: LabelBody, threshold: float, frame: Frame, bone: BoneSurface
 ) -> BoneSurface:

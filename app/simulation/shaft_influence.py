@@ -7,11 +7,10 @@ difference of their numbers says how much depends on bone that was not scanned.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from typing import Any
 
 from app.case.case import Case
 from app.case.quantities import TABLE, numbers_of
+from app.case.summary import ShaftInfluence, Summary
 from app.foundation.errors import ConvergenceError, GeometryError, agree
 from app.results.error_estimate import largest_of_units
 from app.simulation.model import Model
@@ -27,7 +26,7 @@ COARSER = 2.0
 NEGLIGIBLE = 0.1
 
 
-def measured(case: Case, model: Model) -> dict[str, Any] | None:
+def measured(case: Case, model: Model) -> ShaftInfluence | None:
     """Return the changes of main numbers by a longer continued shaft; collective.
 
     None: Nothing is continued, the companions are not solved, or the scan has no longer shaft.
@@ -48,16 +47,14 @@ def measured(case: Case, model: Model) -> dict[str, Any] | None:
     changes, worst = _changes(first, second)
     text = f"{LONGER:g} mm more of the continued shaft change the main numbers by at most"
     sentence = f"{text} {worst}, on cells of {mesh.size:g} mm"
-    return {"end": end, "longer": LONGER, "mesh_size": mesh.size, "changes": changes} | {
-        "sentence": sentence
-    }
+    return ShaftInfluence(
+        end=end, longer=LONGER, mesh_size=mesh.size, changes=changes, sentence=sentence
+    )
 
 
-def _changes(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> tuple[dict[str, list[float]], str]:
-    """Return main numbers of both companions by name, as ``stem.subsidence``; the largest change."""
-    largest = largest_of_units(dict(first))
+def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
+    """Return main numbers of both companions by their names, and the largest change."""
+    largest = largest_of_units(first)
     others = {(section, name): numbers for section, name, numbers in numbers_of(second)}
     changes = dict[str, list[float]]()
     relative = dict[str, float]()

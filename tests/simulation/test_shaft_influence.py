@@ -1,0 +1,36 @@
+"""Change of a run's numbers by more of a shaft that is continued below a scan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from app.simulation.shaft_influence import LONGER
+from tests import support
+from tests.patient.bones import opened, own, write
+
+
+def test_shaft_influence_of_a_scan_that_ends_beside_the_stem(tmp_path: Path) -> None:
+    """By Saint-Venant's principle the support, 70 mm below the plug, changes little."""
+    write(tmp_path / "bone.stl", opened(own(), -60.0))
+    case = {
+        "base": "stance",
+        "geometry": {
+            "kind": "patient",
+            "bone": {"surface": "bone.stl", "unit": "mm"},
+            "canal": {"ream": "broach"},
+        },
+        "mesh": {"size": "12 mm", "order": 1},
+        "loads": {"library": "one_leg_stance"},
+        "output": {"error": False, "report": False},
+    }
+    summary = support.run(json.dumps(case), tmp_path).summary
+    influence = summary["continued_shaft"]
+    assert influence["longer"] == LONGER
+    assert -60.0 < influence["end"] < -45.0
+    first, second = np.array(influence["changes"]["stem.subsidence"])
+    assert first > 0.0
+    assert abs(second - first) < 0.05 * first
+    assert any(influence["sentence"] in v["what"] for v in summary["verdicts"])
