@@ -195,6 +195,8 @@ class Force(Load):
     def _one_cycle_table(self) -> Force:
         if self.cycle_table is None:
             return self
+        if self.history is not None:
+            fail("the force has a cycle_table; leave one of the two out", at=("history",))
         known = [("force",), (FACTOR,), FORCES]
         given = [names for names in known if self.cycle_table.columns.keys() & {*names}]
         if len(given) != 1:

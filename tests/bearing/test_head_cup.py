@@ -138,7 +138,7 @@ def test_head_cup_refuses_impossible_bodies() -> None:
         "30 to 120 deg",
         "leaves no material of the head",
         "to the head's surface",
-        "above its end",
+        "before its end",
     )
     for item, text in zip({**wrong, "bore_taper": "30 deg"}.items(), texts, strict=True):
         with pytest.raises(ValidationError, match=text):

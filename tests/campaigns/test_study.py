@@ -332,6 +332,11 @@ ELSEWHERE = {
     *("torque_size", "torque_along", "torque_max", "eccentricity", "dissipation_cycle"),
     *("slid_max", "slid_mean", "slid_max_master", "friction_power", "temperature_swing"),
     "uncovered_fraction",
+    # Of press fits.
+    *(f"micromotion_{part}" for part in ("mean", "p95", "p99", "max")),
+    *("area_micromotion_over_40um", "area_micromotion_over_150um"),
+    *(f"insertion_pressure_{part}" for part in ("mean", "p95", "max")),
+    *("insertion_hoop_strain_p99", "insertion_hoop_strain_max"),
     # Of curved interfaces with straight facets.
     "pressure_by_facets",
     *(f"wear_volume{times}" for times in ("", "_million")),
