@@ -8,11 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from matplotlib.path import Path as Outline
-from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import KDTree
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Bools, Floats
 
 # Pixels of a shaded surface along both axes.
 PIXELS = 500
@@ -25,10 +24,10 @@ class Interpolation:
 
     Args:
         x: Corners of the triangles (m, 3, 2), in any unit along each axis.
-        values: Values there (m, 3).
+        values: Values there (m, 3), or of several fields (m, 3, k).
 
     Attributes:
-        corners: Corners of the triangles that have an area, all turned the same way (k, 3, 2).
+        corners: Corners of the triangles that have an area, all in the same sense (k, 3, 2).
         places: Different places of the corners (n, 2).
         unit: Unit of length along each axis (2,): the mean extent of an edge.
     """
@@ -43,16 +42,16 @@ class Interpolation:
         self.places, first = np.unique(places, axis=0, return_index=True)
         edges = self.corners - np.roll(self.corners, 1, axis=1)
         self.unit = np.abs(edges).mean(axis=(0, 1))
-        self._between = LinearNDInterpolator(self.places / self.unit, values[solid].ravel()[first])
-        self._nearest = KDTree(self.places / self.unit)
+        at_places = values[solid].reshape(-1, *values.shape[2:])[first]
+        self._between = LinearNDInterpolator(self.places / self.unit, at_places)
 
     def __call__(self, places: Floats) -> Floats:
-        """Values at places (..., 2); nan outside of the convex hull of the surface."""
+        """Values at places (..., 2): (...) or (..., k); nan outside of the convex hull."""
         return np.asarray(self._between(places / self.unit))
 
-    def on_surface(self, places: Floats) -> NDArray[np.bool_]:
-        """Whether places (..., 2) are on the surface, to the length of an edge."""
-        distance, _ = self._nearest.query(places / self.unit)
+    def on_surface(self, places: Floats) -> Bools:
+        """True at places (..., 2) that are on the surface, to the length of an edge (...)."""
+        distance, _ = KDTree(self.places / self.unit).query(places / self.unit)
         return np.asarray(distance) < 1.0
 
 

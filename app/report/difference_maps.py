@@ -12,10 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.case.case import read_geometry
 from app.case.quantities import printed
 from app.foundation.arrays import Floats
-from app.foundation.errors import MantleError
 from app.plots import figures
 from app.plots.maps import Interpolation
 from app.report import pictures
@@ -57,20 +55,12 @@ def draw(runs: Sequence[tuple[str, SweptCase]], folder: Path) -> tuple[list[Figu
 
 
 def _sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet]]:
-    """Interfaces of a run that can be laid into the plane; none if it has no fields."""
+    """Interfaces of a run that are unrolled or flat; none if the run cannot be read."""
     try:
-        run = Run(case.folder)
-        geometry = read_geometry(case.data, case.folder)
-    except (OSError, KeyError, ValueError, MantleError):
+        sheets = pictures.sheets(case)
+    except pictures.UNREADABLE:
         return {}
-    if geometry is None:
-        return {}
-    sheets = {}
-    for name, sides in geometry.interface_sides.items():
-        sheet = pictures.sheet(run, geometry.is_around_z, sides, geometry.region_names, name)
-        if sheet and not sheet.cup:
-            sheets[name] = (run, sheet)
-    return sheets
+    return {name: there for name, there in sheets.items() if there and not there[1].cup}
 
 
 def _picture(
@@ -80,11 +70,10 @@ def _picture(
 ) -> Figure | None:
     """Draw the differences of an interface; None if no quantity is in two runs."""
     rows: list[pictures.Row] = []
+    differences = [_differences(there, other, name) for _, there, other in columns]
     for quantity in pictures.SHOWN:
-        label, unit, factor = interface_fields()[quantity]
-        values = [
-            _difference(there, other, f"{name}_{quantity}", factor) for _, there, other in columns
-        ]
+        label, unit, _ = interface_fields()[quantity]
+        values = [by_quantity.get(quantity) for by_quantity in differences]
         title = f"difference of {WORDS.get(quantity, label)} ({printed(unit)})"
         rows.append((title, figures.SIGNED, values))
     file = f"difference_{name}.png"
@@ -100,20 +89,28 @@ def _picture(
     return Figure(file, place, caption, f"{', '.join(labels)} on the {place}")
 
 
-def _difference(
-    first: tuple[Run, Sheet], second: tuple[Run, Sheet], field: str, factor: float
-) -> Floats | None:
-    """Field of the second run less that of the first, at the nodes of the first (n,).
+def _differences(
+    first: tuple[Run, Sheet], second: tuple[Run, Sheet], interface: str
+) -> dict[str, Floats]:
+    """Fields of the second run less those of the first, at the nodes of the first (n,).
 
-    It is nan away from the interface; None if a run does not have the field.
+    By quantity, of those that both runs have. They are nan away from the interface.
     """
     run, sheet = first
     other, other_sheet = second
-    if field not in run.point_fields or field not in other.point_fields:
-        return None
-    here = factor * lengths(run, field)
-    there = Interpolation(other_sheet.corners, factor * lengths(other, field)[other_sheet.nodes])
-    values = np.where(there.on_surface(sheet.corners), there(sheet.corners), np.nan)
-    difference = np.full_like(here, np.nan)
-    difference[sheet.nodes] = values - here[sheet.nodes]
-    return difference
+    common = {*run.point_fields} & {*other.point_fields}
+    fields = {
+        quantity: f"{interface}_{quantity}"
+        for quantity in pictures.SHOWN
+        if f"{interface}_{quantity}" in common
+    }
+    if not fields:
+        return {}
+    factors = np.array([interface_fields()[quantity][2] for quantity in fields])
+    here = factors * np.stack([lengths(run, field) for field in fields.values()], axis=1)
+    values = factors * np.stack([lengths(other, field) for field in fields.values()], axis=1)
+    there = Interpolation(other_sheet.corners, values[other_sheet.nodes])
+    on_both = there.on_surface(sheet.corners)[..., None]
+    differences = np.full_like(here, np.nan)
+    differences[sheet.nodes] = np.where(on_both, there(sheet.corners), np.nan) - here[sheet.nodes]
+    return dict(zip(fields, differences.T, strict=True))

@@ -66,6 +66,8 @@ SHORT = {"posterior": "post.", "medial": "med.", "anterior": "ant.", "lateral": 
 # Facets that face up or down more than this (cosine) are end faces.
 STEEP = math.cos(math.radians(40.0))
 FLAT = 1e-6
+# Errors of runs whose fields or geometry cannot be read.
+UNREADABLE = (OSError, KeyError, ValueError, MantleError)
 # Colours end at this percentile of what is shown.
 CLIP = 99.5
 LEAST = 1e-3  # of the colours' range, so that rounding has no colour
@@ -103,19 +105,15 @@ def maps(
     opened = []
     for title, case in chosen:
         try:
-            run, geometry = Run(case.folder), read_geometry(case.data, case.folder)
-        except (OSError, KeyError, ValueError, MantleError) as error:
+            opened.append((title, sheets(case)))
+        except UNREADABLE as error:
             missing.append(f"no map of {case.name}: {str(error).partition(chr(10))[0]}")
-            continue
-        if geometry:
-            opened.append((title, run, geometry))
-    for name in dict.fromkeys(name for *_, g in opened for name in g.interface_sides):
+    for name in dict.fromkeys(name for _, by_name in opened for name in by_name):
         columns = []
-        for title, run, g in opened:
-            if name in g.interface_sides:
-                flat = sheet(run, g.is_around_z, g.interface_sides[name], g.region_names, name)
-                if flat:
-                    columns.append((title, run, flat))
+        for title, by_name in opened:
+            there = by_name.get(name)
+            if there:
+                columns.append((title, *there))
         if not columns:
             missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
@@ -124,6 +122,23 @@ def maps(
         if labels:
             drawn.append(_figure(file, name, columns, labels))
     return drawn, missing
+
+
+def sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet] | None]:
+    """The interfaces of a run in the plane, by name; None for one that `sheet` does not draw.
+
+    Raises:
+        OSError, KeyError, ValueError, MantleError: Fields or geometry cannot be read.
+    """
+    run = Run(case.folder)
+    geometry = read_geometry(case.data, case.folder)
+    if geometry is None:
+        return {}
+    by_name: dict[str, tuple[Run, Sheet] | None] = {}
+    for name, sides in geometry.interface_sides.items():
+        flat = sheet(run, geometry.is_around_z, sides, geometry.region_names, name)
+        by_name[name] = (run, flat) if flat else None
+    return by_name
 
 
 def _rows(name: str, columns: Sequence[Column]) -> list[Row]:

@@ -112,10 +112,10 @@ def forces(case: Case, step_record: StepRecord) -> list[Panel]:
         x_title = "time (each stage takes 1)"
     else:
         return []
-    found = scene.force_sizes(times)
+    forces = scene.force_sizes(times)
     lines = [
         Line(named(name), i, [*map(float, x)], [*map(float, sizes)])
-        for i, (name, sizes) in enumerate(found.items())
+        for i, (name, sizes) in enumerate(forces.items())
         if sizes.any()
     ]
     return [Panel("forces", "N", lines, x_title, log="", from_rest=True)] if lines else []
