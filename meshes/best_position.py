@@ -1,10 +1,10 @@
-"""Search for the position of a stem with the thickest mantle where it is thinnest.
+"""Search for the position of a stem in which the thinnest part of its mantle is thickest.
 
 Room is measured as in `room`. The excess of a point is its room less the thickness that is wanted
 there. At each step it is made linear in the five numbers of the position, within a trust region:
 the largest least excess is then a linear program (scipy's HiGHS). Room beyond the wanted thickness
-counts for nothing, so that a stem with enough room is not moved for more. Between positions with
-equal excess the one nearest to the start is taken.
+does not count, so a stem with enough room is not moved. Of positions with equal excess the one
+nearest to the start is taken.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SMALLEST = 0.005  # of the limits: last size of the trust region
 DIFFERENCE = 0.01  # of the limits: step of the derivatives
 CLOSE = 2.0  # mm of room above the least: points that a step may make the closest
 THINNED = 3  # lines along the stem of which one is searched
-RESERVE = 0.1  # mm of room above the wanted thickness: more counts for nothing
+RESERVE = 0.1  # mm of room above the wanted thickness that count; more does not
 UNCEMENTED = 2.0  # mm of room that is wanted without cement
 STEPS = 60  # at most
 # Starts of the search next to the given position: number of `NUMBERS`, and part of its limit.
@@ -53,7 +53,7 @@ class Limits:
 
     @classmethod
     def of(cls, keys: Any) -> Limits:
-        """Those of the keys of a search."""
+        """Return the limits that the keys of a search give."""
         return cls(keys.varus, keys.flexion, keys.version, keys.offset, keys.offset)
 
 
@@ -111,8 +111,8 @@ def best(
         return worth(excess, u), u
 
     starts = [part * np.eye(len(NUMBERS))[number] for number, part in STARTS if scale[number]]
-    found = [searched_from(u) for u in (np.zeros(len(NUMBERS)), *starts)]
-    _, u = max(found, key=lambda pair: pair[0])
+    searches = [searched_from(u) for u in (np.zeros(len(NUMBERS)), *starts)]
+    _, u = max(searches, key=lambda pair: pair[0])
     return changed(u)
 
 
@@ -137,15 +137,15 @@ def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
     given = cut.put(implant, start, mirrored)
     stem = StemSurface.of(implant, given)
-    found = best(canal, stem, start, Limits.of(limits), wanted_thickness(geometry, given))
+    chosen = best(canal, stem, start, Limits.of(limits), wanted_thickness(geometry, given))
     relative = neck if insertion.version.relative_to == "neck" else 0.0
-    angle = _rounded_angle(found.version - relative)
+    angle = _rounded_angle(chosen.version - relative)
     keys = {
-        "varus": _rounded_angle(found.varus),
-        "flexion": _rounded_angle(found.flexion),
+        "varus": _rounded_angle(chosen.varus),
+        "flexion": _rounded_angle(chosen.flexion),
         "version": insertion.version.model_copy(update={"angle": angle}),
-        "medial_offset": round(found.medial, LENGTH_DIGITS),
-        "anterior_offset": round(found.anterior, LENGTH_DIGITS),
+        "medial_offset": round(chosen.medial, LENGTH_DIGITS),
+        "anterior_offset": round(chosen.anterior, LENGTH_DIGITS),
         "best": None,
     }
     result = insertion.model_copy(update=keys)

@@ -194,14 +194,14 @@ def gather(tagged: TaggedMesh) -> MeshData | None:
     # Facet i of dolfinx is opposite to vertex i; face f of `FACES` is opposite to vertex 3 - f.
     faces = 3 - np.array(opposite, dtype=np.int64)
     local = cells_map.size_local
-    own = (
+    of_rank = (
         geometry.x[: nodes.size_local],
         cells[:local],
         regions[:local],
         faces_of(cells, beside, faces),
         tagged.facet_tags.values[owned],
     )
-    parts = comm.gather(own)
+    parts = comm.gather(of_rank)
     if parts is None:
         return None
     points, every, cell_tags, facets, facet_tags = (

@@ -39,7 +39,7 @@ WRITTEN = 1 << 30  # bytes in a file
 
 
 class ReadRequest(TypedDict):
-    """What to read: lengths in mm; ``unit`` is that of the file in mm."""
+    """Request to read a mesh file. Lengths are in mm; ``unit`` is the file's unit in mm."""
 
     path: str
     script: bool

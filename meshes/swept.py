@@ -52,7 +52,7 @@ class Swept:
 
     @cached_property
     def partner(self) -> Ints:
-        """Row of the same face of another cell, as of `match_faces` (4 m,)."""
+        """Row of the same face of another cell (`match_faces`), shape (4 m,)."""
         return match_faces(self.cells)
 
     @property

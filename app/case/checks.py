@@ -362,7 +362,8 @@ def _creep(case: CaseParts) -> Iterable[Fault]:
     regions = list(_valid(case.regions))
     if not case.regions or len(regions) < len(case.regions):
         return
-    laws = {name: law for name, region in regions if (law := getattr(region, "creep", None))}
+    every = {name: getattr(region, "creep", None) for name, region in regions}
+    laws = {name: law for name, law in every.items() if law is not None}
     for i, stage in enumerate(case.stages or ()):
         key = ("stages", i, stage.creep_key)
         if stage.creep and not laws:

@@ -180,7 +180,7 @@ class Hip(Shape):
     """Length of cement below the tip. Without cement: length below the tip over which the cells
     keep the outline of the stem."""
     tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] | None = None
-    """Length without cement or bone below the stem's end, as of a hollow centraliser: nothing bears
+    """Length without cement or bone below the stem's end, as in a hollow centraliser: nothing bears
     on the end, which is flat then. 1 mm at least, and 1 mm less than the plug at most; 0: none. By
     default 0 in cement, and 5 mm without cement: a stem hangs in its canal."""
 

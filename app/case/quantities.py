@@ -658,7 +658,7 @@ def numbers_of(
             apart = [part for part in PARTS if parts and part in numbers]
             yield from ((section, f"{name}_{part}", numbers[part]) for part in apart)
             zones = numbers.get("zones", {}) if parts and section == "interfaces" else {}
-            yield from ((section, f"{name}_{zone}", own) for zone, own in zones.items())
+            yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
 
 
 def largest(numbers: Numbers, key: str) -> float:

@@ -373,10 +373,10 @@ def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Flo
 
     if isinstance(value, tuple):
         heights, lengths = zip(*value, strict=True)
-        found = np.interp(stem.height_on_stem(x), heights, lengths)
+        interference = np.interp(stem.height_on_stem(x), heights, lengths)
     else:
-        found = field(key, value, INTERFERENCE)(x)
-    return np.where(stem.on_flanks(x), found, 0.0)
+        interference = field(key, value, INTERFERENCE)(x)
+    return np.where(stem.on_flanks(x), interference, 0.0)
 
 
 class Unilateral(Frictional):
@@ -453,20 +453,20 @@ class Unilateral(Frictional):
         key = f"interfaces.{interface}"
 
         def of(part: Unilateral | SurfaceZone, key: str, x: Floats) -> Floats | None:
-            """The gap of a part; None if it has none of its own."""
+            """The gap of a part; None if none is given for it."""
             if part.interference is not None:
                 return -_interference(f"{key}.interference", part.interference, stem, x)
             return None if part.gap is None else field(f"{key}.gap", part.gap)(x)
 
         def gap(x: Floats) -> Floats:
-            found = of(self, key, x)
-            assert found is not None  # its default is 0
+            gaps = of(self, key, x)
+            assert gaps is not None  # its default is 0
             for name, zone in (self.zones or {}).items():
                 inside = in_zone(*zone.heights, stem.height_on_stem(x))
                 there = of(zone, f"{key}.zones.{name}", x[inside])
                 if there is not None:
-                    found[inside] = there
-            return found
+                    gaps[inside] = there
+            return gaps
 
         return gap
 
@@ -478,12 +478,12 @@ class Unilateral(Frictional):
         def friction(x: Floats) -> Floats:
             import numpy as np
 
-            found = np.full(len(x), self.friction_coefficient)
+            coefficients = np.full(len(x), self.friction_coefficient)
             for zone in (self.zones or {}).values():
                 if zone.friction_coefficient is not None:
                     inside = in_zone(*zone.heights, stem.height_on_stem(x))
-                    found[inside] = zone.friction_coefficient
-            return found
+                    coefficients[inside] = zone.friction_coefficient
+            return coefficients
 
         return {"μ": friction}
 

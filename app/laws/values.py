@@ -221,7 +221,7 @@ def gap_at(gap: Floats, gap_history: Sequence[float], time: float) -> Floats:
 
 
 def gap_settled(gap: Floats, gap_history: Sequence[float]) -> float:
-    """Time from which the gap of points, as of `gap_at`, does not change any more."""
+    """Time after which the gap of points (`gap_at`) is constant."""
     if not gap_history:
         return 1.0 if (gap < 0.0).any() else 0.0
     if not gap.any():

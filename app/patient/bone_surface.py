@@ -153,10 +153,15 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
         if less:
             notes.append(f"{less} triangles turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
-    a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))
-    outward = float((np.cross(a, b) * c).sum()) > 0
     rim = edges.mean(axis=1)
-    return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(notes), rim)
+    return BoneSurface(x, outward(x, triangles), tuple(notes), rim)
+
+
+def outward(points: Floats, triangles: Ints) -> Ints:
+    """Triangles (m, 3) of a closed surface, all turned over if they face inwards."""
+    a, b, c = points[triangles].transpose(1, 0, 2) - points.mean(axis=0)
+    volume = float((np.cross(a, b) * c).sum())
+    return triangles if volume > 0 else triangles[:, ::-1]
 
 
 def place(x: Floats) -> str:

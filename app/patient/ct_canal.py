@@ -12,7 +12,7 @@ from scipy import ndimage
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
 from app.patient import images, label_surface, shaft, welding
-from app.patient.bone_surface import BoneSurface
+from app.patient.bone_surface import BoneSurface, outward
 from app.patient.label_surface import LabelBody
 from app.patient.landmarks import Frame
 from meshes.plane_sections import centroid
@@ -126,10 +126,7 @@ def _canal(numbers: Floats, depth: Floats, part: LabelBody, threshold: float) ->
     shift[:3, 3] = -1.0
     padded = LabelBody(level > 0, level, part.affine @ shift, ())
     welded = welding.weld(label_surface.surface(level, padded))
-    points, triangles = welded.points, welded.triangles
-    a, b, c = points[triangles].transpose(1, 0, 2) - points.mean(axis=0)
-    outward = float((np.cross(a, b) * c).sum()) > 0
-    return BoneSurface(points, triangles if outward else triangles[:, ::-1])
+    return BoneSurface(welded.points, outward(welded.points, welded.triangles))
 
 
 def _below(surface: BoneSurface, top: float) -> BoneSurface:

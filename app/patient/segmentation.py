@@ -130,7 +130,7 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
     Args:
         path: File or folder.
         side: Side of the femur that is asked for, where there are two.
-        label: Name or number of the femur's label, where it is not found by itself.
+        label: Name or number of the femur's label, where no name identifies it.
 
     Raises:
         InputError: There is no femur, or more than one.

@@ -29,9 +29,7 @@ def _stages(case: Case) -> Iterable[Fault]:
     """Press fits without a stage after the insertion, or with loads that grow with them."""
     pressed = {n: law for n, law in case.interfaces.items() if law and law.is_press_fit}
     loads = {
-        name: load
-        for name, load in case.loads.items()
-        if load is not None and not getattr(load, "cycle_table", None)
+        name: load for name, load in case.loads.items() if load is not None and load.cycle is None
     }
     if not pressed or not loads:
         return
@@ -41,17 +39,19 @@ def _stages(case: Case) -> Iterable[Fault]:
     stages = [stage.name for stage in case.stages]
     example = "`stages: [{name: insertion}, {name: load, increments: 2}]`"
     if settled >= len(stages):
-        text = "the interference grows until the end of the last stage; micromotion is the motion"
-        text += (
+        text = (
+            "the interference grows until the end of the last stage; micromotion is the motion"
             f" after it. Expected a further stage, e.g. {example}, and `loads: {{history: [0, 1]}}`"
         )
         yield Fault(("stages",), text)
         return
-    growing = [name for name, load in loads.items() if getattr(load, "history", ()) is None]
+    growing = [name for name, load in loads.items() if load.history is None]
     if growing:
-        text = "micromotion counts from the end of the insertion, but loads act during it:"
-        text += f" {', '.join(growing)}. Expected `history` with one number for each stage, e.g."
-        text += " `loads: {history: [0, 1]}`"
+        text = (
+            "micromotion counts from the end of the insertion, but loads act during it:"
+            f" {', '.join(growing)}. Expected `history` with one number for each stage, e.g."
+            " `loads: {history: [0, 1]}`"
+        )
         yield Fault(("loads",), text)
 
 
@@ -63,11 +63,11 @@ def _areas(name: str, q: Numbers) -> str:
 
 @judge
 def _ingrowth(summary: Summary) -> Iterable[Verdict]:
-    """Areas of micromotion against what is known of ingrowth."""
+    """Areas of micromotion, compared with published limits of ingrowth."""
     for name, q in summary.get("interfaces", {}).items():
         if not q.get("area") or "area_micromotion_over_40um" not in q:
             continue
-        parts = {name: q} | {f"zone {zone}": own for zone, own in q.get("zones", {}).items()}
+        parts = {name: q} | {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
         text = (
             f"{'; '.join(_areas(*part) for part in parts.items())}. In dogs bone grew in at 20 um,"
             " partly at 40 um, not at 150 um (Jasty 1997)."

@@ -226,9 +226,9 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> Numbe
         main["pressure_by_facets"] = by_facets
     zones = {}
     for name, level in s.contacts[i].zones.items():
-        own = Surface(s.all_corners, i, {**surface.borders, name: level(s.x)})
-        if own.weight[name].any():
-            zones[name] = _of_part(s, i, own, name, None)
+        part = Surface(s.all_corners, i, {**surface.borders, name: level(s.x)})
+        if part.weight[name].any():
+            zones[name] = _of_part(s, i, part, name, None)
     if zones:
         main["zones"] = zones
     return main | {"force": (s.weight[at] @ s.force[at]).tolist(), **parts}

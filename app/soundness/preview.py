@@ -266,7 +266,7 @@ def warnings(case: Case) -> list[Verdict]:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             text = f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
             notes.append(note(text))
-    tables = [name for name, load in case.loads.items() if getattr(load, "cycle_table", None)]
+    tables = [name for name, load in case.loads.items() if load.cycle is not None]
     if tables and sum(not stage.takes_time for stage in case.stages) == 1:
         text = "the cycle begins in the first stage, with all of its loads at the first step"
         cure = "put a stage before it, in which they grow: stages: [{name: rise}, ...]"

@@ -119,7 +119,7 @@ TRY = """
 
 
 def tried(page: Path, positions: list[dict[str, float]]) -> dict[str, Any]:
-    """What a browser of a phone's size without a network found on a page."""
+    """Numbers that a browser of a phone's size, without a network, reads from a page."""
     test = TRY.replace("POSITIONS", json.dumps(positions))
     text = page.read_text(encoding="utf-8").replace("</body>", f"{test}</body>")
     copy = page.with_name("try.html")
