@@ -37,7 +37,7 @@ BELOW = 45.0  # mm below the stem's tip down to which the canal is known
 END = 3.0  # mm above the end of the bone
 STEM_AROUND = 72  # points around the stem
 STEM_ALONG = 1.0  # mm between sections of the stem
-BODY_ALONG = 140  # sections of the body of mantle's own stem
+BODY_ALONG = 140  # sections of the body of mantle's parametric stem
 NECK_ALONG = 20  # sections of each part of the neck
 
 
@@ -137,13 +137,13 @@ class _Steps:
 class StemSurface:
     """Surface of a stem, in its axes.
 
-    The body of mantle's own stem ends in a plane that depends on the cut; its neck begins there.
+    The body of a parametric stem ends in a plane that depends on the cut. Its neck begins there.
 
     Attributes:
         implant: The stem.
         start: Points where its lines along the body begin, at the end of its flanks (m, 3) [mm].
         way: Change of these lines for each millimetre along the axis (m, 3).
-        points: Points in sections of a stem from a file (n, m, 3) [mm]; None: mantle's own.
+        points: Points in sections of a stem from a file (n, m, 3) [mm]; None: a parametric stem.
     """
 
     implant: Implant

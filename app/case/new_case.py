@@ -27,7 +27,7 @@ SCHEMA = f"# yaml-language-server: $schema={configs.FOLDER / 'schema.json'}\n"
 LAW = "{kind: bonded} # or, where they may part: {kind: contact, friction_coefficient: 0.3}"
 MISSING = """\
   # It is not there yet. Name its physical volumes under `regions`, two physical surfaces as
-  # `boundary` below; once it is there `mantle check` tells those it has.
+  # `boundary` below; once it is there `mantle check` lists those it has.
 """
 
 
@@ -43,7 +43,7 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
         raise InputError(f"--stem {stem}: geometries of kind {kind} have no stem; leave --stem out")
     path = yaml(path)
     if kind == "file":
-        text = _own(path.with_suffix(".msh"), meeting)
+        text = _of_mesh_file(path.with_suffix(".msh"), meeting)
     else:
         text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
         text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
@@ -100,7 +100,7 @@ def from_labels(
     return _FROM_LABELS[-1](path, labels, ct, side, label)
 
 
-def _own(mesh: Path, meeting: Meeting | None) -> str:
+def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
     """Case on a mesh file beside it, with its regions and boundaries if it exists."""
     regions: tuple[str, ...] = ("NAME_OF_A_REGION",)
     boundaries: tuple[str, ...] = ("NAME_OF_A_SURFACE", "NAME_OF_ANOTHER")

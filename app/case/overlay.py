@@ -44,7 +44,9 @@ FILES = ["loads.cycle_table", "loads.*.cycle_table", "motions.*.rotation.cycle_t
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 # Keys among the loads that say how all forces there change in time, one or the other.
 IN_TIME = ("history", "cycle_table")
-STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
+SEPARATE_STUDY = (
+    "a case has no section study; write a file with base: CASE and this section (mantle study)"
+)
 # Keys of a sweep alone.
 AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "sobol", "parts"})
 
@@ -63,7 +65,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         case.digests |= file.digests
         case.complaints += file.complaints
         case.notes += file.notes
-    found = len(case.complaints)
+    before = len(case.complaints)
     for file in reversed(chain):
         if file.data.get("library") is not None:
             case.libraries.append(library.read(_named_file(file, "library")))
@@ -79,11 +81,11 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             place = file.places.get(("loads", key))
             if place:
                 _place_in_time(case, key, place, file.places)
-    if len(case.complaints) > found:
+    if len(case.complaints) > before:
         case.raise_all([])  # what they leave incomplete has other errors
     apply(case, overrides)
     if case.data.pop("study", None) is not None:
-        case.complaints.append(Fault(("study",), STUDY_APART))
+        case.complaints.append(Fault(("study",), SEPARATE_STUDY))
     return case
 
 
@@ -301,11 +303,12 @@ def _activities(case: CaseFile, sets: Mapping[str, object], path: Path) -> dict[
     loads: dict[str, Any] = {}
     weight = None
     for name, history in sets.items():
-        found = _set(case, str(name), path)
+        forces = _set(case, str(name), path)
         weight = weight or case.measured.get("body_weight")
-        if found and weight and "body_weight" in case.measured:
-            found = _measured(case, found, {"body_weight": f"{weight!r} N"})
-        loads |= {f"{name}_{load}": values | {"history": history} for load, values in found.items()}
+        if forces and weight and "body_weight" in case.measured:
+            forces = _measured(case, forces, {"body_weight": f"{weight!r} N"})
+        for load, values in forces.items():
+            loads[f"{name}_{load}"] = values | {"history": history}
     return loads
 
 
@@ -451,11 +454,11 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dic
                     case.places[*below, *p[2:]] = place
             if len(case.places) > yaml_file.MOST_NODES:
                 raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
-            found = {k: deepcopy(v) for k, v in entry.items() if k not in library.FOR_PEOPLE}
+            values = {k: deepcopy(v) for k, v in entry.items() if k not in library.FOR_PEOPLE}
             if kind != "loads":
-                return found
-            origin = {k: found.pop(k) for k in library.ORIGIN if k in found}
-            return {k: origin | v if isinstance(v, dict) else v for k, v in found.items()}
+                return values
+            origin = {k: values.pop(k) for k in library.ORIGIN if k in values}
+            return {k: origin | v if isinstance(v, dict) else v for k, v in values.items()}
     known = [n for file in case.libraries for n in file.data.get(kind, {})]
     text = f"{show(name)} is not in the library; {kind}: {', '.join(known)}"
     case.complaints.append(Fault(path, text + did_you_mean(name, known)))
@@ -593,7 +596,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     if path[0] in ("regions", "loads") and not OF_USE.issuperset(path[2:3]):
         for key in library.ORIGIN:
             case.data[str(path[0])][path[1]].pop(key, None)
-    own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
+    given_here = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step == NAMED.get(str(path[0]))
     if (of_entry and isinstance(value, str)) or (
         path == ("loads", step) and (step in MEASURED or step in IN_TIME)
@@ -601,7 +604,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
         new = _merged(case, holder, {step: value}, path[:-1])
     else:
         new = {step: _merged(case, old if step == "force" else None, value, path)}
-    case.places |= own  # over those of the entry
+    case.places |= given_here  # over those of the entry
     if len(case.complaints) > complaints:
         return
     if step in new:

@@ -29,7 +29,7 @@ class Sweep(SweepPart):
     title: Text = ""
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
-    """Parts with axes of their own, and with a base of their own where it differs."""
+    """Parts with their axes, and their base where it differs."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Sweep:

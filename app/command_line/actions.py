@@ -152,7 +152,7 @@ def run(
             from app.simulation.given_mesh import case_on
         case = case_on(mesh, case, Path(output))
     elif mesh is not None:
-        raise InputError("a loaded case has its own mesh; give the sections of the case as a dict")
+        raise InputError("a loaded case already has a mesh; give the case as a dict")
     folder = Path(output) if output is not None else case.output
     if not finished_runs.prepare(case, folder, force=force, restart=restart):
         with ranks.mpi_settings():

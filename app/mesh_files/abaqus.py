@@ -43,7 +43,7 @@ SIMILAR = 0.75
 EXPONENT = re.compile(r"(?<=[\d.])(?:[dD]|(?=[+-]))(?=[+-]?\d)")
 # Least sine of the angle between the two directions that a coordinate system is made of.
 ON_A_LINE = 1e-9
-# Numbers in the line of a node: its own and three coordinates; with its normal.
+# Values in the line of a node: number and three coordinates; the same with a normal.
 LEAST_OF_NODE = 4
 MOST_OF_NODE = 7
 # Most numbers of a range.
@@ -338,7 +338,7 @@ class _Sets:
         what = (kind, key)
         if what in self.open:
             raise ValueError(
-                f"the set {self.spelled[key]} contains itself; remove its name from its own list"
+                f"the set {self.spelled[key]} contains itself; remove its name from its list"
             )
         if what not in self.done:
             self.open.add(what)

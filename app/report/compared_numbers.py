@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from app.case import quantities
 from app.report.sweep_results import Json, Number, SweptCase, named
 
-# Sections of a summary that say how a run was solved, not what it found.
+# Sections of a summary on the solution process; they hold no results.
 NOT_COMPARED = quantities.RUN
 # Name of the group of numbers by Gruen zone.
 ZONES = "Gruen zones"

@@ -98,10 +98,10 @@
   function evaluate(p, stem) {
     const q = placed(p, stem), [points, clears] = surfaceAt(q, stem), n = points.length / 3, x = new Float32Array(3 * n), heights = new Float64Array(n);
     const room = new Float32Array(n).fill(NaN), cement = new Float32Array(n).fill(NaN);
-    let least = Infinity, thinnest = Infinity, worst = null, own = null;
+    let least = Infinity, thinnest = Infinity, worst = null, worstLocal = null;
     const look = (at, local) => {
       const r = roomAt(at);
-      if (r < least) [least, worst, own] = [r, at, local];
+      if (r < least) [least, worst, worstLocal] = [r, at, local];
       const t = Math.min(r, wanted(local, stem.tip, q.top));
       if (t < thinnest) thinnest = t;
       return [r, t];
@@ -119,7 +119,7 @@
       const part = low / (low - high), a = local(k), b = local(k + stem.around), on = a.map((v, i) => v + part * (b[i] - v));
       look(moved(q, on), on);
     }
-    const side = own && Math.atan2(q.turn[1][0] * own[0] + q.turn[1][1] * own[1], q.turn[0][0] * own[0] + q.turn[0][1] * own[1]);
+    const side = worstLocal && Math.atan2(q.turn[1][0] * worstLocal[0] + q.turn[1][1] * worstLocal[1], q.turn[0][0] * worstLocal[0] + q.turn[0][1] * worstLocal[1]);
     const centre = moved(q, stem.head), neck = Math.atan2(q.turn[1][0], q.turn[0][0]);
     return {
       q, x, clears, room, cement, least, thinnest, worst, centre,

@@ -35,19 +35,19 @@
   const bar = make("div", controls, { className: "bar" });
   const select = (title, names, change) => {
     const label = make("label", bar, { textContent: title + " " });
-    const own = make("select", label, {});
-    names.forEach((name, k) => make("option", own, { value: k, textContent: name }));
-    own.onchange = () => change(+own.value);
-    return own;
+    const list = make("select", label, {});
+    names.forEach((name, k) => make("option", list, { value: k, textContent: name }));
+    list.onchange = () => change(+list.value);
+    return list;
   };
   const fieldSelect = select("field", [...labels.values()], k => show(fields[k], state.stage));
   const stageSelect = select("at the end of", first.stages, k => show(state.field, first.stages[k]));
   stageSelect.parentNode.hidden = first.stages.length < 2;
   const slider = (title, start, change) => {
     const label = make("label", bar, { textContent: title + " " });
-    const own = make("input", label, { type: "range", min: 0, max: 100, value: start });
+    const range = make("input", label, { type: "range", min: 0, max: 100, value: start });
     const text = make("span", label, {});
-    own.oninput = () => { text.textContent = " " + change(own.value / 100); views.forEach(v => v.draw()); };
+    range.oninput = () => { text.textContent = " " + change(range.value / 100); views.forEach(v => v.draw()); };
   };
   slider("deformation", turns ? 100 : 0, part => {
     // At the end of the slider the largest displacement is a fifth of the model; a body that turns
@@ -64,10 +64,10 @@
   names.filter(n => !opening.bodies.includes(n)).forEach(n => state.hidden.add(n));
   const checks = names.map(name => {
     const label = make("label", bodyBar, {});
-    const own = make("input", label, { type: "checkbox", checked: !state.hidden.has(name) });
+    const box = make("input", label, { type: "checkbox", checked: !state.hidden.has(name) });
     label.append(" " + said(name));
-    own.onchange = () => { state.hidden[own.checked ? "delete" : "add"](name); paint(); };
-    return own;
+    box.onchange = () => { state.hidden[box.checked ? "delete" : "add"](name); paint(); };
+    return box;
   });
   for (const [name, x, y] of [["anterior", 0, 1], ["medial", 1, 0], ["posterior", 0, -1], ["lateral", -1, 0]])
     make("button", bodyBar, { type: "button", textContent: name }).onclick = () => look(x, y, 0);
@@ -217,12 +217,12 @@
       v.span = [least, most];
       const c = new THREE.Color();
       for (const mesh of v.meshes) {
-        const own = mesh.geometry.getAttribute("color");
+        const attribute = mesh.geometry.getAttribute("color");
         for (let k = 0; k < n; k++) {
           colour(worth(k), mesh.tint, c);
-          own.setXYZ(k, c.r, c.g, c.b);
+          attribute.setXYZ(k, c.r, c.g, c.b);
         }
-        own.needsUpdate = true;
+        attribute.needsUpdate = true;
       }
       legend.hidden = !(v.step && most >= least && most < Infinity);
       highest.textContent = shown(most);
@@ -313,12 +313,12 @@
       const cut = state.axis >= 0, drawn = visible(), sections = cut ? drawn.map(m => m.section) : [];
       const hit = ray.intersectObjects([...drawn, ...sections]).find(h => h.object.values || !cut || plane.distanceToPoint(h.point) >= 0);
       if (!hit) return null;
-      const own = hit.object.values ? hit.object : { rests: rest }, at = hit.object.geometry.getAttribute("position");
+      const shape = hit.object.values ? hit.object : { rests: rest }, at = hit.object.geometry.getAttribute("position");
       const corners = [hit.face.a, hit.face.b, hit.face.c], part = new THREE.Vector3();
       THREE.Triangle.getBarycoord(hit.point, ...corners.map(k => new THREE.Vector3().fromBufferAttribute(at, k)), part);
       const parts = part.toArray(), sum = f => corners.reduce((s, k, i) => s + parts[i] * f(k), 0);
-      const value = sum(k => own.values ? own.values[k] : worth(k));
-      return { body: hit.object.name, place: [0, 1, 2].map(i => sum(k => own.rests[3 * k + i])), value };
+      const value = sum(k => shape.values ? shape.values[k] : worth(k));
+      return { body: hit.object.name, place: [0, 1, 2].map(i => sum(k => shape.rests[3 * k + i])), value };
     };
     renderer.domElement.addEventListener("pointermove", event => {
       const r = renderer.domElement.getBoundingClientRect();

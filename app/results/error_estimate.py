@@ -200,7 +200,7 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
             values = _on_meshes(k, numbers, case, others)
             value, coarser = values[0][1], values[:2][-1][1]
             like = "motion" if k in ALIKE else k
-            # A peak that is negligible beside its like on other interfaces does not count.
+            # A peak is ignored if it is negligible relative to the same peak on other interfaces.
             size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
             unit, change = TABLE[section][k].unit, abs(value - coarser)
             if is_zero(value, change, largest[unit]) and abs(coarser) < SMALL * largest[unit]:

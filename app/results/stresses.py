@@ -30,7 +30,7 @@ class Stresses:
     """Stress at quadrature points of every elastic region, compiled once.
 
     Attributes:
-        cells: Own cells of each region.
+        cells: Owned cells of each region.
         points: Points of its cells, in the reference cell (points, 3).
         shares: Fraction of a cell's volume at each of them (points,).
 

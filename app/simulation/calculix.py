@@ -51,10 +51,10 @@ FACE = np.array([3, 4, 2, 1])
 
 
 def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
-    """Write the deck of a case on its mesh; returns what is otherwise in it.
+    """Write the deck of a case on its mesh; return notes on what the deck represents differently.
 
     Raises:
-        InputError: The case has what a deck does not hold; all of it, each at its place.
+        InputError: The deck format lacks parts of the case; all are listed, each at its place.
     """
     case.file.raise_all(_refused(case.config))
     text = "\n".join(_Deck(case.config, data).lines()) + "\n"

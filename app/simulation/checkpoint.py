@@ -40,7 +40,7 @@ ROWS = "@rows"
 # Number of checkpoints kept.
 KEPT = 2
 # Number of differences listed in a message.
-TOLD = 12
+MOST_LISTED = 12
 
 
 class DamagedError(InputError):
@@ -190,8 +190,8 @@ def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
     differ = [f"  {key}: {a}; in the checkpoint {b}" for key, (a, b) in pairs.items() if a != b]
     if not differ:
         return
-    if len(differ) > TOLD:
-        differ = [*differ[:TOLD], f"  and {len(differ) - TOLD} more"]
+    if len(differ) > MOST_LISTED:
+        differ = [*differ[:MOST_LISTED], f"  and {len(differ) - MOST_LISTED} more"]
     other = f"{saved.path} is the checkpoint of another case"
     if not force:
         raise InputError([f"--restart: {other}; --force uses it nevertheless", *differ])

@@ -124,7 +124,7 @@ def estimated_size(case: Case, available: float = math.inf) -> str:
     size = _estimated(case)
     if not size.cells:
         return "size\n  not known before it is meshed: --mesh counts"
-    return _told("size (estimated; --mesh counts)", case, size, available)
+    return _described("size (estimated; --mesh counts)", case, size, available)
 
 
 def unknowns(case: Case) -> float:
@@ -262,7 +262,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
         nodes += len(np.unique(np.sort(elastic[:, EDGES].reshape(-1, 2), axis=1), axis=0))
     each = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, each)
-    lines = [_told("size", case, size, available)]
+    lines = [_described("size", case, size, available)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
     for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
@@ -296,7 +296,7 @@ def _gigabytes(choice: SolverChoice, condensed: bool, size: _Size) -> float:
     return float(memory + choice.needed / 1e9 * condensed)
 
 
-def _told(title: str, case: Case, size: _Size, available: float) -> str:
+def _described(title: str, case: Case, size: _Size, available: float) -> str:
     """Lines on cells, unknowns, memory and time."""
     parts = [f"{count(size.cells)} cells"]
     if size.nodes:

@@ -52,7 +52,7 @@ class Cover:
                 raise InputError(Verdict(text, f"interfaces.{c.name}", cure))
 
     def _fit(self, nodes: Ints) -> tuple[Ints, Floats]:
-        """Own nodes, and the best-fit rotation by their displacement (3, 3 nodes); collective."""
+        """Owned nodes, and the best-fit rotation by their displacement (3, 3 nodes); collective."""
         R = rigid_modes(self._problem.space.tabulate_dof_coordinates()[nodes]).reshape(-1, 6)
         return nodes, np.linalg.solve(self._problem.comm.allreduce(R.T @ R), R.T)[3:]
 

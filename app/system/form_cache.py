@@ -30,7 +30,7 @@ log = logging.getLogger("mantle")
 LOCK = "compiling.lock"
 SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py")
 _compiling: list[int] = []  # the lock, open while this process compiles
-_told: list[str] = []
+_announced: list[str] = []  # the first module compiled here, once the log says so
 
 
 def guard() -> None:
@@ -88,9 +88,9 @@ def _find(get: Callable[..., T], name: str, objects: list[str], folder: Path, ti
 def _mark(compile: Callable[..., T], *arguments: object, **options: object) -> T:
     """Compile a module, and note its size in the mark of completion."""
     name, folder = str(arguments[3]), Path(str(arguments[5]))
-    if not _told:
+    if not _announced:
         log.info("     compiling forms; later runs reuse them")
-        _told.append(name)
+        _announced.append(name)
     with captured("compiler") as written:
         try:
             code = compile(*arguments, **options)

@@ -265,7 +265,7 @@ def test_points_refuse_misplaced_sections(path: Path) -> None:
     with pytest.raises(InputError) as error:
         load(path)
     told = error.value.messages
-    assert told[0].startswith(f"{path}:14:1: study: a study stands in a file of its own")
+    assert told[0].startswith(f"{path}:14:1: study: a case has no section study")
     assert told[1].startswith(f"{path}:21:14: variations.grid: a grid stands in a sweep file")
     assert len(told) == 2
     assert refused(path, path.read_text())[0].startswith("14:1: study: expected a study file")

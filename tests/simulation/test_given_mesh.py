@@ -100,5 +100,5 @@ def test_given_mesh_goes_with_a_case_of_mappings_alone(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="needs a mesh and an output"):
         mantle.run(CASE, tmp_path / "box")
     loaded = mantle.load(CONFIGS / "blocks.yaml")
-    with pytest.raises(InputError, match="a loaded case has its own mesh"):
+    with pytest.raises(InputError, match="a loaded case already has a mesh"):
         mantle.run(loaded, tmp_path / "box", mesh=blocks())
