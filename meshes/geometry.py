@@ -159,6 +159,10 @@ class FileKeys(GeometryKeys, Protocol):
         """Unit of its coordinates."""
 
     @property
+    def parameters(self) -> Mapping[str, float]:
+        """Constants of a script by name, as it reads them."""
+
+    @property
     def is_script(self) -> bool:
         """True if it is a script."""
 

@@ -39,7 +39,10 @@ WRITTEN = 1 << 30  # bytes in a file
 
 
 class ReadRequest(TypedDict):
-    """Request to read a mesh file. Lengths are in mm; ``unit`` is the file's unit in mm."""
+    """Request to read a mesh file. Lengths are in mm; ``unit`` is the file's unit in mm.
+
+    ``parameters`` are constants of a script, as it reads them.
+    """
 
     path: str
     script: bool
@@ -47,6 +50,7 @@ class ReadRequest(TypedDict):
     far_size: float
     curved: bool | None
     unit: float
+    parameters: dict[str, float]
     regions: tuple[str, ...]
 
 
@@ -241,6 +245,8 @@ def _run_script(gmsh: ModuleType, request: ReadRequest) -> None:
     size, unit = request["size"], request["unit"]
     gmsh.parser.setNumber("size", [size / unit])
     gmsh.parser.setNumber("far_size", [request["far_size"] / unit])
+    for name, value in request["parameters"].items():
+        gmsh.parser.setNumber(name, [value])
     for source in ("ExtendFromBoundary", "FromPoints"):  # gmsh's defaults, which scripts count on
         gmsh.option.setNumber(f"Mesh.MeshSize{source}", 1)
     gmsh.merge(Path(request["path"]).name)

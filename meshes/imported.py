@@ -142,6 +142,7 @@ def _read(geometry: FileKeys, mesh: MeshKeys) -> FileMesh:
             "far_size": mesh.far_size or 4 * mesh.size,
             "curved": mesh.curved,
             "unit": MILLIMETRES[geometry.unit],
+            "parameters": dict(geometry.parameters),
             "regions": geometry.region_names,
         }
         arrays = confined.ask("meshes.gmsh_child:read", request, folder)

@@ -15,13 +15,13 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from app.case.femurs import Femur, IntactFemur
-from app.case.gmsh_header import content, counts, physical_names
+from app.case.gmsh_header import constants, content, counts, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.mesh_files import Pick
 from app.mesh_files.named import stamps
 from app.schema.paths import file
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
-from app.schema.units import Angle, PositiveLength, SizeVector
+from app.schema.units import Angle, Number, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur"]
 __all__ += ["MeshFile", "MeshOptions", "Sides"]
@@ -210,7 +210,7 @@ class MeshFile(Shape):
     Files of gmsh (``.msh``), Abaqus and CalculiX (``.inp``), FEBio (``.feb``), VTU (``.vtu``,
     ``.pvtu``), XDMF and MED are taken as they are. A ``.geo`` script of gmsh is meshed: it declares
     ``DefineConstant[ size = 1 ];``, and ``far_size`` if it likes, which are set from the mesh
-    section (in the script's unit).
+    section (in the script's unit). Further constants are set by ``parameters``.
     """
 
     mesher: ClassVar[str] = "meshes.imported"
@@ -226,11 +226,28 @@ class MeshFile(Shape):
     """The file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """Unit of the file's coordinates."""
+    parameters: Annotated[dict[Name, Number], MAPPING] = Field(default_factory=dict)
+    """Values of constants that a script declares by `DefineConstant`, by name: lengths in its
+    unit, angles as it reads them."""
     interfaces: Annotated[dict[Name, _TwoSides], MAPPING] = Field(default_factory=dict)
     """For each interface, the regions on its two sides (a name or a list of names each)."""
 
     # Interfaces across which coincident nodes stay two; the case knows them.
     _apart: tuple[str, ...] = PrivateAttr(())
+
+    @model_validator(mode="after")
+    def _declared(self) -> MeshFile:
+        if self.parameters and not self.is_script:
+            fail("are constants of a .geo script, and this file is none", at=("parameters",))
+        names = constants(self.path) if self.parameters else ()
+        for name in self.parameters:
+            if name in ("size", "far_size"):
+                fail(
+                    "is set by the mesh section: mesh.size, mesh.far_size", at=("parameters", name)
+                )
+            if name not in names:
+                fail(not_one_of(name, names), at=("parameters", name))
+        return self
 
     @model_validator(mode="after")
     def _known(self) -> MeshFile:

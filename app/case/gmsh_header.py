@@ -18,6 +18,9 @@ ENTRY = re.compile(rb'\s*(\d+)\s+\d+\s+"(.*)"\s*')
 HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
 COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
+# A declaration of constants, and each constant in it.
+DECLARATION = re.compile(r"\bDefineConstant\s*\[(.*?)\]\s*;", re.DOTALL)
+CONSTANT = re.compile(r"(?:^|,)\s*([A-Za-z_]\w*)\s*(?==)")
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Environment variable: the user trusts the scripts of this command.
@@ -68,10 +71,21 @@ def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
 def _groups_of_script(path: Path) -> list[tuple[int, str]]:
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
         raise ValueError("a gmsh script is a program; --allow-scripts runs it")
-    text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
+    text = _script(path)
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
     return [(DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(text)]
+
+
+def _script(path: Path) -> str:
+    """Text of a script without its comments."""
+    return COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
+
+
+def constants(path: Path) -> tuple[str, ...]:
+    """Names of the constants that a ``.geo`` script declares, in its order."""
+    blocks = DECLARATION.findall(_script(path))
+    return tuple(name for block in blocks for name in CONSTANT.findall(block))
 
 
 def content(path: Path, copies: Path | None = None) -> str:

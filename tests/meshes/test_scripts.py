@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 import meshes
 from app.case.case import load
@@ -80,6 +81,23 @@ def test_scripts_get_sizes_in_their_unit(tmp_path: Path) -> None:
     large = meshes.build(centimetres, options(size="1 cm"))
     assert np.array_equal(small.cells, large.cells)
     assert np.allclose(10 * small.points, large.points)
+
+
+def test_scripts_get_parameters_of_the_case(tmp_path: Path) -> None:
+    """A constant of the script changes the mesh; unknown constants and sizes are refused."""
+    declared = PIN.replace("[ size = 1 ]", "[ size = 1, radius = 2 /* mm */ ]")
+    path = script(tmp_path, declared.replace("5, 2}", "5, radius}"))
+
+    def volume(**parameters: float) -> float:
+        geometry = MeshFile(path=path, interfaces=HOLE, parameters=parameters)
+        return region_volumes(meshes.build(geometry, options(size="1 mm")))["pin"]
+
+    assert volume() == pytest.approx(20 * np.pi, rel=0.05)
+    assert volume(radius=3.0) == pytest.approx(45 * np.pi, rel=0.05)
+    with pytest.raises(ValidationError, match="'radios' is not one of"):
+        MeshFile(path=path, interfaces=HOLE, parameters={"radios": 1.0})
+    with pytest.raises(ValidationError, match="is set by the mesh section"):
+        MeshFile(path=path, interfaces=HOLE, parameters={"size": 1.0})
 
 
 @pytest.mark.parametrize(("text", "curved"), [(PIN, True), (LAYERS, False)], ids=["pin", "layers"])
