@@ -126,6 +126,6 @@ def _row(result: Result, folder: Path) -> SweepRow:
 
 
 def _reason(message: str) -> str:
-    """Essential line of a message: where nothing converged, else the last."""
+    """Essential line of a message: the one on missing convergence, else the last."""
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

@@ -126,5 +126,5 @@ def story(verdicts: Sequence[Verdict]) -> str:
     lines = [f"{first.where}: {first.what}{code}" if first.where else f"{first.what}{code}"]
     lines += [v.text for v in others]
     if first.cure:
-        lines.append(f"what to change: {first.cure}")
+        lines.append(f"what to do: {first.cure}")
     return "\n  ".join(lines)

@@ -303,7 +303,7 @@ def _no_results(summary: Summary) -> str:
     first = verdicts[0]
     words = f"{first.where}: {first.what}." if first.where else f"{first.what}."
     if first.cure:
-        words += f" What to change: {first.cure}."
+        words += f" What to do: {first.cure}."
     return in_print(f"{words[0].upper()}{words[1:]}")
 
 

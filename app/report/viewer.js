@@ -145,7 +145,7 @@
     stage.append(renderer.domElement);
     const legend = make("div", stage, { className: "legend" }), ramp = make("div", legend, { className: "ramp" });
     const highest = make("span", ramp, {}), lowest = make("span", ramp, {}), unit = make("div", legend, {});
-    const ends = make("div", stage, { className: "ends" });
+    const ends = make("div", box, { className: "ends" });
     ramp.style.background = "linear-gradient(to top," + map.map(c => "#" + c.getHexString()).join(",") + ")";
     const output = make("output", stage, { className: "output" });
     const scene = new THREE.Scene();

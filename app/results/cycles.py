@@ -94,7 +94,7 @@ def trend(first: float, lost: list[float]) -> str:
 
 
 def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
-    """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
+    """Motions of a stage with cycles: name, permanent part and inducible part, as texts."""
     for place, permanent in numbers.get("permanent", {}).items():
         for key in permanent:
             q = TABLE["stem" if place == "stem" else "interfaces"][key]

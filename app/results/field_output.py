@@ -206,7 +206,7 @@ class MechanicalFields:
     def _point(
         self, nodes: OutputNodes, samples: ContactSamples | None, σ: Floats
     ) -> dict[str, Floats]:
-        """Displacement, with the turns of motions, stress, and by interface what it does.
+        """Displacement with prescribed rotations, stress, and fields of the interfaces.
 
         Gap, slip, motion [mm], tractions [MPa], status, and what records have on both sides.
         """

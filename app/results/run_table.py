@@ -68,7 +68,7 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
     """Row of the table.
 
     Args:
-        point: Name of the run, and what it changes.
+        point: Name of the run and its overrides.
         summary: Content of ``summary.json`` of the run; empty if there is none.
         status: Such as converged, not converged or stopped.
         seconds: Wall time.

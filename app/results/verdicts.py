@@ -171,12 +171,12 @@ def _physiology(summary: Summary) -> Iterator[Verdict]:
     most = max(strains)
     clauses = []
     if head > MOTION:
-        clauses.append(f"the head moves {head:.1f} mm; usual is at most {MOTION:g} mm")
+        clauses.append(f"the head moves {head:.1f} mm (usually at most {MOTION:g} mm)")
     # A stem takes load from the cortex beside it: there the largest strain judges the loads.
     lowest = most if summary.get("stem") else least
     if lowest < low or most > high:
-        usual = f"usual are {low:g} to {high:g} um/m"
-        clauses.append(f"the strain of the cortex is {least:.0f} to {most:.0f} um/m; {usual}")
+        usual = f"(usually {low:g} to {high:g} um/m)"
+        clauses.append(f"the strain of the cortex is {least:.0f} to {most:.0f} um/m {usual}")
     if clauses:
         yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
 
@@ -275,9 +275,9 @@ def _mesh_and_step(summary: Summary) -> Verdict:
         text += f"; the largest error is ± {worst} % ({share[-1]})"
         within = estimated.get("within")
         if within:
-            text += f"; about {100 * within:.0f} % of such numbers lie within their error"
+            text += f"; for about {100 * within:.0f} % of such numbers the true error is smaller"
     if zero:
-        text += f"; negligible: {', '.join(zero)}"
+        text += f"; not counted, because negligible: {', '.join(zero)}"
     source = estimated.get("of", BOTH)
     if source != BOTH:
         text += "; the error of the mesh is not estimated"

@@ -351,7 +351,7 @@ class Recorder:
     def last_state(self) -> str:
         """Sentence on the last converged state and its folder."""
         if not self.step_count:
-            return f"no step has converged: {self.writer.folder} has the case, and no numbers"
+            return f"no step has converged: {self.writer.folder} has the case, but no numbers"
         return (
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self.writer.folder}"

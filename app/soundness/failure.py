@@ -130,19 +130,18 @@ SHOWN = 3
 SAME = 1e-9
 # Residual over the forces below which a failed state far away is one in balance.
 BALANCED = 2e-2
-# Remedies: in general; of a failure at rest without gaps; of a bond that breaks; of displacements
-# that are not small; of a free body.
-SMALLER = "more increments, a finer mesh at the interface, or a smaller load"
+# Remedies: in general; of a failure from rest without gaps; of a bond that breaks; of displacements
+# that are not small.
+SMALLER = "use more increments, a finer mesh at the interface, or a smaller load"
 AT_REST = (
-    "the supports, the direction of the loads, or the mesh at the interface; at rest and without "
-    "gaps a smaller load fails alike"
+    "check the supports and the direction of the loads, or refine the mesh at the interface; "
+    "without gaps a smaller first load fails in the same way"
 )
 BREAKS = (
-    "`fracture_step` in the stage: a bond breaks, and the load may have passed its peak, beyond "
-    "which only a smaller load is in equilibrium; or prescribe the displacement instead of the load"
+    "use `fracture_step` in the stage, or prescribe a displacement instead of the load; a bond "
+    "breaks, and past the peak of the load only smaller loads are in equilibrium"
 )
-FAR = "stiffer foundations, a support, or a smaller load"
-FREE = "hold the free body (a support, friction, an elastic foundation)"
+FAR = "use stiffer foundations, add a support, or reduce the load"
 
 
 @dataclass(frozen=True)
@@ -153,7 +152,7 @@ class Explanation:
         outcome: The failed solve.
         cause: Its cause, without the stage.
         others: Verdicts on friction and on places of the largest residual and oscillating points.
-        free: True if nothing holds a body: smaller steps fail alike.
+        free: True if nothing holds a body: smaller steps fail too.
     """
 
     outcome: NewtonResult
@@ -231,11 +230,11 @@ def explain(
     if breaks:
         cause = replace(cause, cure=BREAKS)
     if friction:
-        cause = replace(cause, cure=f"{cause.cure}; other friction, or a support")
+        cause = replace(cause, cure=f"{cause.cure}; or change the friction, or add a support")
     if far:
         cause = Verdict(far.what, cure=FAR, code=Reason.LARGE_DISPLACEMENT)
     if free:
-        cause = Verdict(free[0], cure=FREE, code=Reason.LOOSE_BODY)
+        cause = Verdict(free[0], cure=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
     others = [plain(text) for text in free[1:]]
     others += friction
     others += map(plain, [_largest(problem, trial), *_oscillating(problem, contact, solver.active)])
@@ -275,7 +274,11 @@ def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet
         (
             changes,
             f"changing: {' <-> '.join(map(_state, states))} {_place(problem, contact, row)}, "
-            f"in {changes} of the last {iterations} iterations",
+            + (
+                f"in {changes} of the last {iterations} iterations"
+                if iterations > 1
+                else "in the last iteration"
+            ),
         )
         for row, changes, iterations, states in active.oscillating()[:SHOWN]
     ]

@@ -228,7 +228,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
                 return Verdict("; ".join([*free, text]), cure=HOLD, code=Reason.LOOSE_BODY)
         if largest > NOT_SMALL * size + LEVER * given:
             cure = (
-                "a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
+                "use a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
                 "slip is larger than a facet"
             )
             text = f"displacements are no longer small: {text}"

@@ -171,7 +171,7 @@ def resultant(case: Case) -> Iterator[str]:
     sections = section_loads(case, len(case.stages))
     if sections:
         rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
-        yield f"section loads at the end{rest}; the last level is the knee's"
+        yield f"section loads at the end{rest} (last level: the knee)"
         yield from (f"  {line}" for line in table(sections).splitlines())
 
 

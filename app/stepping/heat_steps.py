@@ -107,7 +107,7 @@ class HeatStepper:
             raise ConvergenceError(
                 f"no steady state in stage '{stage.name}': "
                 "heat and the fields coupled to it did not converge\n"
-                "  what to change: give the stage a duration instead of steady"
+                "  what to do: give the stage a duration instead of steady"
             )
         self.total.rejected += 1
         if not stage.adaptive or step.length < SHORTEST * stage.seconds:
@@ -132,16 +132,16 @@ class HeatStepper:
         outcome, stage = self.heating.outcome, self._stage
         tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) or "none"
         advice = (
-            "a larger time.tolerance or smaller changes (a slower reaction, weaker coupling)"
+            "use a larger time.tolerance or smaller changes (a slower reaction, weaker coupling)"
             if stage.adaptive
-            else "more increments, or adaptive: true"
+            else "use more increments, or adaptive: true"
         )
         return (
             f"no convergence in stage '{stage.name}' at {100 * step.begin:.3g} % of it, "
             f"with a time step of {step.length:.3g} s\n"
             f"  last residuals (relative to heat or forces): {tail}\n"
             f"  tried: {attempts(outcome.tried)}\n"
-            f"  what to change: {advice}"
+            f"  what to do: {advice}"
         )
 
 

@@ -290,7 +290,7 @@ def test_run_that_diverges_leaves_its_last_state(tmp_path: Path) -> None:
     message = result.stderr
     assert "Traceback" not in message and message.count("stage 'push'") == 1
     assert "nothing holds body 'upper': it is free to move along x" in message
-    for part in ("interface 'lower_upper'", "what to change: hold the "):
+    for part in ("interface 'lower_upper'", "what to do: hold the "):
         assert part in message, message
     assert f"last converged state: time 1.5 (step 2) in {output}" in message
     assert not (output / "DONE").exists()
@@ -313,7 +313,7 @@ def test_run_without_converged_step_leaves_a_diagnosis(tmp_path: Path) -> None:
     changes = "stages=[{name: a, adaptive: false}, {name: b}]", "regions.upper.poisson_ratio=0.46"
     result = run(case, "-o", output, *support.sets(*changes))
     assert result.returncode == 4, result.stderr
-    assert f"no step has converged: {output} has the case, and no numbers" in result.stderr
+    assert f"no step has converged: {output} has the case, but no numbers" in result.stderr
     # What check notes is in the log.
     assert "regions.upper is nearly incompressible: linear tetrahedra lock" in result.stderr
     assert not (output / "fields.vtkhdf").exists() and not (output / "DONE").exists()

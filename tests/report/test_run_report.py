@@ -201,7 +201,7 @@ def test_run_report_failure_begins_with_its_cause(done: Path, tmp_path: Path) ->
     numbers = {"status": "not converged", "time": 0.0, "timing": {"total": 1.0}, "interfaces": {}}
     numbers["verdicts"] = [lost.record(), Verdict("plain Newton only", "tried").record()]
     html = changed(done, tmp_path / "failed", numbers).replace("&#39;", "'")
-    cause = "No convergence in stage 'b': nothing holds body 'a'. What to change: hold it."
+    cause = "No convergence in stage 'b': nothing holds body 'a'. What to do: hold it."
     assert f'<p class="lead">{cause}</p>' in html and html.count("nothing holds") == 1
     assert '<span class="bad">not converged</span>' in html and "tried: plain Newton" in html
 

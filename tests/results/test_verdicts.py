@@ -94,7 +94,7 @@ def test_verdicts_on_errors_exclude_maxima() -> None:
     lines = judged(summary(error=error))
     words = (
         "half of the percentiles have errors below ± 5 %; the largest error is ± 5 % "
-        "(pressure_p95 of stem_cement); about 90 % of such numbers lie within their error"
+        "(pressure_p95 of stem_cement); for about 90 % of such numbers the true error is smaller"
     )
     assert lines["mesh and step"] == (words, "plain")
     assert "load step" not in lines
@@ -156,8 +156,8 @@ def test_verdicts_on_physiology() -> None:
     femur |= {"head_displacement": [3.0, 0.0, -4.1], "strain_medial_80": -2.6e-3}
     assert "physiology" not in judged(summary(femur=femur, section_loads=[{"force": (0.0,) * 3}]))
     assert judged(summary(femur=femur, section_loads=loads))["physiology"] == (
-        "the head moves 5.1 mm; usual is at most 5 mm; the strain of the cortex is 1200 to 2600 "
-        "um/m; usual are 500 to 2500 um/m",
+        "the head moves 5.1 mm (usually at most 5 mm); the strain of the cortex is 1200 to 2600 "
+        "um/m (usually 500 to 2500 um/m)",
         "warning",
     )
 

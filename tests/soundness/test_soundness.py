@@ -437,7 +437,7 @@ def test_failure_message_names_places_states_and_remedies(caplog: pytest.LogCapt
     words = [part.rpartition(": ")[0] for part in tried.removeprefix("  tried: ").split("; ")]
     assert words == logged and len(words) > 5
     assert re.search(r"augmentation 0\.1 r \(up to [\d.e+]+ MPa/mm\): \d\.\de[-+]\d\d;", tried)
-    assert "what to change: " in text
+    assert "what to do: " in text
 
 
 def test_failure_names_a_lifted_body() -> None:
@@ -447,7 +447,7 @@ def test_failure_names_a_lifted_body() -> None:
 
 
 def test_failure_names_a_stem_off_its_taper() -> None:
-    """From rest and without gaps half the load fails alike."""
+    """From rest and without gaps half the load fails too."""
     finer = "mesh.size=4 mm", "mesh.order=2"
     named = "100 % of it: nothing holds body 'stem': it is free to move along z, and the loads pull"
     with pytest.raises(ConvergenceError, match=named) as caught:
