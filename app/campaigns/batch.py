@@ -162,7 +162,7 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
         rows.append((wanted.name, wanted.ranks, size, about, note))
     listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
     about = duration(IDLE * wall)
-    return f"{title}\n\n{listed}\n\nabout {about} for what is not done, on {options.cores} cores"
+    return f"{title}\n\n{listed}\n\nabout {about} for the remaining runs on {options.cores} cores"
 
 
 def _log_ended(pending: dict[str, BatchRun], total: int, over: Callable[[BatchRun], bool]) -> bool:

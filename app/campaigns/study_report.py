@@ -124,7 +124,7 @@ def exponent_text(report: Report, m: Measured, line: str) -> str:
 def describe(reference: ReferenceValue | None, q: Quantity) -> str:
     """Reference value with its uncertainty and observed order, in words."""
     if reference is None:
-        return "no reference: its runs failed or do not have it"
+        return "no reference: its runs failed or lack this number"
     text = f"reference {shown(reference.value, q)}"
     if reference.method == "given":
         return f"{text}, given"

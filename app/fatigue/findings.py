@@ -88,9 +88,10 @@ def life(laws: Mapping[str, Numbers]) -> str:
     if mesh:
         text += " and mesh"
     if len(known) < 2 and not mesh:
-        return f"no year without a band ({text}): name another law, or --error"
+        return f"no life without a band ({text}): add another law, or run with --error"
     short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
-    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
+    life = f"99 % of the volume lasts {short} to {long} years, {text}"
+    return f"{life}: for comparison, not for prediction"
 
 
 def _strength(name: str, q: Numbers, unsettled: Mapping[str, list[list[float]]]) -> Verdict:
@@ -106,7 +107,7 @@ def _strength(name: str, q: Numbers, unsettled: Mapping[str, list[list[float]]])
         (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
         if fine > coarse:
             grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
-            text = f"{text} (R grows {grown}: it may have no limit)"
+            text = f"{text} (failure_risk grows {grown} and may not converge)"
             severity = Severity.WARNING
         texts.append(text)
     text = f"{name} fails with a probability of {', '.join(texts)}"

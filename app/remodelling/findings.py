@@ -22,7 +22,7 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
     timed = [i for i, stage in enumerate(stages) if stage.other is STAGES]
     if law is None:
         for i in timed:
-            text = "how bone remodels is missing or wrong; expected a section `remodelling`"
+            text = "the law of remodelling is missing or wrong; expected a section `remodelling`"
             yield Fault(("stages", i, "remodels"), text)
         return
     if stages and not timed:
@@ -30,7 +30,8 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
     before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
     for j, name in enumerate(law.load_cases):
         if stages and name not in before:
-            text = f"'{name}' is no stage before; expected one of {', '.join(before)}"
+            expected = f"expected one of {', '.join(before)}"
+            text = f"'{name}' is not an earlier stage without duration; {expected}"
             yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
     regions, tissues = case.regions or {}, case.geometry.tissues
     bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
@@ -38,7 +39,7 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
         region = regions.get(name)
         cures = getattr(getattr(region, "thermal", None), "cure", None)
         if not (region and region.deforms) or region.eigenstrains or cures:
-            text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
+            text = f"{name} cannot remodel; expected elastic regions without eigenstrains and cure"
             yield Fault(("remodelling", "regions"), text)
         elif not region.modulus_field:
             E, (low, high) = getattr(region, "youngs_modulus", None), law.density
@@ -55,7 +56,7 @@ def _no_lazy_zone(case: Case) -> Iterable[Verdict]:
     law = remodelling_of(case)
     if law and not law.lazy_zone:
         text = (
-            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus "
-            "rises faster than the density, and results depend on the mesh"
+            "remodelling.lazy_zone is 0: if the modulus rises faster than the density, stiffer "
+            "bone takes all load from its neighbours, and results depend on the mesh"
         )
         yield note(text)

@@ -35,7 +35,8 @@ def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
     cases = [(k, k + 1.0) for k in load_cases(law, stages)]
     stimulus = Stimulus(law, bone, loads).of(cases)
     if stimulus is None:
-        raise ConvergenceError("remodelling.intact: a load case of it cannot be solved")
+        text = "a load case of the intact femur does not converge"
+        raise ConvergenceError(f"remodelling.intact: {text}")
     return carried(stimulus, bone.forms, ours)
 
 

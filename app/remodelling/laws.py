@@ -64,11 +64,12 @@ class Remodelling(Section):
     @model_validator(mode="after")
     def _sound(self) -> Remodelling:
         if (self.intact is None) == (self.stimulus is None):
-            text = "needs a reference: expected intact, a case of the intact femur, or stimulus"
-            fail(f"{text}, its value; one of them")
+            text = "needs a reference: expected intact (a case of the intact femur)"
+            fail(f"{text} or stimulus (a value)")
         low, high = self.density
         if low >= high:
-            fail(f"{low:g} is not below {high:g} g/cm3; expected the least one first", ("density",))
+            text = f"{low:g} is not below {high:g} g/cm3; expected the smaller one first"
+            fail(text, ("density",))
         E = modulus(self.law, [low + (high - low) * k / 200 for k in range(201)])
         if not all(E[1:] > E[:-1]):
             fail("does not rise between the bounds of the density", at=("law",))

@@ -97,7 +97,8 @@ class Remodeller:
         self._reference = K
         least = problem.comm.allreduce(float(K[self._bone.volume > 0].min(initial=np.inf)), MPI.MIN)
         if least <= 0:
-            raise InputError(f"remodelling.stimulus: {least:g} J/g somewhere; it must be positive")
+            text = f"the smallest value is {least:g} J/g; expected positive values"
+            raise InputError(f"remodelling.stimulus: {text}")
         clamps = [s.boundary for s in problem.scene.supports if s.clamps]
         clamps += [boundary for load in problem.scene.loads for boundary in load.boundaries]
         self._free = self._bone.volume > 0

@@ -145,10 +145,10 @@ def _coarsest_within(
         next_best = _on(best, float(f"{best.mesh.size / FINER:.2g}"), best.mesh.order)
         available = memory.available()
         if MEMORY * memory.needed(next_best) > available:
-            text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer"
+            text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer mesh"
             return error, best, text
         if longest and TIME * cost.seconds(next_best) > longest:
-            return error, best, f"; a walltime of {duration(longest)} allows no finer"
+            return error, best, f"; a walltime of {duration(longest)} allows no finer mesh"
         best = next_best
 
 
@@ -181,7 +181,7 @@ def reached(chosen: str, summary: Summary) -> str:
     """A sentence on what was asked for, chosen and reached."""
     errors = relative_errors(summary)
     if not errors:
-        return f"accuracy: {chosen}; what was reached is unknown"
+        return f"accuracy: {chosen}; the reached accuracy is unknown"
     error, worst, _ = max(errors)
     keys = ", ".join(dict.fromkeys(name.partition(".")[2] for _, name, _ in errors))
     return f"accuracy: {chosen}; {percent(error)} reached ({worst} has the largest error of {keys})"

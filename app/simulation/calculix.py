@@ -78,7 +78,7 @@ def _refused(case: Case) -> list[Fault]:
     faults: list[Fault] = []
 
     def no(what: str, *at: str | int) -> None:
-        faults.append(Fault(at, f"an .inp file of CalculiX does not hold {what}"))
+        faults.append(Fault(at, f"an .inp file of CalculiX cannot represent {what}"))
 
     for name, region in case.regions.items():
         if region.deforms is False:

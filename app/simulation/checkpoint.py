@@ -128,7 +128,7 @@ def read(path: Path) -> Checkpoint:
     try:
         path.stat()
         if not (path.is_file() and zipfile.is_zipfile(path)):
-            raise DamagedError("it is no checkpoint, or not a whole one")
+            raise DamagedError("it is not a checkpoint, or it is incomplete")
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
 
@@ -166,7 +166,7 @@ def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> 
             except DamagedError as error:
                 if wanted != "auto":
                     raise InputError(f"--restart {path}: cannot be used: {error}") from error
-                log.warning("%s cannot be used: %s; trying the one before", path, error)
+                log.warning("%s cannot be used: %s; trying the previous one", path, error)
                 continue
             _refuse_another(saved, case, force)
             return path
@@ -183,7 +183,7 @@ def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
     if saved.header["mantle"] != __version__ and not force:
         raise InputError(
             f"--restart: {saved.path} was written by mantle {saved.header['mantle']}, this is "
-            f"{__version__}: results may differ (--force: use it all the same)"
+            f"{__version__}: results may differ (--force uses it nevertheless)"
         )
     before, now = (dict(_leaves(c)) for c in (saved.header["case"], described(case)))
     pairs = {key: (now.get(key, "nothing"), before.get(key, "nothing")) for key in now | before}

@@ -143,8 +143,8 @@ class BodiesOnMesh:
             cure = "hold the body by a support or a weak foundation, or start in contact"
             for text in self._words(free):
                 what = (
-                    f"{text}{self._when(k)} until {names} closes, which starts open: only loads "
-                    "that close it find an equilibrium"
+                    f"{text}{self._when(k)} until {names} closes, which starts open: there is an "
+                    "equilibrium only under loads that close it"
                 )
                 notes.append(note(what, cure=cure))
         return list(dict.fromkeys(notes))

@@ -123,8 +123,8 @@ def estimated_size(case: Case, available: float = math.inf) -> str:
     """Cells, unknowns, solver and memory of what is available [byte], from the parameters alone."""
     size = _estimated(case)
     if not size.cells:
-        return "size\n  not known before it is meshed: --mesh counts"
-    return _described("size (estimated; --mesh counts)", case, size, available)
+        return "size\n  not known before meshing; --mesh counts the cells"
+    return _described("size (estimated; --mesh counts the cells)", case, size, available)
 
 
 def unknowns(case: Case) -> float:

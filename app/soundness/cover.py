@@ -67,7 +67,7 @@ class Cover:
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
                     "degrees; with finite sliding its surface does not rotate with it"
                 )
-                cure = "supports that keep it upright, or a motion of the master"
+                cure = "add supports that keep it upright, or a motion of the master"
                 return Verdict(text, cure=cure)
         return None
 
@@ -82,7 +82,7 @@ class Cover:
                     f"on interface '{c.name}' the point {where} of '{slave}' has left '{master}' "
                     f"and presses on nothing, {furthest:.3g} mm beyond its rim"
                 )
-                cure = f"a larger '{master}', a smaller '{slave}', or less sliding"
+                cure = f"use a larger '{master}', a smaller '{slave}', or less sliding"
                 return Verdict(text, cure=cure)
         return None
 

@@ -31,11 +31,11 @@ def doubts(case: Case, numbers: Summary) -> list[Verdict]:
     for name, q in numbers["regions"].items():
         creep = getattr(case.regions[name], "creep", None)
         if "creep_strain_max" in q and case.mesh.order == 1:
-            notes.append(note("creeps and keeps its volume: linear cells lock", f"region '{name}'"))
+            notes.append(note("creep keeps the volume, and linear cells lock", f"region '{name}'"))
         low, high = (creep and creep.stresses) or (0.0, math.inf)
         if "creep_strain_max" in q and not low <= q["von_mises_p99"] <= high:
             text = (
-                f"creeps at {q['von_mises_p99']:.2g} MPa (von Mises p99), its law was measured "
+                f"creeps at {q['von_mises_p99']:.2g} MPa (von Mises p99), but its law was measured "
                 f"from {low:g} to {high:g} MPa"
             )
             notes.append(note(text, f"region '{name}'"))
@@ -46,7 +46,7 @@ def doubts(case: Case, numbers: Summary) -> list[Verdict]:
                 f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
                 "results are not valid there"
             )
-            cure = "a modulus or a load in a wrong unit?"
+            cure = "check the units of moduli and loads"
             notes.append(note(text, f"region '{name}'", cure))
     return notes
 

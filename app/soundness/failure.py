@@ -109,8 +109,8 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
         coefficients[term.name] = least
         if over:
             text = (
-                f"friction coefficient {term.law.friction:g} exceeds the critical one of {over} of "
-                f"its points (least {least:.3g}, at {point_text(x)}): solutions may not be unique "
+                f"friction coefficient {term.law.friction:g} exceeds the critical value at {over} "
+                f"points (smallest {least:.3g}, at {point_text(x)}): solutions may not be unique "
                 "there"
             )
             where = f"interface '{term.name}'"

@@ -139,15 +139,15 @@ def check(file: CaseFile, case: Case) -> None:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (
-        f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which take at least "
-        f"{least / GIGABYTE:.5g} GB; there are {memory / GIGABYTE:.1f} GB"
+        f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which need at least "
+        f"{least / GIGABYTE:.5g} GB; {memory / GIGABYTE:.1f} GB are available"
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), text)])
     key = _finest(case, memory)
     given, fits = getattr(case.mesh, key), _fitting(case, key, memory)
     shown = f"{given} lines" if isinstance(given, int) else f"{given:g} mm"
-    hint = f"; {fits} would do" if fits else ""
+    hint = f"; {fits} fits into the memory" if fits else ""
     file.raise_all([Fault(("mesh", key), f"{shown} {text}{hint}")])
 
 

@@ -256,15 +256,15 @@ def warnings(case: Case) -> list[Verdict]:
         feeds = law.conducts_by_pressure and name not in case.faces
         if expands and feeds:
             text = (
-                "expansion and a conductance that grows with pressure feed each other: there may "
-                "be several states, not all of them stable"
+                "thermal expansion and a conductance that grows with pressure reinforce each "
+                "other: there may be several states, some of them unstable"
             )
             notes.append(note(text, f"interfaces.{name}", "the initial temperatures decide"))
     loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
     force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
-            text = f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
+            text = f"the largest load on the hip is {force:.3g} N; is the unit wrong?"
             notes.append(note(text))
     tables = [name for name, load in case.loads.items() if load.cycle is not None]
     if tables and sum(not stage.takes_time for stage in case.stages) == 1:
@@ -275,7 +275,7 @@ def warnings(case: Case) -> list[Verdict]:
         columns = motion.cycle.columns if motion.cycle else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
         if 0.0 < largest < math.radians(0.5):
-            text = "all angles are below 0.5 degrees: radians by mistake?"
+            text = "all angles are below 0.5 degrees; are they in radians?"
             notes.append(note(text, f"motions.{name}.rotation.cycle_table"))
     for name, region in case.regions.items():
         notes += from_memory(f"regions.{name}", region.source)
@@ -316,8 +316,8 @@ def _open_conductances(case: Case) -> Iterable[Verdict]:
         if law.kind != "bonded" and name not in case.faces and not law.conducts_by_pressure
     ]
     if names:
-        text = "conductance stays as it is where the interface opens"
-        yield note(text, f"interfaces.{', '.join(names)}", "kind: pressure changes it there")
+        text = "the conductance does not change where the interface opens"
+        yield note(text, f"interfaces.{', '.join(names)}", "use `kind: pressure` for one that does")
 
 
 def _proud(case: Case) -> Iterable[Verdict]:
@@ -338,4 +338,4 @@ def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> I
         values = [v for _, v in value] if isinstance(value, tuple) else [value]
         if part and any(isinstance(v, float) and v and not low <= abs(v) <= high for v in values):
             text = plain(part.model_dump(mode="json")[key])
-            yield note(f"{place}.{key} is {text}: a wrong unit?")
+            yield note(f"{place}.{key} is {text}; is the unit wrong?")

@@ -179,7 +179,7 @@ def _moved(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
         held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
         loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
         if held and motion.cycle:
-            text = f"{motion.region} turns, and supports hold it ({held})"
+            text = f"{motion.region} rotates, but supports hold it ({held})"
             cure = "expected `translation: held` instead"
             errors.append(Verdict(text, f"motions.{name}.region", cure))
         if loads and motion.translation == "held":
@@ -217,13 +217,13 @@ def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
         shared = len(interface_facets(parts.data, name)[0])
         one, two = ("/".join(side) for side in sides)
         if shared and name in parts.faces:
-            text = f"{one} and {two} share {shared} facets, and slip stays below one"
+            text = f"{one} and {two} share {shared} facets, so slip is limited to one facet"
             cure = "expected bodies meshed apart, or `sliding: small`"
             errors.append(Verdict(text, f"interfaces.{name}.sliding", cure))
         elif not shared and name not in parts.faces:
             cure = (
-                "of bodies meshed apart expected kind: contact with `sliding: finite`, and two "
-                "boundaries in `between`"
+                "expected kind: contact with `sliding: finite` and two boundaries in `between`, if "
+                "the bodies are meshed separately"
             )
             text = f"no facet between {one} and {two}"
             errors.append(Verdict(text, f"interfaces.{name}", cure))
@@ -267,7 +267,7 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
             if contact.between and key != name and len(both):
                 text = (
                     f"moves {len(both)} nodes of {contact.between[1]}, e.g. at "
-                    f"{point_text(parts.x[both[0]])}, which follow what they slide on by {name}"
+                    f"{point_text(parts.x[both[0]])}, which follow the master of {name}"
                 )
                 errors.append(Verdict(text, key, "expected a boundary without them"))
     return errors

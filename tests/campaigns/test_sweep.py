@@ -194,7 +194,7 @@ def test_sweep_dry_run_estimates_time_on_cores(
     monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
     sweep.run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2, dry_run=True))
     said = caplog.messages[0].splitlines()
-    assert said[-1].startswith("about 2 min for what is not done, on 2 cores")
+    assert said[-1].startswith("about 2 min for the remaining runs on 2 cores")
     shown = [re.search(r"(\S+) s(  |$)", line) for line in said[3:-2]]
     assert [float(found[1]) for found in shown if found] == [each] * 8
 

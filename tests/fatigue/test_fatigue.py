@@ -114,7 +114,7 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     assert "laws.v: Verdonschot and Huiskes 1997, from memory: check" in notes
     assert "laws.v: was measured at 7 to 20 MPa, and is used at 6.6 MPa" in notes
     (told,) = (v.text for v in recorded(s) if v.where == "fatigue")
-    assert "no year without a band (over v)" in told
+    assert "no life without a band (over v)" in told
     case = support.case(SPECTRUM)
     assert not preview.warnings(case)
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
@@ -137,7 +137,8 @@ def test_fatigue_risk_that_grows_with_refinement_is_reported() -> None:
     q["neck"] = {"von_mises_max": 1.0}  # of a stem
     line = findings._strength("a", q, told)
     expected = (
-        "0.2 %, 3.1 % at its edge (R grows from 0.001 at 2 mm to 0.003: it may have no limit)"
+        "0.2 %, 3.1 % at its edge (failure_risk grows from 0.001 at 2 mm to 0.003 and may not "
+        "converge)"
     )
     assert line.text.endswith(f"a fails with a probability of {expected}")
     assert line.tone == "doubtful" and not findings._strength("a", q, {}).tone

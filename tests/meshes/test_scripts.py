@@ -221,7 +221,7 @@ def test_scripts_unknown_content_is_reported_by_check(tmp_path: Path) -> None:
     script(tmp_path, LAYERS)
     done = support.python("-m", "mantle", "check", tmp_path / "case.yaml")
     assert "joint (low | high): contact" in done.stdout
-    assert "not known before it is meshed" in done.stdout
+    assert "not known before meshing" in done.stdout
 
 
 @pytest.mark.parametrize("grows", [False, True], ids=["time", "memory"])

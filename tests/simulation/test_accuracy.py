@@ -43,11 +43,11 @@ def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.Mo
         cheap = min(c.mesh.size for c in solved if c.mesh.order == order)
         assert best.mesh.size < cheap < 2.3 * best.mesh.size
     best, told, solved = chosen(0.4, 0.3, walltime=8.0)
-    assert told.endswith("; a walltime of 8.0 s allows no finer)") and "(5 % exp" not in told
+    assert told.endswith("; a walltime of 8.0 s allows no finer mesh)") and "(5 % exp" not in told
     assert all(2 * cost.seconds(c) <= 8 for c in (best, *solved))
     monkeypatch.setattr(memory, "available", lambda: 5e8)
     best, told, solved = chosen(0.4, 0.3)
-    assert told.endswith("; 0.5 GB of memory allow no finer)")
+    assert told.endswith("; 0.5 GB of memory allow no finer mesh)")
     assert all(1.5 * memory.needed(c) <= 5e8 for c in (best, *solved))
 
 

@@ -27,7 +27,7 @@ def test_memory_refuses_a_mesh_of_a_nanometre(
     assert main([command, str(path), *arguments, "--set", "mesh.size=1 nm"]) == 2
     said = capsys.readouterr().err
     assert "\n--set mesh.size: 1e-06 mm makes about " in f"\n{said}"
-    for word in (" cells", " unknowns", " GB", " would do"):
+    for word in (" cells", " unknowns", " GB", " fits into the memory"):
         assert word in said
     assert not (tmp_path / "out").exists()
 
@@ -37,7 +37,7 @@ def test_memory_suggested_size_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     file = overlay.read(BLOCKS, ["mesh.size=1e-3 mm"])
     with pytest.raises(InputError) as caught:
         memory.check(file, resolve(file, BLOCKS.parent))
-    size = str(caught.value).split("; ")[-1].removesuffix(" would do")
+    size = str(caught.value).split("; ")[-1].removesuffix(" fits into the memory")
     case = load(BLOCKS, [f"mesh.size={size}"]).config
     assert 0.5 * 8e9 < memory.needed(case) <= 8e9
     assert cost.unknowns(case) > 1e5
@@ -49,9 +49,10 @@ def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.M
     monkeypatch.setattr(memory, "available", lambda: 8e9)
     path, key = CONFIGS / "stance.yaml", option.split("=")[0]
     file = overlay.read(path, [f"mesh.{option}"])
-    with pytest.raises(InputError, match=rf"mesh\.{key}: .* would do") as caught:
+    with pytest.raises(InputError, match=rf"mesh\.{key}: .* fits into the memory") as caught:
         memory.check(file, resolve(file, CONFIGS))
-    fits = str(caught.value).split("; ")[-1].removesuffix(" would do").removesuffix(" lines")
+    hint = str(caught.value).split("; ")[-1]
+    fits = hint.removesuffix(" fits into the memory").removesuffix(" lines")
     assert 0.5 * 8e9 < memory.needed(load(path, [f"mesh.{key}={fits}"]).config) <= 8e9
 
 

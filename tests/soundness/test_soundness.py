@@ -99,7 +99,7 @@ LINEAR = (
         for name in ("foundation_bar", "lame_free_ends", "stiff_contact", "wall")
     ),
 )
-STAYS = "conductance stays as it is"
+STAYS = "conductance does not change"
 EXPECTED = {
     **{name: {"of linear cells"} for name in LINEAR},
     **{name: {"of linear cells", STAYS} for name in ("residual", "thermal_100C")},
@@ -113,9 +113,9 @@ EXPECTED = {
     **{key: {"from memory: check"} for key in ("day", "fatigue", "creep_taper")},
     "life": {"from memory: check", STAYS},
     "verification/creep_taper": {"mean slope of 1.5 degrees"},
-    "verification/layer": {"1e+09 MPa: a wrong unit?"},
-    "verification/socket": {"1e+09 MPa: a wrong unit?", "friction_coefficient is 10"},
-    "verification/rubbing": {"200000 MPa: a wrong unit?", STAYS},  # metal by another name
+    "verification/layer": {"1e+09 MPa; is the unit wrong?"},
+    "verification/socket": {"1e+09 MPa; is the unit wrong?", "friction_coefficient is 10"},
+    "verification/rubbing": {"200000 MPa; is the unit wrong?", STAYS},  # metal by another name
 }
 SHIPPED = sorted(
     str(p.relative_to(CONFIGS).with_suffix(""))
@@ -362,7 +362,7 @@ def test_preview_notes_forces_wrong_by_a_thousand(force: str) -> None:
     changes = [f"loads.{n}.history=[0]" for n in load(path).config.loads if n != "hip"]
     change = f'loads.hip.force="[0, 0, -{force.replace(" ", "] ", 1)}"'
     note = preview.warnings(load(path, [*changes, change]).config)[0].text
-    assert "on a hip: a wrong unit?" in note
+    assert "N; is the unit wrong?" in note
 
 
 def test_preview_notes_a_mesh_in_metres(tmp_path: Path) -> None:
@@ -481,7 +481,7 @@ def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
 def test_checks_supports_of_a_region_with_a_motion() -> None:
     notes = [v.text for v in preview.warnings(support.case(TWO + MOTION))]
     text = (
-        "motions.turn.rotation.cycle_table: all angles are below 0.5 degrees: radians by mistake?"
+        "motions.turn.rotation.cycle_table: all angles are below 0.5 degrees; are they in radians?"
     )
     assert notes == [text]
     (note,) = judged(TWO + MOTION)
@@ -492,7 +492,7 @@ def test_checks_supports_of_a_region_with_a_motion() -> None:
     with pytest.raises(InputError) as caught:
         judged(TWO + MOTION.replace("metal, boundary: top", "bone, boundary: bottom"))
     assert caught.value.messages[0].startswith(
-        "motions.turn.region: bone turns, and supports hold it (floor)"
+        "motions.turn.region: bone rotates, but supports hold it (floor)"
     )
 
 
