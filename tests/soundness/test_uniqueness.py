@@ -153,7 +153,7 @@ def test_critical_friction_is_reported_only_beyond() -> None:
     assert 1 < critical["lower_upper"] < 10 and not told
     again, (warning,) = found(1.01 * critical["lower_upper"])
     assert again == pytest.approx(critical)
-    assert "of its points" in warning.what and "may not be unique" in warning.what
+    assert "critical value at" in warning.what and "may not be unique" in warning.what
     assert warning.code is Reason.NOT_UNIQUE
     assert found(0) == ({}, [])
 
