@@ -269,8 +269,8 @@ def warnings(case: Case) -> list[Verdict]:
     tables = [name for name, load in case.loads.items() if load.cycle is not None]
     if tables and sum(not stage.takes_time for stage in case.stages) == 1:
         text = "the cycle begins in the first stage, with all of its loads at the first step"
-        cure = "put a stage before it, in which they grow: stages: [{name: rise}, ...]"
-        notes.append(note(text, f"loads.{tables[0]}.cycle_table", cure))
+        remedy = "put a stage before it, in which they grow: stages: [{name: rise}, ...]"
+        notes.append(note(text, f"loads.{tables[0]}.cycle_table", remedy))
     for name, motion in case.motions.items():
         columns = motion.cycle.columns if motion.cycle else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)

@@ -51,7 +51,7 @@ BENDING = 2.3
 # Excess of stiffness from which on it is noted.
 TOO_STIFF = 0.1
 # Remedy for numbers far from any usual one.
-WRONG_UNIT = "a wrong unit?"
+WRONG_UNIT = "is the unit wrong?"
 # Part of an interface's points that supports have to hold on both sides to be noted.
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].

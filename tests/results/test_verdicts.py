@@ -167,7 +167,7 @@ def test_verdicts_on_physiology_allow_cortex_shielded_by_a_stem() -> None:
     femur = {"head_displacement": [0.0, 0.0, -1.0], "strain_lateral_10": 4e-4}
     loads = [{"force": (0.0, 0.0, -500.0)}]
     intact = femur | {"strain_lateral_80": 2e-3}
-    words = "the strain of the cortex is 400 to 2000 um/m; usual are 500 to 2500 um/m"
+    words = "the strain of the cortex is 400 to 2000 um/m (usually 500 to 2500 um/m)"
     found = judged(summary(femur=intact, section_loads=loads, stem={}))
     assert found["physiology"] == (words, "warning")
     stem = {"subsidence": 0.02}

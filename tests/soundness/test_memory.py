@@ -76,7 +76,8 @@ def test_memory_without_a_size_that_fits() -> None:
     file = overlay.read(
         CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
     )
-    with pytest.raises(InputError, match=r"mesh.size: 2 mm makes about .*[\d,]+\.\d GB are available$"):
+    text = r"mesh.size: 2 mm makes about .*[\d,]+\.\d GB are available$"
+    with pytest.raises(InputError, match=text):
         memory.check(file, resolve(file, CONFIGS))
 
 

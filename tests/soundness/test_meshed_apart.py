@@ -109,7 +109,8 @@ def test_finite_sliding_refuses_interfaces_that_do_not_fit(
 
 def test_finite_sliding_refuses_supports_on_its_nodes() -> None:
     """A support at the rim of a liner; two boundaries with the same nodes."""
-    rim = r"^supports.rim: moves 36 nodes of liner_inner, .* mm, which follow the master of interfaces.bearing;"
+    rim = r"^supports.rim: moves 36 nodes of liner_inner, .* mm, which follow the master of "
+    rim += "interfaces.bearing;"
     with pytest.raises(InputError, match=rim):
         judged(BALL, "supports.rim={kind: fixed, boundary: liner_rim}")
     case = support.case(BOTH, UNDER)

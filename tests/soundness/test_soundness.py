@@ -353,7 +353,8 @@ def test_well_posedness_errors_have_a_place_in_the_file(
 @pytest.mark.parametrize("change", ["bone.youngs_modulus=17 MPa", "bone.youngs_modulus=17 TPa"])
 def test_preview_notes_moduli_wrong_by_a_thousand(change: str) -> None:
     note = preview.warnings(support.case(TWO, f"regions.{change}"))[0].text
-    assert note.startswith("regions.bone.youngs_modulus is ") and note.endswith("is the unit wrong?")
+    assert note.startswith("regions.bone.youngs_modulus is ")
+    assert note.endswith("is the unit wrong?")
 
 
 @pytest.mark.parametrize("force", ["1.8 N", "1800 kN"])
