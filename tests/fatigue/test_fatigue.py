@@ -119,7 +119,7 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     assert not preview.warnings(case)
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
     (told,) = (v.text for v in recorded(two) if v.where == "fatigue")
-    assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: to rank" in told
+    assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: for comparison" in told
     assert not [n for n in doubts.doubts(case, two) if "measured" in n.text]
     q = {"damage_p99": 0.5, "damage_p99_error": 0.3}
     assert "lasts 1.2 to 5 years, over v and mesh" in findings.life({"v": q})
