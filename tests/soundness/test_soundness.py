@@ -108,7 +108,7 @@ EXPECTED = {
     "verification/stiff_contact": {"initial temperatures decide", "of linear cells"},
     "verification/wavy_contact": {"initial temperatures decide"},
     "verification/columns": {"lazy_zone is 0"},
-    "verification/pressed_rod": {"a wrong unit?"},
+    "verification/pressed_rod": {"is the unit wrong?"},
     "verification/plate": {"strains are not small"},
     **{key: {"from memory: check"} for key in ("day", "fatigue", "creep_taper")},
     "life": {"from memory: check", STAYS},
