@@ -41,10 +41,10 @@ def numbers(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
         for key in KEYS:
             text = TABLE["interfaces"][key].text(summary["interfaces"][place])
             yield titled(f"{place}.{key}"), text
-    for found in summary.get("cycles", {}).values():
-        for name, low, more in cycles.rows(found):
+    for of_stage in summary.get("cycles", {}).values():
+        for name, low, more in cycles.rows(of_stage):
             yield f"{in_print(name)}: permanent, inducible", f"{low}, {more}"
-        lost = found["dissipation"]
+        lost = of_stage["dissipation"]
         yield "dissipation, second and last cycle (N mm)", f"{lost[0]:.3g}, {lost[-1]:.3g}"
 
 

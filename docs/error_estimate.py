@@ -30,7 +30,7 @@ from app.patient import bone_surface
 from app.results import error_estimate
 from app.results.error_estimate import is_zero, largest_of_units
 from tests.meshes import cad_stems
-from tests.patient.bones import moved, own, own_canal, write
+from tests.patient.bones import moved, parametric_canal, parametric_femur, write
 
 SIZES = (8.0, 6.0, 4.0)
 # Mesh of the reference. Its number of lines around, no multiple of 4, does not put them on the ends
@@ -39,7 +39,7 @@ REFERENCE = {"mesh.size": "3.2 mm", "mesh.around": "57", "output.error": "false"
 CLASSES = {MOTION: "motions", SLIP: "slips", TRACTION: "tractions", STRESS: "stresses"}
 
 # Femora, stretched along x, y, z: the measured one, which is small; the same as a right one;
-# mantle's own, made tall and slender with a deep metaphysis.
+# the parametric femur, made tall and slender with a deep metaphysis.
 STRETCHED = {
     "measured": (1.2, 1.2, 1.2),
     "mirrored": (-1.1, 1.15, 1.12),
@@ -134,7 +134,7 @@ def prepare(folder: Path, bone: Path, canal: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     measured = [bone_surface.read(path, "mm") for path in (bone, canal)]
     for name, parts in STRETCHED.items():
-        surfaces = [own(), own_canal()] if name == "made" else measured
+        surfaces = [parametric_femur(), parametric_canal()] if name == "made" else measured
         for part, surface in zip(("", "_canal"), surfaces, strict=True):
             write(folder / f"{name}{part}.stl", moved(surface, np.diag(parts), np.zeros(3)))
     cad_stems.write("exeter", folder).rename(folder / "stem.step")
@@ -161,13 +161,13 @@ def solve(folder: Path, hip: str, mesh: str) -> None:
     loaded = replace(
         load(folder / f"{hip}.yaml"), config=case.model_copy(update={"output": output})
     )
-    found = mantle.run(loaded, folder / "runs" / hip / mesh, force=True).summary
+    summary = mantle.run(loaded, folder / "runs" / hip / mesh, force=True).summary
     (folder / "found" / hip).mkdir(parents=True, exist_ok=True)
-    (folder / "found" / hip / f"{mesh}.json").write_text(json.dumps(found))
+    (folder / "found" / hip / f"{mesh}.json").write_text(json.dumps(summary))
 
 
 def run(folder: Path, hips: list[str]) -> None:
-    """Solve all that is missing, each in a process of its own."""
+    """Solve all that is missing, each in a separate process."""
     for hip in hips:
         meshes = [f"{size:g}{order}" for order in ("", "p1") for size in SIZES]
         companions = [
@@ -199,13 +199,13 @@ class Judged(NamedTuple):
 
 def judged(folder: Path, hip: str, mesh: str) -> Iterator[Judged]:
     """The numbers of a hip on a mesh that are not zero; none if a run failed."""
-    found, truth = numbers(folder, hip, mesh), numbers(folder, hip, "truth")
-    if not found or not truth:
+    coarse, truth = numbers(folder, hip, mesh), numbers(folder, hip, "truth")
+    if not coarse or not truth:
         return
     case = case_of(folder, hip, mesh)
     companions = enumerate(error_estimate.companions(case))
     solved = [(c, numbers(folder, hip, f"{mesh}-{k}")) for k, c in companions]
-    estimated = copy.deepcopy(found)
+    estimated = copy.deepcopy(coarse)
     error_estimate.estimate(estimated, case, [(c, n) for c, n in solved if n])
     largest = largest_of_units(estimated)
     exact = {(section, name): own_ for section, name, own_ in numbers_of(truth)}

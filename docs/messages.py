@@ -35,14 +35,14 @@ def main() -> int:
 
 def messages(tree: ast.AST) -> list[tuple[int, str, str]]:
     """Line, call and text of each message of a module, in order."""
-    found: dict[tuple[int, str], str] = {}
+    catalogue: dict[tuple[int, str], str] = {}
     functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.Module)]
     for function in functions:
         calls = [n for n in _within(function) if isinstance(n, ast.Call) and _name(n) in CALLS]
         for call in calls:
             for argument in [*call.args, *(keyword.value for keyword in call.keywords)]:
                 for text in _texts(argument):
-                    found.setdefault((call.lineno, text), _name(call))
+                    catalogue.setdefault((call.lineno, text), _name(call))
         # Texts that are put together in variables before the call.
         used = {n.id for call in calls for n in ast.walk(call) if isinstance(n, ast.Name)}
         for node in _within(function):
@@ -54,7 +54,7 @@ def messages(tree: ast.AST) -> list[tuple[int, str, str]]:
             }
             if names & used:
                 for text in _texts(node.value):
-                    found.setdefault((node.lineno, text), "text")
+                    catalogue.setdefault((node.lineno, text), "text")
             if (
                 isinstance(node, ast.Return | ast.Yield)
                 and node.value
@@ -62,8 +62,8 @@ def messages(tree: ast.AST) -> list[tuple[int, str, str]]:
             ):
                 for text in _texts(node.value):
                     if " " in text and len(text) > 3 * SHORTEST:
-                        found.setdefault((node.lineno, text), "returned")
-    rows = {(line, call, text) for (line, text), call in found.items()}
+                        catalogue.setdefault((node.lineno, text), "returned")
+    rows = {(line, call, text) for (line, text), call in catalogue.items()}
     return sorted(rows)
 
 

@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial.md")
 FROZEN = ROOT / "tests" / "reference" / "frozen.json"
 BLOCK = re.compile(r"(?:<!-- file: (\S+) -->\n)?```(sh|yaml|text)\n(.*?)```\n", re.DOTALL)
-# The launcher's own commands, and the README's large run, whose table the frozen numbers give.
+# Commands of the launcher, and the README's large run, whose table the frozen numbers give.
 SKIPPED = re.compile(r"\./mantle (setup|doctor|test|explain)|.*configs/stance.yaml|mpirun")
 PROGRESS = re.compile(r"^( {5}\S|solver: |converged: |results in |\[\d+/\d+\]).*\n", re.MULTILINE)
 TIMED = re.compile(r"\d+(\.\d+)? (s|MB|kB)\b")
@@ -41,22 +41,22 @@ QUANTITIES = {
 
 
 def written(page: Path, size: str = "") -> str:
-    """A page with what its commands print; with a size, its own cases have meshes of that."""
+    """A page with what its commands print; with a size, its cases have meshes of that size."""
     text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         folder, printed = Path(name), ""
         (folder / "configs").symlink_to(ROOT / "configs")
 
-        def block(found: re.Match[str]) -> str:
+        def block(match: re.Match[str]) -> str:
             nonlocal printed
-            file, language, inner = found.groups()
+            file, language, inner = match.groups()
             if file:
                 case = re.sub(r"size: \d+ mm", f"size: {size}", inner) if size else inner
                 (folder / file).write_text(case, encoding="utf-8")
             for line in inner.splitlines() if language == "sh" else ():
                 if not SKIPPED.match(line):
                     printed = _output(line, folder)
-            return f"```text\n{printed}```\n" if language == "text" else found[0]
+            return f"```text\n{printed}```\n" if language == "text" else match[0]
 
         return BLOCK.sub(block, tabled(text))
 
@@ -67,7 +67,7 @@ def tabled(text: str) -> str:
 
 
 def _output(line: str, folder: Path) -> str:
-    """What a command of a page prints, without what it tells of its progress."""
+    """What a command of a page prints, without its progress."""
     words = shlex.split(line, comments=True)
     if words[0] == "./mantle":
         words = [sys.executable, "-m", "mantle", *words[1:]]
@@ -76,12 +76,12 @@ def _output(line: str, folder: Path) -> str:
     return PROGRESS.sub("", done.stdout + done.stderr)
 
 
-def _row(found: re.Match[str]) -> str:
+def _row(match: re.Match[str]) -> str:
     """A row of the table of the stance, with the frozen numbers; other rows stay."""
-    head, _, paper, _, rest = found.groups()
+    head, _, paper, _, rest = match.groups()
     quantity, place = (cell.strip() for cell in head.strip("|").split("|"))
     if quantity not in QUANTITIES:
-        return found[0]
+        return match[0]
     cells = [_cell(case, place.replace("-", "_"), quantity) for case in ("stance", "stance_cocr")]
     return f"{head} {cells[0]} {paper} {cells[1]} {rest}"
 
@@ -90,10 +90,12 @@ def _cell(case: str, interface: str, quantity: str) -> str:
     """Maximum, and percentile with its error, of an interface of a frozen case."""
     numbers = json.loads(FROZEN.read_text("utf-8"))[case]
     start = f".:summary.interfaces.{interface}."
-    own = {key.removeprefix(start): n for key, n in numbers.items() if key.startswith(start)}
+    of_interface = {
+        key.removeprefix(start): n for key, n in numbers.items() if key.startswith(start)
+    }
     peak, percentile = (TABLE["interfaces"][key] for key in QUANTITIES[quantity])
     digits = 0 if peak.shown == "um" else 1
-    return f"{peak.factor * own[peak.key]:.{digits}f} / {percentile.text(own)}"
+    return f"{peak.factor * of_interface[peak.key]:.{digits}f} / {percentile.text(of_interface)}"
 
 
 def words(text: str) -> list[str]:
@@ -124,14 +126,14 @@ def _equal(a: str, b: str) -> bool:
 
 def main(check: bool) -> int:
     """Write the outputs, or print what differs; the exit code tells whether something does."""
-    found = []
+    changed = []
     for page in PAGES:
         old, new = page.read_text(encoding="utf-8"), written(page)
-        found += [f"{page.name}:\n{line}" for line in differences(old, new)] if check else []
+        changed += [f"{page.name}:\n{line}" for line in differences(old, new)] if check else []
         if not check:
             page.write_text(new, encoding="utf-8")
-    sys.stdout.writelines(f"{line}\n" for line in found)
-    return int(bool(found))
+    sys.stdout.writelines(f"{line}\n" for line in changed)
+    return int(bool(changed))
 
 
 if __name__ == "__main__":

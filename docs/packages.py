@@ -21,14 +21,14 @@ dependencies:
 
 def requirements(kind: str) -> list[str]:
     """Requirements of a kind, ``wheel`` or ``conda``, in the order of packages.txt."""
-    found = []
+    names = []
     for line in (ROOT / "packages.txt").read_text(encoding="utf-8").splitlines():
         debian, _, notes = line.partition("#")
         for note in notes.split(";") if debian.strip() else ():
             words = note.split()
             if words[:1] == [kind]:
-                found += words[1:]
-    return found
+                names += words[1:]
+    return names
 
 
 def environment() -> str:

@@ -21,7 +21,7 @@ def first(names, ends):
 
 
 def shown(source, view, field):
-    """Colour a source by a point field, with a scale of its own values."""
+    """Colour a source by a point field, with a scale from its values."""
     display = pv.Show(source, view)
     pv.ColorBy(display, ("POINTS", field, "Magnitude"), separate=True)
     display.RescaleTransferFunctionToDataRange(False)

@@ -17,7 +17,7 @@ import mantle
 from app import rooms  # noqa: F401  (registers keys that cases have)
 from app.case.case import load
 from meshes import femur_stem
-from tests.patient.bones import own, write
+from tests.patient.bones import parametric_femur, write
 
 # Length of the stem [mm].
 LENGTH = 130.0
@@ -25,7 +25,7 @@ LENGTH = 130.0
 ANGLE = -10.0
 # Height of the distal cut.
 CUT = "-173.1 mm"
-# Landmarks of mantle's own femur.
+# Landmarks of the parametric femur.
 MARKS = {"lesser_trochanter": [20, -5, 0], "shaft": [[0, 0, -100], [0, 0, -20]]}
 MARKS["condyles"] = [[20, 0, -250], [-20, 0, -250]]
 
@@ -72,7 +72,7 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
     placed = femur.placement
     half = float(femur_stem.body(femur.implant).section(LENGTH - 101.0)[0])
     tip = round(placed.top + placed.slopes[0] * half - LENGTH, 3)
-    triangles = write(folder / "own.stl", own(round(neck, 2), 32))
+    triangles = write(folder / "bone.stl", parametric_femur(round(neck, 2), 32))
     cases = [
         case("parametric", parametric(version, tip)),
         case("spokes", parametric(version, tip), None, around),
@@ -84,9 +84,9 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
         case("the patient", patient(bone, None, 1.0, canal=broached)),
     ]
     for path in cases:
-        found = mantle.run(mantle.load(path), folder / "out" / path.stem).summary
-        sides = [found["interfaces"][name] for name in ("stem_cement", "cement_bone")]
-        numbers = [found["stem"]["subsidence"]]
+        summary = mantle.run(mantle.load(path), folder / "out" / path.stem).summary
+        sides = [summary["interfaces"][name] for name in ("stem_cement", "cement_bone")]
+        numbers = [summary["stem"]["subsidence"]]
         numbers += [side[key] for side in sides for key in ("slip_p99", "gap_p99")]
         row = " | ".join(f"{1e3 * v:.1f}" for v in numbers)
         sys.stdout.write(f"| {path.stem} | {row} |\n")

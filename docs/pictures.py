@@ -57,9 +57,11 @@ def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Float
     _, flats, lights = zip(*sorted(seen, key=lambda face: float(face[0])), strict=True)
     ax.add_collection(PolyCollection(flats, facecolors=lights, edgecolors="k", linewidths=0.25))
     of = np.repeat(np.arange(len(cells)), len(tets) // len(cells))
-    polygons = [(corners, of[own]) for corners, own in sections.cut(x, tets, 1, 0.0)]
-    for flat, own in polygons:
-        ax.add_collection(PolyCollection(list(flat @ SCREEN), color=colours[own], linewidths=0.3))
+    polygons = [(corners, of[of_face]) for corners, of_face in sections.cut(x, tets, 1, 0.0)]
+    for flat, of_face in polygons:
+        ax.add_collection(
+            PolyCollection(list(flat @ SCREEN), color=colours[of_face], linewidths=0.3)
+        )
     edges = list(sections.outlines(polygons)[0] @ SCREEN)
     ax.add_collection(LineCollection(edges, colors="k", linewidths=0.3))
     ax.autoscale_view()

@@ -35,7 +35,7 @@ def around(samples: ContactSamples, means: bool, z: float) -> tuple[Floats, Floa
     surface, traction = samples.surfaces[0], samples.tractions[0]["pressure"]
     values = (traction.mean if means else traction.value)[:, 0][surface.triangles]
     x = surface.corners
-    found = []
+    curves = []
     for a, b in ((0, 1), (1, 2), (2, 0)):
         part = (z - x[:, a, 2]) / np.where(
             x[:, b, 2] == x[:, a, 2], np.inf, x[:, b, 2] - x[:, a, 2]
@@ -43,8 +43,8 @@ def around(samples: ContactSamples, means: bool, z: float) -> tuple[Floats, Floa
         cut = (part > 0) & (part <= 1)
         at = x[cut, a] + part[cut, None] * (x[cut, b] - x[cut, a])
         p = values[cut, a] + part[cut] * (values[cut, b] - values[cut, a])
-        found.append(np.column_stack([np.rad2deg(np.arctan2(at[:, 1], at[:, 0])) % 360, p]))
-    angle, pressure = np.concatenate(found).T
+        curves.append(np.column_stack([np.rad2deg(np.arctan2(at[:, 1], at[:, 0])) % 360, p]))
+    angle, pressure = np.concatenate(curves).T
     order = np.argsort(angle)
     return angle[order], pressure[order]
 

@@ -137,9 +137,9 @@ def _page(root: type[BaseModel], title: str) -> Iterator[str]:
             yield f"{section.meaning}\n"
         rows = [_row(key) for key in section.keys]
         kind, others = written.get(section.path, ("", []))
-        own = [row for row in rows if row not in others]
-        if len(rows) - len(own) > SHARED:
-            rows = own
+        unshared = [row for row in rows if row not in others]
+        if len(rows) - len(unshared) > SHARED:
+            rows = unshared
             yield f"All keys of kind `{kind}`, and:\n"
         else:
             written[section.path] = section.kind, rows
@@ -161,7 +161,7 @@ def commands_page() -> str:
     intro = """# Commands and exit codes
 
 `./mantle` is the launcher of a checkout; `mantle` is the same command where the package is
-installed. Both take the same arguments. The launcher has three commands of its own: `mantle test`
+installed. Both take the same arguments. Three commands are of the launcher alone: `mantle test`
 runs the tests, `mantle shell` opens a shell in the solver stack, `mantle setup` sets the stack up.
 """
     actions = parser()._actions
@@ -244,8 +244,8 @@ def python_page() -> str:
         parts.append(f"## `mantle.{function.__name__}`\n\n{_signature(function)}{_doc(function)}")
     for kind in (LoadedCase, CheckedCase, MeshData, AcceptedStep, Results, Run):
         parts.append(f"## `{kind.__name__}`\n\n{_doc(kind)}")
-        own = {n: v for n, v in vars(kind).items() if not n.startswith("_") and v.__doc__}
-        for name, value in own.items():
+        documented = {n: v for n, v in vars(kind).items() if not n.startswith("_") and v.__doc__}
+        for name, value in documented.items():
             if callable(value):
                 parts.append(f"### `{kind.__name__}.{name}`\n\n{_signature(value)}{_doc(value)}")
             elif hasattr(value, "func") or isinstance(value, property):
@@ -268,8 +268,8 @@ def _doc(thing: Any) -> str:
     for line in (inspect.getdoc(thing) or "").splitlines():
         if re.fullmatch(r"(Args|Attributes|Returns|Raises):", line):
             line = f"**{line[:-1]}**\n"
-        elif found := re.match(r" {4}(\*{0,2}\w+): (.*)", line):
-            line = f"- `{found[1]}`: {found[2]}"
+        elif match := re.match(r" {4}(\*{0,2}\w+): (.*)", line):
+            line = f"- `{match[1]}`: {match[2]}"
         lines.append(re.sub("^ {4}( *)", lambda m: m[1][:2], line.replace("``", "`")))
     return "\n".join(lines) + "\n"
 

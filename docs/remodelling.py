@@ -62,10 +62,10 @@ def main(folder: Path) -> None:
             for n, part in enumerate(("all", "cortical_bone")):
                 change = [100 * zones[str(z)]["bone_mass_change"][part] for z in range(1, 8)]
                 at = np.arange(1, 8) + 0.18 * (2 * k + n - 1.5)
-                own = {"color": figures.colour(k), "ls": "", "marker": marker, "ms": 7 - n}
-                own |= {"mfc": "none"} if n else {}
+                style = {"color": figures.colour(k), "ls": "", "marker": marker, "ms": 7 - n}
+                style |= {"mfc": "none"} if n else {}
                 label = f"{words}, {'cortex' if n else 'all bone'}" if size == 6 else None
-                bars.plot(at, change, label=label, **own)
+                bars.plot(at, change, label=label, **style)
     for zone, values in MEASURED.items():
         width = {"lw": 2, "color": "0.2", "label": "measured" if zone == "1" else None}
         for value in values:

@@ -92,7 +92,7 @@ def seconds(checkout: Path, program: str, run: Path, total: float) -> float:
 
 def measure(run: Path, before: Path) -> None:
     """Measure both checkouts in turn and keep the figures."""
-    found: dict[str, dict[str, float]] = {}
+    figures: dict[str, dict[str, float]] = {}
     for name, (program, total) in PROGRAMS.items():
         turns = [
             [seconds(checkout.resolve(), program, run, total) for checkout in (before, ROOT)]
@@ -100,8 +100,8 @@ def measure(run: Path, before: Path) -> None:
         ]
         old, new = (min(times) for times in zip(*turns, strict=True))
         ratio = median(now / then for then, now in turns)
-        found[name] = {"before": round(old, 3), "now": round(new, 3), "ratio": round(ratio, 3)}
-    KEPT.write_text(json.dumps(found, indent=1) + "\n")
+        figures[name] = {"before": round(old, 3), "now": round(new, 3), "ratio": round(ratio, 3)}
+    KEPT.write_text(json.dumps(figures, indent=1) + "\n")
 
 
 def main() -> None:

@@ -69,8 +69,8 @@ def main() -> None:
     for axes, ways in zip(every, meshes, strict=True):
         row = ways[0]  # condensed
         unknowns = f"{row['displacement'] + row['jump']:,}"
-        for own, colour, label in zip(ways, COLOURS, ("condensed", "Krylov method"), strict=False):
-            times = [_total(own, n) for n in range(1, 101)]
+        for way, colour, label in zip(ways, COLOURS, ("condensed", "Krylov method"), strict=False):
+            times = [_total(way, n) for n in range(1, 101)]
             axes.loglog(range(1, 101), times, color=colour, lw=1.8, label=label)
         for n in COUNTS:
             sizes = row["order"], row["displacement"], row["jump"], n

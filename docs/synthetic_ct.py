@@ -1,4 +1,4 @@
-"""A CT of mantle's own femur, made: `ct.nii.gz` and `labels.nii.gz` (1 bone, 2 its canal).
+"""A CT of the parametric femur, made: `ct.nii.gz` and `labels.nii.gz` (1 bone, 2 its canal).
 
 `./mantle shell -c 'python3 docs/synthetic_ct.py FOLDER'`: voxels of 0.7 mm, numbers by a phantom of
 0.0008 g/cm3 each and 0.004 g/cm3 at 0, noise of 20. The scan ends in the shaft.
@@ -13,7 +13,7 @@ import nibabel
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from tests.patient.bones import inside, own, own_canal
+from tests.patient.bones import inside, parametric_canal, parametric_femur
 
 # Size of a voxel, and the lowest one [mm].
 VOXEL = 0.7
@@ -29,9 +29,12 @@ SKIN = 20.0  # mm from the bone: air begins there
 
 def main(folder: Path) -> None:
     """Write both images."""
-    low, high = own().points.min(axis=0) - 5.0, own().points.max(axis=0) + 5.0
+    low, high = (
+        parametric_femur().points.min(axis=0) - 5.0,
+        parametric_femur().points.max(axis=0) + 5.0,
+    )
     axes = [np.arange(a + 1e-4, b, VOXEL) for a, b in zip([*low[:2], LOW], high, strict=True)]
-    bone, canal = (inside(surface, *axes) for surface in (own(), own_canal()))
+    bone, canal = (inside(surface, *axes) for surface in (parametric_femur(), parametric_canal()))
     # Cancellous bone above the canal, more than 2 mm below the surface.
     deep = distance_transform_edt(bone, sampling=VOXEL) > 2.0
     numbers = np.where(bone, CORTEX, BESIDE)

@@ -34,7 +34,7 @@ def collect_together() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def log_of_other_tests() -> Iterator[None]:
-    """The command line sets up a log of its own; the tests after it want theirs."""
+    """The command line sets up its log; the tests after it need that of pytest."""
     logger = logging.getLogger("mantle")
     before = logger.propagate, logger.level, logger.handlers
     logger.propagate = True

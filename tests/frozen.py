@@ -37,20 +37,20 @@ TINY = 1e-9  # rounding, in the units of the summary
 
 def numbers(folder: Path) -> dict[str, float]:
     """Read the numbers of a run: its summaries and the last row of its histories, by their path."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for path in sorted(folder.rglob("summary.json")):
         prefix = path.parent.relative_to(folder).as_posix()
-        found |= dict(leaves(json.loads(path.read_text("utf-8")), f"{prefix}:summary"))
+        values |= dict(leaves(json.loads(path.read_text("utf-8")), f"{prefix}:summary"))
     for path in sorted(folder.rglob("history.csv")):
         prefix = path.parent.relative_to(folder).as_posix()
         with path.open(encoding="utf-8", newline="") as file:
             last = list(csv.DictReader(file))[-1]
         for name, text in last.items():
             with suppress(ValueError):
-                found[f"{prefix}:history.{name}"] = float(text)
+                values[f"{prefix}:history.{name}"] = float(text)
     return {
         name: float(value)
-        for name, value in found.items()
+        for name, value in values.items()
         if isinstance(value, int | float) and not isinstance(value, bool) and not _volatile(name)
     }
 
@@ -106,18 +106,18 @@ def main(action: str, arguments: list[str]) -> int:
     cases = frozen()
     bad = 0
     for name in arguments or (*CASES, *LONG):
-        found = solve(name)
+        numbers = solve(name)
         if action == "all":
             folder = Path(given)
             folder.mkdir(parents=True, exist_ok=True)
-            text = json.dumps(found, indent=1, sort_keys=True)
+            text = json.dumps(numbers, indent=1, sort_keys=True)
             (folder / f"{name}.json").write_text(text + "\n", "utf-8")
         elif action == "write":
-            cases[name] = {key: found[key] for key in cases[name]}
+            cases[name] = {key: numbers[key] for key in cases[name]}
             FROZEN.write_text(json.dumps(cases, indent=1) + "\n", "utf-8")
             print(f"{name}: {len(cases[name])} numbers", flush=True)
         else:
-            lines = moved(cases[name], found, float(given))
+            lines = moved(cases[name], numbers, float(given))
             print(f"{name}: {len(lines)} of {len(cases[name])} numbers moved", *lines, sep="\n  ")
             bad += len(lines)
     return int(bad > 0)

@@ -289,8 +289,8 @@ def sets(*changes: str) -> list[str]:
 
 def summary(folder: Path) -> dict[str, Any]:
     """The numbers of a run."""
-    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return found
+    numbers: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return numbers
 
 
 def difference(a: Any, b: Any, floor: float = 0.0) -> float:
@@ -429,5 +429,5 @@ def extended(
     (folder / "own_package.py").write_text(program)
     (folder / "case.yaml").write_text(text)
     paths = os.pathsep.join((str(folder), str(ROOT)))
-    own = {"MANTLE_EXTENSIONS": "own_package", "PYTHONPATH": paths}
-    return python("-m", "mantle", *arguments, code=None, cwd=folder, **own)
+    variables = {"MANTLE_EXTENSIONS": "own_package", "PYTHONPATH": paths}
+    return python("-m", "mantle", *arguments, code=None, cwd=folder, **variables)

@@ -110,7 +110,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
             petsc4py.init(["mantle", "-skip_petscrc"])
         yield
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] in OWN:
+        if (error.name or "").partition(".")[0] in PACKAGES:
             raise
         raise EnvironmentProblem(
             f"the Python package {error.name} is missing; mantle doctor lists what is installed"
@@ -118,7 +118,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
 
 
 # Packages of the program.
-OWN = ("app", "configs", "forms", "mantle", "meshes")
+PACKAGES = ("app", "configs", "forms", "mantle", "meshes")
 # Errors with different exit codes.
 KINDS = (
     InputError,

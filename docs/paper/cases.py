@@ -77,19 +77,21 @@ class Cases:
 
     def heats(self, done: bool = True) -> dict[tuple[str, str], Family]:
         """Cases of hot cement by model and reading, then by thickness."""
-        own = [c for c in self.hot if c.done >= done]
+        finished = [c for c in self.hot if c.done >= done]
         pairs = [(model, reading) for model in ("femur", "slice") for reading in READINGS]
-        found = {(m, r): _family(own, "thickness", {"model": m, "reading": r}) for m, r in pairs}
-        return {key: family for key, family in found.items() if family}
+        families = {
+            (m, r): _family(finished, "thickness", {"model": m, "reading": r}) for m, r in pairs
+        }
+        return {key: family for key, family in families.items() if family}
 
 
 def _family(cases: Iterable[SweptCase], parameter: str, fixed: Mapping[str, Any]) -> Family:
-    found = {}
+    members = {}
     for case in cases:
-        own = labels(case)
-        if own[parameter] is not None and all(own[key] == v for key, v in fixed.items()):
-            found[own[parameter]] = case
-    return dict(sorted(found.items(), key=lambda item: STEMS.get(item[0], item[0])))
+        labelled = labels(case)
+        if labelled[parameter] is not None and all(labelled[key] == v for key, v in fixed.items()):
+            members[labelled[parameter]] = case
+    return dict(sorted(members.items(), key=lambda item: STEMS.get(item[0], item[0])))
 
 
 def labels(case: SweptCase) -> dict[str, Any]:
@@ -97,7 +99,7 @@ def labels(case: SweptCase) -> dict[str, Any]:
     modulus = magnitude(_value(case, "regions", "stem", "youngs_modulus"))
     return {
         "model": MODELS.get(case.part, "stance"),
-        "stem": next((stem for stem, own in STEMS.items() if own == modulus), None),
+        "stem": next((stem for stem, stiffness in STEMS.items() if stiffness == modulus), None),
         "thickness": magnitude(_value(case, "geometry", "cement_thickness")),
         "friction": _friction(case, "cement_bone"),
         "reading": "held" if "heat.held" in case.overrides else "initial",
@@ -105,8 +107,8 @@ def labels(case: SweptCase) -> dict[str, Any]:
 
 
 def _value(case: SweptCase, *path: str) -> Any:
-    found: Any = case.data
-    return reduce(lambda part, key: part.get(key, {}), path, found)
+    data: Any = case.data
+    return reduce(lambda part, key: part.get(key, {}), path, data)
 
 
 def _friction(case: SweptCase, place: str) -> float | None:
@@ -134,9 +136,13 @@ def contact(place: str, quantity: str, how: str) -> Numbers:
 
 def peak_zone(case: SweptCase, place: str, quantity: str) -> str:
     """Where on an interface a contact quantity is largest, in words; empty if unknown."""
-    zones = (own["interfaces"].get(place, {}) for own in case.summary.get("gruen", {}).values())
-    found = [(own.get(f"{quantity}_max", 0.0), z) for own, z in zip(zones, ZONES, strict=False)]
-    return max(found, default=(0.0, ""))[1]
+    zones = (
+        numbers["interfaces"].get(place, {}) for numbers in case.summary.get("gruen", {}).values()
+    )
+    peaks = [
+        (numbers.get(f"{quantity}_max", 0.0), z) for numbers, z in zip(zones, ZONES, strict=False)
+    ]
+    return max(peaks, default=(0.0, ""))[1]
 
 
 def series(family: Mapping[X, SweptCase], of: Numbers) -> dict[X, Number]:
@@ -169,9 +175,9 @@ def bone_peak(case: SweptCase) -> Number | None:
 
     With perfect conductance: of all bone, from two seconds on.
     """
-    found = case.number("cement_bone.temperature_max_second")
-    if found is not None:
-        return found
+    highest = case.number("cement_bone.temperature_max_second")
+    if highest is not None:
+        return highest
     late = _column(case, "seconds [s]") >= SETTLED
     known = [T for bone in case.bones for T in _temperature(case, bone)[late] if T == T]
     return Number(float(max(known))) if known else None

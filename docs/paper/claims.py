@@ -61,8 +61,8 @@ class Trend(NamedTuple):
 
 
 def _all(verdicts: Iterable[str]) -> str:
-    found = {*verdicts} or {UNDECIDED}
-    return next(v for v in (DIFFERS, UNDECIDED, AGREES) if v in found)
+    distinct = {*verdicts} or {UNDECIDED}
+    return next(v for v in (DIFFERS, UNDECIDED, AGREES) if v in distinct)
 
 
 def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
@@ -123,9 +123,9 @@ def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Stat
 
 def above(label: str, pairs: Iterable[tuple[Number | None, Number | None]]) -> Statement:
     """Whether the first number exceeds the second in every case that has both."""
-    found = [exceeds(a, b) for a, b in pairs if a and b]
-    text = f"{label}: in {found.count(AGREES)} of {len(found)} cases"
-    return Statement(_all(found), text) if found else _missing(label)
+    exceeding = [exceeds(a, b) for a, b in pairs if a and b]
+    text = f"{label}: in {exceeding.count(AGREES)} of {len(exceeding)} cases"
+    return Statement(_all(exceeding), text) if exceeding else _missing(label)
 
 
 def _at(over: str, value: object) -> str:
@@ -180,7 +180,11 @@ ORDER = (
 def judge(cases: Cases) -> list[Trend]:
     """All trends."""
     by_percentiles, by_maxima = (_contact(cases, how) for how in ("percentile", "max"))
-    varied = {w: _contact(own, "percentile") for w, own in cases.causes.items() if own.stances}
+    varied = {
+        w: _contact(alternatives, "percentile")
+        for w, alternatives in cases.causes.items()
+        if alternatives.stances
+    }
     contact = []
     for name, parts in by_percentiles.items():
         # What was tried with one stem leaves the statements on the other without results.
@@ -196,18 +200,20 @@ def judge(cases: Cases) -> list[Trend]:
 
 def _contact(cases: Cases, how: str) -> dict[str, list[Statement]]:
     """T-a to T-f, by percentiles or by maxima."""
-    found: dict[str, list[Statement]] = {}
+    statements: dict[str, list[Statement]] = {}
     for name, over, relation, place, quantity in FAMILIES:
         for stem in [""] if over == "stem" else paper.STEMS:
             label = f"{stem}, {_name(place, quantity)}".removeprefix(", ")
             numbers = paper.series(cases.over(over, stem=stem), paper.contact(place, quantity, how))
             statement = relation(label, numbers, QUANTITIES[quantity][0], over)
-            found.setdefault(name, []).append(statement)
+            statements.setdefault(name, []).append(statement)
     for more, less in ORDER:
         a, b = (paper.contact(*of, how) for of in (more, less))
         pairs = ((a(c), b(c)) for c in cases.stances)
-        found.setdefault("T-f", []).append(above(f"{_name(*more)} above {_name(*less)}", pairs))
-    return found
+        statements.setdefault("T-f", []).append(
+            above(f"{_name(*more)} above {_name(*less)}", pairs)
+        )
+    return statements
 
 
 def _name(place: str, quantity: str) -> str:
@@ -251,11 +257,13 @@ def _remaining(cases: Sequence[SweptCase]) -> list[Statement]:
     signs = (("bonded", "normal_max", "tension"), ("unilateral", "pressure_max", "compression"))
     for kind, key, what in signs:
         known = {p: [n.value for c in cases if (n := c.number(f"{p}.{key}"))] for p in INTERFACES}
-        for place, found in known.items():
-            if found:
-                text = f"{named(place)} {kind}: {what} of {min(found):.3g} to {max(found):.3g} MPa "
-                text += f"at most in {len(found)} cases"
-                parts.append(Statement(AGREES if min(found) > 0 else DIFFERS, text))
+        for place, values in known.items():
+            if values:
+                text = (
+                    f"{named(place)} {kind}: {what} of {min(values):.3g} to {max(values):.3g} MPa "
+                )
+                text += f"at most in {len(values)} cases"
+                parts.append(Statement(AGREES if min(values) > 0 else DIFFERS, text))
         if not any(known.values()):
             parts.append(_missing(f"a case that cools with a {kind} interface and mechanics"))
     return parts

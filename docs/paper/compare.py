@@ -72,12 +72,12 @@ def facts() -> list[Fact]:
     """Numbers that the paper reports; of both stems once for each."""
     with Path(__file__).with_name("numbers.csv").open(encoding="utf-8", newline="") as file:
         rows: list[dict[str, Any]] = list(csv.DictReader(file))
-    found = []
+    all_facts = []
     for row in rows:
         numbers = {key: float(row[key] or 0.0) for key in ("friction", "value")}
         stems = STEMS if row["stem"] == "both" else [row["stem"]]
-        found += [Fact(**row | numbers | {"stem": stem}) for stem in stems]
-    return found
+        all_facts += [Fact(**row | numbers | {"stem": stem}) for stem in stems]
+    return all_facts
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ def _rows(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
     else:
         families = [*cases.heats(done=False).values()]
         why = f"no case with cement of 100 °C and {fact.thickness} mm"
-    found = [(t, c) for family in families for t, c in family.items() if fact.matches(t)]
-    for t, case in found:
+    matching = [(t, c) for family in families for t, c in family.items() if fact.matches(t)]
+    for t, case in matching:
         if not case.done:
             status = "did not converge" if "not" in case.status else case.status
             yield ComparedNumber(fact, t, remark=f"the case {case.name} {status}")
@@ -141,7 +141,7 @@ def _rows(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
         else:
             readings = READINGS_OF.get(fact.quantity, (fact.quantity,))
             yield from (_stance(fact, t, case, reading) for reading in readings)
-    if not found:
+    if not matching:
         yield ComparedNumber(fact, remark=why)
 
 
@@ -173,8 +173,8 @@ def _heat(fact: Fact, thickness: float, case: SweptCase) -> ComparedNumber:
 
 
 def _heat_label(case: SweptCase) -> str:
-    own = labels(case)
-    return f"{own['model']}, {READINGS[own['reading']]}, {paper.conductance(case)}"
+    labelled = labels(case)
+    return f"{labelled['model']}, {READINGS[labelled['reading']]}, {paper.conductance(case)}"
 
 
 def _extremes(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
@@ -188,13 +188,15 @@ def _extremes(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
         if section == "regions" and (n := case.number(f"{region}.{fact.quantity}")) is not None
     ]
     for reading, words in READINGS.items():
-        found = [f for f in every if f[3]["reading"] == reading]
-        if found:
-            value, region, case, own = largest(found, key=lambda f: f[0])
-            by_region = {r: largest(v for v, o, *_ in found if o == r) for _, r, *_ in found}
+        of_reading = [f for f in every if f[3]["reading"] == reading]
+        if of_reading:
+            value, region, case, labelled = largest(of_reading, key=lambda f: f[0])
+            by_region = {
+                r: largest(v for v, o, *_ in of_reading if o == r) for _, r, *_ in of_reading
+            }
             each = ", ".join(f"{named(r)} {v:.3g}" for r, v in by_region.items())
             remark = f"{words}, in {named(region)}; by region: {each}"
-            yield ComparedNumber(fact, own["thickness"], case.name, value, remark=remark)
+            yield ComparedNumber(fact, labelled["thickness"], case.name, value, remark=remark)
     if not every:
         why = "no case of this sweep computes stress in the heated femur"
         yield ComparedNumber(fact, remark=why)
@@ -233,7 +235,7 @@ def figures(cases: Cases, folder: Path) -> list[Path]:
 
 def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[float, float]]:
     """The paper's peaks for figures: thickness [mm], or friction of a mantle of 4 mm, and value."""
-    found = {
+    values = {
         (t if over == "thickness" else f.friction, f.value)
         for f in facts()
         if (f.stem, f.place, f.quantity, f.kind) == (stem, place, quantity, "peak")
@@ -241,7 +243,7 @@ def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[flo
         for t in map(float, f.thickness.split("-"))
         if over == "thickness" or t == REFERENCE["thickness"]
     }
-    return sorted(found)
+    return sorted(values)
 
 
 def _panel(cases: Cases, place: str, quantity: str, over: str) -> Panel:
@@ -320,17 +322,17 @@ def number_by_number(rows: Sequence[ComparedNumber]) -> str:
         line += [named(f.place), named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity)]
         line += [f"{sign}{f.value:g} {printed(f.unit)}", "-" if r.peak is None else f"{r.peak:.3g}"]
         line += [str(r.number or "-"), *("-" if x is None else f"{x:.2g}" for x in r.ratios)]
-        own = (r.case, r.remark, f"paper: {f.remark}" if f.remark else "")
-        lines.append([*line, "; ".join(filter(None, own))])
+        notes = (r.case, r.remark, f"paper: {f.remark}" if f.remark else "")
+        lines.append([*line, "; ".join(filter(None, notes))])
     return table(head, lines)
 
 
 def ratios(rows: Sequence[ComparedNumber]) -> str:
     """Ratios of mantle's numbers to the paper's, over all peaks of the stance."""
     of_stance = [r for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
-    found = [r.ratios for r in of_stance if not r.quantity]
-    peaks = [p for p, _ in found if p is not None]
-    settled = [q for _, q in found if q is not None]
+    pairs = [r.ratios for r in of_stance if not r.quantity]
+    peaks = [p for p, _ in pairs if p is not None]
+    settled = [q for _, q in pairs if q is not None]
     if not peaks or not settled:
         return ""
     near = sum(0.5 <= p <= 2.0 for p in peaks)

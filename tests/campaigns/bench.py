@@ -57,7 +57,7 @@ class Bench:
         for name, text in files.items():
             (self.folder / name).write_text(text)
 
-    def told(self, name: str) -> list[str]:
+    def taken(self, name: str) -> list[str]:
         """The ``calls`` of the stand-in since the last time, or the ``runs`` that it finished."""
         path = self.folder / name
         lines = path.read_text().splitlines() if path.exists() else []
@@ -66,7 +66,7 @@ class Bench:
 
     def sizes(self) -> list[float]:
         """The mesh sizes of the calls since the last time."""
-        return [float(line.split()[0]) for line in self.told("calls")]
+        return [float(line.split()[0]) for line in self.taken("calls")]
 
     def job(self, size: float, *more: str, ranks: int = 1, alone: bool = False) -> PlannedRun:
         overrides = (f"mesh.size={size} mm", *more)
@@ -82,12 +82,12 @@ class Bench:
 
     def processes(self) -> list[int]:
         """Other processes that have to do with the batch."""
-        here, found = str(self.folder).encode(), []
+        here, numbers = str(self.folder).encode(), []
         for path in Path("/proc").glob("[0-9]*/cmdline"):
             with contextlib.suppress(OSError):
                 if here in path.read_bytes() and path.parent.name != str(os.getpid()):
-                    found.append(int(path.parent.name))
-        return found
+                    numbers.append(int(path.parent.name))
+        return numbers
 
 
 def wait(condition: Callable[[], object]) -> None:

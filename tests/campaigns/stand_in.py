@@ -26,7 +26,7 @@ LAW = "lower_upper"  # interface of the case
 PATIENCE = 60.0  # s
 
 
-def told(name: str) -> str:
+def setting(name: str) -> str:
     return (HERE / name).read_text()
 
 
@@ -44,15 +44,15 @@ def wait() -> None:
     running, met, end = HERE / "running", HERE / "met", time.monotonic() + PATIENCE
     running.mkdir(exist_ok=True)
     (running / OUTPUT.name).touch()
-    time.sleep(float(told("seconds")))
+    time.sleep(float(setting("seconds")))
     while not met.exists() and time.monotonic() < end:
         many = len(list(running.iterdir()))
         if many > 1:
             met.touch()
-        if many >= int(told("meet")):
+        if many >= int(setting("meet")):
             break
         time.sleep(0.02)
-    while (HERE / "runs").exists() and not (HERE / told("awaited")).exists():
+    while (HERE / "runs").exists() and not (HERE / setting("awaited")).exists():
         if time.monotonic() > end:
             break
         time.sleep(0.02)
@@ -87,9 +87,9 @@ def main() -> int:
         friction = law.get("friction_coefficient", 1.0)
         r = number(law["penalty"]) if "penalty" in law else float("inf")
         folder.mkdir(parents=True, exist_ok=True)
-        if {h, friction, r} & set(map(float, told("broken").split())):
+        if {h, friction, r} & set(map(float, setting("broken").split())):
             print("the mesh is bad\nthe block slides away")
-            code = int(told("code"))
+            code = int(setting("code"))
             if not variations or code != 4:
                 break
             (folder / "FAILED").write_text("the block slides away\n")
@@ -105,4 +105,4 @@ if __name__ == "__main__":
     try:
         sys.exit(main())
     except KeyboardInterrupt:
-        sys.exit(int(told("interrupted")))
+        sys.exit(int(setting("interrupted")))

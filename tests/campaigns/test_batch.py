@@ -72,7 +72,7 @@ def test_batch_repeats_only_changed_runs(bench: Bench) -> None:
         )
 
     results = run()
-    assert bench.told("calls") == [
+    assert bench.taken("calls") == [
         f"{run} 1" for run in ("2 --restart auto -n 2", "2 --restart auto", "3 --restart auto")
     ]
     assert [r.summary["size"] for r in results] == [1, 2, 2, 3, 3]
@@ -134,7 +134,7 @@ def test_batch_jobs_share_cores_and_memory(
     bench.run(*(bench.job(s, alone=alone) for s in (1.0, 2.0)))
     assert (bench.folder / "met").exists() == together
     # Snakemake would give each as many threads as cores.
-    assert all(line.endswith(" 1") for line in bench.told("calls"))
+    assert all(line.endswith(" 1") for line in bench.taken("calls"))
 
 
 def test_batch_stops_if_the_table_cannot_be_written(bench: Bench) -> None:

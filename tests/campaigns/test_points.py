@@ -43,27 +43,27 @@ def refused(path: Path, text: str, *overrides: str) -> list[str]:
 
 
 def test_points_axes_are_combined_last_fastest(path: Path) -> None:
-    found = expand(path, SWEEP)
-    assert [p.name for p in found[:5]] == [
+    points = expand(path, SWEEP)
+    assert [p.name for p in points[:5]] == [
         "soft_friction_coefficient=0.2_pressure=1MPa",
         "soft_friction_coefficient=0.2_pressure=3MPa",
         "soft_friction_coefficient=0.4_pressure=1MPa",
         "soft_friction_coefficient=0.4_pressure=3MPa",
         "hard_friction_coefficient=0.2_pressure=1MPa",
     ]
-    assert len(found) == 8
-    assert found[5].changes == {
+    assert len(points) == 8
+    assert points[5].changes == {
         "regions.upper.poisson_ratio": 0.25,
         "regions.lower.youngs_modulus": "2 GPa",
         FRICTION: 0.2,
         "loads.press.pressure": "3 MPa",
     }
-    assert "regions.upper.poisson_ratio" not in found[5].varied
+    assert "regions.upper.poisson_ratio" not in points[5].varied
 
 
 def test_points_of_lists_and_parts(path: Path) -> None:
     path.with_name("other.yaml").write_text(CASE.replace("1 GPa", "5 GPa"))
-    found = expand(
+    points = expand(
         path,
         """\
 base: case.yaml
@@ -76,7 +76,7 @@ parts:
     grid: {interfaces.lower_upper: [{kind: bonded}, {kind: contact, friction_coefficient: 0.1}]}
 """,
     )
-    assert [(p.name, p.part, p.base, p.changes["ranks"]) for p in found] == [
+    assert [(p.name, p.part, p.base, p.changes["ranks"]) for p in points] == [
         ("together/size=4mm_pressure=1MPa", "together", "case.yaml", 1),
         ("together/size=2mm_pressure=2MPa", "together", "case.yaml", 1),
         ("other/lower_upper=bonded", "other", "other.yaml", 2),
@@ -187,8 +187,10 @@ SWEEPS = [
 
 @pytest.mark.parametrize(("text", "message"), SWEEPS)
 def test_points_refuse_wrong_sweeps(text: str, message: str, path: Path) -> None:
-    told = refused(path, text + "\n")
-    assert any(m.startswith(message) if message[0].isdigit() else message in m for m in told), told
+    messages = refused(path, text + "\n")
+    assert any(m.startswith(message) if message[0].isdigit() else message in m for m in messages), (
+        messages
+    )
 
 
 # An edit of the study, and a complaint with its place.
@@ -229,12 +231,12 @@ STUDIES = [
 @pytest.mark.parametrize(("old", "new", "message"), STUDIES)
 def test_points_refuse_wrong_studies(old: str, new: str, message: str, path: Path) -> None:
     assert old in STUDY
-    told = refused(path, STUDY.replace(old, new, 1))
-    assert any(m.startswith(message) for m in told), told
+    messages = refused(path, STUDY.replace(old, new, 1))
+    assert any(m.startswith(message) for m in messages), messages
 
 
 def test_points_errors_are_reported_together(path: Path) -> None:
-    told = refused(
+    messages = refused(
         path,
         """\
 base: case.yaml
@@ -248,14 +250,16 @@ parts:
     table: {glued: {interfaces.glue: {kind: bonded}}}
 """,
     )
-    assert {m.partition(": ")[0] for m in told} == {"2:7", "6:58", "8:5"}
+    assert {m.partition(": ")[0] for m in messages} == {"2:7", "6:58", "8:5"}
     path.with_name("case.yaml").write_text(CASE.replace("1 GPa", "-1 GPa", 1))
     text = STUDY.replace("output.condition", "mesh.oder: 1, output.condition")
-    told = refused(path, text, "mesh.curved=3")
-    assert told[0].startswith("2:7: set.mesh.oder: unknown key")
-    assert any(m.startswith("--set mesh.curved: 3 is not true or false") for m in told)
-    assert [m for m in told if m.startswith(f"{path.with_name('case.yaml')}:6:") and "lower" in m]
-    assert len(told) == 3
+    messages = refused(path, text, "mesh.curved=3")
+    assert messages[0].startswith("2:7: set.mesh.oder: unknown key")
+    assert any(m.startswith("--set mesh.curved: 3 is not true or false") for m in messages)
+    assert [
+        m for m in messages if m.startswith(f"{path.with_name('case.yaml')}:6:") and "lower" in m
+    ]
+    assert len(messages) == 3
 
 
 def test_points_refuse_misplaced_sections(path: Path) -> None:
@@ -264,10 +268,10 @@ def test_points_refuse_misplaced_sections(path: Path) -> None:
     path.write_text(CASE + section + grid)
     with pytest.raises(InputError) as error:
         load(path)
-    told = error.value.messages
-    assert told[0].startswith(f"{path}:14:1: study: a case has no section study")
-    assert told[1].startswith(f"{path}:21:14: variations.grid: a grid stands in a sweep file")
-    assert len(told) == 2
+    messages = error.value.messages
+    assert messages[0].startswith(f"{path}:14:1: study: a case has no section study")
+    assert messages[1].startswith(f"{path}:21:14: variations.grid: a grid stands in a sweep file")
+    assert len(messages) == 2
     assert refused(path, path.read_text())[0].startswith("14:1: study: expected a study file")
 
 
@@ -304,8 +308,8 @@ parts:
 def test_points_refuse_set_of_varying_keys(text: str, option: str, place: str, path: Path) -> None:
     """Or the table would show values that were never used."""
     why = f"varies, but --set {option.split('=')[0]}"
-    told = [m for m in refused(path, text, option) if why in m]
-    assert told[0].startswith(place), told
+    messages = [m for m in refused(path, text, option) if why in m]
+    assert messages[0].startswith(place), messages
 
 
 def test_points_overrides_apply_to_every_case(path: Path) -> None:
@@ -319,7 +323,7 @@ def test_points_overrides_apply_to_every_case(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("run", "told"),
+    ("run", "message"),
     [
         ("mesh.size: [2.95 mm, 1 mm]", "stem/size=3mm (72 lines around)"),
         (
@@ -331,7 +335,7 @@ def test_points_overrides_apply_to_every_case(path: Path) -> None:
         ("mesh.size: 4 mm, stages.0.increments: [2, 4]", ""),  # of the method, on this mesh
     ],
 )
-def test_points_reference_has_separate_lines_around(run: str, told: str, path: Path) -> None:
+def test_points_reference_has_separate_lines_around(run: str, message: str, path: Path) -> None:
     text = f"""\
 base: {support.CONFIGS / "stance.yaml"}
 study:
@@ -340,8 +344,8 @@ study:
   reference: {{run: {{{run}}}}}
 """
     path.write_text(text)
-    if told:
-        assert told in refused(path, text)[0]
+    if message:
+        assert message in refused(path, text)[0]
     else:
         assert study_file.read(path)[1]
 
@@ -379,7 +383,7 @@ def test_points_of_the_paper_are_complete() -> None:
 
 
 def test_points_of_the_cohort_have_the_library_mean() -> None:
-    """Hip forces for 600 N, whose mean is that of the set; scaled to their own body weights."""
+    """Hip forces for 600 N, whose mean is that of the set; scaled to their body weights."""
     path = support.CONFIGS / "sweeps" / "cohort.yaml"
     parts = yaml_file.read(path).data["parts"]
     cases = {p.name: p.case for p in sweep_file.read(path)[1]}

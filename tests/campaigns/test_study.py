@@ -142,7 +142,7 @@ def test_study_with_known_values_and_target(file: Path, caplog: pytest.LogCaptur
 
 
 def test_study_of_some_lines_and_quick_tier(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """By ``-k``, and the first two points of each line and of the reference; or told only."""
+    """By ``-k``, and the first two points of each line and of the reference; or only printed."""
     options = ["study", str(file), "-o", str(file.parent / "out"), "--cores", "2", "-k", "P2"]
     assert main([*options, "--dry-run"]) == 0
     said = capsys.readouterr().out

@@ -52,15 +52,15 @@ def test_sweep_cases_share_processes_and_have_a_row_each(
     run(bench, *overrides)
     groups = sorted((bench.out / "cases").iterdir())
     assert len(groups) == 2 and all(g.name.startswith("shared-") for g in groups)
-    found = {v.name: v.case for g in groups for v in load(g).variations}
+    grouped = {v.name: v.case for g in groups for v in load(g).variations}
     with (bench.out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     cases = cases_of(bench.out)
     planned = {p.name: p.case for p in sweep_file.read(bench.sweep, overrides)[1]}
     for row in cases:
-        assert plain(found.pop(Path(row["folder"]).name)) == plain(planned[row["name"]])
+        assert plain(grouped.pop(Path(row["folder"]).name)) == plain(planned[row["name"]])
         assert row["overrides"]["regions.upper.poisson_ratio"] == 0.4
-    assert not found and len(rows) == 8
+    assert not grouped and len(rows) == 8
     assert rows[2] == {
         "case": "soft_friction_coefficient=0.4_pressure=1MPa",
         "status": "converged",
@@ -78,8 +78,8 @@ def test_sweep_cases_share_processes_and_have_a_row_each(
         "folder": cases[2]["folder"],
     }
     assert (bench.out / cases[2]["folder"] / "DONE").exists()
-    told = [m for m in caplog.messages if m.startswith("[")]
-    assert len(told) == 8 and told[-1].startswith("[8/8]")
+    progress = [m for m in caplog.messages if m.startswith("[")]
+    assert len(progress) == 8 and progress[-1].startswith("[8/8]")
     # The file may have been saved meanwhile.
     assert yaml_file.read(bench.out / "sweep.yaml").data == yaml_file.read(bench.sweep).data
 
@@ -132,18 +132,18 @@ def test_sweep_repeats_only_failed_or_changed_cases(bench: Bench) -> None:
     bench.tell(broken="0.4", code="4")
     with pytest.raises(ConvergenceError, match=r"4 of 8 cases failed(?s:.*)block slides away"):
         run(bench)
-    assert len(bench.told("runs")) == 4
+    assert len(bench.taken("runs")) == 4
     statuses = [c["status"] for c in cases_of(bench.out)[:3]]
     assert statuses == ["converged", "converged", "not converged"]
     changed = SWEEP.replace("[0.2, 0.4]", "[0.2, 0.4, 0.8]").replace("2 GPa", "3 GPa")
     bench.tell(broken="", **{"sweep.yaml": changed})
     run(bench)
     # Of the soft block those that failed and two new ones; of the hard one all.
-    runs = bench.told("runs")
+    runs = bench.taken("runs")
     assert [sum(r.startswith(modulus) for r in runs) for modulus in ("1", "3")] == [4, 6]
     assert [c["status"] for c in cases_of(bench.out)] == ["converged"] * 12
     run(bench)
-    assert not bench.told("runs")
+    assert not bench.taken("runs")
 
 
 @pytest.mark.parametrize(
@@ -196,7 +196,7 @@ def test_sweep_dry_run_estimates_time_on_cores(
     said = caplog.messages[0].splitlines()
     assert said[-1].startswith("about 2 min for the remaining runs on 2 cores")
     shown = [re.search(r"(\S+) s(  |$)", line) for line in said[3:-2]]
-    assert [float(found[1]) for found in shown if found] == [each] * 8
+    assert [float(match[1]) for match in shown if match] == [each] * 8
 
 
 def shared_jobs(bench: Bench, number: int, ranks: int = 1) -> list[PlannedRun]:
@@ -242,8 +242,8 @@ def test_sweep_exit_code_is_the_gravest() -> None:
     assert gravest([4, 3, 4], "").exit_code == 4
     assert gravest([5, 2], "").exit_code == 5
     assert gravest([4, 69], "").exit_code == 69
-    assert gravest([69, 1], "told").exit_code == 70
-    assert str(gravest([4], "told")) == "told"
+    assert gravest([69, 1], "text").exit_code == 70
+    assert str(gravest([4], "text")) == "text"
 
 
 CONTROLLER = """\
@@ -305,15 +305,15 @@ def test_uncertainty_spread_and_cause_of_samples() -> None:
         for x, y in zip(a, b, strict=True)
     ]
     failed = {"part": "p", "exit_code": 4, "overrides": {"a": "9 mm", "b": 9}, "numbers": {}}
-    found = uncertainty.of_parts([*rows, failed], {"p": UncertainInputs(("a", "b"))})["p"]
-    assert found["samples"] == 5
-    n = found["numbers"]["stem.varus"]
+    spread = uncertainty.of_parts([*rows, failed], {"p": UncertainInputs(("a", "b"))})["p"]
+    assert spread["samples"] == 5
+    n = spread["numbers"]["stem.varus"]
     assert n["mean"] == pytest.approx(0.45)
     assert n["deviation"] == pytest.approx(statistics.stdev(10 * x**3 for x in a))
     # Spearman: 1 - 6 sum d^2 / (n (n^2 - 1)), d = 1, 3, -2, 0, -2.
     assert n["correlation"] == pytest.approx({"a": 1.0, "b": 1 - 6 * 18 / 120})
-    assert found["numbers"]["stem.retroversion"]["correlation"] == {}
-    said = uncertainty.table({"p": found})
+    assert spread["numbers"]["stem.retroversion"]["correlation"] == {}
+    said = uncertainty.table({"p": spread})
     assert "a +1.00, b +0.10" in said and "retroversion" not in said
 
 
@@ -346,12 +346,12 @@ def test_uncertainty_sobol_indices_of_a_known_function() -> None:
     spread = uncertainty.of_parts(rows, {"": samples})[""]
     assert (spread["samples"], spread["base_samples"]) == (2048, 1024)
     expected = {"x": (0.3139, 0.5576), "y": (0.4424, 0.4424), "z": (0.0, 0.2437)}
-    found = spread["indices"]["stem.varus"]
+    indices = spread["indices"]["stem.varus"]
     assert {*spread["indices"]} == {"stem.varus"}  # a number that does not vary has none
     for key, (first, total) in expected.items():
-        assert found[key]["first"][0] == pytest.approx(first, abs=0.03)
-        assert found[key]["total"][0] == pytest.approx(total, abs=0.03)
-        for value, low, high in found[key].values():
+        assert indices[key]["first"][0] == pytest.approx(first, abs=0.03)
+        assert indices[key]["total"][0] == pytest.approx(total, abs=0.03)
+        for value, low, high in indices[key].values():
             assert low < value < high
     said = uncertainty.table({"": spread})
     assert "Sobol' indices of 1024 base samples" in said
@@ -377,8 +377,8 @@ def test_uncertainty_partial_rank_correlation() -> None:
         for p in ((x, y), (x, z), (y, z))
     )
     expected = (xy - xz * yz) / math.sqrt((1 - xz**2) * (1 - yz**2))
-    found = uncertainty.partial_correlations(y, {"x": [f"{v} mm" for v in x], "z": z})
-    assert found["x"] == pytest.approx(expected)
+    correlations = uncertainty.partial_correlations(y, {"x": [f"{v} mm" for v in x], "z": z})
+    assert correlations["x"] == pytest.approx(expected)
     assert uncertainty.partial_correlations(y, {"x": x}) == {}
     assert uncertainty.partial_correlations(y, {"x": x, "z": x}) == {}
     assert uncertainty.partial_correlations(y, {"x": x, "name": [*"aabbcc"]}) == {}
@@ -390,12 +390,12 @@ def test_sweep_shipped_for_learning(tmp_path: Path) -> None:
     path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"
     overrides = ["mesh.size=6 mm", "mesh.far_size=6 mm", "mesh.order=1", "stages.1.increments=1"]
     sweep.run(path, overrides, Options(tmp_path, 2))
-    found = json.loads((tmp_path / "sweep.json").read_text())
-    shear = {c["name"]: c["numbers"]["stem_cement.shear_p95"] for c in found["cases"]}
+    written = json.loads((tmp_path / "sweep.json").read_text())
+    shear = {c["name"]: c["numbers"]["stem_cement.shear_p95"] for c in written["cases"]}
     for thickness in (2, 4):
         part = f"friction/cement_thickness={thickness}mm_friction_coefficient="
         values = [shear[f"{part}{f}"] for f in (0.2, 0.4, 0.6, 0.8)]
         assert values == sorted(values) and values[3] > 2 * values[0]
-    spread = found["uncertainty"]["uncertain"]["numbers"]["stem_cement.shear_p95"]
+    spread = written["uncertainty"]["uncertain"]["numbers"]["stem_cement.shear_p95"]
     friction, modulus = spread["correlation"].values()
     assert friction > 0.7 and friction > modulus

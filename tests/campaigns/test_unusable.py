@@ -1,4 +1,4 @@
-"""Results that are not to be used: their own status and exit code, alone and in sweeps."""
+"""Results that are not to be used: a separate status and exit code, alone and in sweeps."""
 
 from __future__ import annotations
 

@@ -15,10 +15,10 @@ def test_work_precision_extrapolates_a_power_law_exactly(
 ) -> None:
     """f = 7 - 0.3 h^p, whatever the ratios of the sizes; earlier runs do not matter."""
     values = [7 - 0.3 * h**order for h in sizes]
-    found = wp.extrapolate([9.0, *sizes], [123.0, *values])
-    assert found.value == pytest.approx(7, abs=1e-9)
-    assert found.order == pytest.approx(order, abs=1e-6)
-    assert found.uncertainty == pytest.approx(0.3 * sizes[-1] ** order, rel=1e-6)
+    limit = wp.extrapolate([9.0, *sizes], [123.0, *values])
+    assert limit.value == pytest.approx(7, abs=1e-9)
+    assert limit.order == pytest.approx(order, abs=1e-6)
+    assert limit.uncertainty == pytest.approx(0.3 * sizes[-1] ** order, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -37,15 +37,15 @@ def test_work_precision_finest_run_without_an_order(
     values: list[float], tolerance: float, uncertainty: float, method: str
 ) -> None:
     """With the larger of the last two differences."""
-    found = wp.extrapolate([4.0, 2.0, 1.0][: len(values)], values, 2.0, tolerance)
-    assert (found.value, found.order, found.method) == (values[-1], None, method)
-    assert found.uncertainty == pytest.approx(uncertainty, abs=1e-12)
+    limit = wp.extrapolate([4.0, 2.0, 1.0][: len(values)], values, 2.0, tolerance)
+    assert (limit.value, limit.order, limit.method) == (values[-1], None, method)
+    assert limit.uncertainty == pytest.approx(uncertainty, abs=1e-12)
 
 
 def test_work_precision_missing_numbers() -> None:
-    found = wp.extrapolate([], [7.0, 7.5, 7.6])
-    assert (found.value, found.order) == (7.6, None)
-    assert found.uncertainty == pytest.approx(0.1)
+    limit = wp.extrapolate([], [7.0, 7.5, 7.6])
+    assert (limit.value, limit.order) == (7.6, None)
+    assert limit.uncertainty == pytest.approx(0.1)
 
 
 def point(error: float, estimate: float | None = None, algebraic: float = 0.0) -> ErrorPoint:

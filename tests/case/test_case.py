@@ -135,7 +135,7 @@ FRICTION = "interfaces.stem_cement.friction_coefficient=0.1"
         (["mesh={size: 5 mm, order: 1}"], "mesh size 5 mm, order 1"),
         ([FRICTION, "interfaces.cement_bone.friction_coefficient=0.8"],
          "stem_cement.friction_coefficient 0.1, cement_bone.friction_coefficient 0.8"),
-        # A title that is given stays; what changes no result to speak of is not told.
+        # A title that is given stays; changes without effect on results have no note.
         (["title=Thin", "geometry.cement_thickness=2 mm"], None),
         (["output.every=2", "solver.tolerance=1e-9"], ""),
     ],
@@ -163,9 +163,9 @@ def test_case_titles_of_variations_and_sweeps_differ(tmp_path: Path) -> None:
 
 
 def test_case_title_does_not_change_its_identity(tmp_path: Path) -> None:
-    """A value that is the file's own, given as an option, is the same case."""
-    own = ("geometry.cement_thickness=4 mm",)
-    jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, own)]
+    """A value that equals that of the file, given as an option, is the same case."""
+    same = ("geometry.cement_thickness=4 mm",)
+    jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, same)]
     one, two = runs_of(jobs, tmp_path, 1)
     assert one.id == two.id
 

@@ -94,8 +94,8 @@ def test_case_heat_conducts_along_the_fibre() -> None:
         "transverse_conductivity: 0.5 W/(m K), density: 1850 kg/m^3, specific_heat: 1260 J/(kg K), "
         "initial_temperature: 37 degC}}"
     )
-    found = build(f"regions.bone={bone}")
-    assert found.conductors[2].fibre == found.elastic[1].fibre == Straight(axis=[1, 0, 0])
+    scene = build(f"regions.bone={bone}")
+    assert scene.conductors[2].fibre == scene.elastic[1].fibre == Straight(axis=[1, 0, 0])
 
 
 def test_case_heat_conditions() -> None:
@@ -117,9 +117,9 @@ def test_case_heat_conditions() -> None:
 
 
 def test_case_heat_interfaces() -> None:
-    found = build()
-    (contact,) = found.contacts
-    rubbing, glued = found.thermal_contacts
+    scene = build()
+    (contact,) = scene.contacts
+    rubbing, glued = scene.thermal_contacts
     # The rigid stem is stiffer than cement, bone stiffer than cement.
     assert (contact.master, contact.slave) == (("stem",), ("cement",))
     assert rubbing == contact
@@ -159,12 +159,12 @@ def test_case_heat_share_is_that_of_the_first_side() -> None:
 
 
 def test_case_heat_strains_and_cure() -> None:
-    found = build()
-    assert [(e.region, e.expansion, e.reference) for e in found.expansions] == [
+    scene = build()
+    assert [(e.region, e.expansion, e.reference) for e in scene.expansions] == [
         ("cement", 80e-6, 295.15),
         ("bone", 27.5e-6, 293.15),
     ]
-    (cure,) = found.cures
+    (cure,) = scene.cures
     assert (cure.region, cure.heat, cure.kinetics.limit) == (
         "cement",
         155.0,
@@ -173,10 +173,10 @@ def test_case_heat_strains_and_cure() -> None:
 
 
 def test_case_heat_stages_time_and_supports() -> None:
-    found = build("time={method: backward_euler, first_step: 1 ms}")
-    assert [(s.seconds, s.steady) for s in found.stages] == [(3600, False), (0, False)]
-    assert found.time is not None and found.time.first_step == 1e-3
-    assert [[found.holds(s, k) for k in (0, 1)] for s in found.supports] == [
+    scene = build("time={method: backward_euler, first_step: 1 ms}")
+    assert [(s.seconds, s.steady) for s in scene.stages] == [(3600, False), (0, False)]
+    assert scene.time is not None and scene.time.first_step == 1e-3
+    assert [[scene.holds(s, k) for k in (0, 1)] for s in scene.supports] == [
         [True, True],
         [True, False],
     ]
@@ -187,7 +187,7 @@ def test_case_heat_conductors_alone_have_no_mechanics() -> None:
         "{conductivity: 1 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
         "initial_temperature: 300 K}"
     )
-    found = build(
+    scene = build(
         *(
             f"regions.{r}={{kind: conductor, thermal: {thermal}}}"
             for r in ("stem", "cement", "bone")
@@ -196,11 +196,11 @@ def test_case_heat_conductors_alone_have_no_mechanics() -> None:
         "supports={}",
         "stages=[{name: wait, steady: true}]",
     )
-    mechanics = (*found.elastic, *found.rigid, *found.foundations, *found.supports)
-    assert mechanics + found.loads + found.contacts == ()
-    assert found.stages == (Stage(name="wait", steady=True),)
+    mechanics = (*scene.elastic, *scene.rigid, *scene.foundations, *scene.supports)
+    assert mechanics + scene.loads + scene.contacts == ()
+    assert scene.stages == (Stage(name="wait", steady=True),)
     # Neither side is stiffer: the first is the master.
-    (glued,) = found.thermal_contacts
+    (glued,) = scene.thermal_contacts
     assert (glued.master, glued.slave) == (("cement",), ("bone",))
 
 
@@ -215,10 +215,10 @@ def test_case_heat_hot_case_is_that_of_the_paper() -> None:
     assert initial == pytest.approx(
         {"stem": 37, "cement": 100, "cortical_bone": 37, "cancellous_bone": 37}
     )
-    found = build_scene(case)
-    assert {c.law.friction for c in found.contacts} == {1.0}
-    assert [c.law.conductances[0] for c in found.thermal_contacts] == [0.3, 0.3]
-    assert found.time is not None
+    scene = build_scene(case)
+    assert {c.law.friction for c in scene.contacts} == {1.0}
+    assert [c.law.conductances[0] for c in scene.thermal_contacts] == [0.3, 0.3]
+    assert scene.time is not None
     modulus = load(support.CONFIGS / "stance_cocr.yaml").config.regions["stem"]
     cold = {"thermal": None, "status": modulus.status, "source": modulus.source}
     assert case.regions["stem"].model_copy(update=cold) == modulus
@@ -230,13 +230,13 @@ def test_case_heat_cure_cases_have_equal_materials() -> None:
         build_scene(load(support.CONFIGS / f"{n}.yaml").config)
         for n in ("cure", "residual", "thermal_100C")
     )
-    for found in (cure, residual):
-        assert [(c.region, c.conductivities, c.capacity) for c in found.conductors] == [
+    for scene in (cure, residual):
+        assert [(c.region, c.conductivities, c.capacity) for c in scene.conductors] == [
             (c.region, c.conductivities, c.capacity) for c in hot.conductors
         ]
-        cement = next(c for c in found.conductors if c.region == "cement")
-        assert found.cures[0].heat / cement.capacity == pytest.approx(89.0805, abs=1e-4)
-        assert found.cures[0].kinetics == cure.cures[0].kinetics
+        cement = next(c for c in scene.conductors if c.region == "cement")
+        assert scene.cures[0].heat / cement.capacity == pytest.approx(89.0805, abs=1e-4)
+        assert scene.cures[0].kinetics == cure.cures[0].kinetics
     assert cure.elastic == ()
     assert [residual.holds(residual.supports[1], k) for k in range(3)] == [True, True, False]
 

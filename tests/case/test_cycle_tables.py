@@ -114,10 +114,10 @@ def test_cycle_table_by_name_or_file(tmp_path: Path) -> None:
     (tmp_path / "lib" / "gait.csv").write_text(GAIT)
     (tmp_path / "lib" / "below.yaml").write_text(CASE)
     (tmp_path / "case.yaml").write_text("base: lib/below.yaml\n")
-    found = load(tmp_path / "case.yaml", ["motions.ball.rotation.cycle_table=iso_14242_1"]).config
+    config = load(tmp_path / "case.yaml", ["motions.ball.rotation.cycle_table=iso_14242_1"]).config
     cycle_table, of_load = (
-        found.motions["ball"].rotation.cycle_table,
-        found.loads["hip"].cycle_table,
+        config.motions["ball"].rotation.cycle_table,
+        config.loads["hip"].cycle_table,
     )
     assert of_load.rows[-1] == "1100, 0.3, 2, 25" and cycle_table.status == "unverified"
     x, y, z = (np.degrees(cycle_table.columns[name]) for name in ROTATIONS)
@@ -127,7 +127,7 @@ def test_cycle_table_by_name_or_file(tmp_path: Path) -> None:
     force = dict(zip(cycle_table.columns["time"], cycle_table.columns["force"], strict=True))
     assert force[0.12] == force[0.5] == 3000 and force[0.62] == force[1.0] == 300
     assert "unverified: all motions" in preview.describe(
-        found, {"regions": {"lower": {}, "upper": {}}}
+        config, {"regions": {"lower": {}, "upper": {}}}
     )
 
 
@@ -182,6 +182,6 @@ stages: [{name: rise}, {name: gait, cycles: 2}]
     text = text.replace("    sliding: finite\n    between: [bottom, top]\n", "")
     text = text.replace("    wear_coefficient: 1.07e-6 mm^3/(N m)\n", "")
     scene = build_scene(support.case(text + loads))
-    found = scene.force_sizes(np.array([0.0, 0.5, 1.0, 1.25, 1.5, 2.0]))
-    assert found["hip"] == pytest.approx([0, 25, 50, 10, 50, 50])
-    assert found["push"] == pytest.approx([0, 2.5, 5, 4.375, 3.75, 2.5])
+    sizes = scene.force_sizes(np.array([0.0, 0.5, 1.0, 1.25, 1.5, 2.0]))
+    assert sizes["hip"] == pytest.approx([0, 25, 50, 10, 50, 50])
+    assert sizes["push"] == pytest.approx([0, 2.5, 5, 4.375, 3.75, 2.5])

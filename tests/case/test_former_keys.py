@@ -74,10 +74,10 @@ def test_former_keys_files_of_each_version_keep_their_answers(version: str, tmp_
     case = mantle.load(Path(__file__).with_name("versions") / f"{version}.yaml")
     summary = mantle.run(case, tmp_path / "out").summary
     for key, answer in ANSWERS[version].items():
-        found = summary
+        number = summary
         for part in key.split("."):
-            found = found[int(part) if part.isdigit() else part]
-        assert found == pytest.approx(answer, rel=1e-9), key
+            number = number[int(part) if part.isdigit() else part]
+        assert number == pytest.approx(answer, rel=1e-9), key
 
 
 def test_former_keys_version_of_a_case_is_written(tmp_path: Path) -> None:

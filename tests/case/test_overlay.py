@@ -101,8 +101,8 @@ def test_overlay_another_kind_replaces_the_mapping(tmp_path: Path) -> None:
     text = "base: blocks.yaml\nloads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     assert loaded(tmp_path, text).loads["push"].pressure == 1.0
     rigid = "base: blocks.yaml\nregions: {lower: {kind: conductor, thermal: {}}}\n"
-    found = messages(write(tmp_path, case=rigid))
-    assert found and not any("youngs_modulus" in m for m in found)
+    complaints = messages(write(tmp_path, case=rigid))
+    assert complaints and not any("youngs_modulus" in m for m in complaints)
 
 
 def test_overlay_null_removes(tmp_path: Path) -> None:
@@ -115,8 +115,8 @@ def test_overlay_null_removes(tmp_path: Path) -> None:
 def test_overlay_errors_name_the_file_of_the_key(tmp_path: Path) -> None:
     below = BLOCKS.replace("press: {", "press: {wrong: 1, ")
     text = "base: blocks.yaml\nmesh:\n  size: 2\nregions: {other: {rigid: true}}\n"
-    found = messages(write(tmp_path, blocks=below, case=text))
-    assert [m.partition(": ")[0] for m in found] == [
+    complaints = messages(write(tmp_path, blocks=below, case=text))
+    assert [m.partition(": ")[0] for m in complaints] == [
         "case.yaml:3:3",
         "case.yaml:4:11",
         "blocks.yaml:14:11",
@@ -158,8 +158,8 @@ def test_overlay_refuses_bad_bases(text: str, message: str, tmp_path: Path) -> N
         **{f"link{i}": f"base: link{i + 1}.yaml\n" for i in range(12)},
     )
     begin = time.process_time()
-    found = messages(write(tmp_path, case=text))
-    assert any(m.startswith(message) for m in found), found
+    complaints = messages(write(tmp_path, case=text))
+    assert any(m.startswith(message) for m in complaints), complaints
     assert time.process_time() - begin < 10.0
 
 
@@ -170,8 +170,8 @@ def test_overlay_base_in_sweeps_and_variations(tmp_path: Path) -> None:
     _, planned = sweep_file.read(sweep)
     assert [p.case.loads["push"].force for p in planned] == [(0.6, 0, -0.8), (6, 0, -8)]  # type: ignore[union-attr]
     assert {p.case.mesh.size for p in planned} == {2.0}
-    found = load(tmp_path / "case.yaml").variations
-    assert [v.case.loads["push"].force for v in found] == [(3, 0, -4), (6, 0, -8)]  # type: ignore[union-attr]
+    variations = load(tmp_path / "case.yaml").variations
+    assert [v.case.loads["push"].force for v in variations] == [(3, 0, -4), (6, 0, -8)]  # type: ignore[union-attr]
     by_name = write(tmp_path, named="base: blocks\ngrid: {mesh.size: [2 mm, 5 mm]}\n")
     assert [p.case.title[:14] for p in sweep_file.read(by_name)[1]] == ["Patch test of "] * 2
 
@@ -260,8 +260,8 @@ loads: {push: {status: measured, source: a scale, history: [0.5]}}
     kept = load(again, ["loads.push.history=[0.7]", "regions.upper.tissue=cement"]).config
     assert (kept.loads["push"].status, kept.regions["upper"].status) == ("measured", "assumed")
     above = "base: case.yaml\nregions: {upper: {poisson_ratio: 0.4}}\n"
-    found = load(write(tmp_path, above=above)).config.regions["upper"]
-    assert (found.poisson_ratio, found.status) == (0.4, None)
+    region = load(write(tmp_path, above=above)).config.regions["upper"]
+    assert (region.poisson_ratio, region.status) == (0.4, None)
 
 
 def test_library_loads_have_the_size_of_their_sources(tmp_path: Path) -> None:
@@ -338,12 +338,12 @@ def test_library_material_replaces_only_constants(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_overlay_refuses_keys_that_a_base_lacks(text: str, message: str, tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\n{text}\n")
-    found = messages(path)[0]
-    assert re.sub(rf"{library.SHIPPED}:\d+", "LIBRARY", found).startswith(message)
+    complaint = messages(path)[0]
+    assert re.sub(rf"{library.SHIPPED}:\d+", "LIBRARY", complaint).startswith(message)
 
 
 def test_library_of_the_user(tmp_path: Path) -> None:
-    own = """\
+    entries = """\
 materials:
   PMMA: {source: measured here, youngs_modulus: 2.5 GPa, poisson_ratio: 0.33}
 loads:
@@ -351,12 +351,12 @@ loads:
     source: measured here
     blow: {kind: force, boundary: top, force: "[0, 0, -1] N"}
 """
-    write(tmp_path / "lib", own=own)
+    write(tmp_path / "lib", own=entries)
     text = "base: blocks.yaml\nlibrary: lib/own.yaml\nregions: {upper: {material: %s}}\n"
     assert loaded(tmp_path, text % "PMMA").regions["upper"].youngs_modulus == 2500.0
     assert loaded(tmp_path, text % "CoCrMo").regions["upper"].youngs_modulus == 200e3
     assert list(loaded(tmp_path, text % "PMMA", "loads.library=hammer").loads) == ["blow"]
-    # A base finds the names of its own library, wherever it stands.
+    # A base reads the names of its library from any folder.
     write(tmp_path / "lib", base=f"library: own.yaml\n{HEATED}".replace(", thermal: {initial_"
           "temperature: 60 degC}", "").replace(", duration: 1 s", ""))  # fmt: skip
     assert loaded(tmp_path, "base: lib/base.yaml\n").regions["body"].poisson_ratio == 0.33
@@ -407,8 +407,8 @@ def test_library_body_weight_and_tilt_change_forces(tmp_path: Path) -> None:
     assert loaded(tmp_path, text).loads["hip"].force == pytest.approx(both)
     back = "loads.sagittal_tilt=0 deg", "loads.body_weight=600 N"
     assert loaded(tmp_path, text, *back).loads["hip"].force == pytest.approx(hip)
-    own = loaded(tmp_path, text.replace("}", ", hip: {force: '[0, 0, -9] N'}}"))
-    assert own.loads["hip"].force == (0.0, 0.0, -9.0)
+    changed = loaded(tmp_path, text.replace("}", ", hip: {force: '[0, 0, -9] N'}}"))
+    assert changed.loads["hip"].force == (0.0, 0.0, -9.0)
     assert loaded(tmp_path, BLOCKS, "loads.sagittal_tilt=90 deg").loads["push"].force == (
         pytest.approx((3.0, -4.0, 0.0))
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-# Two layers of a box 2 x 3 x (1 + 2), by gmsh's own kernel; the surface between them is named.
+# Two layers of a box 2 x 3 x (1 + 2), by gmsh's built-in kernel; the surface between them is named.
 LAYERS = """\
 // Physical Volume("comment") = {1};
 /* size; Physical Surface("also // comment") = {1}; */

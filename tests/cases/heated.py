@@ -23,7 +23,7 @@ from tests import support
 from tests.cases import laws
 
 Field = Callable[[Floats], Floats]
-# A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it
+# A bar of two materials, each with its direction of fibres; rollers on three faces, so that it
 # is free to grow.
 BAR = """
 geometry: {kind: blocks, blocks: [{name: one, size: [4 mm, 3 mm, 5 mm]},

@@ -32,8 +32,8 @@ def conductor(
 ) -> Thermal:
     keys = ("conductivity",) if len(conductivities) == 1 else ("axial", "transverse")
     keys = tuple(k if k == "conductivity" else f"{k}_conductivity" for k in keys)
-    found = Thermal.model_construct(density=1.0, specific_heat=capacity, initial_temperature=T)
-    return found.named(region, fibre=fibre, **dict(zip(keys, conductivities, strict=True)))
+    thermal = Thermal.model_construct(density=1.0, specific_heat=capacity, initial_temperature=T)
+    return thermal.named(region, fibre=fibre, **dict(zip(keys, conductivities, strict=True)))
 
 
 def expansion(region: str, coefficient: float, reference: float) -> Thermal:
@@ -78,8 +78,8 @@ def interface(
     slave_share: float = 0.0,
 ) -> Interface:
     least, slope, cap = conductances
-    found = PressureConductance.model_construct(open=least, per_pressure=slope, cap=cap)
-    law = InterfaceLaw.model_construct(conductance=found)
+    conductance = PressureConductance.model_construct(open=least, per_pressure=slope, cap=cap)
+    law = InterfaceLaw.model_construct(conductance=conductance)
     nowhere = np.zeros_like
     return Interface(name, master, slave, law, 1.0, nowhere, slave_share=slave_share)
 

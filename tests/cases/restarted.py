@@ -97,7 +97,7 @@ def assert_same(
     (names, *table), (others, *again) = rows(one), rows(other)
     assert names == others and len(table) == len(again)
     for line, other_line in zip(table, again, strict=True):
-        values = [[float(v or "nan") for v in found] for found in (line, other_line)]
+        values = [[float(v or "nan") for v in row] for row in (line, other_line)]
         assert values[0] == pytest.approx(values[1], rel=relative, abs=nothing, nan_ok=True)
 
 
@@ -116,7 +116,7 @@ def whole(text: str, folder: Path, *overrides: str) -> tuple[Path, list[Path]]:
 
 
 def on(path: Path, folder: Path, file: Path, *overrides: str) -> Path:
-    """Go on from a checkpoint in a folder of its own."""
+    """Continue from a checkpoint in a separate folder."""
     output = folder / f"from-{file.stem}"
     output.mkdir(exist_ok=True)
     run(load(path, overrides), output, restart=str(file))

@@ -1,4 +1,4 @@
-"""A head that turns in its cup as it is told, by finite sliding."""
+"""A head that rotates in its cup as prescribed, by finite sliding."""
 
 from __future__ import annotations
 
@@ -90,13 +90,13 @@ def cup() -> TaggedMesh:
 
 
 def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
-    """The steps of a case, on the mesh of the cup or its own."""
+    """The steps of a case, on the mesh of the cup or on the mesh of the case."""
     analysis = support.analysis(support.case(CUP, *overrides), tagged or cup())
     problem = analysis.problem
     assert problem is not None
     cells = problem.tagged.cell_tags.find(problem.tagged.regions["head"])
     node = problem.space.dofmap.list[cells[0], 0]
-    found, before = list[Step](), [np.eye(3)]
+    steps, before = list[Step](), [np.eye(3)]
 
     def keep(step: LoadStep, trial: TrialState | None) -> None:
         assert trial is not None
@@ -104,7 +104,7 @@ def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
         normal, turned = local.normals[:, 0].copy(), scene.rotation(scene.motions[0], step.time)
         moved = problem.displacements()[problem.bodies.of_region["head"]].x.array
         friction = local.weight[:, None] * state.friction
-        found.append(
+        steps.append(
             Step(
                 step.outcome.iterations,
                 local.weight * trial.law.pressures[:, 0],
@@ -119,7 +119,7 @@ def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
         before.append(turned)
 
     analysis.run(keep, on_trouble=print)
-    return found
+    return steps
 
 
 # A deformable head, and the quarter turn that is given at its bore.

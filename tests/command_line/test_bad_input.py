@@ -1,6 +1,6 @@
 """Everything a user can get wrong in a case file, with the line, column and words that tell it.
 
-``bad_input.yaml`` edits good cases and has every complaint that has to come, and none besides.
+``bad_input.yaml`` edits good cases and has every expected complaint, and no other.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def test_bad_input_wrong_geometry_is_the_only_error(wrong: str, path: Path) -> N
     text = (CONFIGS / "stance.yaml").read_text()
     path.write_text(text.replace("  kind: femur\n", f"  kind: femur\n  {wrong}\n"))
     assert ["geometry." in m for m in complaints(path)] == [True]
-    # What else is wrong with such a load is told all the same.
+    # Other faults of such a load are reported too.
     path.write_text(path.read_text().replace("at: psoas", "at: psoas\n    histori: [1]"))
     assert ["geometry." in m or "histori" in m for m in complaints(path)] == [True, True]
 

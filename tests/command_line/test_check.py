@@ -100,7 +100,7 @@ HEAT = """
             "temperature jumps",
             (),
         ),
-        # Of conductors nothing of mechanics is told.
+        # Conductors have no notes on mechanics.
         ("cure", [], "\nheat\n", "", ("\nsupports\n", "\nloads\n", "displacement")),
     ],
     ids=["stance", "residual", "cure"],
@@ -206,9 +206,9 @@ BONE = (
 )
 def test_check_notes_locking(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    told = [v.text for v in preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)]
-    assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
-    assert all("lock" in m and "mesh.order: 2" in m for m in told)
+    notes = [v.text for v in preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)]
+    assert [m.split(" is ")[0] for m in notes] == (["regions.cement"] if locks else [])
+    assert all("lock" in m and "mesh.order: 2" in m for m in notes)
     second = load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"]).config
     assert preview.warnings(second) == []
 
@@ -223,7 +223,7 @@ def test_mesh_command_writes_mesh_and_picture(
     out = capsys.readouterr().out.splitlines()
     assert [Path(line).name for line in out[:2]] == ["blocks.msh", "blocks.png"]
     assert all(Path(line).stat().st_size > 1000 for line in out[:2])
-    # What was written can be read as a geometry of its own.
+    # The written file is a valid geometry.
     given = tmp_path / "again.yaml"
     given.write_text(
         f"geometry: {{kind: file, path: {out[0]}, "
@@ -265,9 +265,9 @@ def test_check_accepts_a_press_fit_by_penalty() -> None:
         "interfaces.cement_bone={kind: bonded}",
         "supports.push={kind: roller, boundary: stem_top, axis: z}",
     ]
-    for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
+    for value, noted in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
-        assert any("nothing acts" in note.text for note in preview.warnings(case)) == told
+        assert any("nothing acts" in note.text for note in preview.warnings(case)) == noted
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,7 @@ echo "${OPENBLAS_CORETYPE:-}|${GLIBC_TUNABLES:-}|$*" >>"$CALLS"
 
 @pytest.mark.skipif("avx2" not in Path("/proc/cpuinfo").read_text(), reason="no processor for it")
 def test_launcher_test_all_repeats_on_other_kernels_and_orders(tmp_path: Path) -> None:
-    """With the same arguments; one that fails fails the whole. The order is told by a seed."""
+    """With the same arguments; one that fails fails the whole. A seed sets the order."""
     calls = tmp_path / "calls"
     program(tmp_path / "python3", PYTHON)
     more = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "CALLS": str(calls)}
@@ -223,9 +223,9 @@ APT = """[ "$1" = dump ] && echo 'Acquire::http::Proxy "http://me:secret@proxy:3
 @as_root
 def test_launcher_failed_set_up_is_removed_by_the_next(tmp_path: Path) -> None:
     failed = set_up(tmp_path, EMPTY_TREE + 'touch "$TARGET/half"; exit 1\n')
-    _, told = failed.communicate(timeout=60)
+    _, output = failed.communicate(timeout=60)
     assert failed.returncode == 69
-    assert "mmdebstrap failed" in told
+    assert "mmdebstrap failed" in output
     assert all(".part" in tree.name for tree in trees(tmp_path))
     tree, _ = made(tmp_path, EMPTY_TREE)
     assert ".part" not in tree.name and not (tree / "half").exists()
@@ -270,8 +270,8 @@ def test_launcher_killed_set_up_is_repeated(tmp_path: Path) -> None:
 @as_root
 def test_launcher_two_set_ups_make_one_tree(tmp_path: Path) -> None:
     both = [set_up(tmp_path, EMPTY_TREE + "sleep 1\n") for _ in range(2)]
-    told = "".join(process.communicate(timeout=60)[1] for process in both)
-    assert "another set-up is running; waiting for it" in told
+    output = "".join(process.communicate(timeout=60)[1] for process in both)
+    assert "another set-up is running; waiting for it" in output
     assert set_ups(tmp_path) == len(trees(tmp_path)) == 1
 
 
@@ -401,7 +401,7 @@ def test_launcher_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
 
 
 def ready(command: list[str]) -> subprocess.Popen[str]:
-    """Start Python in a group of its own, and wait until it says that it is ready."""
+    """Start Python in a separate process group, and wait until it says that it is ready."""
     process = started(*command, session=True)
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
     return process
@@ -414,9 +414,9 @@ def test_launcher_signal_lets_ranks_save_their_state(
 ) -> None:
     process = ready(on_ranks(2, tmp_path, "wait", "2"))
     os.killpg(process.pid, number)  # as the terminal does it
-    told, message = process.communicate(timeout=60)
+    output, message = process.communicate(timeout=60)
     assert process.returncode == 5
-    assert told.count("saved after SIGUSR1") == 2
+    assert output.count("saved after SIGUSR1") == 2
     assert message == "mantle: stopping when the state is saved (a second signal stops at once)\n"
 
 

@@ -161,8 +161,8 @@ def test_run_has_a_row_per_step(
 
 def test_run_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
     """Every field, with a node per body at the interfaces, against the summary."""
-    found = mantle.read(done[1])
-    summary, f = found.summary, found.fields
+    results = mantle.read(done[1])
+    summary, f = results.summary, results.fields
     assert list(f.times) == [1.0, 1.5, 2.0] and list(f.regions) == ["stem", "cement", "bone"]
     stresses = {"stress", "von_mises", "principal_max", "principal_min"}
     at_interfaces = {f"{i}_{key}" for i in summary["interfaces"] for key in FIELDS}
@@ -179,7 +179,7 @@ def test_run_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
                 assert values.max() == pytest.approx(q[largest], rel=1e-9, abs=1e-12), key
         status = f.at_interface(name, "status")
         assert set(status) <= {-1.0, 0.0, 1.0, 2.0} and (status >= 0).any()
-        # Both sides of the interface have their own nodes, at the same places.
+        # Both sides of the interface have separate nodes, at the same places.
         on = f.points[status >= 0]
         radius = np.hypot(on[:, 0], on[:, 1])
         assert np.abs(radius - (7 if name == "stem_cement" else 10)).max() < 1e-6
@@ -317,13 +317,13 @@ def test_run_without_converged_step_leaves_a_diagnosis(tmp_path: Path) -> None:
     # What check notes is in the log.
     assert "regions.upper is nearly incompressible: linear tetrahedra lock" in result.stderr
     assert not (output / "fields.vtkhdf").exists() and not (output / "DONE").exists()
-    found = support.summary(output)
-    assert found["status"] == "not converged" and found["interfaces"] == {}
+    summary = support.summary(output)
+    assert summary["status"] == "not converged" and summary["interfaces"] == {}
     for _ in range(2):  # after the run; and again as if it had been killed
         text = unescape((output / "report.html").read_text())
-        assert found["status"] in text
-        assert all(verdict.what.lower() in text.lower() for verdict in recorded(found))
-        found = {"status": "not finished"}
+        assert summary["status"] in text
+        assert all(verdict.what.lower() in text.lower() for verdict in recorded(summary))
+        summary = {"status": "not finished"}
         (output / "summary.json").unlink(missing_ok=True)
         run_report.write(output)
 
@@ -417,7 +417,7 @@ def check_variations(s: dict[str, Any]) -> None:
 
 
 def check_bench(s: dict[str, Any]) -> None:
-    """The stem bends where it leaves the pot; resin is no bone, so nothing is told of a femur."""
+    """The stem bends where it leaves the pot; resin is no bone, so there is no note on a femur."""
     assert "femur" not in s and s["section_loads"]
     assert 250.0 < largest(s["regions"]["stem"], "von_mises_p99") < 450.0
     assert s["regions"]["cement"]["von_mises_p99"] < 50.0
@@ -437,8 +437,8 @@ def check_stance(s: dict[str, Any]) -> None:
         assert bone.keys() == q["volume"].keys() and interfaces.keys() == s["interfaces"].keys()
         assert bone["cortical_bone"] > 0, zone
     for name, rest in s["interfaces"].items():
-        own = [rest, rest["rim"], rest["tip"]]
-        area = sum(o["area"] for o in own)
+        surfaces = [rest, rest["rim"], rest["tip"]]
+        area = sum(o["area"] for o in surfaces)
         assert rest["gap_p99"] < rest["rim"]["gap_p99"]
         # Both views divide the same; below the tip it is one zone of each.
         for view in (range(1, 8), range(8, 15)):
@@ -447,7 +447,7 @@ def check_stance(s: dict[str, Any]) -> None:
             for key in ("gap", "slip", "pressure", "shear"):
                 assert max(p[f"{key}_max"] for p in parts) == largest(rest, f"{key}_max")
                 mean, expected = (
-                    sum(p["area"] * p[f"{key}_mean"] for p in of) for of in (parts, own)
+                    sum(p["area"] * p[f"{key}_mean"] for p in of) for of in (parts, surfaces)
                 )
                 assert mean == pytest.approx(expected, rel=0.05)
         assert s["gruen"]["4"]["interfaces"][name] == s["gruen"]["11"]["interfaces"][name]
@@ -502,7 +502,7 @@ def check_hot(s: dict[str, Any]) -> None:
 
 
 def check_rings(s: dict[str, Any]) -> None:
-    """The bone's peak of an independent solution in one dimension, with its own error estimate."""
+    """The bone's peak of an independent solution in one dimension, with its error estimate."""
     check_hot(s)
     q = s["thermal"]["interfaces"]["cement_bone"]
     # 50.6 to 52.6 for mantles of 2 to 5 mm with this conductance.
@@ -529,14 +529,16 @@ def check_residual(s: dict[str, Any]) -> None:
 
 def check_history(s: dict[str, Any], steps: int = 3) -> None:
     """After some steps: all of the motion at a peak is permanent or inducible."""
-    found = s["cycles"]["walking"]
-    whole = found["permanent"]["stem"]["subsidence"] + found["inducible"]["stem"]["subsidence"]
+    cycles = s["cycles"]["walking"]
+    whole = cycles["permanent"]["stem"]["subsidence"] + cycles["inducible"]["stem"]["subsidence"]
     assert whole == pytest.approx(s["stem"]["subsidence"])
-    assert len(found["dissipation"]) == steps - 1
-    for name, own in found["inducible"].items():
+    assert len(cycles["dissipation"]) == steps - 1
+    for name, inducible in cycles["inducible"].items():
         most = s["interfaces"].get(name, {}).get("motion_p99", np.inf)
         assert (
-            0 < own.get("motion_p99", 1e-9) < most + found["permanent"][name].get("motion_p99", 0)
+            0
+            < inducible.get("motion_p99", 1e-9)
+            < most + cycles["permanent"][name].get("motion_p99", 0)
         )
 
 
@@ -668,7 +670,7 @@ def test_run_of_a_shipped_case(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = run(support.CONFIGS / name, "-o", out, *support.sets(*COARSE[name]))
     assert result.returncode == 0, result.stderr
-    # Coarsened, some are one linear cell thick: rightly told.
+    # Coarsened, some are one linear cell thick: the note is right.
     notes = [line for line in result.stderr.splitlines() if "note: " in line]
     assert all(
         any(w in note for w in ("of linear cells", "from memory", "creeps a", "the stem takes"))

@@ -79,13 +79,13 @@ def test_init_femur_stands_on_one_leg(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", new_case.STEMS)
 def test_init_femur_runs_without_a_warning(stem: str, tmp_path: Path) -> None:
-    """A first hip is within its own limits of physiology."""
+    """A first hip is within the limits of physiology that it is judged by."""
     case = mantle.load(new_case.write(tmp_path / "hip", "femur", stem))
     assert mantle.check(case).notes == ()
     summary = mantle.run(case, tmp_path / "out").summary
     doubtful = (Severity.NOTE, Severity.WARNING, Severity.ERROR)
-    found = [*verdicts.of_numbers(summary), *recorded(summary)]
-    assert [v.text for v in found if v.severity in doubtful] == []
+    judged = [*verdicts.of_numbers(summary), *recorded(summary)]
+    assert [v.text for v in judged if v.severity in doubtful] == []
     assert np.linalg.norm(summary["femur"]["head_displacement"]) < 5.0
 
 
@@ -156,9 +156,9 @@ def test_init_of_touching_blocks_runs_unchanged(
     text = Path("own.yaml").read_text()
     cut = re.sub(r"^(interfaces|  interfaces):\n(    .*\n|  .*\n){2}", "", text, flags=re.M)
     Path("cut.yaml").write_text(cut)
-    with pytest.raises(GeometryError, match="where no interface is declared") as told:
+    with pytest.raises(GeometryError, match="where no interface is declared") as refused:
         mantle.mesh(mantle.load("cut.yaml"))
-    paste = str(told.value).partition("such as\n")[2]
+    paste = str(refused.value).partition("such as\n")[2]
     Path("again.yaml").write_text(f"base: cut.yaml\n{paste}\n")
     assert mantle.load("again.yaml").config == mantle.load("own.yaml").config
 

@@ -32,7 +32,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOWrapper]:
 
 
 def shown(stream: io.TextIOWrapper) -> str:
-    """A warning, and a line of its own tone, as a handler of the stream forms them."""
+    """A warning, and a line with a tone, as a handler of the stream forms them."""
     handler = Handler(stream)
     warning = logging.makeLogRecord({"msg": "look", "levelno": logging.WARNING})
     good = logging.makeLogRecord({"msg": "exact", "levelno": logging.INFO, "tone": "good"})

@@ -1,4 +1,4 @@
-"""Strength and fatigue: cycles of stress by hand, edges that turn in, what is told."""
+"""Strength and fatigue: cycles of stress by hand, re-entrant edges, verdicts and notes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_fatigue_lives_by_two_laws() -> None:
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
 def test_fatigue_mean_stress(ratio: float) -> None:
-    """A cycle of the law's own ratio is itself; another one lies on the same line of Goodman."""
+    """At the law's stress ratio a cycle is unchanged; another is on the same line of Goodman."""
     f = {"spectrum": {"a": 1}, "laws": {"x": {"intercept": 8.77, "slope": 4.68}}}
     plain = Fatigue.model_validate(f)
     line = Fatigue.model_validate(f | {"goodman": "40 MPa"})
@@ -113,13 +113,13 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     notes = "; ".join(notes_of(s))
     assert "laws.v: Verdonschot and Huiskes 1997, from memory: check" in notes
     assert "laws.v: was measured at 7 to 20 MPa, and is used at 6.6 MPa" in notes
-    (told,) = (v.text for v in recorded(s) if v.where == "fatigue")
-    assert "no life without a band (over v)" in told
+    (life,) = (v.text for v in recorded(s) if v.where == "fatigue")
+    assert "no life without a band (over v)" in life
     case = support.case(SPECTRUM)
     assert not preview.warnings(case)
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
-    (told,) = (v.text for v in recorded(two) if v.where == "fatigue")
-    assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: for comparison" in told
+    (life,) = (v.text for v in recorded(two) if v.where == "fatigue")
+    assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: for comparison" in life
     assert not [n for n in doubts.doubts(case, two) if "measured" in n.text]
     q = {"damage_p99": 0.5, "damage_p99_error": 0.3}
     assert "lasts 1.2 to 5 years, over v and mesh" in findings.life({"v": q})
@@ -132,10 +132,13 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
 
 
 def test_fatigue_risk_that_grows_with_refinement_is_reported() -> None:
-    told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
+    on_meshes = {
+        "a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]],
+        "a.failure_risk": [[1, 1e-3], [2, 3e-3]],
+    }
     q = {"failure_probability": 2e-3, "edge": {"failure_risk": 0.03, "failure_probability": 0.031}}
     q["neck"] = {"von_mises_max": 1.0}  # of a stem
-    line = findings._strength("a", q, told)
+    line = findings._strength("a", q, on_meshes)
     expected = (
         "0.2 %, 3.1 % at its edge (failure_risk grows from 0.001 at 2 mm to 0.003 and may not "
         "converge)"

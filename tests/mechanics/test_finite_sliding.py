@@ -1,4 +1,4 @@
-"""Large slip over rigid surfaces: a head that turns in its cup as it is told."""
+"""Large slip over rigid surfaces: a head that rotates in its cup as prescribed."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_finite_sliding_dissipation_equals_torque_times_angle(axis: tuple[int, i
         assert energy == pytest.approx(step.spends, rel=1e-8)
         arms = R * np.linalg.norm(np.cross(step.turn / θ, step.normal), axis=1)
         assert step.spends == pytest.approx(θ * MU * step.load @ arms, rel=1e-8)
-    # As of a load that is spread over the cup, a little more than that of one point.
+    # As for a load that is spread over the cup, a little more than that of one point.
     assert 1.0 < np.linalg.norm(steps[-1].torque) / (MU * R * np.linalg.norm(FORCE)) < 1.1
 
 
@@ -102,7 +102,7 @@ def test_finite_sliding_dissipation_is_independent_of_steps() -> None:
 
 
 def test_finite_sliding_results_are_invariant_under_rotation() -> None:
-    """Turned as a whole, and the mesh of the head under it besides."""
+    """Rotated as a whole, and then the mesh of the head under it too."""
     angles = [(0, 0, 0), (4, 5, -3), (9, 12, -5), (3, 20, 2)]
     one = solve(turning(*angles, largest_step="30 deg"), stages(3))
     data, Q = built(), ROTATION
@@ -192,9 +192,9 @@ def test_finite_sliding_head_comes_into_contact(
 def test_finite_sliding_head_outside_its_cup_is_an_error() -> None:
     """Off its cup from the start, or in the middle of a cycle table.
 
-    A step to far away converges or not by rounding: either is told.
+    A step to far away converges or not by rounding: either is reported.
     """
-    told = r"(head.* and the loads pull there|left each other for good).*\[loose-body\]"
+    message = r"(head.* and the loads pull there|left each other for good).*\[loose-body\]"
     for load in (loaded(-FORCE, -FORCE), loaded(FORCE, -FORCE)):
-        with pytest.raises(ConvergenceError, match=told):
+        with pytest.raises(ConvergenceError, match=message):
             solve(QUARTER, stages(5), load)

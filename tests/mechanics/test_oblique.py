@@ -182,7 +182,7 @@ def test_oblique_rollers_shaft_rotates_in_its_bearing() -> None:
     ],
 )
 def test_oblique_rollers_refuse_wrong_directions(change: str, expected: str) -> None:
-    """Exactly one direction, told in words that say where and what is allowed."""
+    """Exactly one direction; the message says where and what is allowed."""
     with pytest.raises(InputError, match=expected):
         support.case(BLOCK, f"supports.{change}")
 

@@ -24,8 +24,8 @@ ANATOMIC = [(3.2, 3.2, 2.2, 2.4, 0.0), (4.4, 3.9, 2.4, 0.6, 35.0), (5.8, 4.5, 2.
 ANATOMIC += [(7.6, 5.0, 2.9, 0.7, 115.0), (9.4, 5.4, 3.1, 2.4, 147.0)]
 STEMS: dict[str, dict[str, Any]] = {
     "exeter": EXETER,
-    # That of the parametric femur, with a neck about the same axis.
-    "own": {
+    # As the stem of the parametric femur, with a neck about the same axis.
+    "parametric": {
         "sections": [(3.0, 3.0, 2.1, 0.0, 0.0), (9.0789, 5.2105, 3.0947, 0.0, 147.0)],
         "neck": (135.919, 130.0, 6.5, 6.0, 56.133),
     },

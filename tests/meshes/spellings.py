@@ -136,7 +136,7 @@ def one_piece(**arrays: np.ndarray) -> list[Piece]:
 
 
 def cut(parts: int) -> list[Piece]:
-    """The box in pieces of mixed cells, each with nodes of its own."""
+    """The box in pieces of mixed cells, each with separate nodes."""
     made = []
     for rows in np.array_split(np.random.default_rng(1).permutation(12), parts):
         used, cells = np.unique(CELLS[rows], return_inverse=True)

@@ -58,14 +58,14 @@ def test_best_position_places_a_stem_that_does_not_fit() -> None:
     canal = room.canal(before)
     assert room.fit(canal, stem, before.placement).least < 0.0
     best = {"insertion": {"varus": "3 deg", "best": {}}}
-    found = Femur.model_validate(given | best)
-    fit = room.fit(canal, stem, found.placement)
+    femur = Femur.model_validate(given | best)
+    fit = room.fit(canal, stem, femur.placement)
     assert fit.least > 1.0
-    assert found.insertion and found.insertion.best is None
-    assert math.degrees(found.insertion.varus) == pytest.approx(
-        round(math.degrees(found.insertion.varus), 1)
+    assert femur.insertion and femur.insertion.best is None
+    assert math.degrees(femur.insertion.varus) == pytest.approx(
+        round(math.degrees(femur.insertion.varus), 1)
     )
-    assert f"room at least {fit.least:.2f} mm" in found.placement_details["best position"]
+    assert f"room at least {fit.least:.2f} mm" in femur.placement_details["best position"]
     assert Femur.model_validate({"insertion": "best"}).insertion is not None
 
 

@@ -70,7 +70,7 @@ def test_cad_stem_corners_lie_on_faces(name: str, tmp_path: Path) -> None:
     check(cad_stems.write(name, tmp_path), "{size: 8 mm, order: 1}", 0.08)
 
 
-@pytest.mark.parametrize("name", ["own", "charnley", "sharp"])
+@pytest.mark.parametrize("name", ["parametric", "charnley", "sharp"])
 def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> None:
     """On the ends of the arcs of round corners, on sharp corners: as the stem was drawn."""
     known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
@@ -95,13 +95,13 @@ def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> Non
 def test_cad_stem_check_reports_axis_head_and_neck(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Head, neck and length as drawn, in inches; what is given is not found."""
+    """Head, neck and length as drawn, in inches; given values replace detected ones."""
     path = case(cad_stems.write("inch", tmp_path))
     assert main(["check", str(path)]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for line in ("length: 147 mm", "head_offset: 42.9 mm", "neck_angle: 130 deg"):
-        assert f"  {line}\n" in told
-    assert "axis in inch.step: [0.0, 0.0, 0.0] to [0.0, 0.0, 147.0] mm" in told
+        assert f"  {line}\n" in output
+    assert "axis in inch.step: [0.0, 0.0, 0.0] to [0.0, 0.0, 147.0] mm" in output
     moved = load(path, ["geometry.stem.head_centre=[45 mm, 0 mm, 170 mm]"]).config
     assert moved.geometry.head_centre == pytest.approx((45.0, 0.0, 52.0), abs=6e-3)
     with pytest.raises(InputError, match="head_offset: is given by the file of the stem"):
@@ -172,10 +172,10 @@ def test_cad_stem_every_stem_is_meshed(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_cad_stem_of_the_parametric_stem_has_equal_results(tmp_path: Path) -> None:
-    """Within the errors told; below the cut they are the same, necks turn away differently."""
+    """Within the reported errors; below the cut they are the same, necks turn away differently."""
     plain = tmp_path / "plain.yaml"
     plain.write_text("base: stance\nmesh: {size: 8 mm}\n")
-    file = case(cad_stems.write("own", tmp_path), "{size: 8 mm}")
+    file = case(cad_stems.write("parametric", tmp_path), "{size: 8 mm}")
     cases = {path.stem: mantle.load(path) for path in (file, plain)}
     one, other = (mantle.run(case, tmp_path / name).summary["stem"] for name, case in cases.items())
     for name in ("subsidence", "retroversion", "varus"):

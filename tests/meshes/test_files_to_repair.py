@@ -1,4 +1,4 @@
-"""What is wrong in a mesh file: what is refused, what is repaired, and that it is told."""
+"""Defects of mesh files: refused, or repaired with a note."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def test_mesh_file_with_inverted_cells_is_refused(corner: int, tmp_path: Path) -
     assert len(over) and np.abs(volumes).sum() > 1000.1
     with pytest.raises(GeometryError, match=r"of .* cells overlap their neighbours") as caught:
         read(tmp_path, tangled)
-    found = re.findall(r"cube at \((.+), (.+), (.+)\) mm", str(caught.value))
+    places = re.findall(r"cube at \((.+), (.+), (.+)\) mm", str(caught.value))
     # Cells that are named turned over or share a face with one that did.
-    assert 1 <= len(found) <= 5
+    assert 1 <= len(places) <= 5
     faces = {tuple(sorted(f)) for c in tangled.cells[over] for f in _faces(c)}
     beside = [c for c in tangled.cells if faces & {tuple(sorted(f)) for f in _faces(c)}]
     centres = x[np.array(beside)].mean(axis=1)
-    for place in found:
+    for place in places:
         assert np.abs(centres - np.array(place, dtype=float)).max(axis=1).min() < 0.006
 
 
@@ -124,7 +124,7 @@ def test_mesh_file_cells_listed_inside_out_are_reoriented_with_note(
 def test_mesh_file_with_unshared_middle_nodes_is_refused(tmp_path: Path) -> None:
     data = cube(curved=True)
     cells, x = data.cells.copy(), data.points
-    # An edge inside: one of its cells gets a middle node of its own, off the others'.
+    # An edge inside: one of its cells gets a separate middle node, away from that of the others.
     edge = next(n for n in cells[:, 4] if (x[n] > 1e-6).all() and (x[n] < 10 - 1e-6).all())
     cells[np.argmax(cells[:, 4] == edge), 4] = len(x)
     points = np.vstack([x, x[edge] + [0.2, 0.0, 0.0]])

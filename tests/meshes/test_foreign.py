@@ -48,8 +48,8 @@ def rod(request: pytest.FixtureRequest) -> MeshData:
 
 def parts(data: MeshData, order: list[int]) -> tuple[dict, dict]:
     """Cells of each region in a program's order, and facets of each boundary."""
-    own = order[: data.cells.shape[1]]
-    cells = {n: data.cells[data.cell_tags == tag][:, own] for n, tag in data.regions.items()}
+    nodes = order[: data.cells.shape[1]]
+    cells = {n: data.cells[data.cell_tags == tag][:, nodes] for n, tag in data.regions.items()}
     return cells, {
         n: data.facets[np.isin(data.facet_tags, tags)] for n, tags in data.boundaries.items()
     }
@@ -189,8 +189,8 @@ def test_mesh_file_coincident_nodes_are_merged_unless_finite_sliding(
     text = f"{inp(apart)}*NSET, NSET=Low\n{low}\n*NSET, NSET=Top, GENERATE\n"
     text += "".join(f"{k}, {k}\n" for k in top)
     for name, tag in rod.regions.items():
-        own = np.unique(apart.cells[apart.cell_tags == tag])
-        text += f"*NSET, NSET={name}\n" + "".join(f"{k + 1},\n" for k in own)
+        nodes = np.unique(apart.cells[apart.cell_tags == tag])
+        text += f"*NSET, NSET={name}\n" + "".join(f"{k + 1},\n" for k in nodes)
     path = tmp_path / "rod.inp"
     path.write_text(text)
     back = meshes.build(MeshFile(path=path, interfaces=SIDES), MeshOptions(size="1 mm"))
@@ -207,7 +207,7 @@ def test_mesh_file_coincident_nodes_are_merged_unless_finite_sliding(
 
 
 def test_mesh_file_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
-    """Its XDMF has cells, tags of cells and tags of facets in grids of their own."""
+    """Its XDMF has cells, tags of cells and tags of facets in separate grids."""
     tagged, path = distribute(rod, MPI.COMM_SELF), tmp_path / "rod.xdmf"
     tagged.cell_tags.name, tagged.facet_tags.name = "Cell tags", "wall"
     with io.XDMFFile(MPI.COMM_SELF, path, "w") as file:
@@ -225,7 +225,7 @@ def test_mesh_file_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
 
 
 def test_mesh_file_with_two_meshes_of_dolfinx(tmp_path: Path) -> None:
-    """Two meshes with nodes of their own, a function over time on one and tags on the other."""
+    """Two meshes with separate nodes, a function over time on one and tags on the other."""
     path = tmp_path / "two.xdmf"
     lower, upper = (
         mesh.create_box(MPI.COMM_SELF, [[0, 0, z], [2, 3, z + 1 + z]], [1, 1, 1]) for z in (0, 1)

@@ -17,7 +17,7 @@ from meshes import femur_stem
 from meshes.data import interface_facets
 from meshes.gruen import Zones
 from tests.meshes import cad_stems
-from tests.patient.bones import own, write
+from tests.patient.bones import parametric_femur, write
 from tests.patient.patients import patient
 
 BOTH = {"proximal": "3 mm", "distal": "1.5 mm", "medial": "3 mm", "lateral": "2 mm"}
@@ -40,11 +40,11 @@ def test_graded_mantle_nodes_have_the_local_thickness(kind: str, tmp_path: Path)
     """Distance from dense points of the stem, far from the cortex and from the file's neck."""
     given, asked = (SIDES, sides) if kind == "sides" else (BOTH, both)
     if kind == "patient":
-        write(tmp_path / "bone.stl", own())
+        write(tmp_path / "bone.stl", parametric_femur())
         canal = {"ream": "by", "ream_by": "4 mm"}
         geometry: Any = patient(tmp_path, canal=canal, cement_thickness=given)
     else:
-        file = {"stem": {"step": cad_stems.write("own", tmp_path)}} if kind == "cad" else {}
+        file = {"stem": {"step": cad_stems.write("parametric", tmp_path)}} if kind == "cad" else {}
         keys = {"canal_widening": "4 mm", "cement_thickness": given, **file}
         geometry = Femur.model_validate(keys)
     data, zones = meshes.build(geometry, MESH), Zones(geometry)

@@ -1,4 +1,4 @@
-"""Gruen zones: where they are, and the energy that is told of them."""
+"""Gruen zones: their places, and the energy reported for them."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def test_gruen_zones_exclude_stem_cement_and_neck() -> None:
     """Stem, cement and neck; the bone beside them stays."""
 
     def left(*points: tuple[float, float, float]) -> list[bool]:
-        found: list[bool] = ZONES.is_left(np.array(points)).tolist()
-        return found
+        on_left: list[bool] = ZONES.is_left(np.array(points)).tolist()
+        return on_left
 
     cavity = femur_stem.body(GEOMETRY.implant).offset(GEOMETRY.cement_thickness)
     medial = float(cavity.section(0.0)[0])

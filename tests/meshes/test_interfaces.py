@@ -80,7 +80,7 @@ def box_in_a_box(n: int = 3) -> tuple[InterfaceFacets, Floats]:
 
 
 def test_contact_points_of_a_box_in_a_box() -> None:
-    """One face inside a side, two on its edges, three at its corners, each with its own normal."""
+    """One face inside a side, two on its edges, three at its corners, each with its normal."""
     facets, x = box_in_a_box()
     points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
     np.testing.assert_allclose(points.x, x[points.vertex], atol=1e-8)
@@ -92,8 +92,8 @@ def test_contact_points_of_a_box_in_a_box() -> None:
         inward = {
             tuple(np.eye(3)[k] * np.sign(0.5 - points.x[p, k])) for k in range(3) if walls[p, k]
         }
-        found = {tuple(v.round(12) + 0.0) for v in points.normals[p, : points.faces[p]]}
-        assert found == {tuple(np.array(v) + 0.0) for v in inward}
+        normals = {tuple(v.round(12) + 0.0) for v in points.normals[p, : points.faces[p]]}
+        assert normals == {tuple(np.array(v) + 0.0) for v in inward}
         assert not points.normals[p, points.faces[p] :].any()
     assert points.weight.sum() == pytest.approx(6.0, abs=1e-12)
 
@@ -464,14 +464,14 @@ def test_smooth_normals_with_noise_allow_rotation_about_the_axis() -> None:
         n /= np.linalg.norm(n, axis=1, keepdims=True)
         rough = n + rng.normal(size=n.shape) * 2e-3
         rough /= np.linalg.norm(rough, axis=1, keepdims=True)
-        found = slid_along(x, rough, np.full(300, 3e-3), np.ones(300))
-        assert np.abs(found - n).max() < 0.01
+        smoothed = slid_along(x, rough, np.full(300, 3e-3), np.ones(300))
+        assert np.abs(smoothed - n).max() < 0.01
         # Of all rigid motions one or two meet no normal at all.
-        turns = np.cross(x - x.mean(axis=0), found) / 10
-        slopes = np.hstack([found, turns])
+        turns = np.cross(x - x.mean(axis=0), smoothed) / 10
+        slopes = np.hstack([smoothed, turns])
         sizes = np.linalg.svd(slopes, compute_uv=False) / np.sqrt(300)
         assert (sizes < 1e-10).sum() == (1 if taper else 2), sizes
-        along = np.mean(found[:, 2])
+        along = np.mean(smoothed[:, 2])
         assert along == pytest.approx(-np.sin(taper), abs=3e-4)
 
 

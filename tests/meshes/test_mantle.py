@@ -77,8 +77,8 @@ def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
 def test_mantle_thickness_by_gruen_zone() -> None:
     """Beside a stem moved medially; all of the rod is in the proximal third."""
     by = 1.5
-    found = mantle.describe(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
-    assert set(found) == {"1", "7", "8", "14"}
+    zones = mantle.describe(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
+    assert set(zones) == {"1", "7", "8", "14"}
 
     def exact(first: float, last: float) -> list[float]:
         turn = np.radians(np.linspace(first, last, 10_000))
@@ -89,8 +89,8 @@ def test_mantle_thickness_by_gruen_zone() -> None:
     # The axis of the zones is not that of the stem: x = 0 is past 90 degrees by arcsin(by / INNER).
     edge = 90.0 + math.degrees(math.asin(by / INNER))
     for zone, first, last in (("7", -edge, edge), ("1", edge, 360 - edge), ("8", 0, 180)):
-        assert [*found[zone].values()] == pytest.approx(exact(first, last), abs=0.08), zone
-    assert found["14"] == pytest.approx(found["8"], abs=0.03)
+        assert [*zones[zone].values()] == pytest.approx(exact(first, last), abs=0.08), zone
+    assert zones["14"] == pytest.approx(zones["8"], abs=0.03)
 
 
 def test_mantle_below_the_tip_is_the_plug() -> None:

@@ -511,7 +511,7 @@ def test_regions_parts_can_be_given(tmp_path: Path) -> None:
 
 
 def own_nodes(parts: int) -> list[str]:
-    """Grids of pieces, each with nodes of its own."""
+    """Grids of pieces, each with separate nodes."""
     return [
         grid(geometry(points), topology(cells), attribute(arrays["material"]), name=f"piece {k}")
         for k, (points, cells, arrays) in enumerate(cut(parts))
@@ -654,7 +654,7 @@ def test_xdmf_arrays_of_triangles_are_all_boundaries(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["HDF", "Binary", "Binary big"])
 def test_xdmf_arrays_in_other_files(form: str, tmp_path: Path) -> None:
-    """They are found from any folder, and are part of the content."""
+    """They are read from any folder, and are part of the content."""
     arrays = {"x y": POINTS, "cells": CELLS.astype("i8"), "tags": TAGS.astype("i8")}
     order = ">" if "big" in form else "<"
     endian = ' Endian="Big"' if "big" in form else ' Endian="Little"'
@@ -664,11 +664,11 @@ def test_xdmf_arrays_in_other_files(form: str, tmp_path: Path) -> None:
             raw = values.astype(values.dtype.newbyteorder(order)).tobytes()
             (tmp_path / f"{name}.bin").write_bytes(b"skip" + raw)
     text = xdmf(grid(geometry(), topology(), attribute(TAGS)))
-    for name, found in zip(arrays, re.findall(r"<DataItem.*?<", text), strict=True):
+    for name, item in zip(arrays, re.findall(r"<DataItem.*?<", text), strict=True):
         place = f"me &amp; my data.h5:/mesh/{name}" if form == "HDF" else f"{name}.bin"
-        head = found[: found.index(">")].replace("XML", form.split()[0])
+        head = item[: item.index(">")].replace("XML", form.split()[0])
         head += "" if form == "HDF" else f'{endian} Seek="4"'
-        text = text.replace(found, f"{head}> {place} <")
+        text = text.replace(item, f"{head}> {place} <")
     path = tmp_path / "a.xdmf"
     whole(build(path, text), *MATERIALS)
     files = {*named.names(path)}
@@ -806,7 +806,7 @@ def test_med_families_may_be_left_out(tmp_path: Path) -> None:
 
 
 def test_med_meshes_are_picked(tmp_path: Path) -> None:
-    """One of two alternatives, or the parts of a model in meshes of their own."""
+    """One of two alternatives, or the parts of a model in separate meshes."""
     fine = (POINTS * 2, MED_CELLS, TWO)
     path = med(tmp_path / "a.med", Coarse=(POINTS, MED_CELLS, TWO), Fine=fine)
     message = refused(path)
@@ -902,8 +902,8 @@ def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
         for name, tag in (("lower", lower), ("upper", upper)):
             gmsh.model.addPhysicalGroup(3, [tag], name=name)
         for name, z in (("bottom", 0.0), ("top", 3.5 + lift)):
-            found = gmsh.model.getEntitiesInBoundingBox(-1, -1, z - 0.01, 3, 3, z + 0.01, 2)
-            gmsh.model.addPhysicalGroup(2, [tag for _, tag in found], name=name)
+            surfaces = gmsh.model.getEntitiesInBoundingBox(-1, -1, z - 0.01, 3, 3, z + 0.01, 2)
+            gmsh.model.addPhysicalGroup(2, [tag for _, tag in surfaces], name=name)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6)
         gmsh.model.mesh.generate(3)
         gmsh.write(str(tmp_path / "a.msh"))

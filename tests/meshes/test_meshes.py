@@ -331,10 +331,10 @@ def test_imported_bodies_that_meet_without_interface_are_refused(tmp_path: Path)
     some = {"low_mid": STACK.interface_sides["low_mid"]}
     with pytest.raises(GeometryError) as caught:
         meshes.build(MeshFile(path=path, interfaces=some), options(1.0))
-    found = re.search(r"on ([\d.]+) mm2 about \((.+), (.+), (.+)\) mm", str(caught.value))
-    assert found and "high meets mid where no interface is declared" in str(caught.value)
+    match = re.search(r"on ([\d.]+) mm2 about \((.+), (.+), (.+)\) mm", str(caught.value))
+    assert match and "high meets mid where no interface is declared" in str(caught.value)
     assert "low" not in str(caught.value)
-    area, *place = map(float, found.groups())
+    area, *place = map(float, match.groups())
     assert area == pytest.approx(80.0 / math.cos(STACK.tilt), rel=5e-3)
     # On the plane between them, less than a cell from its middle.
     x, y, z = place

@@ -115,8 +115,8 @@ def test_scripts_of_second_order_have_curved_cells(text: str, curved: bool, tmp_
     data = meshes.build(case.geometry, case.mesh)
     assert data.curved == curved
     expected = {"pin": np.pi * 2**2 * 5} if curved else {"low": 6.0, "high": 12.0}
-    found = {name: region_volumes(data)[name] for name in expected}
-    assert found == pytest.approx(expected, rel=2e-3 if curved else 1e-12)
+    volumes = {name: region_volumes(data)[name] for name in expected}
+    assert volumes == pytest.approx(expected, rel=2e-3 if curved else 1e-12)
 
 
 def test_scripts_are_cached_by_their_content(tmp_path: Path) -> None:
@@ -209,7 +209,7 @@ def test_scripts_refused_unread(text: str, expected: str, tmp_path: Path) -> Non
     ids=["unknown variable", "syntax", "no such volume"],
 )
 def test_scripts_that_fail_are_reported(text: str, expected: str, tmp_path: Path) -> None:
-    """In a process of its own: gmsh reads no script correctly after one that failed."""
+    """In a separate process: gmsh reads no script correctly after one that failed."""
     script(tmp_path, text)
     command = ["-m", "mantle", "mesh", tmp_path / "case.yaml", "-o", tmp_path / "out"]
     done = support.python(*command, code=3, XDG_CACHE_HOME=str(tmp_path))

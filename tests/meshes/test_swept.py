@@ -103,7 +103,7 @@ def test_swept_nodes_are_on_exact_surfaces(thickness: float, curved: bool) -> No
     notes = data.notes["layers"]
     # Along the lines, which are not quite radial.
     assert off.max() <= 1.2 * notes["moved_max_mm"]
-    # The strip that is moved is told: there a layer ends whose thickness is below the floor.
+    # A note reports the strip that is moved: there a layer ends whose thickness is below the floor.
     assert (off < 2e-6).mean() > 1.0 - notes["moved_nodes"] - 0.03
     assert notes["moved_nodes"] < 0.4 and notes["moved_max_mm"] < 0.25 * 6.0
 
@@ -498,8 +498,8 @@ def test_swept_patches_have_the_area_of_discs() -> None:
     for size in (8.0, 6.0, 3.0):
         data = built(size)
         for name in MUSCLES:
-            own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
-            areas = facet_areas(data.points, own)
+            facets = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
+            areas = facet_areas(data.points, facets)
             disc = np.pi * PATCH_RADIUS**2
             assert abs(areas.sum() - disc) <= 0.75 * areas.max(), (name, size)
 

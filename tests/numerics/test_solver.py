@@ -41,7 +41,7 @@ def tagged() -> TaggedMesh:
 def test_newton_step_of_zero_length_is_not_converged(
     more: tuple[str, ...], tagged: TaggedMesh
 ) -> None:
-    """Whatever PETSc is told to think of it."""
+    """Also with PETSc's tolerance for short steps (`snes_stol`)."""
     with pytest.raises(ConvergenceError):
         support.solve(BLOCK, "solver.petsc.ksp_atol=1e9", *more, tagged=tagged)
 

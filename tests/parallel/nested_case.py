@@ -17,14 +17,14 @@ from tests.cases import nested_stem
 
 if __name__ == "__main__":
     comm = MPI.COMM_WORLD
-    found = []
+    starts = []
     for settings in ({}, nested_stem.ALWAYS):
         with patch.multiple(models, **settings) if settings else nullcontext():
             model, steps = nested_stem.go()
         j = model.mechanical_path.problem.contact
-        own = np.hstack([j.state.jump, j.state.force])
-        found.append((j.whole(own), steps[0].outcome.residuals[0]))
-    (cold, first), (warm, then) = found
+        of_rank = np.hstack([j.state.jump, j.state.force])
+        starts.append((j.whole(of_rank), steps[0].outcome.residuals[0]))
+    (cold, first), (warm, then) = starts
     if comm.rank == 0:
         numbers = {"difference": abs(warm - cold).max() / abs(cold).max(), "start": then / first}
         Path(sys.argv[1]).write_text(json.dumps(numbers))

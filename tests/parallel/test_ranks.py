@@ -28,7 +28,7 @@ from tests.support import vector
 
 pytestmark = pytest.mark.parallel
 # Residuals are below 1e-10 of the force scale (the default of `solver.tolerance`). A jump answers a
-# residual at its own node by at most some thousand times what it answers the whole load by.
+# residual at its node by at most some thousand times what it answers the whole load by.
 TOLERANCE = 1e-6
 # What tells of the machine, or is nothing but rounding.
 ASIDE = ("solver", "timing", "cpu", "memory", "balance", "units")
@@ -175,13 +175,14 @@ def compare(one: Summaries, other: Summaries, ranks: int, states: bool = True) -
     """The same numbers as on one rank, each by the largest of its kind."""
     assert one and one.keys() == other.keys()
     for folder, expected in one.items():
-        found = other[folder]
-        assert found["solver"]["ranks"] == ranks
-        assert found["solver"]["dofs"] == expected["solver"]["dofs"]
-        for summary in (expected, found):
+        actual = other[folder]
+        assert actual["solver"]["ranks"] == ranks
+        assert actual["solver"]["dofs"] == expected["solver"]["dofs"]
+        for summary in (expected, actual):
             assert max(v for k, v in summary["balance"].items() if k != "heat_quadrature") < 1e-8
         a, b = (
-            dict(numbers({k: v for k, v in s.items() if k not in ASIDE})) for s in (expected, found)
+            dict(numbers({k: v for k, v in s.items() if k not in ASIDE}))
+            for s in (expected, actual)
         )
         assert a.keys() == b.keys()
         largest: dict[tuple[str, str], float] = {}
@@ -206,19 +207,19 @@ def test_ranks_numbers_are_equal(name: str, tmp_path: Path) -> None:
     case = support.CONFIGS / text if text.endswith(".yaml") else tmp_path / "case.yaml"
     if not case.exists():
         case.write_text(text)
-    found = {}
+    by_ranks = {}
     for ranks, more in on.items():
         output = tmp_path / f"on-{ranks}"
         sets = support.sets(*overrides, *more)
         support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *sets)
-        found[ranks] = summaries(output)
-    one = found.pop(1)
+        by_ranks[ranks] = summaries(output)
+    one = by_ranks.pop(1)
     # All kinds of points occur, or the comparison says little.
     first = next(iter(one.values()))
     for q in first["interfaces"].values():
         assert name == "gruen zones" or q["open_fraction"] + q["slip_fraction"] > 0.02
     assert len(dict(numbers(first.get("gruen", {})))) > 200 or name != "gruen zones"
-    for ranks, other in found.items():
+    for ranks, other in by_ranks.items():
         compare(one, other, ranks)
 
 
@@ -268,8 +269,8 @@ def fail():
     raise InputError("wrong")
 
 for n in (0, 1, 3, 5):
-    found = dealt(comm, [lambda k=k: (k, comm.rank) for k in range(n)])
-    assert found == ([(k, k % comm.size) for k in range(n)] if comm.rank == 0 else [])
+    shares = dealt(comm, [lambda k=k: (k, comm.rank) for k in range(n)])
+    assert shares == ([(k, k % comm.size) for k in range(n)] if comm.rank == 0 else [])
 try:
     dealt(comm, [int, fail, int])
 except InputError as error:
@@ -313,7 +314,7 @@ def test_ranks_share_the_pictures_of_a_page(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_ranks_multigrid_iterations_are_equal(order: int, tmp_path: Path) -> None:
-    """Each rank smooths its own part; with longer steps than on one rank that would diverge."""
+    """Each rank smooths its part; with longer steps than on one rank that would diverge."""
     case, counts = tmp_path / "case.yaml", {}
     case.write_text(STEM)
     changes = (f"mesh.order={order}", f"mesh.size={2 * order} mm", "solver.linear=multigrid")
@@ -329,8 +330,8 @@ def test_ranks_nested_start(ranks: int, tmp_path: Path) -> None:
     """The same jumps as without, from a start that is closer to equilibrium."""
     output = tmp_path / "numbers.json"
     support.on_ranks(ranks, "-m", "tests.parallel.nested_case", output)
-    found = json.loads(output.read_text())
-    assert found["difference"] < 1e-6 and found["start"] < 0.3
+    numbers = json.loads(output.read_text())
+    assert numbers["difference"] < 1e-6 and numbers["start"] < 0.3
 
 
 # Restarts

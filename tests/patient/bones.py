@@ -1,4 +1,4 @@
-"""Surfaces of bones as STL files: mantle's own femur in triangles, and the measured one."""
+"""Surfaces of bones as STL files: the parametric femur in triangles, and the measured one."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from app.patient.bone_surface import BoneSurface
 from meshes import femur_bone, femur_intact
 from meshes.data import exterior_facets
 
-LINES = 24  # around mantle's own femur here: a polygon within its sections
-VERSION = 15.0  # deg: anteversion of mantle's own femur here
+LINES = 24  # around the parametric femur here: a polygon within its sections
+VERSION = 15.0  # deg: anteversion of the parametric femur here
 MEASURED = Path("/work/shared/data/femur_right_mm.stl")
 MEASURED_CANAL = MEASURED.with_name("femur_right_canal_mm.stl")
 
 
 @cache
-def own(version: float = VERSION, around: int = LINES) -> BoneSurface:
-    """Mantle's intact femur, of 3 mm: a left one in its own axes, closed, without condyles."""
+def parametric_femur(version: float = VERSION, around: int = LINES) -> BoneSurface:
+    """The parametric intact femur, cells of 3 mm: left, in its axes, closed, without condyles."""
     geometry = IntactFemur.model_validate(
         {"anteversion": f"{version} deg", "distal_cut_z": "-260 mm"}
     )
@@ -50,7 +50,7 @@ def tube(rings: Floats) -> BoneSurface:
     return BoneSurface(points, np.concatenate(sides + caps))
 
 
-def own_canal() -> BoneSurface:
+def parametric_canal() -> BoneSurface:
     """The canal of mantle's femur, between two levels, with flat ends."""
     theta, z = np.meshgrid(2 * np.pi * np.arange(48) / 48, np.linspace(-250.0, -25.0, 80))
     radius = femur_bone.Tube(femur_bone.CANAL).radius(theta, z)
@@ -103,7 +103,7 @@ def enhanced(path: Path, values: Any, affine: Floats) -> Path:
     """Write numbers as one DICOM file of many frames, an enhanced CT, its frames out of order.
 
     By the standard's C.7.6.16: what frames share is in one group, their places in others. Each
-    has an intercept of its own.
+    has an intercept.
     """
     one = slices(path.parent / "slices", values, affine)
     files = [pydicom.dcmread(file) for file in sorted(one.iterdir())]

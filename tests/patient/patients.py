@@ -1,4 +1,4 @@
-"""Patients whose bone is mantle's own femur in triangles."""
+"""Patients whose bone is the parametric femur in triangles."""
 
 from __future__ import annotations
 

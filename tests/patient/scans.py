@@ -1,4 +1,4 @@
-"""CT and labels of mantle's own femur, as a hospital and TotalSegmentator write them."""
+"""CT and labels of the parametric femur, as a hospital and TotalSegmentator write them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from app.foundation.arrays import Floats
 from app.patient import landmarks
 from app.patient.bone_surface import BoneSurface
-from tests.patient.bones import inside, moved, own, own_canal
+from tests.patient.bones import inside, moved, parametric_canal, parametric_femur
 
 # Numbers of the femora in TotalSegmentator, version 2.
 NUMBERS = {"left": 75, "right": 76}
@@ -32,11 +32,13 @@ FULL = -25.0
 
 def in_patient(side: str) -> tuple[BoneSurface, BoneSurface, Floats]:
     """The femur and its canal in axes to right, anterior, superior, and the head's centre [mm]."""
-    head = landmarks.find(own()).head
+    head = landmarks.find(parametric_femur()).head
     # Medial is to the right of a left femur.
     mirror = np.diag([1.0 if side == "left" else -1.0, 1.0, 1.0])
     place = np.array([-ASIDE if side == "left" else ASIDE, 20.0, HEIGHT])
-    bone, canal = (moved(s, mirror, place - mirror @ head) for s in (own(), own_canal()))
+    bone, canal = (
+        moved(s, mirror, place - mirror @ head) for s in (parametric_femur(), parametric_canal())
+    )
     return bone, canal, place
 
 

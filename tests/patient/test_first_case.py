@@ -66,7 +66,7 @@ def test_first_case_without_ct_has_the_canal_of_the_table(tmp_path: Path) -> Non
 
 
 def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
-    """It is read on its own grid; it must contain the femur."""
+    """It is read on its grid; it must contain the femur."""
     folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
     image = nibabel.load(folder / "ct.nii.gz")
     affine = image.affine.copy()

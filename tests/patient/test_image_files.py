@@ -142,9 +142,9 @@ def test_label_surface_nearly_integer_labels_are_rounded(
 ) -> None:
     corners, _ = label_surface.read(labelled(tmp_path, LABELS), 1)
     values = (LABELS * factor).astype(np.float32)
-    near, told = label_surface.read(labelled(tmp_path, values), 1)
+    near, notes = label_surface.read(labelled(tmp_path, values), 1)
     assert near == pytest.approx(corners)
-    assert f"labels rounded by up to {off}" in told
+    assert f"labels rounded by up to {off}" in notes
 
 
 def test_label_surface_interpolated_labels_are_refused(tmp_path: Path) -> None:
@@ -164,8 +164,8 @@ def test_label_surface_mask_has_label_1(tmp_path: Path) -> None:
 
 def test_label_surface_nan_labels_are_background(tmp_path: Path) -> None:
     values = np.where(LABELS > 0, LABELS, np.nan)
-    corners, told = label_surface.read(labelled(tmp_path, values), 2)
-    assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in told
+    corners, notes = label_surface.read(labelled(tmp_path, values), 2)
+    assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in notes
     assert corners == pytest.approx(label_surface.read(labelled(tmp_path, LABELS), 2)[0])
 
 

@@ -36,7 +36,7 @@ def modulus(path: Path, law: Any, **more: Any) -> dict[str, Any]:
 
 
 def line(a: float) -> dict[str, Any]:
-    """A law of one's own, a + rho in GPa."""
+    """A law of the user, a + rho in GPa."""
     return {"density": "qct", "ranges": [["0 g/cm^3", f"{a} GPa", "1 GPa", 1]]}
 
 
@@ -55,7 +55,7 @@ def even(tmp_path: Path) -> Path:
     ],
 )
 def test_image_modulus_published_laws(even: Path, law: str, expected: list[float]) -> None:
-    """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the law's own density; pieces that meet.
+    """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the density of the law; pieces that meet.
 
     A CT number of 1400 is 1.124 g/cm3 by the phantom.
     """

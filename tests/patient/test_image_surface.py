@@ -1,4 +1,4 @@
-"""Mantle's own femur as a noisy CT of voxels of 0.5 mm, and its labels, read back."""
+"""The parametric femur as a noisy CT of voxels of 0.5 mm, and its labels, read back."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from app.patient.image_modulus import ImageModulus
 from meshes import femur_bone
 from meshes.data import region_volumes
 from tests import support
-from tests.patient.bones import inside, own, own_canal, slices, write
+from tests.patient.bones import inside, parametric_canal, parametric_femur, slices, write
 from tests.patient.patients import as_own, made
 
 VOXEL = 0.5  # mm
@@ -49,12 +49,15 @@ def density(z: Any) -> Any:
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with ``ct.npz``, its ``labels.npz`` (1 bone, 2 canal), and surfaces."""
     folder = tmp_path_factory.mktemp("scan")
-    write(folder / "bone.stl", own())
-    write(folder / "canal.stl", own_canal())
-    low, high = own().points.min(axis=0) - 3.0, own().points.max(axis=0) + 3.0
+    write(folder / "bone.stl", parametric_femur())
+    write(folder / "canal.stl", parametric_canal())
+    low, high = (
+        parametric_femur().points.min(axis=0) - 3.0,
+        parametric_femur().points.max(axis=0) + 3.0,
+    )
     low[2] = LOW
     axes = [np.arange(a + 1e-4, b, VOXEL) for a, b in zip(low, high, strict=True)]
-    bone, canal = (inside(surface, *axes) for surface in (own(), own_canal()))
+    bone, canal = (inside(surface, *axes) for surface in (parametric_femur(), parametric_canal()))
     numbers = np.where(bone, (density(axes[2]) - OFFSET) / SLOPE, BESIDE)
     numbers = gaussian_filter(np.where(canal, MARROW, numbers), 0.6)
     numbers += np.random.default_rng(0).normal(0, NOISE, numbers.shape)
@@ -146,11 +149,11 @@ def test_label_surface_slip_equals_that_of_triangles(scan: Path) -> None:
     E = {"kind": "isotropic", "poisson_ratio": 0.3, "youngs_modulus": DENSITY}
     case: dict[str, Any] = {"base": "stance", "mesh": {"size": "8 mm"}, "output": {"error": True}}
     case |= {"regions": {"cortical_bone": E, "cancellous_bone": E}}
-    found = []
+    interfaces = []
     for bone, canal in (STL, LABELS):
         case["geometry"] = {"kind": "patient", "bone": bone, "canal": canal}
         case["loads"] = {"library": "one_leg_stance"}
-        found.append(support.run(json.dumps(case), scan).summary["interfaces"])
-        (scan / "out").rename(scan / f"out_{len(found)}")
-    for one, two in zip(*map(dict.values, found), strict=True):
+        interfaces.append(support.run(json.dumps(case), scan).summary["interfaces"])
+        (scan / "out").rename(scan / f"out_{len(interfaces)}")
+    for one, two in zip(*map(dict.values, interfaces), strict=True):
         assert two["slip_p99"] == pytest.approx(one["slip_p99"], abs=one["slip_p99_error"])

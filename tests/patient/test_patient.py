@@ -1,4 +1,4 @@
-"""A patient's femur: mantle's own as triangles, and the measured one, with a stem."""
+"""A patient's femur: the parametric one as triangles, and the measured one, with a stem."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from tests.patient.bones import (
     VERSION,
     cut,
     moved,
-    own,
-    own_canal,
+    parametric_canal,
+    parametric_femur,
     turned,
     write,
 )
@@ -44,10 +44,10 @@ from tests.patient.patients import TURNED, as_own, made, measured, options, pati
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Surfaces of mantle's own femur."""
+    """Surfaces of the parametric femur."""
     path = tmp_path_factory.mktemp("bone")
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    for name, surface in (("bone", own()), ("canal", own_canal())):
+    for name, surface in (("bone", parametric_femur()), ("canal", parametric_canal())):
         write(path / f"{name}.stl", surface)
         write(path / f"{name}_moved.stl", moved(surface, turn, np.array([50.0, -20.0, 900.0])))
     return path
@@ -88,19 +88,19 @@ def test_patient_bone_is_independent_of_scan_axes(folder: Path) -> None:
     assert a.endosteum == pytest.approx(b.endosteum, abs=0.02)
 
 
-# Mantle's own stem below the cut, placed where its shoulder is out of the bone.
+# The parametric stem below the cut, placed where its shoulder is out of the bone.
 NECK = (135.919, 130.0, 4.9, 5.5, 56.133)
 PUT = {"depth": "-1 mm", "varus": "1 deg", "version": {"angle": "-8 deg"}}
 IN = {"canal": {"ream": "broach"}, "insertion": PUT}
 
 
 def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> None:
-    """Circles of 6 mm are met to 0.008 mm, and its axis is found to 0.005 mm; its end is flat."""
-    file = {"step": cad_stems.write("own", folder, neck=NECK)}
+    """Circles of 6 mm agree to 0.008 mm, its axis to 0.005 mm; its end is flat."""
+    file = {"step": cad_stems.write("parametric", folder, neck=NECK)}
     given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
     (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
     assert here.head_centre == pytest.approx(given.head_centre, abs=0.02)
-    assert here.details["end of the neck in own.step"] == "[43.0, 0.0, 172.0] mm"
+    assert here.details["end of the neck in parametric.step"] == "[43.0, 0.0, 172.0] mm"
     x = here.placement.to_stem(data.points[np.unique(interface_facets(data, "stem_cement")[0])])
     x, y, z = x[x[:, 2] > -146.9].T
     body = femur_stem.body(given.implant)
@@ -114,17 +114,17 @@ def test_patient_stem_from_a_file_equals_the_parametric_stem(folder: Path) -> No
 
 def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
     """A stem that is not symmetric: its medial direction is that to a head beside its plane."""
-    file, mirror = cad_stems.write("own", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
-    write(folder / "right.stl", moved(own(), mirror, np.zeros(3)))
-    found = []
+    file, mirror = cad_stems.write("parametric", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
+    write(folder / "right.stl", moved(parametric_femur(), mirror, np.zeros(3)))
+    shapes = []
     for name, y, side in (("bone", -8, "left"), ("right", 8, "right, mirrored")):
         stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
         geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
         assert geometry.details["side"] == side
         body = LayeredSurfaces(geometry, options()).stem.body
-        found.append(np.stack([body._kept(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
-        found.append(np.array(list(geometry.points.values())))
-    one, points, other, mirrored = found
+        shapes.append(np.stack([body._kept(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
+        shapes.append(np.array(list(geometry.points.values())))
+    one, points, other, mirrored = shapes
     assert points == pytest.approx(mirrored, abs=0.05)
     assert one == pytest.approx(other, abs=0.02)
     assert np.abs(one[:, 1:] - one[:, :0:-1] * [1, -1, 1]).max() > 0.5
@@ -166,7 +166,7 @@ def test_patient_stem_has_the_given_position(folder: Path) -> None:
 def test_patient_stem_without_room_is_refused_in_any_bone(
     stem: dict[str, str], words: str, folder: Path
 ) -> None:
-    """At its shoulder mantle's own stem is 18.16 mm wide; half depths fall by 5.9 in 133 mm."""
+    """At its shoulder the parametric stem is 18.16 mm wide; half depths fall by 5.9 in 133 mm."""
     with pytest.raises(ValidationError, match=words):
         patient(folder, stem=stem)
     with pytest.raises(ValidationError, match=words):
@@ -183,10 +183,14 @@ def femur(**changes: Any) -> Femur:
     return Femur.model_validate(WIDE | changes)
 
 
-@pytest.mark.parametrize("kind", ["own", "file"])
+@pytest.mark.parametrize("kind", ["parametric", "file"])
 def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) -> None:
-    """Nodes on the body turned by hand, and on the periosteum's own function."""
-    file = {"stem": {"step": cad_stems.write("own", tmp_path, neck=NECK)}} if kind == "file" else {}
+    """Nodes on the body turned by hand, and on the function of the periosteum."""
+    file = (
+        {"stem": {"step": cad_stems.write("parametric", tmp_path, neck=NECK)}}
+        if kind == "file"
+        else {}
+    )
     geometry = femur(insertion=MOVED, **file)
     data = _make(geometry, options(size="6 mm", around=None))
     normal, level = cut(geometry)
@@ -201,12 +205,12 @@ def test_placement_moves_the_stem_but_not_the_bone(kind: str, tmp_path: Path) ->
     x, y, z = x[flank], y[flank], z[flank]
     radius = femur_stem.body(femur().implant).radius(np.arctan2(y, x), z)
     assert len(z) > 200
-    assert np.hypot(x, y) == pytest.approx(radius, abs=1e-5 if kind == "own" else 0.02)
+    assert np.hypot(x, y) == pytest.approx(radius, abs=1e-5 if kind == "parametric" else 0.02)
     x, y, z = data.points[data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]].T
     periosteum = femur_bone.PERIOSTEUM.radius(np.arctan2(y, x), z)
     assert np.hypot(x, y) == pytest.approx(periosteum, abs=1e-5)
     head = turn.apply(np.array([43.0, 0.0, 54.0]) - pivot) + pivot + shift
-    assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "own" else 0.02)
+    assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "parametric" else 0.02)
     assert quality.stubby(data.points, data.cells).min() > 0.05
 
 
@@ -223,8 +227,8 @@ def test_placement_depth_is_that_of_the_shoulder() -> None:
 def test_placement_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> None:
     """The same metal at any depth. Its top begins at the edge, and ends at the cut.
 
-    By hand: the file's is flat and 11 mm long; mantle's own has 7.61 mm in 21.24 mm to the neck,
-    and is 7.9 mm long.
+    By hand: the file's is flat and 11 mm long; the parametric one has 7.61 mm in 21.24 mm to the
+    neck, and is 7.9 mm long.
     """
     given: dict[str, Any] = {"cement_thickness": "3 mm"}
     if kind == "file":
@@ -269,7 +273,7 @@ def random_patient(
     most = {"medial_offset": 2, "anterior_offset": 2, "depth": deepest}
     shift = {k: f"{rng.uniform(-2, far)} mm" for k, far in most.items()}
     turn = {"varus": f"{rng.uniform(0, 3)} deg", "version": {"angle": f"{rng.uniform(-15, 5)} deg"}}
-    own = {"surface": f"{seed}_canal.stl"} if rng.uniform() < 0.8 else {}
+    canal_file = {"surface": f"{seed}_canal.stl"} if rng.uniform() < 0.8 else {}
     cement, distal = (f"{t} mm" for t in rng.uniform(3, 6, 2))
     stem: dict[str, Any] = {"length": f"{rng.uniform(100, 147)} mm"}
     if seed % 5 == 4:
@@ -278,7 +282,7 @@ def random_patient(
     return patient(
         folder,
         bone={"surface": f"{seed}.stl", "unit": "mm"},
-        canal={"ream": "broach"} | own,
+        canal={"ream": "broach"} | canal_file,
         insertion=shift | turn,
         cement_thickness={"proximal": cement, "distal": distal} if seed % 2 else cement,
         stem=stem,
@@ -288,7 +292,7 @@ def random_patient(
 
 
 def _own(geometry: Patient) -> Floats:
-    """Points of mantle's own stem, in its axes (n, 3) [mm]."""
+    """Points of the parametric stem, in its axes (n, 3) [mm]."""
     placed, implant = geometry.placement, geometry.implant
     z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
     slope, lean = placed.slopes
@@ -339,7 +343,7 @@ def check(geometry: Patient, seed: int) -> bool:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_patient_random_cases_mesh_or_are_refused(tmp_path: Path, seed: int) -> None:
-    check(random_patient(tmp_path, seed, own(), own_canal(), 12.0), seed)
+    check(random_patient(tmp_path, seed, parametric_femur(), parametric_canal(), 12.0), seed)
 
 
 @measured
@@ -364,8 +368,8 @@ def test_patient_cells_at_calcar_and_plug_are_sound(tmp_path: Path) -> None:
     geometry = random_patient(tmp_path, 8, *surfaces)
     for order, least, percent in ((1, 0.06, 0.14), (2, 0.05, 0.13)):
         data = _make(geometry, options(size="4 mm", order=order, around=None))
-        found = quality.stubby(data.points, data.cells)
-        assert found.min() > least and np.quantile(found, 0.01) > percent
+        stubbiness = quality.stubby(data.points, data.cells)
+        assert stubbiness.min() > least and np.quantile(stubbiness, 0.01) > percent
 
 
 def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient:
@@ -432,8 +436,8 @@ def test_patient_places_in_an_image_are_inside_the_bone(folder: Path) -> None:
     tube = femur_bone.PERIOSTEUM
     for depth in (0.0, 3.0):
         x = (tube.radius(angle, z) - depth)[:, None] * ring + [0.0, 0.0, 1.0] * z[:, None]
-        own = here.in_file(here.femur.frame.to_model(x), 1.5)
+        mapped = here.in_file(here.femur.frame.to_model(x), 1.5)
         least = max(depth, 1.5)
-        assert np.hypot(*own[:, :2].T) == pytest.approx(tube.radius(angle, z) - least, abs=0.3)
+        assert np.hypot(*mapped[:, :2].T) == pytest.approx(tube.radius(angle, z) - least, abs=0.3)
         moved_ = there.in_file(there.femur.frame.to_model(x @ turn.T + shift), 1.5)
-        assert moved_ == pytest.approx(own @ turn.T + shift, abs=0.05)
+        assert moved_ == pytest.approx(mapped @ turn.T + shift, abs=0.05)

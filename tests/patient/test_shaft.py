@@ -18,7 +18,7 @@ from app.patient.bone_surface import BoneSurface
 from meshes import femur_bone
 from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, section
-from tests.patient.bones import own, own_canal, tube, write
+from tests.patient.bones import parametric_canal, parametric_femur, tube, write
 from tests.patient.patients import made, patient
 
 # A cylinder: radius, ends [mm].
@@ -53,7 +53,7 @@ def scanned(surface: BoneSurface, point: Floats, normal: Floats) -> BoneSurface:
 
 def below_head(surface: BoneSurface, below: float, tilt: float = 0.0) -> BoneSurface:
     """A surface that ends with a scan below the centre of mantle's femoral head [mm, rad]."""
-    head = landmarks.find(own()).head
+    head = landmarks.find(parametric_femur()).head
     return scanned(surface, head - [0.0, 0.0, below], np.array([math.sin(tilt), 0, math.cos(tilt)]))
 
 
@@ -83,11 +83,11 @@ def test_shaft_clipped_keeps_the_area_above() -> None:
 @pytest.mark.parametrize("below", [75.0, 100.0, 150.0])
 def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float) -> None:
     """Mean radius and axis below the end of the scan, within the interval of the axis."""
-    write(tmp_path / "bone.stl", below_head(own(), below))
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), below))
     geometry = patient(
         tmp_path, bone={"surface": "bone.stl", "unit": "mm"}, canal={"ream": "broach"}
     )
-    femur, whole = geometry.femur, landmarks.find(own())
+    femur, whole = geometry.femur, landmarks.find(parametric_femur())
     end = geometry.continued_below
     assert end is not None
     assert end == pytest.approx(54.0 - below - whole.origin[2] + shaft.ROUND, abs=3.0)
@@ -95,7 +95,7 @@ def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float
     assert lean <= max(femur.frame.spread["shaft"], math.radians(0.5))
     for z in (end - 20.0, end - 50.0):
         middle, area = centroid(femur.surface.level(z))
-        expected = centroid(own().level(z + whole.origin[2]))[1]
+        expected = centroid(parametric_femur().level(z + whole.origin[2]))[1]
         assert math.sqrt(area / expected) == pytest.approx(1.0, abs=0.06)
         place = middle @ femur.frame.axes[:2] + z * femur.frame.axes[2] + femur.frame.origin
         aside = math.hypot(*place[:2])
@@ -104,8 +104,8 @@ def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float
 
 def test_shaft_continued_carries_canal_and_mesh(tmp_path: Path) -> None:
     """A canal that ends with the scan goes on with the bone; the mesh has the length it needs."""
-    write(tmp_path / "bone.stl", below_head(own(), 150.0))
-    write(tmp_path / "canal.stl", below_head(own_canal(), 150.0))
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), 150.0))
+    write(tmp_path / "canal.stl", below_head(parametric_canal(), 150.0))
     geometry = patient(
         tmp_path,
         bone={"surface": "bone.stl", "unit": "mm"},
@@ -122,7 +122,7 @@ def test_shaft_continued_carries_canal_and_mesh(tmp_path: Path) -> None:
 
 def test_shaft_points_below_the_end_have_places_in_the_scan(tmp_path: Path) -> None:
     """A point of the continued wall has the modulus of the last section, at the same part of it."""
-    write(tmp_path / "bone.stl", below_head(own(), 100.0))
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), 100.0))
     femur = patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"}).femur
     continued, end = femur.continuation, femur.continuation.end
     wall = femur.surface.level(end)[:, 0]
@@ -151,6 +151,6 @@ def test_shaft_refuses_a_scan_that_ends_too_high(
     tmp_path: Path, below: float, changes: dict[str, Any], message: str
 ) -> None:
     """At the lesser trochanter, above it, and beside the stem where nothing may be continued."""
-    write(tmp_path / "bone.stl", below_head(own(), below))
+    write(tmp_path / "bone.stl", below_head(parametric_femur(), below))
     with pytest.raises((ValidationError, GeometryError), match=message):
         patient(tmp_path, bone={"surface": "bone.stl", "unit": "mm"} | changes)

@@ -18,7 +18,7 @@ from app.foundation.errors import GeometryError, InputError
 from app.patient import bone_surface, landmarks, surface_files, welding
 from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
-from tests.patient.bones import opened, own, write
+from tests.patient.bones import opened, parametric_femur, write
 from tests.patient.surface_text import (
     CORNERS,
     PLACE,
@@ -250,7 +250,7 @@ def test_surface_files_are_refused_with_the_reason(name: str, tmp_path: Path) ->
 
 
 def test_welding_concave_polygons_are_divided_inside() -> None:
-    """A comb of five teeth in any plane: no triangle is turned over, and the area is its own."""
+    """A comb of five teeth in any plane: triangles keep their sides, the comb its area."""
     comb = [(0.0, 0.0), (9.0, 0.0)]
     for tooth in range(4, -1, -1):
         comb += [(2 * tooth + 1.0, 3.0), (2 * tooth + 0.0, 0.5)][: 2 if tooth else 1]
@@ -266,7 +266,7 @@ def test_welding_concave_polygons_are_divided_inside() -> None:
         assert areas.min() > 0 and areas.sum() == pytest.approx(area)
 
 
-# Triangles of mantle's own femur.
+# Triangles of the parametric femur.
 
 HEAD = (41.69, 11.17, 54.13)
 RADIUS = 22.71
@@ -286,7 +286,7 @@ def stl(folder: Path, corners: Any) -> Path:
 def test_welding_quads_next_to_a_divided_edge_close_the_surface(tmp_path: Path) -> None:
     """Above two levels, one of them far from both ends; edges of the rim are divided by a side."""
     for level in (60.0, -50.0):
-        points, faces = quads(own(), level)
+        points, faces = quads(parametric_femur(), level)
         path = put(tmp_path, "bone.obj", obj_vertices(points) + obj_faces(faces))
         surface, frame = judged(path)
         assert not len(surface.rim)
@@ -300,7 +300,7 @@ def test_welding_quads_next_to_a_divided_edge_close_the_surface(tmp_path: Path) 
 @pytest.mark.parametrize("doubled", [slice(None), slice(200, 900)])
 def test_welding_keeps_repeated_facets_once(doubled: slice, turned: bool, tmp_path: Path) -> None:
     """Of all facets and of some, the copies turned over or not."""
-    corners = own().corners
+    corners = parametric_femur().corners
     copies = corners[doubled, :: -1 if turned else 1]
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners, copies])))
     assert len(surface.triangles) == len(corners)
@@ -309,7 +309,7 @@ def test_welding_keeps_repeated_facets_once(doubled: slice, turned: bool, tmp_pa
 
 
 def test_welding_keeps_repeated_facets_of_an_open_bone_once(tmp_path: Path) -> None:
-    corners = opened(own(), -150.0).corners
+    corners = opened(parametric_femur(), -150.0).corners
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners] * 3)))
     assert len(surface.triangles) == len(corners)
     assert f"{2 * len(corners):,} doubled facets left out" in surface.notes
@@ -317,7 +317,7 @@ def test_welding_keeps_repeated_facets_of_an_open_bone_once(tmp_path: Path) -> N
 
 def test_welding_removes_a_fold_without_thickness(tmp_path: Path) -> None:
     """A fin of two sheets, joined to the bone by an edge."""
-    corners = own().corners
+    corners = parametric_femur().corners
     a, b = corners[500, 0], corners[500, 1]
     tip = (a + b) / 2 + 3.0 * np.array([0.3, 0.5, 0.1])
     fin = np.array([[a, b, tip], [b, a, tip]])
@@ -328,22 +328,22 @@ def test_welding_removes_a_fold_without_thickness(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3, 5e-3])
 def test_welding_merges_corners_that_differ_in_last_digits(noise: float, tmp_path: Path) -> None:
-    rng, corners = np.random.default_rng(4), own().corners
+    rng, corners = np.random.default_rng(4), parametric_femur().corners
     surface = bone_surface.read(stl(tmp_path, corners + rng.normal(0, noise, corners.shape)))
     assert len(surface.triangles) == len(corners) and not len(surface.rim)
-    assert len(surface.points) == len(own().points)
+    assert len(surface.points) == len(parametric_femur().points)
     assert volume(surface.corners) == pytest.approx(volume(corners), rel=1e-4)
     assert noise < 1e-4 or "made one, moved by" in " ".join(surface.notes)
 
 
 def test_welding_joins_a_bone_far_from_the_origin(tmp_path: Path) -> None:
     """At two metres numbers of four bytes have steps of 0.0001 mm."""
-    surface = bone_surface.read(stl(tmp_path, own().corners + FAR))
-    assert len(surface.triangles) == len(own().triangles) and not len(surface.rim)
+    surface = bone_surface.read(stl(tmp_path, parametric_femur().corners + FAR))
+    assert len(surface.triangles) == len(parametric_femur().triangles) and not len(surface.rim)
 
 
 def test_welding_refuses_loose_corners_with_their_distance(tmp_path: Path) -> None:
-    rng, corners = np.random.default_rng(4), own().corners
+    rng, corners = np.random.default_rng(4), parametric_femur().corners
     path = stl(tmp_path, corners + rng.normal(0, 0.1, corners.shape))
     with pytest.raises(GeometryError, match=r"not joined: .* are 0\.1\d mm from the next; merge"):
         bone_surface.read(path)
@@ -361,7 +361,7 @@ def test_welding_refuses_loose_corners_with_their_distance(tmp_path: Path) -> No
 def test_bone_frame_note_on_rare_size_or_shape(
     scale: list[float], note: str, tmp_path: Path
 ) -> None:
-    surface, frame = judged(stl(tmp_path, own().corners * scale))
+    surface, frame = judged(stl(tmp_path, parametric_femur().corners * scale))
     notes = frame.doubts(surface)
     assert len(notes) == bool(note)
     assert re.search(note, " ".join(notes))
@@ -369,23 +369,23 @@ def test_bone_frame_note_on_rare_size_or_shape(
 
 def test_bone_frame_note_on_length_over_head() -> None:
     """With condyles 15 to 25 radii of the head are usual; without them the length is any."""
-    frame = landmarks.find(own())
+    frame = landmarks.find(parametric_femur())
     whole = replace(frame, version=0.2, length=18 * frame.radius)
-    assert whole.doubts(own()) == []
-    (note,) = replace(whole, length=27 * frame.radius).doubts(own())
+    assert whole.doubts(parametric_femur()) == []
+    (note,) = replace(whole, length=27 * frame.radius).doubts(parametric_femur())
     assert "it is 613 mm long with its condyles; expected 341 to 568" in note
-    assert replace(whole, length=9 * frame.radius, version=None).doubts(own()) == []
+    assert replace(whole, length=9 * frame.radius, version=None).doubts(parametric_femur()) == []
 
 
 def test_bone_surface_note_on_an_open_proximal_end(tmp_path: Path) -> None:
     """The top of the head is missing; one triangle of it; the shaft is cut."""
-    corners = own().corners
+    corners = parametric_femur().corners
     high = corners[:, :, 2].max(axis=1)
     for kept, edges in ((high < 60.0, 32), (np.arange(len(corners)) != high.argmax(), 3)):
         surface, frame = judged(stl(tmp_path, corners[kept]))
         (note,) = frame.doubts(surface)
         assert "open at the proximal end, at (4" in note and f"({edges} edges)" in note
-    surface, frame = judged(stl(tmp_path, opened(own(), -150.0).corners))
+    surface, frame = judged(stl(tmp_path, opened(parametric_femur(), -150.0).corners))
     assert len(surface.rim) and frame.doubts(surface) == []
 
 
@@ -413,7 +413,7 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
 
 def test_surface_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
     """No other error and no warning, of 240 files; landmarks are sought on what is read."""
-    surface = opened(own(), -150.0)
+    surface = opened(parametric_femur(), -150.0)
     whole = {
         "bone.stl": write(tmp_path / "a.stl", surface).read_bytes(),
         "text.stl": stl_text(surface.corners).encode(),
@@ -432,10 +432,10 @@ def test_surface_files_damaged_are_read_or_refused(tmp_path: Path) -> None:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
-                found = bone_surface.read(path)
-                if sought < 6 and found.notes:
+                bone = bone_surface.read(path)
+                if sought < 6 and bone.notes:
                     sought += 1
-                    landmarks.find(found)
+                    landmarks.find(bone)
         except (GeometryError, InputError) as error:
             assert str(path) in str(error) or "geometry.bone" in str(error)
         except BaseException as error:
@@ -461,7 +461,7 @@ def odd(corners: Any, seed: int) -> Any:
 @pytest.mark.slow
 def test_placement_of_damaged_bones_or_refusal(tmp_path: Path) -> None:
     """Bytes of files, or shapes, are damaged; no warning of numpy either."""
-    surface = own()
+    surface = parametric_femur()
     whole = {
         "bone.stl": write(tmp_path / "bone.stl", surface).read_bytes(),
         "bone.obj": (obj_vertices(surface.points) + obj_faces(surface.triangles)).encode(),

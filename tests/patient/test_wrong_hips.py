@@ -17,7 +17,15 @@ import pytest
 from app.cli import main
 from app.foundation.arrays import Floats
 from app.patient.bone_surface import BoneSurface
-from tests.patient.bones import moved, opened, own, own_canal, slices, tube, write
+from tests.patient.bones import (
+    moved,
+    opened,
+    parametric_canal,
+    parametric_femur,
+    slices,
+    tube,
+    write,
+)
 
 EYE = np.eye(3)
 ZERO = np.zeros(3)
@@ -31,7 +39,7 @@ def without(s: BoneSurface, near: tuple[float, float, float], radius: float) -> 
 
 
 def with_body(s: BoneSurface, x: Floats, triangles: Any) -> BoneSurface:
-    """A surface and more triangles, of corners that are counted after its own."""
+    """A surface and more triangles, of corners that are counted after those of the surface."""
     points = np.concatenate([s.points, x])
     return BoneSurface(points, np.concatenate([s.triangles, triangles]))
 
@@ -47,7 +55,7 @@ def twice(s: BoneSurface) -> BoneSurface:
 
 def headless() -> BoneSurface:
     """A femur that is cut across the neck, and closed there."""
-    s, turn = own(), np.radians(15.0)
+    s, turn = parametric_femur(), np.radians(15.0)
     head = np.array([43 * np.cos(turn), 43 * np.sin(turn), 54.0])
     beyond = s.points @ head / np.linalg.norm(head) > np.linalg.norm(head) - 21.0
     kept = s.triangles[~beyond[s.triangles].any(axis=1)]
@@ -69,9 +77,9 @@ def tibia() -> BoneSurface:
 
 def bent(axis: int, far: float, centre: Any, size: Any) -> BoneSurface:
     """A femur that is pushed along an axis about a place, through itself."""
-    x = own().points.copy()
+    x = parametric_femur().points.copy()
     x[:, axis] += far * np.exp(-(((x - centre) / size) ** 2).sum(axis=1))
-    return BoneSurface(x, own().triangles)
+    return BoneSurface(x, parametric_femur().triangles)
 
 
 def change(**keys: str) -> dict[str, dict[str, str]]:
@@ -79,15 +87,27 @@ def change(**keys: str) -> dict[str, dict[str, str]]:
 
 
 BONES: dict[str, tuple[BoneSurface | bytes, str]] = {
-    "hole": (without(own(), (15.0, 0.0, -60.0), 8.0), f"open at {PLACE} .*, not at an end; close"),
-    "fin": (finned(own()), f"2 bodies, of 5,056 and 1 triangles, the second about {PLACE}"),
+    "hole": (
+        without(parametric_femur(), (15.0, 0.0, -60.0), 8.0),
+        f"open at {PLACE} .*, not at an end; close",
+    ),
+    "fin": (
+        finned(parametric_femur()),
+        f"2 bodies, of 5,056 and 1 triangles, the second about {PLACE}",
+    ),
     "two": (
-        twice(own()),
+        twice(parametric_femur()),
         f"2 bodies, of .* about {PLACE} of the file; expected one: keep the femur",
     ),
-    "inch": (moved(own(), EYE / 25.4, ZERO), "13.27 units long, .* which unit .* cm or inch"),
+    "inch": (
+        moved(parametric_femur(), EYE / 25.4, ZERO),
+        "13.27 units long, .* which unit .* cm or inch",
+    ),
     "tibia": (tibia(), f"no sphere covers more than .* best at {PLACE} .* femur with its head"),
-    "distal half": (opened(moved(own(), -EYE, ZERO), 70.0), f"no lesser .* {PLACE}.* proximal"),
+    "distal half": (
+        opened(moved(parametric_femur(), -EYE, ZERO), 70.0),
+        f"no lesser .* {PLACE}.* proximal",
+    ),
     "headless": (headless(), f"no lesser trochanter .* {PLACE} .*; expected a femur's proximal"),
     "dented": (bent(0, 60.0, (-14, 0, -70), 9.0), f"bone at {PLACE}.* crosses itself"),
     "folded": (bent(2, 25.0, (0, 0, -70), (9e9, 9e9, 10.0)), f"than once, about {PLACE}"),
@@ -109,18 +129,18 @@ BONES: dict[str, tuple[BoneSurface | bytes, str]] = {
 }
 CANALS = {
     "outside": (
-        moved(own_canal(), np.diag([2.3, 2.3, 1]), ZERO),
+        moved(parametric_canal(), np.diag([2.3, 2.3, 1]), ZERO),
         f"outside of the bone at {PLACE}",
     ),
     "elsewhere": (
-        moved(own_canal(), EYE, np.array([90.0, 0, 0])),
+        moved(parametric_canal(), EYE, np.array([90.0, 0, 0])),
         "90 mm beside .* axes of the bone",
     ),
     "short": (
-        moved(own_canal(), np.diag([1, 1, 0.5]), np.array([0, 0, -20.0])),
+        moved(parametric_canal(), np.diag([1, 1, 0.5]), np.array([0, 0, -20.0])),
         f"ends at {PLACE}",
     ),
-    "with a hole": (without(own_canal(), (12.0, 0.0, -60.0), 8.0), f"open at {PLACE}"),
+    "with a hole": (without(parametric_canal(), (12.0, 0.0, -60.0), 8.0), f"open at {PLACE}"),
 }
 KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
@@ -177,7 +197,7 @@ WRONG = KEYS | {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("wrong")
-    for name, (surface, _) in {"bone": (own(), ""), **BONES, **CANALS}.items():
+    for name, (surface, _) in {"bone": (parametric_femur(), ""), **BONES, **CANALS}.items():
         file = path / f"{name}.stl"
         file.write_bytes(surface) if isinstance(surface, bytes) else write(file, surface)
     with suppress(ModuleNotFoundError):

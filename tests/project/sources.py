@@ -38,17 +38,17 @@ MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS
 @cache
 def imported(path: Path) -> frozenset[str]:
     """Return the modules that a file imports, wherever in it; for type checkers alone, too."""
-    own = module(path)
-    found = set()
+    this = module(path)
+    names_of_modules = set()
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names_of_modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, f"{path}:{node.lineno}: a relative import"
             base = str(node.module)
             names = {f"{base}.{alias.name}" for alias in node.names}
-            found |= {name if name in MODULES else base for name in names}
-    return frozenset(found - {own})
+            names_of_modules |= {name if name in MODULES else base for name in names}
+    return frozenset(names_of_modules - {this})
 
 
 def top(name: str) -> str:

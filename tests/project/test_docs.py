@@ -201,7 +201,7 @@ def test_docs_numbers_are_those_of_runs(name: str) -> None:
 
 def test_docs_results_page_names_every_quantity() -> None:
     page = (DOCS / "reference" / "results.md").read_text(encoding="utf-8")
-    keys = {name for own in TABLE.values() for q in own.values() for name in q.names}
+    keys = {name for quantities in TABLE.values() for q in quantities.values() for name in q.names}
     assert [key for key in sorted(keys) if not re.search(rf"[`.]{re.escape(key)}`", page)] == []
 
 
@@ -230,12 +230,12 @@ def test_docs_citation_has_this_version() -> None:
 def test_docs_readme_has_measured_errors_by_mesh_size() -> None:
     """Worst error, size, unknowns and CPU seconds are those of the table of the manual, rounded."""
     line = r"^\| ([\d.]+) % \| (\d+) mm[^|]*\| ([\d,]+) \| (\d+) \|$"
-    told = re.findall(line, (ROOT / "README.md").read_text(encoding="utf-8"), re.M)
+    claimed = re.findall(line, (ROOT / "README.md").read_text(encoding="utf-8"), re.M)
     row = r"^\| (\d+) \| \d+ \| ([\d,]+) \| ([\d.]+) \| ([\d.]+) \|"
-    found = re.findall(row, (DOCS / "verification.md").read_text(encoding="utf-8"), re.M)
-    measured = {size: (unknowns, cpu, worst) for size, unknowns, cpu, worst in found}
-    assert len(told) == 4
-    for worst, size, unknowns, cpu in told:
+    rows = re.findall(row, (DOCS / "verification.md").read_text(encoding="utf-8"), re.M)
+    measured = {size: (unknowns, cpu, worst) for size, unknowns, cpu, worst in rows}
+    assert len(claimed) == 4
+    for worst, size, unknowns, cpu in claimed:
         exact = [float(text.replace(",", "")) for text in measured[size]]
         assert float(unknowns.replace(",", "")) == pytest.approx(exact[0], rel=0.01)
         assert float(cpu) == pytest.approx(exact[1], abs=0.51)

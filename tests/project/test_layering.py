@@ -72,13 +72,15 @@ def all_of(*folders: str) -> object:
 
 @all_of(*LAYERS)
 def test_layering_imports_point_down(path: Path) -> None:
-    own = package_of(module(path))
-    seen = {package_of(name) for name in imported(path)} - {"", own}
-    if not own:
+    importer = package_of(module(path))
+    seen = {package_of(name) for name in imported(path)} - {"", importer}
+    if not importer:
         assert module(path) in ("app", *TOP)
         return
-    row = next(k for k, packages in enumerate(ROWS) if own in packages)
-    below = {package for packages in ROWS[:row] for package in packages} - HIDDEN.get(own, set())
+    row = next(k for k, packages in enumerate(ROWS) if importer in packages)
+    below = {package for packages in ROWS[:row] for package in packages} - HIDDEN.get(
+        importer, set()
+    )
     assert seen <= below
     assert not {*TOP} & imported(path) - {"app.rooms"}
     assert not seen & ROOMS
@@ -129,7 +131,7 @@ def test_layering_class_names_are_unique() -> None:
         for node in tree(path).body:
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(name)
-    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+    assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
 
 
 def test_layering_packages_are_installed_with_a_docstring() -> None:
@@ -158,8 +160,8 @@ def test_layering_forms_import_only_ufl(path: Path) -> None:
 
 @all_of("meshes")
 def test_layering_meshes_do_not_import_the_application(path: Path) -> None:
-    own = {m for m in imported(path) if top(m) == "app"}
-    assert {package_of(m) for m in own} <= {"foundation", "mesh_files"}
+    of_app = {m for m in imported(path) if top(m) == "app"}
+    assert {package_of(m) for m in of_app} <= {"foundation", "mesh_files"}
 
 
 @all_of("app")

@@ -56,7 +56,7 @@ GUEST = """
 import locale, os, signal, sys, ufl, warnings
 from dolfinx import fem
 import dolfinx.jit, ffcx.codegeneration.jit, ffcx.options, numpy, logging
-import ruamel.yaml, scipy.sparse, scipy.special  # which add warnings filters of their own
+import ruamel.yaml, scipy.sparse, scipy.special  # which add filters of warnings
 import matplotlib.pyplot as plt
 plt.rcParams["font.size"] = 23
 

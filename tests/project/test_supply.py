@@ -28,7 +28,7 @@ CALLED = {
     "skimage": "scikit-image",
     "ufl": "fenics-ufl",
 }
-OWN = {"app", "configs", "forms", "mantle", "meshes"}
+PACKAGES = {"app", "configs", "forms", "mantle", "meshes"}
 # Modules that type checkers alone know.
 STUBS = {"_typeshed"}
 
@@ -36,8 +36,10 @@ STUBS = {"_typeshed"}
 def test_supply_imports_are_dependencies() -> None:
     named = {Requirement(text).name for text in PROJECT["dependencies"]}
     optional = {Requirement(text).name for text in (*EXTRA["many"], *EXTRA["completion"])}
-    found = {top(name) for path in MODULES.values() for name in imported(path)}
-    needed = {CALLED.get(name, name) for name in found - {*sys.stdlib_module_names} - OWN - STUBS}
+    packages = {top(name) for path in MODULES.values() for name in imported(path)}
+    needed = {
+        CALLED.get(name, name) for name in packages - {*sys.stdlib_module_names} - PACKAGES - STUBS
+    }
     assert needed - optional == named and "snakemake" in optional
 
 
@@ -87,7 +89,7 @@ def test_supply_conda_has_the_same_packages() -> None:
     other = {"snakemake-minimal": "snakemake", "matplotlib-base": "matplotlib"}
     have = {other.get(name, name.removeprefix("python-")) for name in conda}
     wanted = named([*PROJECT["dependencies"], *EXTRA["many"], *EXTRA["test"]]).keys()
-    # DOLFINx brings its own parts.
+    # DOLFINx installs its parts.
     assert wanted - have == {"fenics-ufl", "fenics-basix", "fenics-ffcx"}
 
 

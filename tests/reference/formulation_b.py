@@ -1,7 +1,7 @@
 r"""Formulation B: frictional contact with a submesh per body and a multiplier field (tests only).
 
-An implementation that shares no equation with the application: every body has its own displacement
-space on its own submesh, every interface a multiplier on the submesh of its facets, and all are
+An implementation that shares no equation with the application: every body has its displacement
+space on a separate submesh, every interface a multiplier on the submesh of its facets, and all are
 unknowns of one monolithic Newton method with a direct solver. It reads the same configuration and
 the same mesh, in series, on small cases; first order, isotropic bodies, contact on every interface.
 
@@ -113,7 +113,7 @@ class Interface:
         master: Body whose side is '+' in the interface integrals: the stiffer one.
         slave: Body whose side is '-'.
         part: Facet submesh and multiplier.
-        dofs: Blocked dofs of master and slave at its own dofs (2, n).
+        dofs: Blocked dofs of master and slave at its dofs (2, n).
         entities: Integration entities, the master's cell first.
         normal: Averaged nodal normal from master to slave.
         area: Area of each node (n,).
@@ -186,7 +186,7 @@ def solve(case: Case, tagged: TaggedMesh, times: Sequence[float]) -> list[State]
     """
     assert tagged.mesh.comm.size == 1 and case.mesh.order == 1
     cells = {name: tagged.cell_tags.find(tagged.regions[name]) for name in case.regions}
-    bodies = {name: _part(tagged, 3, own, name) for name, own in cells.items()}
+    bodies = {name: _part(tagged, 3, of_body, name) for name, of_body in cells.items()}
     interfaces = [Interface(case, tagged, bodies, name) for name in case.interfaces]
     assert len(interfaces) == len(tagged.interfaces)
     amplitudes: list[tuple[fem.Constant, tuple[float, ...] | None]] = []
@@ -330,8 +330,8 @@ def _boundary_facets(tagged: TaggedMesh, part: Part, boundary: str) -> NDArray[n
     mesh = tagged.mesh
     facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])
     cells_of = mesh.topology.connectivity(2, 3)
-    own = np.isin([cells_of.links(f)[0] for f in facets], part.to_parent)
-    return facets[own].astype(np.int32)
+    in_body = np.isin([cells_of.links(f)[0] for f in facets], part.to_parent)
+    return facets[in_body].astype(np.int32)
 
 
 def _boundary_nodes(tagged: TaggedMesh, part: Part, boundary: str) -> Ints:

@@ -38,12 +38,12 @@ def end(folder: Path, *overrides: str) -> float:
 
 def test_remodelling_density_is_limited_to_the_largest(tmp_path: Path) -> None:
     """Copies of the law in circulation set it to the least one."""
-    found = solved(tmp_path / "a", "loads.press.pressure=40 MPa")
-    assert np.all(found.on_cells("density") == 1.74)
-    mass = found.summary["remodelling"]["mass"]
+    results = solved(tmp_path / "a", "loads.press.pressure=40 MPa")
+    assert np.all(results.on_cells("density") == 1.74)
+    mass = results.summary["remodelling"]["mass"]
     assert mass["cut"] < 0 < mass["added"] and abs(mass["audit"]) < 1e-10
-    assert mass["end"] == pytest.approx(1.74e-3) == found.step_record["bone mass [g]"][-1]
-    assert found.step_record["remodelled [s]"][-1] == pytest.approx(30.0)
+    assert mass["end"] == pytest.approx(1.74e-3) == results.step_record["bone mass [g]"][-1]
+    assert results.step_record["remodelled [s]"][-1] == pytest.approx(30.0)
 
 
 def test_remodelling_stimulus_is_the_mean_of_energies(tmp_path: Path) -> None:
@@ -53,13 +53,13 @@ def test_remodelling_stimulus_is_the_mean_of_energies(tmp_path: Path) -> None:
     alone = end(tmp_path / "alone", SHORT)
     for name, factor, as_if in (("pull", -1.0, 3.0), ("half", 0.5, 3 * (5 / 8) ** 0.5)):
         factors = f"loads.press.history=[1, {factor}, 0]"
-        found = end(tmp_path / name, reverse, both, factors)
+        density = end(tmp_path / name, reverse, both, factors)
         same = (
             alone
             if as_if == 3
             else end(tmp_path / "as", SHORT, f"loads.press.pressure={as_if} MPa")
         )
-        assert found == pytest.approx(same, abs=1e-9)
+        assert density == pytest.approx(same, abs=1e-9)
 
 
 def test_remodelling_in_other_units(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_remodelling_unchanged_load_changes_nothing(tmp_path: Path) -> None:
     assert same["mass"]["added"] == 0.0 and same["mass"]["end"] == same["mass"]["start"]
     less = solved(tmp_path / "less", *reference, grid, "loads.press.pressure=0.3 MPa")
     assert less.summary["remodelling"]["mass"]["added"] < -1e-5
-    # By a run's folder; and what the intact case lacks is told.
+    # By a run's folder; and a message names what the intact case lacks.
     folder = tmp_path / "run"
     folder.mkdir()
     run(load(intact), folder)
@@ -105,14 +105,14 @@ def test_remodelling_unchanged_load_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_remodelling_bone_at_loads_and_supports_is_frozen(tmp_path: Path) -> None:
-    found = solved(
+    results = solved(
         tmp_path / "a",
         SHORT,
         "remodelling.frozen=",
         "mesh.size=0.2 mm",
         "supports.floor={kind: fixed, boundary: bottom}",
     )
-    z, rho = found.points[found.cells][:, :, 2], found.on_cells("density")
+    z, rho = results.points[results.cells][:, :, 2], results.on_cells("density")
     at_ends = np.isclose(z, 0) | np.isclose(z, 1)
     assert rho[at_ends.all(axis=1)] == pytest.approx(0.8, abs=1e-14)
     assert np.all(rho[~at_ends.any(axis=1)] < 0.75)

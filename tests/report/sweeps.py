@@ -69,18 +69,18 @@ CEMENTED = ("gap", "slip", "motion", "pressure", "shear")
 
 def contact(law: Law, stem: str, t: float, mu: float, error: float) -> dict[str, Any]:
     """Numbers of both interfaces: the percentile by a law, the largest twice that."""
-    found: dict[str, Any] = {}
+    interfaces: dict[str, Any] = {}
     for place in ("cement_bone", "stem_cement"):
-        found[place] = {"area": 100.0}
-        found[place] |= {f"area_{q}_over_30um": 40.0 for q in ("slip", "motion")}
-        found[place]["area_gap_over_30um"] = 1.0
+        interfaces[place] = {"area": 100.0}
+        interfaces[place] |= {f"area_{q}_over_30um": 40.0 for q in ("slip", "motion")}
+        interfaces[place]["area_gap_over_30um"] = 1.0
         for quantity in CEMENTED:
             unit = 1 if quantity in ("pressure", "shear") else 1e-3
             value = unit * law(stem, t, mu, f"{place}.{quantity}")
             part = PERCENTILES[quantity]
-            found[place] |= {f"{quantity}_{part}": value, f"{quantity}_max": 2 * value}
-            found[place][f"{quantity}_{part}_error"] = error * value
-    return found
+            interfaces[place] |= {f"{quantity}_{part}": value, f"{quantity}_max": 2 * value}
+            interfaces[place][f"{quantity}_{part}_error"] = error * value
+    return interfaces
 
 
 def as_the_paper_says(stem: str, t: float, mu: float, name: str) -> float:

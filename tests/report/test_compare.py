@@ -64,9 +64,9 @@ def test_compare_equal_runs_have_no_difference(stems: tuple[Run, Run], tmp_path:
 
 def test_compare_refuses_folders_without_results(tmp_path: Path) -> None:
     """Each of them; one run alone cannot be compared."""
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         compare.write([tmp_path / "a", tmp_path / "b"], tmp_path / "page.html")
-    assert str(told.value).count("summary.json") == 2
+    assert str(caught.value).count("summary.json") == 2
     with pytest.raises(InputError, match="given twice"):
         compare.write([tmp_path / "a", tmp_path / "x" / ".." / "a"], tmp_path / "page.html")
     with pytest.raises(InputError, match="not 1"):

@@ -49,11 +49,11 @@ def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
         values = {key: row[k] for key, row in numbers.items()}
         errors = {f"{key}_error": e for key, (*_, e) in numbers.items() if e is not None}
         cases.append(run(tmp_path / name, interfaces={"stem_cement": values | errors}))
-    found = compared_numbers.compared(cases)
-    keys = [number.key.removeprefix("stem_cement.") for number in found]
+    ordered = compared_numbers.compared(cases)
+    keys = [number.key.removeprefix("stem_cement.") for number in ordered]
     assert keys[:4] == ["gap_p99", "slip_p99", "pressure_max", "shear_max"]
     assert {*keys[4:]} == {"motion_p99", "dissipation"}
-    gap = found[0]
+    gap = ordered[0]
     assert (gap.title, gap.text(0), gap.text(1)) == (
         "stem-cement debonding, p99 (µm)",
         "10.0 ± 1.0",
@@ -61,8 +61,8 @@ def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
     )
     assert gap.difference(1) == "10.0 ± 2.0 (+100.0 %)"
     assert gap.significance == pytest.approx(5.0)
-    assert found[2].difference(1) == "2 (+200.0 %), errors unknown"
-    by_key = dict(zip(keys, found, strict=True))
+    assert ordered[2].difference(1) == "2 (+200.0 %), errors unknown"
+    by_key = dict(zip(keys, ordered, strict=True))
     assert by_key["motion_p99"].difference(1).endswith("within the errors")
     assert by_key["dissipation"].difference(1) == "0"
 
@@ -86,8 +86,8 @@ def test_compared_numbers_are_of_every_section(tmp_path: Path) -> None:
         "timing": {"total": 3.0},
     }
     cases = [run(tmp_path / name, **sections) for name in ("a", "b")]
-    found = {number.key: number for number in compared_numbers.compared(cases)}
-    assert {*found} == {
+    numbers = {number.key: number for number in compared_numbers.compared(cases)}
+    assert {*numbers} == {
         "stem_cement.force.x",
         "stem_cement.force.y",
         "stem_cement.force.z",
@@ -99,10 +99,10 @@ def test_compared_numbers_are_of_every_section(tmp_path: Path) -> None:
         "gruen.7.cortical_bone.strain_energy_density",
         "gruen.7.stem_cement.slip_mean",
     }
-    assert found["stem_cement_rim.slip_p99"].title == "stem-cement rim slip, p99 (µm)"
-    assert found["gruen.7.cortical_bone.strain_energy_density"].text(0) == "4.00 ± 0.40"
-    assert found["gruen.7.stem_cement.slip_mean"].text(1) == "30.0 ± 3.0"
-    assert not any(number.differs for number in found.values())
+    assert numbers["stem_cement_rim.slip_p99"].title == "stem-cement rim slip, p99 (µm)"
+    assert numbers["gruen.7.cortical_bone.strain_energy_density"].text(0) == "4.00 ± 0.40"
+    assert numbers["gruen.7.stem_cement.slip_mean"].text(1) == "30.0 ± 3.0"
+    assert not any(number.differs for number in numbers.values())
 
 
 def test_compared_numbers_list_those_of_one_run(tmp_path: Path) -> None:

@@ -28,10 +28,10 @@ def test_evidence_of_every_factor(stems: tuple[Run, Run], tmp_path: Path) -> Non
     checks.mkdir()
     (checks / "verify.json").write_text(json.dumps(CHECKS))
     page, file = evidence.write([run, checks])
-    found = json.loads(file.read_text())
-    factors = {f["number"]: f["evidence"] for f in found["factors"]}
+    written = json.loads(file.read_text())
+    factors = {f["number"]: f["evidence"] for f in written["factors"]}
     assert list(factors) == list(range(1, 14)) and all(map(all, factors.values()))
-    assert found["question"] == evidence.APPLICANT  # the case has none
+    assert written["question"] == evidence.APPLICANT  # the case has none
     assert factors[2][:2] == [
         "2 of 3 problems with known answers are solved within tolerance",
         "hertz: failed: 1.2, reference 1",
@@ -40,7 +40,7 @@ def test_evidence_of_every_factor(stems: tuple[Run, Run], tmp_path: Path) -> Non
     assert factors[11] == ["rods: passed: 1, reference 1"]
     assert factors[13] == [evidence.APPLICANT]
     text = page.read_text()
-    assert all(f["name"] in text for f in found["factors"])
+    assert all(f["name"] in text for f in written["factors"])
 
 
 def test_evidence_methods_have_the_numbers_of_the_run(

@@ -16,8 +16,8 @@ from tests.report.sweeps import MODULI, Law, Maker, as_the_paper_says, contact, 
 from tests.support import CONFIGS
 
 
-def verdicts(found: rs.SweepResults) -> dict[str, str]:
-    return {t.name: t.verdict for t in claims.judge(paper.Cases(found))}
+def verdicts(results: rs.SweepResults) -> dict[str, str]:
+    return {t.name: t.verdict for t in claims.judge(paper.Cases(results))}
 
 
 def test_paper_statement_is_undecided_within_errors() -> None:
@@ -43,14 +43,14 @@ def test_paper_cases_are_those_of_named_parts(maker: Maker) -> None:
     maker.add("again", femur(), {}, unknowns=10)
     maker.stance("CoCr", 4.0, 0.4, {}, part="friction")
     maker.stance("CoCr", 4.0, 1.0, {}, part="mine")
-    found = paper.Cases(rs.read(maker.write()))
-    names = {t: c.name for t, c in found.over("thickness", stem="titanium").items()}
+    cases = paper.Cases(rs.read(maker.write()))
+    names = {t: c.name for t, c in cases.over("thickness", stem="titanium").items()}
     assert names == {3.0: "titanium 3 1", 4.0: "finer"}
-    assert list(found.over("friction", stem="CoCr")) == [0.4]
+    assert list(cases.over("friction", stem="CoCr")) == [0.4]
 
 
 def test_paper_parts_are_shipped() -> None:
-    """Every label is a part of the shipped sweep, and both readings are told by their override."""
+    """Every label is a part of the shipped sweep, and the override tells the two readings apart."""
     data = yaml_file.read(CONFIGS / "sweeps" / "paper.yaml").data["parts"]
     assert {*paper.MODELS, *paper.CAUSES} <= set(data)
     for part in ("hot", "slice"):
@@ -63,9 +63,9 @@ def test_paper_parts_are_shipped() -> None:
 @pytest.mark.parametrize(("error", "verdict"), [(1e-3, AGREES), (0.8, UNDECIDED)])
 def test_paper_trends_hold_for_its_numbers(maker: Maker, error: float, verdict: str) -> None:
     """Undecided where errors are as large; of heat there are no numbers."""
-    found = verdicts(sweep(maker, as_the_paper_says, error))
+    judged = verdicts(sweep(maker, as_the_paper_says, error))
     mechanical = dict.fromkeys(["T-a", "T-b", "T-c", "T-d", "T-e", "T-f"], verdict)
-    assert found == mechanical | dict.fromkeys(["T-g", "T-h"], UNDECIDED)
+    assert judged == mechanical | dict.fromkeys(["T-g", "T-h"], UNDECIDED)
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_paper_trends_hold_for_its_numbers(maker: Maker, error: float, verdict: 
     ],
 )
 def test_paper_trend_fails_for_other_numbers(maker: Maker, trend: str, factor: Law) -> None:
-    found = sweep(maker, lambda *of: as_the_paper_says(*of) * factor(*of), 1e-3)
-    assert verdicts(found)[trend] == DIFFERS
+    results = sweep(maker, lambda *of: as_the_paper_says(*of) * factor(*of), 1e-3)
+    assert verdicts(results)[trend] == DIFFERS
 
 
 def test_paper_trend_is_judged_again_with_causes(maker: Maker) -> None:
@@ -93,8 +93,8 @@ def test_paper_trend_is_judged_again_with_causes(maker: Maker) -> None:
     for part, law in (("canal", as_the_paper_says), ("interface", shipped)):
         for t in (2.0, 5.0):
             maker.stance("titanium", t, 1.0, contact(law, "titanium", t, 1.0, 1e-3), part=part)
-    found = sweep(maker, shipped, 1e-3)
-    trends = {t.name: t for t in claims.judge(paper.Cases(found))}
+    results = sweep(maker, shipped, 1e-3)
+    trends = {t.name: t for t in claims.judge(paper.Cases(results))}
     assert trends["T-b"].tried == "room in the canal (agrees), a smoother stem (differs)"
     assert trends["T-c"].verdict == AGREES and not trends["T-c"].tried
 
@@ -117,10 +117,10 @@ def test_paper_heat_is_judged_by_reading(maker: Maker) -> None:
     for t in (2.0, 5.0):
         heated(maker, t, False, 60 + 6 * t, 48 + t)
         heated(maker, t, True, 100.0, 84 - t)
-    found = rs.read(maker.write())
-    cases = paper.Cases(found)
-    assert verdicts(found)["T-g (slice, initial)"] == AGREES
-    assert verdicts(found)["T-g (slice, held)"] == DIFFERS
+    results = rs.read(maker.write())
+    cases = paper.Cases(results)
+    assert verdicts(results)["T-g (slice, initial)"] == AGREES
+    assert verdicts(results)["T-g (slice, held)"] == DIFFERS
     rows = [r for r in compare.compare(cases) if r.fact.id == "25"]
     assert [(r.case, r.peak) for r in rows] == [("initial 2", 72.0), ("held 2", 100.0)]
     # 72 over 76 degC, above the 37 degC of the body.
@@ -136,8 +136,8 @@ def test_paper_tension_of_bonded_cement(maker: Maker) -> None:
         "bonds": {"cement_bone": {"normal_max": 6.0}},
     }
     maker.add("bonded", data, summary, part="cooled")
-    found = rs.read(maker.write())
-    assert verdicts(found)["T-h"] == AGREES
+    results = rs.read(maker.write())
+    assert verdicts(results)["T-h"] == AGREES
     summary["bonds"]["cement_bone"]["normal_max"] = -1.0
     (maker.folder / "runs" / "r0" / "summary.json").write_text(json.dumps(summary))
     assert verdicts(rs.read(maker.folder))["T-h"] == DIFFERS
@@ -147,8 +147,8 @@ def test_paper_tension_of_bonded_cement(maker: Maker) -> None:
 
 
 def test_paper_ratios_are_to_its_numbers(maker: Maker) -> None:
-    found = sweep(maker, as_the_paper_says, 0.05)
-    cases = paper.Cases(found)
+    results = sweep(maker, as_the_paper_says, 0.05)
+    cases = paper.Cases(results)
     rows = compare.compare(cases)
     assert list(dict.fromkeys(r.fact.id for r in rows)) == [str(i) for i in range(1, 31)]
     slip = next(r for r in rows if r.fact.id == "1")

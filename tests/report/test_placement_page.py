@@ -130,9 +130,9 @@ def tried(page: Path, positions: list[dict[str, float]]) -> dict[str, Any]:
     options += ["--host-resolver-rules=MAP * ~NOTFOUND", "--dump-dom", copy.as_uri()]
     done = subprocess.run([str(BROWSER), *options], capture_output=True, text=True, timeout=120)
     assert "CONSOLE" not in done.stderr, done.stderr
-    found = re.search(r'<pre id="found">([^<]+)</pre>', done.stdout)
-    assert found, done.stderr
-    return dict(json.loads(found[1]))
+    match = re.search(r'<pre id="found">([^<]+)</pre>', done.stdout)
+    assert match, done.stderr
+    return dict(json.loads(match[1]))
 
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
@@ -140,10 +140,10 @@ def test_placement_page_is_one_small_file(written: tuple[OperatedHip, Path]) -> 
     """No reference to a file or a server; the licence of three.js is in it."""
     text = written[1].read_text(encoding="utf-8")
     assert len(text.encode()) < MOST_BYTES
-    own = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
-    assert not re.search(r"<[a-z]+[^>]*\s(src|href)=", own)
+    outside_scripts = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
+    assert not re.search(r"<[a-z]+[^>]*\s(src|href)=", outside_scripts)
     assert text.count("<script") == text.count("</script>")
-    assert "The MIT License" in own and "three.js authors" in own
+    assert "The MIT License" in outside_scripts and "three.js authors" in outside_scripts
 
 
 @pytest.mark.slow
@@ -154,16 +154,16 @@ def test_placement_page_numbers_equal_those_of_check(
     """At drawn positions to 0.01 mm; its buttons, and its YAML, which a case accepts."""
     geometry, page = written
     positions = drawn(6)
-    found = tried(page, positions)
-    for numbers, own in zip(positions, found["found"], strict=True):
-        assert own == pytest.approx(expected(geometry, numbers), abs=0.01), numbers
-    assert found["ready"] < FIRST_PICTURE
-    assert found["beyond"] <= 0  # nothing is beyond a phone's edge
-    assert found["focused"] and found["depth"] == pytest.approx(1.5)
-    assert found["views"] == 3 and found["colours"] > 50
-    assert "cuts" in found["before"]["verdict"] and found["best"]["verdict"] == "The stem fits."
-    given = found["yaml"], found["before"]["least"]
-    best = found["best"]["yaml"], found["best"]["least"]
+    shown = tried(page, positions)
+    for numbers, evaluated in zip(positions, shown["found"], strict=True):
+        assert evaluated == pytest.approx(expected(geometry, numbers), abs=0.01), numbers
+    assert shown["ready"] < FIRST_PICTURE
+    assert shown["beyond"] <= 0  # nothing is beyond a phone's edge
+    assert shown["focused"] and shown["depth"] == pytest.approx(1.5)
+    assert shown["views"] == 3 and shown["colours"] > 50
+    assert "cuts" in shown["before"]["verdict"] and shown["best"]["verdict"] == "The stem fits."
+    given = shown["yaml"], shown["before"]["least"]
+    best = shown["best"]["yaml"], shown["best"]["least"]
     for text, least in (given, best):
         keys = ruamel.yaml.YAML(typ="safe").load(text)["geometry"]["insertion"]
         case = geometry.model_dump(mode="json", exclude_none=True) | {"insertion": keys}

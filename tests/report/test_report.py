@@ -46,13 +46,13 @@ def test_gruen_stress_shielding_is_relative_to_the_intact_femur(
     data = femur()
     del data["regions"]["stem"]
     maker.add("intact", data, {"gruen": zones(0.004, ())})
-    found = rs.read(maker.write())
-    without = gruen.intact(found.cases)
+    results = rs.read(maker.write())
+    without = gruen.intact(results.cases)
     assert without is not None and without.name == "intact"
-    change = gruen.shielding(found.cases[1], without)
+    change = gruen.shielding(results.cases[1], without)
     assert set(change) == {"cortical_bone"}
     assert list(change["cortical_bone"].values()) == pytest.approx([-0.25] * 14)
-    tables = {title: (head, rows) for title, head, rows in gruen.tables(found.cases[0])}
+    tables = {title: (head, rows) for title, head, rows in gruen.tables(results.cases[0])}
     assert [*tables] == ["Bone", "cement-bone interface", "stem-cement interface"]
     assert tables["Bone"][1][6] == ["7 (frontal)", "21"]
     head, rows = tables["stem-cement interface"]
@@ -149,19 +149,22 @@ def test_gruen_mantles_are_compared_by_achieved_thickness(maker: Maker) -> None:
     ):
         for mu in (0.4, 1.0):
             for nominal, mean in zip((2, 4), means, strict=True):
-                own = {f"geometry.{key}": nominal, "geometry.cement_thickness": f"{nominal} mm"}
-                own["interfaces.cement_bone.friction_coefficient"] = mu
+                overrides = {
+                    f"geometry.{key}": nominal,
+                    "geometry.cement_thickness": f"{nominal} mm",
+                }
+                overrides["interfaces.cement_bone.friction_coefficient"] = mu
                 thickness = {"nominal": nominal, "mean": mean, "clipped_fraction": 4.0 - mean}
                 more = {
                     "part": part,
-                    "overrides": own,
+                    "overrides": overrides,
                     "summary": {"mantle": {"thickness": thickness}},
                 }
                 numbers = contact(lambda *a, x=mean: x, "", 0, 0, 0.1)
                 maker.stance("titanium", nominal, mu, numbers, name=f"{part}{mean}{mu}", **more)
     cases = rs.read(maker.write()).cases
     groups = sweep_figures._groups(cases, sweep_figures.ACHIEVED)
-    assert [(name.split(":")[0], [*own]) for name, own in groups] == [
+    assert [(name.split(":")[0], [*overrides]) for name, overrides in groups] == [
         *[("clipped", [2.0, 2.6])] * 2,
         *[("cavity", [2.1, 4.0])] * 2,
     ]

@@ -59,8 +59,10 @@ def changed(done: Path, folder: Path, numbers: dict[str, Any]) -> str:
 def test_run_report_page_is_self_contained(done: Path) -> None:
     html = page(done)
     assert len(html) < 3e6
-    own = re.sub(r"<script.*?</script>", "", html, flags=re.S)  # the view: `test_viewer.py`
-    assert not re.search(r"https?:|<script|<link|@import|url\(", own)
+    outside_scripts = re.sub(
+        r"<script.*?</script>", "", html, flags=re.S
+    )  # the view: `test_viewer.py`
+    assert not re.search(r"https?:|<script|<link|@import|url\(", outside_scripts)
     assert "default-src 'none'" in html  # and what the view asks of others is refused
     assert all(s.startswith("data:") for s in re.findall(r'src="([^"]*)"', html))
     ids = re.findall(r'\bid="([^"]*)"', html)
@@ -166,21 +168,25 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
     """A sweep: slip is 2, 4, ... um with the modulus of bone, the gap falls with friction."""
     rows: list[dict[str, Any]] = []
     for k, other in ((k, 7 * k % 20) for k in range(number)):  # orders without relation
-        case, numbers, own = yaml_file.read(run / "case.yaml").data, summary(run), folder / str(k)
+        case, numbers, sample = (
+            yaml_file.read(run / "case.yaml").data,
+            summary(run),
+            folder / str(k),
+        )
         case["geometry"]["cement_thickness"], case["mesh"]["size"] = thickness, "6.0 mm"
         case["regions"]["bone"]["youngs_modulus"] = f"{k + 1} MPa"
         case["interfaces"]["stem_cement"]["friction_coefficient"] = 0.01 * other
         law = {"slip_p99": 2e-3 * (k + 1), "gap_p99": -2e-3 * other}
         numbers["interfaces"]["stem_cement"] |= law
-        own.mkdir(parents=True)
-        (own / "case.yaml").write_text(yaml_file.to_yaml(case))
-        (own / "summary.json").write_text(json.dumps(numbers))
-        rows.append({"name": own.name, "folder": own.name, "part": "", "status": "converged"})
+        sample.mkdir(parents=True)
+        (sample / "case.yaml").write_text(yaml_file.to_yaml(case))
+        (sample / "summary.json").write_text(json.dumps(numbers))
+        rows.append({"name": sample.name, "folder": sample.name, "part": "", "status": "converged"})
         changes = {MODULUS: f"{k + 1} MPa", FRICTION: 0.01 * other}
         rows[-1] |= {"exit_code": 0, "numbers": law, "overrides": changes}
     rows.append(rows[-1] | {"name": "lost", "status": "not converged", "exit_code": 4})
-    found = uncertainty.of_parts(rows, {"": UncertainInputs((MODULUS, FRICTION))})
-    (folder / "sweep.json").write_text(json.dumps({"cases": rows, "uncertainty": found}))
+    spreads = uncertainty.of_parts(rows, {"": UncertainInputs((MODULUS, FRICTION))})
+    (folder / "sweep.json").write_text(json.dumps({"cases": rows, "uncertainty": spreads}))
     return folder
 
 
@@ -229,7 +235,7 @@ def test_curves_drawing_wraps_title_and_starts_at_zero() -> None:
 
 def test_run_report_draws_all_cycles_after_cooling() -> None:
     written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
-    columns = {key: np.array(own) for key, own in written.items()}
+    columns = {key: np.array(values) for key, values in written.items()}
     panel = step_curves.over_time(columns)[0]
     assert panel.lines[0].x == [1, 1.5, 2] and "stage" in panel.x
 
@@ -238,7 +244,7 @@ def test_run_report_necrosis_has_a_spread(tmp_path: Path) -> None:
     """Of 0, 2 .. 18 mm3 5 and 95 % are 0.9 and 17.1; ranks leave 9 of 82.5 within the kinetics."""
     key, of = "necrosis_47C_1min_volume", {"regions.cement.kinetics": [*"aaabbbcccc"]}
     numbers = [{f"bone.{key}": 2.0 * k} for k in range(10)]
-    samples = [SweptCase("", tmp_path, CONVERGED, numbers=own) for own in numbers]
+    samples = [SweptCase("", tmp_path, CONVERGED, numbers=of_sample) for of_sample in numbers]
     summary = {"thermal": {"regions": {"bone": {key: 2.0}}}}
     blocks = run_report._tables(summary, every=False, spread=InputSpread(samples, 10, of))
     follows = f"cement kinetics ({(1 - 9 / 7 / (82.5 / 9)) ** 0.5:+.2f})"
@@ -260,8 +266,8 @@ def test_run_report_inputs_next_to_mesh_errors(
 ) -> None:
     """Percentiles of 2, 4 .. 40 by linear interpolation are 3.9 and 38.1; half of that is 17.1."""
     numbers = summary(done)
-    own = {f"{key}_p99_error": 1e-3 * error for key in ("slip", "gap")}
-    numbers["interfaces"]["stem_cement"] |= own | {"slip_p99": 0.05}
+    errors = {f"{key}_p99_error": 1e-3 * error for key in ("slip", "gap")}
+    numbers["interfaces"]["stem_cement"] |= errors | {"slip_p99": 0.05}
     changed(done, tmp_path / "run", numbers)
     run_report.write(tmp_path / "run", 0.0, samples(done, tmp_path / "sweep"))
     text = " ".join(shown(page(tmp_path / "run")).split())
@@ -410,6 +416,6 @@ def test_run_report_of_variations(
     ],
 )
 def test_run_report_ticks_are_round(ends: tuple[float, float], ticks: list[float]) -> None:
-    found = curves.ticks(*ends)
-    assert found[: len(ticks)] == ticks and found[0] <= ends[0] and found[-1] >= ends[1]
-    assert 2 <= len(found) <= 9
+    placed = curves.ticks(*ends)
+    assert placed[: len(ticks)] == ticks and placed[0] <= ends[0] and placed[-1] >= ends[1]
+    assert 2 <= len(placed) <= 9

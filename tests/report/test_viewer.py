@@ -58,9 +58,9 @@ def test_viewer_values_equal_those_of_files(run: Run) -> None:
     nodes = np.unique(np.concatenate([*shown_nodes, run.cells[:, :4].ravel()]))
     assert np.abs(x - run.points[nodes]).max() <= 0.51 * head["size"] / viewer.LEVELS
     for field, stage, values in shown(head, data):
-        own = size(run, field["name"], stage)[nodes]
+        sizes = size(run, field["name"], stage)[nodes]
         known = np.isfinite(values)
-        assert np.abs(values - own)[known].max() <= 0.51 * np.ptp(own[known]) / 65534 + 1e-12
+        assert np.abs(values - sizes)[known].max() <= 0.51 * np.ptp(sizes[known]) / 65534 + 1e-12
         contact = field["name"].rpartition("_")[0] if ":" in field["label"] else ""
         on = run.at_interface(contact, "status")[nodes] >= 0 if contact else True
         assert (known == on).all()
@@ -106,15 +106,15 @@ def test_viewer_reduces_points_of_large_pages(run: Run) -> None:
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
 def test_viewer_has_no_external_references(run: Run, tmp_path: Path) -> None:
-    """No reference to a file or a server that a browser would follow; few lines of our own."""
+    """No reference to a file or a server that a browser would follow; few lines of the program."""
     text = viewer.viewer({"": run.folder})
     assert not re.search(
         r"<[a-z]+[^>]*\s(src|href)=", re.sub(r"<script>.*?</script>", "", text, flags=re.S)
     )
     assert text.count("<script") == text.count("</script>")
     assert len(text) < 2_000_000
-    own = Path(viewer.__file__).with_name("viewer.js").read_text(encoding="utf-8")
-    assert len(own.splitlines()) < 360
+    script = Path(viewer.__file__).with_name("viewer.js").read_text(encoding="utf-8")
+    assert len(script.splitlines()) < 360
     assert viewer.viewer({"": tmp_path}) == ""  # without fields
 
 
@@ -175,16 +175,16 @@ TRY = """
 
 
 def tried(page: Path, text: str) -> dict[str, Any]:
-    """What a browser without a network found in a view."""
+    """Values that a browser without a network shows in a view."""
     page.write_text(f"<!DOCTYPE html><meta charset='utf-8'><body>{text}{TRY}</body>")
     options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     options += ["--enable-logging=stderr", "--virtual-time-budget=20000", "--window-size=900,700"]
     options += ["--host-resolver-rules=MAP * ~NOTFOUND", "--dump-dom", page.as_uri()]
     done = subprocess.run([str(BROWSER), *options], capture_output=True, text=True, timeout=120)
     assert "CONSOLE" not in done.stderr, done.stderr
-    told = re.search(r'<pre id="found">(.*?)</pre>', done.stdout, re.S)
-    assert told and told[1], done.stderr
-    return dict(json.loads(told[1]))
+    match = re.search(r'<pre id="found">(.*?)</pre>', done.stdout, re.S)
+    assert match and match[1], done.stderr
+    return dict(json.loads(match[1]))
 
 
 @pytest.mark.slow
@@ -192,18 +192,18 @@ def tried(page: Path, text: str) -> dict[str, Any]:
 def test_viewer_browser_draws_runs_and_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """In headless Chromium without a network: no error, one camera, values linear on the facets."""
     folders = {run.folder.name: run.folder for run in stems}
-    found = tried(tmp_path / "page.html", viewer.viewer(folders))
-    assert len(found["colours"]) == 3 and min(found["colours"]) > 20  # drawn, and shaded
-    for cameras in found["cameras"]:
+    shown = tried(tmp_path / "page.html", viewer.viewer(folders))
+    assert len(shown["colours"]) == 3 and min(shown["colours"]) > 20  # drawn, and shaded
+    for cameras in shown["cameras"]:
         assert cameras[1] == pytest.approx(cameras[0]) and cameras[2] == pytest.approx(cameras[0])
     run, triangles = stems[0], viewer.outsides(stems[0], True)
     looks: dict[Any, dict[int, float | None]] = {}
-    for p in found["found"]:
+    for p in shown["found"]:
         looks.setdefault((p["field"], p["stage"], p["look"]), {})[p["run"]] = p["value"]
         if p["run"] == 0 and p["value"] is not None:
-            own = size(run, p["field"], p["stage"])
-            nearest = value_near(run.points, triangles[p["body"]], own, np.array(p["place"]))
-            assert p["value"] == pytest.approx(nearest, abs=2e-3 * np.ptp(own) + 1e-9)
+            sizes = size(run, p["field"], p["stage"])
+            nearest = value_near(run.points, triangles[p["body"]], sizes, np.array(p["place"]))
+            assert p["value"] == pytest.approx(nearest, abs=2e-3 * np.ptp(sizes) + 1e-9)
     assert {stage for _, stage, _ in looks} == {"half", "whole"}
     assert len({field for field, _, _ in looks}) >= 8
     compared = 0
@@ -215,7 +215,7 @@ def test_viewer_browser_draws_runs_and_difference(stems: tuple[Run, Run], tmp_pa
             compared += 1
     assert compared > 20
     # Sections show the field, linear in the cell; colours span what bodies that are visible have.
-    filled = [p for p in found["cuts"] if abs(p["place"][1] - p["plane"]) < 1e-3]
+    filled = [p for p in shown["cuts"] if abs(p["place"][1] - p["plane"]) < 1e-3]
     mises = run.on_points("von_mises", "whole")
     for p in filled:
         cells = run.cells[run.region == run.regions[p["body"]]][:, :4]
@@ -226,11 +226,11 @@ def test_viewer_browser_draws_runs_and_difference(stems: tuple[Run, Run], tmp_pa
     assert len(filled) > 10 and len({p["body"] for p in filled}) == len(run.regions)
     stem = np.unique(run.cells[run.region == run.regions["stem"]])
     for span, field, on in zip(
-        found["spans"], (found["found"][-1]["field"], "von_mises"), (stem, ...), strict=True
+        shown["spans"], (shown["found"][-1]["field"], "von_mises"), (stem, ...), strict=True
     ):
         values = np.concatenate([size(r, field, "whole")[on] for r in stems])
         assert values.min() - 1e-9 <= span[0] < span[1] <= values.max() + 1e-9
-    assert found["spans"][1][1] == pytest.approx(values.max(), rel=1e-3)
+    assert shown["spans"][1][1] == pytest.approx(values.max(), rel=1e-3)
 
 
 def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> float:

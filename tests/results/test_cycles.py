@@ -44,12 +44,12 @@ def test_cycles_of_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) ->
     )
     # Sliding, friction bears τ and the spring the rest; the blocks hardly deform.
     peak, back = (pull - τ) / SPRING, max(((1 - valley) * pull - 2 * τ) / SPRING, 0.0)
-    found = results.summary["cycles"]["pull"]
-    motion = {key: found[key]["lower_upper"]["motion_p99"] for key in ("permanent", "inducible")}
+    cycles = results.summary["cycles"]["pull"]
+    motion = {key: cycles[key]["lower_upper"]["motion_p99"] for key in ("permanent", "inducible")}
     assert motion["permanent"] == pytest.approx(peak - back, rel=1e-4)
     assert motion["inducible"] == pytest.approx(back, rel=1e-4, abs=1e-9)
-    assert found["trend"] == way
-    np.testing.assert_allclose(found["dissipation"], 2 * τ * AREA * back, rtol=1e-4, atol=1e-9)
+    assert cycles["trend"] == way
+    np.testing.assert_allclose(cycles["dissipation"], 2 * τ * AREA * back, rtol=1e-4, atol=1e-9)
     assert results.summary["interfaces"]["lower_upper"]["motion_p99"] == pytest.approx(
         peak, rel=1e-4
     )

@@ -46,30 +46,32 @@ def test_damage_process_zone_has_the_width_of_the_ring() -> None:
 def test_damage_unbonded_patches_depend_on_the_seed_alone() -> None:
     x = 50 * np.random.default_rng(1).random((200_000, 3))
     patches = Patches(share=0.3, patch="5 mm", seed=1)
-    found = patches(x)
+    unbonded = patches(x)
     # 1,000 cubes: a standard deviation of 0.014.
-    assert found.mean() == pytest.approx(0.3, abs=0.045)
-    assert np.array_equal(found[::7], patches(x[::7]))
-    assert 0.1 < np.mean(found != Patches(share=0.3, patch="5 mm", seed=2)(x)) < 0.6
+    assert unbonded.mean() == pytest.approx(0.3, abs=0.045)
+    assert np.array_equal(unbonded[::7], patches(x[::7]))
+    assert 0.1 < np.mean(unbonded != Patches(share=0.3, patch="5 mm", seed=2)(x)) < 0.6
     # Points 0.05 mm apart are in one patch but where a face of it is between them.
     near = patches(x + np.array([0.05, 0, 0]))
-    assert np.mean(found != near) == pytest.approx(2 * 0.3 * 0.7 * 0.05 / 5, rel=0.2)
+    assert np.mean(unbonded != near) == pytest.approx(2 * 0.3 * 0.7 * 0.05 / 5, rel=0.2)
     assert not Patches(share=0, patch="5 mm")(x).any()
     assert Patches(share=1, patch="5 mm")(x).all()
 
 
 def law(text: str) -> Cohesive:
     """The law of a stem in cement, by a text."""
-    found = support.case("base: stance", f"interfaces.stem_cement={text}").interfaces["stem_cement"]
-    assert isinstance(found, Cohesive)
-    return found
+    interface = support.case("base: stance", f"interfaces.stem_cement={text}").interfaces[
+        "stem_cement"
+    ]
+    assert isinstance(interface, Cohesive)
+    return interface
 
 
 def test_damage_finish_gives_only_shear_strength() -> None:
-    found = law(f"{SATIN}, {ENERGIES}, unbonded: {{share: 10 %}}}}")
-    assert (found.shear_strength, found.tensile_strength) == (0.38, 0.3)
-    assert found.unbonded == Patches(share=0.1, patch="5 mm")
-    assert "Mueller" in (found.source or "")
+    satin = law(f"{SATIN}, {ENERGIES}, unbonded: {{share: 10 %}}}}")
+    assert (satin.shear_strength, satin.tensile_strength) == (0.38, 0.3)
+    assert satin.unbonded == Patches(share=0.1, patch="5 mm")
+    assert "Mueller" in (satin.source or "")
     assert law(f"{SATIN}, {ENERGIES}, unbonded: 5 %}}").unbonded == 0.05
 
 

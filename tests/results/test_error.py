@@ -68,7 +68,7 @@ def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("text", "changes", "found"),
+    ("text", "changes", "expected"),
     [
         (STACK, ("output.error=false",), []),
         (STACK, ("stages.0.increments=9",), [(2, 4, 4 / 9), (3, 4, 4 / 9), (3, 9, 1)]),
@@ -81,12 +81,14 @@ def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
     ids=("not asked", "nine", "one", "smooth", "steady"),
 )
 def test_error_estimate_companions_are_coarser(
-    text: str, changes: tuple[str, ...], found: list[tuple[float, ...]]
+    text: str, changes: tuple[str, ...], expected: list[tuple[float, ...]]
 ) -> None:
     """Mesh sizes, increments, and steps over those of the run."""
-    own = error_estimate.companions(support.case(text, *changes))
-    assert [(c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in own] == found
-    assert all(c.case.mesh.far == 4 * c.case.mesh.size for c in own)
+    companions = error_estimate.companions(support.case(text, *changes))
+    assert [
+        (c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in companions
+    ] == expected
+    assert all(c.case.mesh.far == 4 * c.case.mesh.size for c in companions)
 
 
 def test_error_estimate_with_fewer_companions() -> None:
@@ -109,12 +111,12 @@ def test_error_estimate_names_its_sources() -> None:
 @pytest.mark.parametrize(("method", "power"), [("sdirk4", 1), ("backward_euler", 2)])
 def test_error_estimate_companions_in_time(method: str, power: int) -> None:
     """Of order p with an estimate of order q, error goes with tolerance^(p / q): 4/4 and 1/2."""
-    found = error_estimate.companions(
+    companions = error_estimate.companions(
         support.case(HEAT, f"time.method={method}", "time.tolerance=3e-4 K")
     )
-    assert [c.case.mesh.size for c in found] == [2, 3, 3]
+    assert [c.case.mesh.size for c in companions] == [2, 3, 3]
     larger = 3e-4 * 2**power
-    assert [c.case.time.tolerance for c in found] == pytest.approx([larger, larger, 3e-4])  # type: ignore[union-attr]
+    assert [c.case.time.tolerance for c in companions] == pytest.approx([larger, larger, 3e-4])  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("increments", [1, 8, 9])
@@ -140,9 +142,14 @@ def test_error_estimate_lists_maxima_that_do_not_converge() -> None:
     this = case("stages.0.increments=8")
 
     def peaks(pressure: float, slip: float, stress: float, shear: float) -> dict[str, Any]:
-        own = {"pressure_max": pressure, "slip_max": slip, "slip_p99": 0.1, "shear_max": shear}
+        interface = {
+            "pressure_max": pressure,
+            "slip_max": slip,
+            "slip_p99": 0.1,
+            "shear_max": shear,
+        }
         return {
-            "interfaces": {"lower_upper": own},
+            "interfaces": {"lower_upper": interface},
             "regions": {"lower": {"von_mises_max": stress, "principal_min": -stress / 4}},
         }
 
@@ -171,10 +178,10 @@ def test_error_estimate_compares_maxima_on_solved_meshes() -> None:
     def on(value: float | None) -> dict[str, Any]:
         return {"interfaces": {"lower_upper": {"pressure_max": value}}}
 
-    found = {"lower_upper.pressure_max": [[1.0, 9.0], [3.0, 4.0]]}
-    assert error_estimate.estimate(run, this, [(coarser, on(4.0))]) == found
-    assert error_estimate.estimate(run, this, [(finer, on(None)), (coarser, on(4.0))]) == found
-    assert error_estimate.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == found
+    expected = {"lower_upper.pressure_max": [[1.0, 9.0], [3.0, 4.0]]}
+    assert error_estimate.estimate(run, this, [(coarser, on(4.0))]) == expected
+    assert error_estimate.estimate(run, this, [(finer, on(None)), (coarser, on(4.0))]) == expected
+    assert error_estimate.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == expected
     steps = error_estimate.Companion(this, 1.0, 0.5)
     assert error_estimate.estimate(run, this, [(steps, on(4.0))]) == {}
     assert error_estimate.estimate(run, this, []) == {}
@@ -261,7 +268,7 @@ def test_error_estimate_of_heat_follows_temperature() -> None:
     assert "entropy_production_min_error" not in sides
     cure = run["cure"]["lower"]
     assert cure["time_50_error"] == pytest.approx(60 * dose) and "time_90_error" not in cure
-    # The mechanics keep their own.
+    # The mechanics keep their steps.
     assert "slip_p99_error" in run["interfaces"]["lower_upper"]
 
 

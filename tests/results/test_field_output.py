@@ -1,4 +1,4 @@
-"""The grid of the field file: who has nodes of his own, and the values there."""
+"""The grid of the field file: bodies with separate nodes, and the values there."""
 
 from __future__ import annotations
 
@@ -151,8 +151,8 @@ if __name__ == "__main__":
 def test_field_output_extrapolates_linear_fields_to_nodes() -> None:
     rng = np.random.default_rng(2)
     inside, nodes, slopes = rng.random((5, 3)), rng.random((10, 3)), rng.random((4, 3, 6))
-    found = extrapolated(1.0 + inside @ slopes, inside, nodes)
-    np.testing.assert_allclose(found, 1.0 + nodes @ slopes, rtol=1e-12)
+    at_nodes = extrapolated(1.0 + inside @ slopes, inside, nodes)
+    np.testing.assert_allclose(at_nodes, 1.0 + nodes @ slopes, rtol=1e-12)
     one = rng.random((4, 1, 6))
     expected = np.broadcast_to(one, (4, 10, 6))
     np.testing.assert_allclose(extrapolated(one, inside[:1], nodes), expected)

@@ -64,9 +64,9 @@ def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
     exact = pressure(solve(tmp_path, *SHRUNK)) * (FLOOR + (1 - FLOOR) / (POWER + 1))
     errors = []
     for step in (10, 2.5):
-        found = solve(tmp_path, *SET, BATH, f"time={{mechanical_step: {step} K}}")
-        errors.append(abs(pressure(found) / exact - 1))
-        assert all(found["balance"][k] < limit for k, limit in verdicts.BALANCES.items())
+        summary = solve(tmp_path, *SET, BATH, f"time={{mechanical_step: {step} K}}")
+        errors.append(abs(pressure(summary) / exact - 1))
+        assert all(summary["balance"][k] < limit for k, limit in verdicts.BALANCES.items())
     # The warmth of half a unit of cure, 30 K, in some 3 and 12 steps; second order.
     assert errors[-1] < 5e-3
     assert errors[0] / errors[-1] > 8
@@ -75,6 +75,6 @@ def test_heated_mechanics_pressure_of_shrinking_cement(tmp_path: Path) -> None:
 def test_heated_mechanics_heat_balance_with_rounding(tmp_path: Path) -> None:
     """A cure that begins at 0 begins with a step of 1e-7 s, which warms by 1e-8 K."""
     alone = ("interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
-    found = support.run(RING, tmp_path, *SET, *alone).summary
-    assert found["balance"]["heat"] < 1e-7
-    assert not verdicts.reasons_not_to_use(found)
+    summary = support.run(RING, tmp_path, *SET, *alone).summary
+    assert summary["balance"]["heat"] < 1e-7
+    assert not verdicts.reasons_not_to_use(summary)

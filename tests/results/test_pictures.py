@@ -60,7 +60,7 @@ def test_pictures_cylinder_is_unrolled_exactly(turn: float) -> None:
 
 
 def two_bodies(order: int) -> Any:
-    """A run of two tetrahedra on a common face, with nodes of their own there."""
+    """A run of two tetrahedra on a common face, with separate nodes there."""
     face = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
     corners = [np.vstack([face, [[0.0, 0, z]]]) for z in (-3.0, 3.0)]
     if order == 2:

@@ -22,11 +22,11 @@ output: {probes: {tip: "[1.3, 2.1, 4.7] mm", low: {at: "[0.4, 0.2, 1.1] mm"}}}
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_probes_record_displacements(order: int, tmp_path: Path) -> None:
-    found = support.run(BAR, tmp_path, f"mesh.order={order}")
+    results = support.run(BAR, tmp_path, f"mesh.order={order}")
     for name, z in (("tip", 4.7), ("low", 1.1)):
-        end = found.summary["probes"][name]["displacement"]
+        end = results.summary["probes"][name]["displacement"]
         assert end == pytest.approx([0, 0, -0.01 * z], abs=1e-12)
-        course = found.step_record[f"{name} displacement.z [mm]"]
+        course = results.step_record[f"{name} displacement.z [mm]"]
         assert course == pytest.approx([-0.005 * z, -0.01 * z], abs=1e-12)
 
 

@@ -18,7 +18,7 @@ def test_section_loads_cortex_strain_is_that_of_a_beam() -> None:
     """At z = -80 and -113: N / EA + M x / EI of the sections of cortex and cancellous bone."""
     text = (support.CONFIGS / "intact.yaml").read_text()
     solved = support.solve(text, "mesh.size=10 mm", "mesh.around=8")
-    found = of_femur(solved.problem, solved.case)
+    numbers = of_femur(solved.problem, solved.case)
     theta = 2 * np.pi * np.arange(720) / 720
     knee = section_loads(solved.case, 1.0)[-1]
     for name, z in (("80", -80.0), ("113", -113.0)):
@@ -35,8 +35,8 @@ def test_section_loads_cortex_strain_is_that_of_a_beam() -> None:
         moment = knee.moment[1] + middle * knee.force[2]
         for side, x in (("lateral", -outer[360]), ("medial", outer[0])):
             beam = knee.force[2] / EA - moment * (x - middle) / EI
-            assert found[f"strain_{side}_{name}"] == pytest.approx(beam, rel=0.03)
-    assert found["head_displacement"][0] == pytest.approx(5.9, abs=0.1)
+            assert numbers[f"strain_{side}_{name}"] == pytest.approx(beam, rel=0.03)
+    assert numbers["head_displacement"][0] == pytest.approx(5.9, abs=0.1)
 
 
 def test_section_loads_of_two_forces_by_hand() -> None:
@@ -49,15 +49,15 @@ def test_section_loads_of_two_forces_by_hand() -> None:
         "loads.hip.history=[0.5]",
         f"loads.muscle={muscle}",
     )
-    found = {s.z: s for s in section_loads(case, 1.0)}
-    assert len(found) == 11 and list(found)[-2:] == [-200.0, KNEE]
+    by_height = {s.z: s for s in section_loads(case, 1.0)}
+    assert len(by_height) == 11 and list(by_height)[-2:] == [-200.0, KNEE]
     # Half the hip force, 54 mm above: r x F = (43, 0, 54) x (-200, -50, -700).
-    upper = found[0.0]
+    upper = by_height[0.0]
     assert upper.force == (-200.0, -50.0, -700.0)
     assert upper.moment == (54 * 50.0, -54 * 200.0 + 43 * 700.0, -43 * 50.0)
     assert upper.medial_of_shaft == pytest.approx(19300 / 700)
     # At z = -100 the hip is 154 mm above and the muscle 40.
-    lower = found[-100.0]
+    lower = by_height[-100.0]
     assert lower.force == (-200.0, 0.0, -400.0)
     hip = (154 * 50.0, -154 * 200.0 + 43 * 700.0, -43 * 50.0)
     muscle_ = (10 * 300.0 - 40 * 50.0, 20 * 300.0, -20 * 50.0)

@@ -1,4 +1,4 @@
-"""Slip is tangential motion in contact, motion is all of it, and the stem moves in its own bone."""
+"""Slip (tangential, in contact), motion (all of it), and motion of the stem in its bone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from app.results.percentiles import SurfaceField
 from app.results.stresses import Stresses
 from tests import support
 
-# A rigid block on an elastic one without Poisson's ratio: it moves as it is told to.
+# A rigid block on an elastic one without Poisson's ratio: its motion is prescribed.
 BLOCKS = """
 geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
                                   {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
@@ -75,7 +75,7 @@ def test_slip_is_a_state_and_its_path_accumulates(
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 def test_slip_is_independent_of_proportional_steps(friction: float) -> None:
     """A taper pressed home: the same slip in 1, 3 and 16 steps."""
-    found = [
+    interfaces = [
         support.solve(
             support.STEM,
             f"stages=[{{name: load, increments: {steps}}}]",
@@ -85,9 +85,12 @@ def test_slip_is_independent_of_proportional_steps(friction: float) -> None:
     ]
     for name in CONTACTS:
         for key in ("slip_p99", "slip_mean", "slip_max", "area_slip_over_30um"):
-            for other in found[1:]:
-                assert other[name][key] == pytest.approx(found[0][name][key], rel=1e-8), (name, key)
-        assert found[0][name]["slip_mean"] > 1e-4
+            for other in interfaces[1:]:
+                assert other[name][key] == pytest.approx(interfaces[0][name][key], rel=1e-8), (
+                    name,
+                    key,
+                )
+        assert interfaces[0][name]["slip_mean"] > 1e-4
 
 
 def test_slip_is_zero_where_points_stick() -> None:
@@ -157,7 +160,7 @@ def test_hip_motion_is_zero_in_a_rigid_rotation() -> None:
 
 def test_hip_motion_of_a_right_hip_is_mirrored() -> None:
     """Of a load towards +x and one towards -x, with a torque about the axis."""
-    found = []
+    motions = []
     for side, sign in (("left", 1), ("right", -1)):
         solved = support.solve(
             support.STEM,
@@ -168,8 +171,8 @@ def test_hip_motion_of_a_right_hip_is_mirrored() -> None:
             f"loads.torque={{kind: body_force, regions: [stem], density: "
             f"['{sign * 0.05} * y', '{-sign * 0.05} * x', 0 N/mm^3]}}",
         )
-        found.append(StemMotion(solved.problem, solved.case)(solved.case.side))
-    left, right = found
+        motions.append(StemMotion(solved.problem, solved.case)(solved.case.side))
+    left, right = motions
     for key in ("subsidence", "retroversion", "varus"):
         assert abs(left[key]) > 1e-5
         # The meshes are not mirror images of each other.
@@ -186,8 +189,8 @@ def test_stresses_hoop_needs_an_axis() -> None:
 def test_stresses_uniform_at_every_node(order: int, tmp_path: Path) -> None:
     """1 MPa on a block without Poisson's ratio, however many points a cell has."""
     text = ELASTIC + "loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
-    found = support.run(text, tmp_path, "interfaces={}", f"mesh.order={order}")
-    stress = found.fields.on_points("stress")
+    results = support.run(text, tmp_path, "interfaces={}", f"mesh.order={order}")
+    stress = results.fields.on_points("stress")
     np.testing.assert_allclose(stress, np.tile([0, 0, -1, 0, 0, 0], (len(stress), 1)), atol=1e-9)
 
 

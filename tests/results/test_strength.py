@@ -37,8 +37,8 @@ def test_bond_forces_of_a_pulled_and_sheared_interface(
     supports = f"supports={{{', '.join(held)}}}"
     results = support.run(BARS, tmp_path, f"mesh.order={order}", supports)
     index = np.hypot(max(pull, 0.0) / 1.35, shear / 2.25)
-    found = results.summary["bonds"]["one_two"]
-    assert found["failure_index_max"] == pytest.approx(index, rel=1e-9)
+    bond = results.summary["bonds"]["one_two"]
+    assert bond["failure_index_max"] == pytest.approx(index, rel=1e-9)
     map_ = results.fields.at_interface("one_two", "failure_index")
     assert map_.max() == pytest.approx(index, rel=1e-6)
 
@@ -73,13 +73,13 @@ def test_bond_forces_load_factor_at_one_percent_failure(tmp_path: Path) -> None:
     supports = "supports={base: {kind: fixed, boundary: bottom}}"
     bent = "loads.bent={{kind: force, boundary: top, force: '[1, 0, 4] N', history: [{}]}}"
     first = support.run(BARS, tmp_path / "one", supports, bent.format(1.0))
-    found = first.summary["bonds"]["one_two"]
-    assert found["strength_fraction"] == 0.0
-    factor = bent.format(found["failure_load_factor"])
+    bond = first.summary["bonds"]["one_two"]
+    assert bond["strength_fraction"] == 0.0
+    factor = bent.format(bond["failure_load_factor"])
     again = support.run(BARS, tmp_path / "two", supports, factor)
-    found = again.summary["bonds"]["one_two"]
-    assert found["failure_index_p99"] == pytest.approx(1.0, rel=1e-9)
-    assert found["strength_fraction"] == pytest.approx(0.01, rel=1e-6)
+    bond = again.summary["bonds"]["one_two"]
+    assert bond["failure_index_p99"] == pytest.approx(1.0, rel=1e-9)
+    assert bond["strength_fraction"] == pytest.approx(0.01, rel=1e-6)
 
 
 @pytest.mark.parametrize(("pull", "fraction"), [(1.34, 0.0), (1.36, 1.0)])
@@ -88,12 +88,12 @@ def test_bond_forces_of_a_pulled_bar_reach_the_strength(
 ) -> None:
     changes = ("supports.base={kind: fixed, boundary: bottom}", "interfaces={}")
     load = f"loads.up={{kind: pressure, boundary: top, pressure: {-pull} MPa}}"
-    found = support.run(BARS, tmp_path, *changes, load).summary["bonds"]["one_two"]
-    assert found["normal_mean"] == pytest.approx(pull, rel=1e-9)
-    assert found["normal_max"] == pytest.approx(pull, rel=1e-9)
-    assert found["shear_max"] == pytest.approx(0.0, abs=1e-8)
-    assert found["strength_fraction"] == fraction
-    assert found["area"] == pytest.approx(16.0)
+    bond = support.run(BARS, tmp_path, *changes, load).summary["bonds"]["one_two"]
+    assert bond["normal_mean"] == pytest.approx(pull, rel=1e-9)
+    assert bond["normal_max"] == pytest.approx(pull, rel=1e-9)
+    assert bond["shear_max"] == pytest.approx(0.0, abs=1e-8)
+    assert bond["strength_fraction"] == fraction
+    assert bond["area"] == pytest.approx(16.0)
 
 
 def test_bond_forces_need_a_strength(tmp_path: Path) -> None:
@@ -101,8 +101,8 @@ def test_bond_forces_need_a_strength(tmp_path: Path) -> None:
     base = "supports={base: {kind: fixed, boundary: bottom}}"
     for law in ("{kind: bonded}", CONTACT.partition("=")[2].replace(f", {STRENGTH}", "")):
         results = support.run(BARS, tmp_path / law[7:10], load, base, f"interfaces.one_two={law}")
-        told = {key for q in results.summary.get("bonds", {}).values() for key in q}
-        told |= {key for q in results.summary["interfaces"].values() for key in q}
-        told |= {*results.step_record, *results.fields.point_fields}
+        keys = {key for q in results.summary.get("bonds", {}).values() for key in q}
+        keys |= {key for q in results.summary["interfaces"].values() for key in q}
+        keys |= {*results.step_record, *results.fields.point_fields}
         assert "strength_fraction" not in results.summary["interfaces"].get("one_two", {})
-        assert not [name for name in told if "failure" in name]
+        assert not [name for name in keys if "failure" in name]

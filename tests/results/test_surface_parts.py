@@ -137,7 +137,7 @@ def order(errors: list[float]) -> float:
 
 def test_surface_parts_recovery_converges_at_second_order() -> None:
     """Inside; at the border, where means are one-sided, sharp values gain an order."""
-    found: dict[str, list[float]] = {"mean": [], "sharp": [], "mean, edge": [], "sharp, edge": []}
+    errors: dict[str, list[float]] = {"mean": [], "sharp": [], "mean, edge": [], "sharp, edge": []}
     for n in (8, 16, 32):
         x, triangles = grid(n)
         exact, mean, sharp = recovered(
@@ -146,11 +146,11 @@ def test_surface_parts_recovery_converges_at_second_order() -> None:
         inner = (np.abs(x[:, :2] - 0.5) < 0.3).all(axis=1)
         edge = np.isclose(x[:, 0], 1.0) & (np.abs(x[:, 1] - 0.5) < 0.3)
         for name, values in (("mean", mean), ("sharp", sharp)):
-            found[name].append(float(np.abs(values - exact)[inner].max()))
-            found[f"{name}, edge"].append(float(np.abs(values - exact)[edge].max()))
-    assert order(found["mean"]) > 1.9 and order(found["sharp"]) > 1.9
-    assert order(found["mean, edge"]) == pytest.approx(1.0, abs=0.15)
-    assert found["sharp, edge"][-1] < 0.3 * found["mean, edge"][-1]
+            errors[name].append(float(np.abs(values - exact)[inner].max()))
+            errors[f"{name}, edge"].append(float(np.abs(values - exact)[edge].max()))
+    assert order(errors["mean"]) > 1.9 and order(errors["sharp"]) > 1.9
+    assert order(errors["mean, edge"]) == pytest.approx(1.0, abs=0.15)
+    assert errors["sharp, edge"][-1] < 0.3 * errors["mean, edge"][-1]
 
 
 def test_surface_parts_recovery_at_a_ridge() -> None:
@@ -168,7 +168,7 @@ def test_surface_parts_recovery_at_a_ridge() -> None:
 def test_surface_parts_recovery_of_a_rounded_punch() -> None:
     """Its pressure rises like a root beside its edge and falls to zero there: no value grows.
 
-    p = sqrt(1 - x^2) within |x| < 1, as of a cylinder, and zero beyond (Hertz): the largest value
+    p = sqrt(1 - x^2) within |x| < 1, as for a cylinder, and zero beyond (Hertz): the largest value
     and the 95th percentile converge.
     """
     errors: dict[str, list[float]] = {"mean": [], "sharp": []}

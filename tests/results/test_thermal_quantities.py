@@ -157,7 +157,7 @@ def test_thermal_record_doses_of_piecewise_linear_temperatures(
     """Held at temperatures that are linear in time between kinks."""
     steps = "stages.0={name: bath, duration: 110 s, increments: 11, adaptive: false}"
     run = coupled.solve(monkeypatch, *([steps] if equal else []), text=HELD)
-    found = run.model.thermal.record.regions["bone"].doses.totals
+    doses = run.model.thermal.record.regions["bone"].doses.totals
 
     def dose(rate: Callable[[float], float]) -> float:
         parts = pairwise(BATH[0])
@@ -166,10 +166,10 @@ def test_thermal_record_doses_of_piecewise_linear_temperatures(
     def minutes(T: float) -> float:
         return (0.25 if T < 43 else 0.5) ** (43 - T) / 60 if T >= 39 else 0.0
 
-    assert found["cem43"] == pytest.approx(dose(minutes), rel=1e-6)
+    assert doses["cem43"] == pytest.approx(dose(minutes), rel=1e-6)
     damage = dose(lambda T: float(np.exp(np.log(3.1e98) - 6.28e5 / (8.314462618 * (ZERO + T)))))
-    assert found["henriques_moritz"] == pytest.approx(damage, rel=1e-6)
-    assert found["seconds_over_47"] == pytest.approx(75 + 25 / 6 - 20)
+    assert doses["henriques_moritz"] == pytest.approx(damage, rel=1e-6)
+    assert doses["seconds_over_47"] == pytest.approx(75 + 25 / 6 - 20)
 
 
 @pytest.mark.parametrize(
@@ -288,12 +288,12 @@ def wandering(x: np.ndarray, t: float) -> np.ndarray:
 @pytest.mark.parallel
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_thermal_record_is_equal_on_ranks(ranks: int, tmp_path: Path) -> None:
-    found = []
+    summaries = []
     for n in (1, ranks):
         out = tmp_path / f"{n}.json"
         support.on_ranks(n, __file__, out)
-        found.append(dict(frozen.leaves(json.loads(out.read_text()), "")))
-    assert found[1] == pytest.approx(found[0], rel=1e-9, abs=1e-12)
+        summaries.append(dict(frozen.leaves(json.loads(out.read_text()), "")))
+    assert summaries[1] == pytest.approx(summaries[0], rel=1e-9, abs=1e-12)
 
 
 def main(path: str) -> None:

@@ -24,9 +24,9 @@ def summary(**changes: Any) -> dict[str, Any]:
     } | changes
 
 
-def judged(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
+def judged(numbers: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """Words and severity of each verdict but the first, by the part of the result it judges."""
-    first, *rest = verdicts.of_numbers(found)
+    first, *rest = verdicts.of_numbers(numbers)
     assert first.text.startswith("converged: 974 unknowns") and first.severity is Severity.PLAIN
     return {v.where: (f"{v.what}; {v.cure}" if v.cure else v.what, v.severity) for v in rest}
 
@@ -44,30 +44,30 @@ def test_verdicts_on_good_results() -> None:
 
 
 def test_verdicts_on_pressure_by_facets() -> None:
-    found = summary()
-    found["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
-    words, tone = judged(found)["pressure"]
+    numbers = summary()
+    numbers["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
+    words, tone = judged(numbers)["pressure"]
     assert words.startswith("the maximum on stem_cement, 9.00 ± 9.00 MPa, depends on the facets")
     assert "causes up to 4.00 MPa" in words and tone == "warning"
 
 
 def test_verdicts_on_singular_pressure() -> None:
-    found = summary()
-    found["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
-    words, tone = judged(found)["pressure"]
+    numbers = summary()
+    numbers["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
+    words, tone = judged(numbers)["pressure"]
     assert words == (
         "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; the largest "
         "mean at a point is 5.90 MPa"
     )
     assert tone == "warning"
-    found["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
-    assert "pressure" not in judged(found)
+    numbers["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
+    assert "pressure" not in judged(numbers)
 
 
 def test_verdicts_on_bad_results() -> None:
-    found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
-    found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}
-    lines = judged(found)
+    numbers = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
+    numbers["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}
+    lines = judged(numbers)
     lost = "NOT satisfied: relative error of force 1.0e-03; allowed 1e-08"
     assert lines["equilibrium"] == (lost, "error")
     assert lines["heat"] == (
@@ -79,10 +79,10 @@ def test_verdicts_on_bad_results() -> None:
 
 
 def test_verdicts_on_rim_and_tip() -> None:
-    """The rim's gap is told; bodies that slip too far there are not to be used."""
-    found = summary()
-    found["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
-    lines = judged(found)
+    """The rim's gap is reported; bodies that slip too far there are not to be used."""
+    numbers = summary()
+    numbers["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
+    lines = judged(numbers)
     words = ". Rim and tip are excluded; the rim opens by 74.0 um (stem_cement)"
     assert lines["contact"][0].endswith(words)
     assert lines["slip"][0].startswith("larger than a facet on stem_cement")
@@ -124,28 +124,28 @@ def test_verdicts_on_errors_of_steps_alone() -> None:
 
 def test_verdicts_on_heat_alone() -> None:
     """A balance of 2e-6 is above its limit."""
-    found = summary(interfaces={}, balance={"heat": 3e-12, "heat_quadrature": 1e-3})
-    assert judged(found)["heat"] == ("balanced (relative error 3.0e-12)", "good")
-    assert "equilibrium" not in judged(found) and "contact" not in judged(found)
-    found["balance"]["heat"] = 2e-6
-    assert judged(found)["heat"][1] == "error"
+    numbers = summary(interfaces={}, balance={"heat": 3e-12, "heat_quadrature": 1e-3})
+    assert judged(numbers)["heat"] == ("balanced (relative error 3.0e-12)", "good")
+    assert "equilibrium" not in judged(numbers) and "contact" not in judged(numbers)
+    numbers["balance"]["heat"] = 2e-6
+    assert judged(numbers)["heat"][1] == "error"
 
 
 def test_verdicts_are_read_as_recorded() -> None:
-    found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0})
+    numbers = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0})
     remark = note("is it in per cent?", "interfaces.a", "expected 0 to 1.5")
-    verdicts.record(found, [remark])
-    assert recorded(found) == [*verdicts.of_numbers(found), remark]
-    assert verdicts.notes_of(found) == ["interfaces.a: is it in per cent?; expected 0 to 1.5"]
-    assert verdicts.reasons_not_to_use(found) == [
+    verdicts.record(numbers, [remark])
+    assert recorded(numbers) == [*verdicts.of_numbers(numbers), remark]
+    assert verdicts.notes_of(numbers) == ["interfaces.a: is it in per cent?; expected 0 to 1.5"]
+    assert verdicts.reasons_not_to_use(numbers) == [
         "equilibrium: NOT satisfied: relative error of force 1.0e-03; allowed 1e-08"
     ]
 
 
 def test_verdicts_name_failed_companions() -> None:
-    found = summary(error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "within": 0.9})
+    numbers = summary(error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "within": 0.9})
     words = "these coarser runs failed and are left out of the estimate: mesh 12 mm"
-    assert Verdict(words, "error", severity=Severity.WARNING) in verdicts.of_numbers(found)
+    assert Verdict(words, "error", severity=Severity.WARNING) in verdicts.of_numbers(numbers)
 
 
 def test_verdicts_on_physiology() -> None:
@@ -168,8 +168,8 @@ def test_verdicts_on_physiology_allow_cortex_shielded_by_a_stem() -> None:
     loads = [{"force": (0.0, 0.0, -500.0)}]
     intact = femur | {"strain_lateral_80": 2e-3}
     words = "the strain of the cortex is 400 to 2000 um/m (usually 500 to 2500 um/m)"
-    found = judged(summary(femur=intact, section_loads=loads, stem={}))
-    assert found["physiology"] == (words, "warning")
+    verdict = judged(summary(femur=intact, section_loads=loads, stem={}))
+    assert verdict["physiology"] == (words, "warning")
     stem = {"subsidence": 0.02}
     assert "physiology" not in judged(summary(femur=intact, section_loads=loads, stem=stem))
     small = judged(summary(femur=femur, section_loads=loads, stem=stem))

@@ -164,13 +164,13 @@ def test_vtkhdf_steps_are_read_back(tmp_path, ranks, order):
         middle = corners.mean(axis=1)
         assert len(root["CellData/region"]) == len(cells)
         for step in range(STEPS):
-            found = {k: rows(root, "PointData", k, step) for k in root["PointData"]}
-            assert (found["displacement"] == displacement(points.T, step).T).all()
-            assert (found["temperature"] == temperature(points.T, step)).all()
-            found = {k: rows(root, "CellData", k, step) for k in root["CellData"]}
-            assert np.allclose(found["stress"], stress(middle.T, step).T)
-            assert np.allclose(found["height"], middle[:, 2] + step)
-            assert (found["region"] == (middle[:, 2] > 0.5)).all()
+            arrays = {k: rows(root, "PointData", k, step) for k in root["PointData"]}
+            assert (arrays["displacement"] == displacement(points.T, step).T).all()
+            assert (arrays["temperature"] == temperature(points.T, step)).all()
+            arrays = {k: rows(root, "CellData", k, step) for k in root["CellData"]}
+            assert np.allclose(arrays["stress"], stress(middle.T, step).T)
+            assert np.allclose(arrays["height"], middle[:, 2] + step)
+            assert (arrays["region"] == (middle[:, 2] > 0.5)).all()
 
 
 def test_vtkhdf_surface_of_arrays(tmp_path, ranks):

@@ -248,9 +248,9 @@ def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> s
 def search(numbers: range, attempt: Callable[[int], dict[str, Any]]) -> None:
     """Print what attempts with some numbers find, a line of JSON each, then how many they were."""
     for i in numbers:
-        found = attempt(i)
-        if found:
-            print(json.dumps({"number": i, **found}), flush=True)
+        failure = attempt(i)
+        if failure:
+            print(json.dumps({"number": i, **failure}), flush=True)
     print(json.dumps({"tried": len(numbers)}))
 
 
@@ -276,11 +276,11 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
         overrides = options(rng, text) if rng.random() < 0.3 else []
         many = name.parent.name in ("sweeps", "studies") or b"variations" in raw
         limit = SECONDS_OF_MANY if many else SECONDS
-        told = wrong(lambda: read(path, overrides), (f"{folder}", "--set "), limit)
-        if not told and not (folder / "PWNED").exists() and not Path("PWNED").exists():
+        wrong_behaviour = wrong(lambda: read(path, overrides), (f"{folder}", "--set "), limit)
+        if not wrong_behaviour and not (folder / "PWNED").exists() and not Path("PWNED").exists():
             return {}
         shown = raw.decode("utf-8", "replace")[:100_000]
-        return {"file": str(name), "overrides": overrides, "what": told, "text": shown}
+        return {"file": str(name), "overrides": overrides, "what": wrong_behaviour, "text": shown}
 
     search(range(first, last), attempt)
 

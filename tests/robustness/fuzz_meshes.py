@@ -47,7 +47,7 @@ def good(folder: Path) -> list[bytes]:
     Physical Surface("bottom") = Surface In BoundingBox {-1, -1, -0.1, 2, 2, 0.1};
     """
     (folder / "good.geo").write_text(text)
-    found = []
+    contents = []
     with session("good") as gmsh:
         gmsh.merge(str(folder / "good.geo"))
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.7)
@@ -58,8 +58,8 @@ def good(folder: Path) -> list[bytes]:
                 gmsh.option.setNumber("Mesh.MshFileVersion", version)
                 gmsh.option.setNumber("Mesh.Binary", binary)
                 gmsh.write(str(folder / "good.msh"))
-                found.append((folder / "good.msh").read_bytes())
-    return found
+                contents.append((folder / "good.msh").read_bytes())
+    return contents
 
 
 def damaged(rng: random.Random, raw: bytes) -> bytes:
@@ -107,7 +107,7 @@ def read(path: Path) -> str:
 
 
 def attempt(path: Path) -> str:
-    """The same in a process of its own, which may crash."""
+    """The same in a separate process, which may crash."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
@@ -119,10 +119,12 @@ def attempt(path: Path) -> str:
         os._exit(0)
     os.close(into)
     with os.fdopen(out) as pipe:
-        told = pipe.read()
+        message = pipe.read()
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return (
-        told if status == 0 else f"ends by {signal.Signals(-status).name if status < 0 else status}"
+        message
+        if status == 0
+        else f"ends by {signal.Signals(-status).name if status < 0 else status}"
     )
 
 
@@ -139,10 +141,10 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
         rng = random.Random(f"{seed} {i}")
         which = rng.randrange(len(files))
         mutant.write_bytes(damaged(rng, files[which]))
-        told = attempt(case)
-        if told:
+        failure = attempt(case)
+        if failure:
             (folder / f"found-{i}.msh").write_bytes(mutant.read_bytes())
-        return {"file": which, "what": told} if told else {}
+        return {"file": which, "what": failure} if failure else {}
 
     search(range(first, last), one)
 

@@ -1,4 +1,4 @@
-"""Disks that are full or become read-only, a folder of two runs: told, and the next run works."""
+"""Full and read-only disks, a folder of two runs: reported, and the next run works."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support import environment, summary
 
 
 def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tuple[list[str], str]:
-    """Run a script in a mount namespace of its own; the codes it tells, and what is said."""
+    """Run a script in a separate mount namespace; return its exit codes and its output."""
     private = 'mount --make-rprivate "$(findmnt -n -o TARGET --target "$PWD")"'
     text = "\n".join([private, *lines])
     done = subprocess.run(
@@ -24,9 +24,9 @@ def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tup
         text=True,
         timeout=300,
     )
-    said, _, told = done.stderr.rpartition("codes ")
-    assert len(told.split()) == codes and "Traceback" not in said, done.stderr
-    return told.split(), said
+    said, _, codes_text = done.stderr.rpartition("codes ")
+    assert len(codes_text.split()) == codes and "Traceback" not in said, done.stderr
+    return codes_text.split(), said
 
 
 def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[int], str]:

@@ -38,8 +38,8 @@ def test_fault_machine_limits_do_not_use_the_wall_clock() -> None:
 def test_fault_machine_memory_errors_are_named() -> None:
     full = OSError(12, "Cannot allocate memory")
     for error in (MemoryError(), full, Exception("std::bad_alloc")):
-        found = memory.explain(error)
-        assert isinstance(found, EnvironmentProblem) and "not enough memory" in str(found)
+        explained = memory.explain(error)
+        assert isinstance(explained, EnvironmentProblem) and "not enough memory" in str(explained)
     try:
         try:
             raise MemoryError("the factors of 10 unknowns")
@@ -47,9 +47,9 @@ def test_fault_machine_memory_errors_are_named() -> None:
             raise ValueError("else") from error
     except ValueError as error:
         assert "the factors of 10 unknowns" in str(memory.explain(error))
-    own = ValueError("x")
-    own.__cause__ = own
-    assert memory.explain(own) is None
+    circular = ValueError("x")
+    circular.__cause__ = circular
+    assert memory.explain(circular) is None
 
 
 def test_fault_machine_too_little_memory_for_any_case(tmp_path: Path) -> None:
@@ -138,10 +138,10 @@ time.sleep(60)
 def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
     """What it had begun is removed once it is dead, and not before; other forms are free."""
     form, other = "libffcx_forms_" + "0" * 40, "libffcx_forms_" + "1" * 40
-    found: dict[str, bool] = {}
+    existed: dict[str, bool] = {}
 
     def get(name: str, objects: list[str], folder: Path, timeout: int) -> None:
-        found[name] = (folder / f"{name}.c").exists()
+        existed[name] = (folder / f"{name}.c").exists()
 
     def find(name: str) -> None:
         form_cache._compile(lambda: form_cache._find(get, name, [], tmp_path, 10))
@@ -151,12 +151,12 @@ def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
     waiter = threading.Thread(target=find, args=(form,))
     waiter.start()
     time.sleep(0.5)
-    assert not found and (tmp_path / f"{form}.c").exists()
+    assert not existed and (tmp_path / f"{form}.c").exists()
     child.kill()
     child.communicate()
     waiter.join(10)
     find(other)
-    assert found == {form: False, other: False} and not form_cache._compiling
+    assert existed == {form: False, other: False} and not form_cache._compiling
 
 
 @pytest.mark.slow

@@ -22,16 +22,16 @@ TWO = ("-n", "2")
 
 def processes(output: Path, environ: bytes = b"") -> list[int]:
     """Whatever runs with this folder on its command line, and with this in its environment."""
-    found = []
+    numbers = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
             words = (path / "cmdline").read_text(errors="replace").split("\0")
             state = (path / "stat").read_text().rpartition(")")[2].split()[0]
             if str(output) in words and state != "Z" and environ in (path / "environ").read_bytes():
-                found.append(int(path.name))
+                numbers.append(int(path.name))
         except OSError:
             continue
-    return sorted(found)
+    return sorted(numbers)
 
 
 def ranks(output: Path) -> list[int]:
@@ -61,12 +61,12 @@ def test_fault_ranks_killed_rank_ends_all(
     alive = ranks(output)
     if alive:
         os.kill(chance.choice(alive), signal.SIGKILL)
-    _, told = child.communicate(timeout=HANGS)
+    _, errors = child.communicate(timeout=HANGS)
     if child.returncode:
-        assert child.returncode == 70, told
+        assert child.returncode == 70, errors
         # While MPI begins, the other rank may find out before mpirun does.
-        assert "signal 9" in told or "unable to reach each other" in told
-        assert "Traceback" not in told
+        assert "signal 9" in errors or "unable to reach each other" in errors
+        assert "Traceback" not in errors
     if (output / "DONE").exists():  # it was killed on its way out
         assert numbers(output) == usual[1]
     else:

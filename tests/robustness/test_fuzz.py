@@ -19,8 +19,8 @@ def fuzz(module: str, seed: str, first: int, last: int, folder: Path) -> None:
         timeout=3600.0,
         XDG_CACHE_HOME=str(folder / "cache"),
     )
-    *found, last_line = (json.loads(line) for line in done.stdout.splitlines())
-    assert not found, json.dumps(found[:3], indent=1)
+    *failures, last_line = (json.loads(line) for line in done.stdout.splitlines())
+    assert not failures, json.dumps(failures[:3], indent=1)
     assert last_line == {"tried": last - first}
 
 

@@ -86,7 +86,7 @@ def base(image: Image) -> None:
 
 
 def limits() -> list[str]:
-    """Limits of this process for those in the image: buildah's own are more than it may ask for."""
+    """Limits of this process for those in the image: buildah asks for more than it may have."""
     known = {"nproc": resource.RLIMIT_NPROC, "nofile": resource.RLIMIT_NOFILE}
     hard = {name: resource.getrlimit(limit)[1] for name, limit in known.items()}
     return [f"--ulimit={name}={n}:{n}" for name, n in hard.items() if n != resource.RLIM_INFINITY]

@@ -1,4 +1,4 @@
-"""Many runs by a real Slurm: the daemons run in namespaces of their own, on this machine.
+"""Many runs by a real Slurm: the daemons run in separate namespaces, on this machine.
 
 The cases are solved for real, on two ranks each; what stands between Slurm and ``mantle run`` only
 writes down what became of every call.
@@ -127,9 +127,9 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     libc = ctypes.CDLL(None)
     with pytest.MonkeyPatch.context() as patch:
         # CI has Snakemake look every second instead of every ten.
-        own = {"SLURM_CONF": str(folder / "slurm.conf"), "CI": "true"}
-        own["PATH"] = os.environ["PATH"].replace("/run/mantle:", "")  # the Slurm of the host
-        for name, value in (support.environment() | own).items():
+        variables = {"SLURM_CONF": str(folder / "slurm.conf"), "CI": "true"}
+        variables["PATH"] = os.environ["PATH"].replace("/run/mantle:", "")  # the Slurm of the host
+        for name, value in (support.environment() | variables).items():
             patch.setenv(name, value)
         with (folder / "daemons.log").open("w") as said:
             daemons = subprocess.Popen(
@@ -182,7 +182,7 @@ def start(folder: Path, cases: int = CASES) -> subprocess.Popen[str]:
     return support.started("-c", CONTROLLER, folder, str(cases))
 
 
-def told(process: subprocess.Popen[str], seconds: float = PATIENCE) -> str:
+def output_of(process: subprocess.Popen[str], seconds: float = PATIENCE) -> str:
     return "".join(process.communicate(timeout=seconds))
 
 
@@ -200,13 +200,13 @@ def test_slurm_killed_batch_is_resumed(tmp_path: Path) -> None:
     left = queue()
     assert set(left.values()) >= {"RUNNING", "PENDING"}  # two at a time: it was midway
     second = start(tmp_path)
-    said = told(second)
+    said = output_of(second)
     assert second.returncode == 0, said
     assert f"[{CASES}/{CASES}]" in said and "failed" not in said
     assert queue() == {}
     solved = [line.split()[0] for line in calls(tmp_path) if line.endswith(" 0 solved")]
     assert len(solved) == CASES == len(set(solved))
-    # Those that were left in the queue were submitted again, and found finished.
+    # Those that were left in the queue were submitted again, and were finished already.
     others = [line for line in calls(tmp_path) if not line.endswith(" 0 solved")]
     assert others and all(line.endswith(" 0 finished") for line in others)
     for run in solved:
@@ -229,7 +229,7 @@ def test_slurm_running_case_is_waited_for(tmp_path: Path) -> None:
     time.sleep(3)
     assert sorted(queue().values()) == ["PENDING", "RUNNING"]
     (tmp_path / "hold").unlink()
-    said = told(second)
+    said = output_of(second)
     assert "[1/1] blocks 0 done" in said, said
     assert [line.partition(" ")[2] for line in calls(tmp_path)] == ["0 solved", "0 finished"]
 
@@ -238,7 +238,7 @@ def test_slurm_interrupted_batch_leaves_no_job(tmp_path: Path) -> None:
     process = start(tmp_path)
     wait(lambda: set(queue().values()) >= {"RUNNING", "PENDING"})
     process.send_signal(signal.SIGINT)
-    said = told(process, 60)
+    said = output_of(process, 60)
     assert "StoppedError: stopped after" in said, said
     wait(lambda: queue() == {}, 30)
     done = len(list((tmp_path / "out put" / "runs").glob("*/DONE")))
@@ -254,7 +254,7 @@ def test_slurm_job_ended_by_slurm_is_a_failed_run(tmp_path: Path) -> None:
     (number,) = queue()
     wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
     ask("scancel", number)
-    said = told(process, 60)
+    said = output_of(process, 60)
     assert "failed with exit code 70" in said, said
     logs = [p.read_text() for p in (tmp_path / "out put" / "runs").glob("*.slurm")]
     assert len(logs) == 1 and "CANCELLED" in logs[0]
@@ -279,13 +279,17 @@ def test_slurm_jobs_use_the_tree_of_the_launcher(tmp_path: Path) -> None:
     folder = tmp_path / "it's {mine}"
     folder.mkdir()
     (folder / "sweep.yaml").write_text(SWEEP)
-    own = {"MANTLE_INSIDE": "", "MANTLE_BACKEND": "tree", "XDG_CACHE_HOME": str(folder / "cache")}
+    variables = {
+        "MANTLE_INSIDE": "",
+        "MANTLE_BACKEND": "tree",
+        "XDG_CACHE_HOME": str(folder / "cache"),
+    }
 
     def sweep() -> subprocess.Popen[str]:
         return subprocess.Popen(
             ["sh", support.ROOT / "mantle", "sweep", "sweep.yaml", "-o", "out", "--slurm"],
             cwd=folder,
-            env=os.environ | own,
+            env=os.environ | variables,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -295,13 +299,13 @@ def test_slurm_jobs_use_the_tree_of_the_launcher(tmp_path: Path) -> None:
     first = sweep()
     wait(lambda: first.poll() is not None or any(folder.glob("out/runs/*/DONE")))
     os.killpg(first.pid, signal.SIGINT)
-    said = told(first, 60)
+    said = output_of(first, 60)
     assert first.returncode == StoppedError.exit_code and "stopped after" in said, said
     wait(lambda: queue() == {}, 30)
     done = {path: path.stat().st_mtime_ns for path in folder.glob("out/runs/*/DONE")}
     assert 0 < len(done) < CASES
     second = sweep()
-    said = told(second)
+    said = output_of(second)
     assert second.returncode == 0 and f"{len(done)} done already" in said, said
     assert len(list(folder.glob("out/runs/*/DONE"))) == CASES
     assert done == {path: path.stat().st_mtime_ns for path in done}

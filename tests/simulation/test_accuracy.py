@@ -36,18 +36,18 @@ def chosen(*constants: float, walltime: float | None = None) -> tuple[Case, str,
 
 def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     for constants, order in (((0.4, 0.1), 2), ((0.05, 0.2), 1)):
-        best, told, solved = chosen(*constants)
+        best, reason, solved = chosen(*constants)
         size = (0.05 / constants[order - 1]) ** (1 / MOTION[order - 1])
         assert best.mesh.order == order and size / 1.16 < best.mesh.size <= size
-        assert told.startswith(f"5 % asked for: {best.mesh.size:g} mm at order {order} (")
+        assert reason.startswith(f"5 % asked for: {best.mesh.size:g} mm at order {order} (")
         cheap = min(c.mesh.size for c in solved if c.mesh.order == order)
         assert best.mesh.size < cheap < 2.3 * best.mesh.size
-    best, told, solved = chosen(0.4, 0.3, walltime=8.0)
-    assert told.endswith("; a walltime of 8.0 s allows no finer mesh)") and "(5 % exp" not in told
+    best, reason, solved = chosen(0.4, 0.3, walltime=8.0)
+    assert reason.endswith("; a walltime of 8.0 s allows no finer mesh)") and "(5 % exp" not in reason
     assert all(2 * cost.seconds(c) <= 8 for c in (best, *solved))
     monkeypatch.setattr(memory, "available", lambda: 5e8)
-    best, told, solved = chosen(0.4, 0.3)
-    assert told.endswith("; 0.5 GB of memory allow no finer mesh)")
+    best, reason, solved = chosen(0.4, 0.3)
+    assert reason.endswith("; 0.5 GB of memory allow no finer mesh)")
     assert all(1.5 * memory.needed(c) <= 5e8 for c in (best, *solved))
 
 

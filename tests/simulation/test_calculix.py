@@ -64,9 +64,9 @@ def deck(folder: Path, text: str) -> tuple[str, meshes.MeshData]:
 
 def blocks(text: str, key: str) -> list[np.ndarray]:
     """Numbers below each of some keywords."""
-    found = [part.partition("\n")[2].split("*")[0] for part in text.split(f"*{key}")[1:]]
+    tables = [part.partition("\n")[2].split("*")[0] for part in text.split(f"*{key}")[1:]]
     return [
-        np.array([line.split(",") for line in f.split("\n") if line], dtype=float) for f in found
+        np.array([line.split(",") for line in f.split("\n") if line], dtype=float) for f in tables
     ]
 
 
@@ -132,8 +132,8 @@ def test_calculix_materials(
     """E1 E2 E3 nu12 nu13 nu23 G12 G13 G23, by nu12 / E1 = nu21 / E2; axis 2 is the hoop's."""
     text, _ = deck(tmp_path, CASE.replace("FIBRE", fibre))
     lines = text.partition("*ELASTIC, TYPE=ENGINEERING CONSTANTS\n")[2].splitlines()
-    found = [float(word) for word in f"{lines[0]}{lines[1]}".split(",")]
-    np.testing.assert_allclose(found, constants, rtol=1e-12)
+    written = [float(word) for word in f"{lines[0]}{lines[1]}".split(",")]
+    np.testing.assert_allclose(written, constants, rtol=1e-12)
     assert f"SYSTEM={orientation}" in text
     assert "*ELASTIC\n1.1" in text and "*FRICTION\n4.000000000000e-01, 1.0" in text
 
@@ -160,7 +160,7 @@ def test_calculix_refuses_unsupported_parts(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError) as caught:
         deck(tmp_path, text)
-    found = "\n".join(caught.value.messages)
+    refusals = "\n".join(caught.value.messages)
     for words in (
         "stem: an .inp",
         "rigid",
@@ -168,7 +168,7 @@ def test_calculix_refuses_unsupported_parts(tmp_path: Path) -> None:
         "plane: an",
         "stages[0].cycles: an",
     ):
-        assert words in found, found
+        assert words in refusals, refusals
 
 
 def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floats, Floats]:
@@ -179,8 +179,8 @@ def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floa
         f"output: {{error: false}}\n{changes}",
     )
     subprocess.run(["ccx", "case"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-    found = re.split(r"^ -4  DISP.*\n", (folder / "case.frd").read_text(), flags=re.M)[-1]
-    lines = [line for line in found.partition("\n -3")[0].splitlines() if line[:3] == " -1"]
+    table = re.split(r"^ -4  DISP.*\n", (folder / "case.frd").read_text(), flags=re.M)[-1]
+    lines = [line for line in table.partition("\n -3")[0].splitlines() if line[:3] == " -1"]
     solved = support.solve(load(folder / "case.yaml").config)
     p = solved.problem
     u = hip._displacements(p)
@@ -231,5 +231,5 @@ def test_calculix_hip_has_equal_displacements(
     solved, ours, theirs = solved_by_calculix(tmp_path, changes)
     assert np.abs(theirs - ours).max() < (5e-3 if same else 5e-6) * np.abs(ours).max()
     if same:
-        own, other = (numbers(solved, u, monkeypatch) for u in (ours, theirs))
-        np.testing.assert_array_less(np.abs(np.array(other) / own - 1), same)
+        ours_numbers, other = (numbers(solved, u, monkeypatch) for u in (ours, theirs))
+        np.testing.assert_array_less(np.abs(np.array(other) / ours_numbers - 1), same)

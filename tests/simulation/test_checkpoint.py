@@ -41,10 +41,10 @@ def written(path: Path) -> Path:
 
 
 def test_checkpoint_is_read_as_written(tmp_path: Path) -> None:
-    found = checkpoint.read(written(tmp_path / "checkpoint-1.state"))
-    assert found.header["step"] == 3
-    assert found.state["a"] == 1.5 and found.state["c"] is None
-    (rows,) = found.state["b"]
+    saved = checkpoint.read(written(tmp_path / "checkpoint-1.state"))
+    assert saved.header["step"] == 3
+    assert saved.state["a"] == 1.5 and saved.state["c"] is None
+    (rows,) = saved.state["b"]
     assert rows.keys.tolist() == [3, 5, 7]
     assert rows.of(np.array([7, 5])).tolist() == [[0.0, 1.0], [4.0, 5.0]]
     with pytest.raises(ValueError, match="missing"):
@@ -96,8 +96,8 @@ def copied(folder: Path, to: Path) -> Path:
 
 def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -> Path | None:
     case = load(folder / "case.yaml", [FIELDS]).config
-    found = checkpoint.find(COMM, wanted, out, case, force)
-    return found and found.path
+    chosen = checkpoint.find(COMM, wanted, out, case, force)
+    return chosen and chosen.path
 
 
 def test_checkpoint_keeps_two_files(run_of_blocks: Path) -> None:
@@ -145,14 +145,14 @@ def test_checkpoint_of_another_version_is_refused(
 ) -> None:
     out = copied(run_of_blocks, tmp_path / "out")
     newest, before = saved(out)
-    found = checkpoint.read(newest)
-    checkpoint.write(COMM, newest, {**found.header, "mantle": "0.0"}, found.state)
+    read_back = checkpoint.read(newest)
+    checkpoint.write(COMM, newest, {**read_back.header, "mantle": "0.0"}, read_back.state)
     with pytest.raises(InputError, match=r"mantle 0\.0, this is .*--force"):
         choose(out, run_of_blocks)
     assert choose(out, run_of_blocks, force=True) == newest
     # What is laid out in another way cannot be read at all.
     monkeypatch.setattr(checkpoint, "FORMAT", 0)
-    checkpoint.write(COMM, newest, {**found.header, "mantle": "0.0"}, found.state)
+    checkpoint.write(COMM, newest, {**read_back.header, "mantle": "0.0"}, read_back.state)
     monkeypatch.undo()
     assert choose(out, run_of_blocks) == before
     with pytest.raises(InputError, match=r"mantle 0\.0 in another format"):

@@ -76,11 +76,11 @@ def test_given_mesh_is_gathered_as_it_was_distributed() -> None:
     """Straight cells and curved ones: volumes of regions, areas of boundaries, their names."""
     for curved in (False, True):
         data = mantle.mesh(mantle.load(CONFIGS / "cylinders.yaml", **{"mesh.curved": curved}))
-        found = gather(distribute(data, MPI.COMM_SELF))
-        assert found is not None and found.curved == curved == data.curved
-        assert found.boundaries == data.boundaries and found.interfaces == data.interfaces
+        gathered = gather(distribute(data, MPI.COMM_SELF))
+        assert gathered is not None and gathered.curved == curved == data.curved
+        assert gathered.boundaries == data.boundaries and gathered.interfaces == data.interfaces
         for measure in (mesh_data.region_volumes, mesh_data.boundary_areas):
-            assert measure(found) == pytest.approx(measure(data), rel=1e-12)
+            assert measure(gathered) == pytest.approx(measure(data), rel=1e-12)
 
 
 @pytest.mark.parametrize(

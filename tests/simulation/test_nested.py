@@ -73,8 +73,8 @@ def test_predictors_reject_a_wrong_extrapolation() -> None:
     straight, _ = go("stages.0.increments=1")
     turned, steps = go(*turn)
     assert len(steps) == 2
-    found, expected = (m.mechanical_path.problem.contact.state.jump for m in (turned, straight))
-    assert 0 < support.difference(found, expected) < 0.2
+    jump, expected = (m.mechanical_path.problem.contact.state.jump for m in (turned, straight))
+    assert 0 < support.difference(jump, expected) < 0.2
 
 
 # From a cheaper model
@@ -100,7 +100,7 @@ def test_coarse_start_changes_iterations_but_not_results(
 
 
 def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A companion of the cheaper model's mesh goes on from its states, to its own tolerance."""
+    """A companion of the cheaper model's mesh goes on from its states, to its tolerance."""
     always(monkeypatch)
     monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
@@ -116,13 +116,13 @@ def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch
         return outcome
 
     monkeypatch.setattr(load_steps, "solve", noted)
-    found = model.relative(companion)
+    relative = model.relative(companion)
     assert len(solves) == 1 and solves[0].residuals[0] < 1e-2
     assert solves[0].residuals[-1] < companion.solver.tolerance
     monkeypatch.undo()
     alone = Model(companion, MPI.COMM_WORLD, {}, Timing(), str)
     expected = alone.relative(companion)["interfaces"]["stem_cement"]
-    for name, number in found["interfaces"]["stem_cement"].items():
+    for name, number in relative["interfaces"]["stem_cement"].items():
         if isinstance(number, float) and not name.startswith("penetration"):
             assert number == pytest.approx(expected[name], rel=1e-6, abs=1e-9), name
 
@@ -140,7 +140,7 @@ def test_coarse_start_only_for_large_models_with_contact(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    ("size", "order", "unknowns", "found"),
+    ("size", "order", "unknowns", "expected"),
     [
         (4.0, 2, 100_000, (8.0, 2)),
         (4.0, 1, 100_000, (8.0, 1)),
@@ -150,12 +150,12 @@ def test_coarse_start_only_for_large_models_with_contact(monkeypatch: pytest.Mon
     ],
 )
 def test_coarse_start_cheaper_models(
-    size: float, order: int, unknowns: int, found: tuple[float, int] | None
+    size: float, order: int, unknowns: int, expected: tuple[float, int] | None
 ) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size} mm", f"mesh.order={order}")
     other = models.cheaper(case, unknowns)
-    assert (other and (other.mesh.size, other.mesh.order)) == found
+    assert (other and (other.mesh.size, other.mesh.order)) == expected
     if other is not None:
         assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
         assert other.geometry == case.geometry and other.solver.tolerance == models.TOLERANCE
@@ -190,9 +190,9 @@ def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
     )
     weights = coarse_start.interpolation(coarse.points, fine.points, fine.local.rows)
     slope = np.random.default_rng(5).normal(size=(3, 3))
-    found = weights @ (coarse.points.x @ slope + 1.0)
+    interpolated = weights @ (coarse.points.x @ slope + 1.0)
     assert len(fine.local.rows) > 2 * len(coarse.local.rows)
-    assert support.difference(found, fine.local.x @ slope + 1.0) < 1e-12
+    assert support.difference(interpolated, fine.local.x @ slope + 1.0) < 1e-12
 
 
 def test_coarse_start_between_two_states() -> None:

@@ -9,12 +9,12 @@ import numpy as np
 
 from app.simulation.shaft_influence import LONGER
 from tests import support
-from tests.patient.bones import opened, own, write
+from tests.patient.bones import opened, parametric_femur, write
 
 
 def test_shaft_influence_of_a_scan_that_ends_beside_the_stem(tmp_path: Path) -> None:
     """By Saint-Venant's principle the support, 70 mm below the plug, changes little."""
-    write(tmp_path / "bone.stl", opened(own(), -60.0))
+    write(tmp_path / "bone.stl", opened(parametric_femur(), -60.0))
     case = {
         "base": "stance",
         "geometry": {

@@ -53,14 +53,14 @@ def test_variations_star_is_every_name(tmp_path: Path) -> None:
 def test_variations_equal_cases_with_set(tmp_path: Path) -> None:
     """Its overrides, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
-    found = load(path, ["title=mine"]).variations
-    assert [v.name for v in found][:3] == ["as_is", "fit", "mu2_900"] and len(found) == 8
-    for v in found:
+    variations = load(path, ["title=mine"]).variations
+    assert [v.name for v in variations][:3] == ["as_is", "fit", "mu2_900"] and len(variations) == 8
+    for v in variations:
         alone = load(path, ["title=mine", "variations={}", *v.overrides]).config
         assert v.case == alone and v.case.title == "mine"
         assert "variations" not in dump(v.case)
-    assert found[1].case.interfaces["stem_cement"].gap == -0.002  # type: ignore[union-attr]
-    assert found[-1].case.loads["down"].force == (0, 0, -600)  # type: ignore[union-attr]
+    assert variations[1].case.interfaces["stem_cement"].gap == -0.002  # type: ignore[union-attr]
+    assert variations[-1].case.loads["down"].force == (0, 0, -600)  # type: ignore[union-attr]
 
 
 def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
@@ -72,10 +72,10 @@ def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
     places = ["fit.interfaces.stem_cement.gap"]
     places += [f"mu{m}_{f}.{MU}" for m in "24" for f in (900, 1200, 600)]
     for message, place in zip(caught.value.messages, places, strict=True):
-        told = (
+        refusal = (
             f" variations.{place}: varies, but --set interfaces.stem_cement fixes it for every case"
         )
-        assert told in message
+        assert refusal in message
     assert load(path, [option, "variations={}"]).config
 
 
@@ -143,8 +143,8 @@ def test_variations_are_independent_of_order_and_company() -> None:
     for names in (list(CASES), list(CASES)[::-1]):
         runs = Runs()
         for name in names:
-            found, expected = runs.run(CASES[name])[0], alone[name][0]
-            for u, v in zip(found, expected, strict=True):
+            numbers, expected = runs.run(CASES[name])[0], alone[name][0]
+            for u, v in zip(numbers, expected, strict=True):
                 assert np.abs(u - v).max() < 1e-8 * np.abs(v).max(), name
         # One mesh and, but for the tied one, one set of matrices.
         one, other = runs.last._others

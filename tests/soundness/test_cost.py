@@ -38,28 +38,28 @@ def test_cost_times_are_within_a_factor_of_two(case: tuple[str, ...]) -> None:
 
 
 def test_cost_time_is_printed_by_check() -> None:
-    told = cost.estimated_size(load(CONFIGS / "variations.yaml").config)
-    assert " s on one core, " in told and "for all variations" in told
-    assert "5 s more to compile forms at the first run" in told
+    text = cost.estimated_size(load(CONFIGS / "variations.yaml").config)
+    assert " s on one core, " in text and "for all variations" in text
+    assert "5 s more to compile forms at the first run" in text
     heat = load(CONFIGS / "thermal_rings.yaml").config
     stance = load(CONFIGS / "stance.yaml").config
     assert cost.compiling(heat) < 3.0 < 10.0 < cost.compiling(stance)
 
 
-def told(name: str, *changes: str, available: float = 1e10) -> str:
+def contact_line(name: str, *changes: str, available: float = 1e10) -> str:
     text = cost.estimated_size(load(CONFIGS / f"{name}.yaml", changes).config, available)
     return "".join(line for line in text.splitlines() if line.startswith("  contact: "))
 
 
 def test_cost_check_names_the_solver_and_reason() -> None:
     """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
-    small = told("stance", "mesh.size=10 mm")
+    small = contact_line("stance", "mesh.size=10 mm")
     assert "1 solve, bodies condensed" in small and small.endswith(" GB")
-    assert "1 solve by a Krylov method" in told("stance", "mesh.order=1")
-    assert "1 solve by a Krylov method" in told("stance", "solver.linear=multigrid")
-    assert "GB, too much" in told("stance", "solver.linear=condensed", available=1e9)
-    assert "1999 solves, bodies condensed" in told("walk")
-    assert not told("cure")
+    assert "1 solve by a Krylov method" in contact_line("stance", "mesh.order=1")
+    assert "1 solve by a Krylov method" in contact_line("stance", "solver.linear=multigrid")
+    assert "GB, too much" in contact_line("stance", "solver.linear=condensed", available=1e9)
+    assert "1999 solves, bodies condensed" in contact_line("walk")
+    assert not contact_line("cure")
 
 
 def test_cost_phases_add_up() -> None:

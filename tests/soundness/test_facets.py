@@ -23,15 +23,15 @@ TWIST = (
 def moved(*overrides: str) -> float:
     """Run the first stage; the largest jump [mm]."""
     analysis = support.analysis(support.case(STEM, *overrides))
-    found: list[float] = []
+    sizes: list[float] = []
 
     def note(step: object, trial: object) -> None:
-        found.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
+        sizes.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
 
     stepper = analysis.load_stepper(note, pytest.fail)
     assert stepper is not None
     stepper.run_stage(0, analysis.scene.stages[0], lambda: None)
-    return found[-1]
+    return sizes[-1]
 
 
 @pytest.mark.parametrize(

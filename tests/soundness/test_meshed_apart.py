@@ -73,9 +73,9 @@ SMOOTH = "interfaces.bearing.friction_coefficient=0"
 
 def judged(text: str, *overrides: str) -> list[str]:
     case = support.case(text, *overrides)
-    found = well_posedness.look(case, build(case.geometry, case.mesh))
-    assert found.doubled or case.geometry.kind == "file"  # the poles of both spheres
-    return [v.text for v in well_posedness.judge(case, found)]
+    parts = well_posedness.look(case, build(case.geometry, case.mesh))
+    assert parts.doubled or case.geometry.kind == "file"  # the poles of both spheres
+    return [v.text for v in well_posedness.judge(case, parts)]
 
 
 def test_finite_sliding_holds_a_body_with_coincident_nodes() -> None:
@@ -162,8 +162,8 @@ def test_finite_sliding_notes_on_tipping_elastic_bodies() -> None:
 
 def test_finite_sliding_rigid_head_has_no_unknowns() -> None:
     case = load(support.CONFIGS / "head_cup.yaml").config
-    told = cost.exact_size(case, build(case.geometry, case.mesh))
-    counted = re.search(r"([\d\s]+) unknowns", told)
+    size = cost.exact_size(case, build(case.geometry, case.mesh))
+    counted = re.search(r"([\d\s]+) unknowns", size)
     assert counted and 0.8 < cost.unknowns(case) / float("".join(counted[1].split())) < 1.25
 
 

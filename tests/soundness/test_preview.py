@@ -53,8 +53,8 @@ def test_preview_notes_conductance_across_open_contact() -> None:
     assert noted("thermal_100C.yaml") == ["interfaces.stem_cement, cement_bone"]
     assert noted("stance.yaml") == []
     falls = {"kind": "pressure", "open": "10 W/(m^2 K)", "per_pressure": "100 W/(m^2 K MPa)"}
-    found = noted("thermal_100C.yaml", interfaces__stem_cement__conductance=falls)
-    assert found == ["interfaces.cement_bone"]
+    places = noted("thermal_100C.yaml", interfaces__stem_cement__conductance=falls)
+    assert places == ["interfaces.cement_bone"]
     bond = {"kind": "bonded", "conductance": "300 W/(m^2 K)"}
     assert noted("thermal_100C.yaml", interfaces__cement_bone=bond) == ["interfaces.stem_cement"]
     assert noted("thermal_rings.yaml") == []

@@ -70,7 +70,7 @@ def judge(case: Case, data: MeshData) -> list[str]:
 
 
 def judged(text: str, *overrides: str) -> list[str]:
-    """What is noted of a case on its own mesh."""
+    """Notes on a case on its mesh."""
     case = support.case(text, *overrides)
     return judge(case, build(case))
 
@@ -182,8 +182,8 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
     A run refuses it in the same words, before it factorizes a singular matrix.
     """
     case = support.case(TWO, "interfaces={}")
-    found = well_posedness.look(case, build(case))
-    assert len(groups_of(case, found)) == 1
+    parts = well_posedness.look(case, build(case))
+    assert len(groups_of(case, parts)) == 1
     data = torn(build(case), case, "bone_metal")
     cracked = well_posedness.look(case, data)
     assert len(groups_of(case, cracked)) == 2
@@ -206,10 +206,10 @@ def test_well_posedness_refuses_a_loose_body(monkeypatch: pytest.MonkeyPatch) ->
 def test_well_posedness_refuses_a_free_rotation() -> None:
     """Nodes on one edge hold all axes and leave a rotation about the edge."""
     case = support.case(TWO, "interfaces={}")
-    found = well_posedness.look(case, build(case))
-    ((piece, nodes),) = found.boundaries["bottom"].items()
-    edge = {piece: nodes[found.x[nodes, 1] < 1e-9]}
-    held = replace(found, boundaries={**found.boundaries, "bottom": edge})
+    parts = well_posedness.look(case, build(case))
+    ((piece, nodes),) = parts.boundaries["bottom"].items()
+    edge = {piece: nodes[parts.x[nodes, 1] < 1e-9]}
+    held = replace(parts, boundaries={**parts.boundaries, "bottom": edge})
     with pytest.raises(
         InputError, match="it is free to rotate about an axis along x, by a support"
     ):
@@ -463,20 +463,22 @@ def test_failure_body_held_by_friction_is_not_lifted(push: float, held: bool) ->
     problem, _ = support.assemble(support.case(TWO, aside))
     problem.set_time(1.0)
     assert problem.contact
-    found = pulled_off(problem, problem.contact)
-    assert held == (not found) and all("'metal': it is free to move along x," in f for f in found)
+    reasons = pulled_off(problem, problem.contact)
+    assert held == (not reasons) and all(
+        "'metal': it is free to move along x," in f for f in reasons
+    )
 
 
 def test_bodies_on_mesh_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
-    found = well_posedness.look(case, build(case))
+    parts = well_posedness.look(case, build(case))
     law = SimpleNamespace(can_open=True, gap_field=lambda *_: lambda x: np.full(len(x), 0.1))
     opens = case.model_copy(update={"interfaces": {"bone_metal": law}})
-    assert len(groups_of(opens, found)) == 2
-    assert np.allclose(gaps_of(opens, found)["bone_metal"], 0.1)
+    assert len(groups_of(opens, parts)) == 2
+    assert np.allclose(gaps_of(opens, parts)["bone_metal"], 0.1)
     holds = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(can_open=False)}})
-    assert len(groups_of(holds, found)) == 1
+    assert len(groups_of(holds, parts)) == 1
 
 
 def test_checks_supports_of_a_region_with_a_motion() -> None:

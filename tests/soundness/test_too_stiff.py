@@ -29,8 +29,8 @@ loads: {{tip: {{kind: force, boundary: x_max, force: [0 N, 0 N, -1 N]}}}}
 
 def noted(text: str) -> list[str]:
     case = support.case(text)
-    found = well_posedness.look(case, meshes.build(case.geometry, case.mesh))
-    return [v.text for v in well_posedness.judge(case, found)]
+    parts = well_posedness.look(case, meshes.build(case.geometry, case.mesh))
+    return [v.text for v in well_posedness.judge(case, parts)]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from app.foundation.verdict import Reason, Verdict
 from app.soundness.failure import beyond_critical, critical_friction
 from tests import support
 
-# Relative distance from the critical coefficient at which sides are told apart.
+# Relative distance from the critical coefficient at which the two sides are distinguished.
 NEAR = 1e-3
 
 
@@ -146,16 +146,16 @@ def stack(friction: float) -> Case:
 
 
 def test_critical_friction_is_reported_only_beyond() -> None:
-    def found(friction: float) -> tuple[dict[str, float], list[Verdict]]:
+    def judged(friction: float) -> tuple[dict[str, float], list[Verdict]]:
         return beyond_critical(support.assemble(stack(friction))[0])
 
-    critical, told = found(0.5)
-    assert 1 < critical["lower_upper"] < 10 and not told
-    again, (warning,) = found(1.01 * critical["lower_upper"])
+    critical, warnings = judged(0.5)
+    assert 1 < critical["lower_upper"] < 10 and not warnings
+    again, (warning,) = judged(1.01 * critical["lower_upper"])
     assert again == pytest.approx(critical)
     assert "critical value at" in warning.what and "may not be unique" in warning.what
     assert warning.code is Reason.NOT_UNIQUE
-    assert found(0) == ({}, [])
+    assert judged(0) == ({}, [])
 
 
 def test_critical_friction_uses_the_jump_block() -> None:

@@ -47,7 +47,7 @@ def test_energy_control_with_exponential_softening_and_unbonded_share(tmp_path: 
 
 
 # The law of the program with linear softening, as a package of the user's.
-OWN = '''
+EXTENSION = '''
 from typing import Literal
 from ufl import conditional, dot, ge, gt, sqrt
 from mantle import Traction
@@ -110,7 +110,7 @@ def test_energy_control_of_a_law_from_outside(tmp_path: Path, pull: str) -> None
     text = text.replace("increments: 10", "increments: 20")
     support.run(text, tmp_path)
     case = text.replace("kind: cohesive\n    friction_coefficient: 0.3", "kind: own_cohesion")
-    done = support.extended(tmp_path, OWN, case, "run", "case.yaml", "-o", "outside")
+    done = support.extended(tmp_path, EXTENSION, case, "run", "case.yaml", "-o", "outside")
     assert done.returncode == 0, done.stdout + done.stderr
     runs = [Run(tmp_path / name) for name in ("out", "outside")]
     for name in ("gap_max [mm]", "pressure_p95 [MPa]", "shear_p95 [MPa]", "dissipation [N mm]"):

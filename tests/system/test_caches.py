@@ -54,10 +54,12 @@ def test_caches_fallback_is_reported(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     assert main(["explain", "mesh.size"]) == 0
-    own = f"/tmp/mantle-{os.geteuid()}"
-    assert capsys.readouterr().err.startswith(f"mantle: caches are in {own} now: /proc/nowhere")
-    assert os.environ["XDG_CACHE_HOME"] == own
-    assert stat.S_IMODE(Path(own).stat().st_mode) == 0o700
+    fallback = f"/tmp/mantle-{os.geteuid()}"
+    assert capsys.readouterr().err.startswith(
+        f"mantle: caches are in {fallback} now: /proc/nowhere"
+    )
+    assert os.environ["XDG_CACHE_HOME"] == fallback
+    assert stat.S_IMODE(Path(fallback).stat().st_mode) == 0o700
 
 
 def test_caches_may_be_missing(home: Path) -> None:
@@ -83,11 +85,11 @@ def test_form_cache_incomplete_modules_are_compiled_again(damage: str, tmp_path:
             module.write_text("cod")
         case "no mark" | "no source" | "no module":
             {"mark": mark, "source": source, "module": module}[damage.split()[1]].unlink()
-    found: list[bool] = []
+    existed: list[bool] = []
     form_cache._compile(
-        lambda: form_cache._find(lambda *_: found.append(source.exists()), FORM, [], tmp_path, 10)
+        lambda: form_cache._find(lambda *_: existed.append(source.exists()), FORM, [], tmp_path, 10)
     )
-    assert found == [damage == "none"] and not form_cache._compiling
+    assert existed == [damage == "none"] and not form_cache._compiling
 
 
 @pytest.mark.parametrize(

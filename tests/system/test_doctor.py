@@ -47,14 +47,14 @@ def test_doctor_report_names_dependencies() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "words"),
     [
         (ImportError("dolfinx"), "not installed: dolfinx, petsc4py"),
         (OSError("libfoo.so: undefined symbol"), "unusable (OSError: libfoo.so: undefined symbol)"),
     ],
 )
 def test_doctor_report_with_missing_packages(
-    error: Exception, told: str, monkeypatch: pytest.MonkeyPatch
+    error: Exception, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(name: str) -> None:
         raise error
@@ -62,8 +62,8 @@ def test_doctor_report_with_missing_packages(
     monkeypatch.setattr(doctor, "import_module", fail)
     monkeypatch.setenv("PATH", "/nonexistent")
     text = doctor.report()
-    for words in (told, "mpirun is missing", "no C compiler"):
-        assert words in text
+    for expected in (words, "mpirun is missing", "no C compiler"):
+        assert expected in text
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_doctor_reports_an_unknown_dolfinx(
     version: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(doctor, "_version", lambda module: version)
-    found = [problem for problem in doctor.problems() if "DOLFINx" in problem]
-    assert len(found) == bool(said) and all(problem.startswith(said) for problem in found)
+    problems = [problem for problem in doctor.problems() if "DOLFINx" in problem]
+    assert len(problems) == bool(said) and all(problem.startswith(said) for problem in problems)
 
 
 def test_doctor_reports_missing_factors_with_their_cost(
@@ -89,8 +89,8 @@ def test_doctor_reports_missing_factors_with_their_cost(
 ) -> None:
     text = "3.25.5, float64, with MUMPS, without CHOLMOD"
     monkeypatch.setattr(doctor, "_petsc", lambda: text)
-    (found,) = [problem for problem in doctor.problems() if problem.startswith("PETSc")]
-    assert "no CHOLMOD" in found and "times the CPU time" in found
+    (problem_text,) = [problem for problem in doctor.problems() if problem.startswith("PETSc")]
+    assert "no CHOLMOD" in problem_text and "times the CPU time" in problem_text
 
 
 def test_doctor_reports_slow_settings(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,6 +98,6 @@ def test_doctor_reports_slow_settings(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         path = f"/usr/lib/x86_64-linux-gnu/{blas}/libblas.so.3"
         monkeypatch.setattr(doctor, "loaded_blas", lambda path=path: [path])
-        found = "\n".join(doctor.problems())
-        assert ("OMP_NUM_THREADS is not 1" in found) == slow
-        assert ("libopenblas0-pthread" in found) == slow
+        text = "\n".join(doctor.problems())
+        assert ("OMP_NUM_THREADS is not 1" in text) == slow
+        assert ("libopenblas0-pthread" in text) == slow

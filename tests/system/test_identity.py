@@ -17,17 +17,17 @@ from tests import support
 
 
 def test_identity_versions_are_those_of_libraries() -> None:
-    found = identity.parts()
-    assert list(found) == ["mantle", "dolfinx", "petsc", "gmsh", "blas"]
-    assert found["mantle"].startswith(f"{__version__} ")
-    assert found["dolfinx"] == dolfinx.__version__
-    assert found["petsc"] == ".".join(map(str, PETSc.Sys.getVersion()))
-    assert found["gmsh"].startswith(gmsh.__version__)
-    assert json.loads(identity.text()) == found
+    versions = identity.parts()
+    assert list(versions) == ["mantle", "dolfinx", "petsc", "gmsh", "blas"]
+    assert versions["mantle"].startswith(f"{__version__} ")
+    assert versions["dolfinx"] == dolfinx.__version__
+    assert versions["petsc"] == ".".join(map(str, PETSc.Sys.getVersion()))
+    assert versions["gmsh"].startswith(gmsh.__version__)
+    assert json.loads(identity.text()) == versions
 
 
-def told(**environ: str) -> dict[str, str]:
-    """The parts in a process of its own, which does not load MPI for Python."""
+def parts_in_process(**environ: str) -> dict[str, str]:
+    """The parts in a separate process, which does not load MPI for Python."""
     code = (
         "import json, sys; from app.system import identity; print(json.dumps(identity.parts()));"
         "assert not {'mpi4py.MPI', 'petsc4py.PETSc', 'dolfinx'} & sys.modules.keys()"
@@ -37,10 +37,10 @@ def told(**environ: str) -> dict[str, str]:
 
 def test_identity_includes_the_kernel_of_the_blas() -> None:
     """Every processor of this kind has that of Nehalem; nothing else changes by it."""
-    usual = told()
+    usual = parts_in_process()
     if "OpenBLAS" not in usual["blas"] or sys.platform != "linux":
         pytest.skip("another BLAS")
-    old = told(OPENBLAS_CORETYPE="Nehalem")
+    old = parts_in_process(OPENBLAS_CORETYPE="Nehalem")
     assert "Nehalem" in old["blas"].split()
     assert old | {"blas": ""} == usual | {"blas": ""}
 

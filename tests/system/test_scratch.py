@@ -24,11 +24,11 @@ def test_scratch_folders_of_killed_runs_are_removed(
     assert child.stdout is not None
     other = Path(child.stdout.readline().strip())
     (other / "segment").write_text("x")
-    with scratch.variables() as own, scratch.variables() as more:
-        folders = {str(other), own["TMPDIR"], more["OMPI_MCA_btl_sm_backing_directory"]}
+    with scratch.variables() as first, scratch.variables() as more:
+        folders = {str(other), first["TMPDIR"], more["OMPI_MCA_btl_sm_backing_directory"]}
         assert {str(path) for path in tmp_path.iterdir()} == folders and len(folders) == 3
     assert [*tmp_path.iterdir()] == [other]
     child.send_signal(signal.SIGKILL)
     child.communicate()
-    with scratch.variables() as own:
-        assert [*map(str, tmp_path.iterdir())] == [own["TMPDIR"]]
+    with scratch.variables() as first:
+        assert [*map(str, tmp_path.iterdir())] == [first["TMPDIR"]]

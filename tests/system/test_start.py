@@ -69,17 +69,17 @@ def test_start_unit_conversion_is_cached(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     forget()
     name = "kN/inch^2"
-    found = units.conversion(name, "MPa")
-    assert found[0] == Fraction(1000) / Fraction("25.4") ** 2
+    factors = units.conversion(name, "MPa")
+    assert factors[0] == Fraction(1000) / Fraction("25.4") ** 2
     forget()
     with monkeypatch.context() as without:
         without.setattr(units, "registry", lambda: pytest.fail("asked again"))
-        assert units.conversion(name, "MPa") == found
+        assert units.conversion(name, "MPa") == factors
     kept = tmp_path / "mantle/units/conversions.json"
     for text in ("{broken", "[]", "\0", *(f'{{"{name} in MPa": {v}}}' for v in (1, '["x"]'))):
         kept.write_text(text)
         forget()
-        assert units.conversion(name, "MPa") == found
+        assert units.conversion(name, "MPa") == factors
     forget()
 
 
@@ -124,12 +124,12 @@ def test_start_compiled_law_is_found_without_building(tmp_path: Path) -> None:
     for expected in (1, 1):
         check()
         assert len(built) == expected
-    told = note.read_text()
-    for text in ("", "{}", "[1]", told.replace("libffcx", "nowhere"), told.replace("_", "-")):
+    saved = note.read_text()
+    for text in ("", "{}", "[1]", saved.replace("libffcx", "nowhere"), saved.replace("_", "-")):
         built.clear()
         note.write_text(text)
         check()
-        assert len(built) == 1 and note.read_text() == told
+        assert len(built) == 1 and note.read_text() == saved
 
 
 def test_start_compiled_law_has_a_new_note_if_changed(tmp_path: Path) -> None:

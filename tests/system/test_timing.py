@@ -59,7 +59,7 @@ def test_timing_nested_phases_are_separate(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_timing_peak_memory_is_that_of_arrays() -> None:
-    """In a process of its own: it begins with little."""
+    """In a separate process, which begins with little memory."""
     code = (
         "import numpy as np; from app.system import timing; before = timing.peak_memory();"
         "size = int(before + 100); assert np.ones((size, 125_000)).nbytes == size * 1e6;"

@@ -26,7 +26,7 @@ def judged(
 
     rows: list[Row] = []
     monkeypatch.setattr(suite, "solve", solved)
-    monkeypatch.setattr(suite, "write", lambda name, options, found: rows.extend(found))
+    monkeypatch.setattr(suite, "write", lambda name, options, of_problem: rows.extend(of_problem))
     monkeypatch.setattr(problem, "Run", lambda path: runs[int(path.name)])
     suite.run(name, Options(folder, 1, pattern, "long"))
     (row,) = [row for row in rows if row.name == pattern]

@@ -30,8 +30,8 @@ def test_clearance_gap_over_the_stages() -> None:
     assert grown[:, 0] == pytest.approx([0.1, 0.1, 0.1, 0.1])
     assert grown[:, 1] == pytest.approx([0.0, -0.025, -0.1, -0.1])
     assert not grown[:, 2].any()
-    told = np.array([gap_at(gap, (1.0, 3.0), t) for t in times])
-    assert told == pytest.approx(np.outer([0.0, 0.25, 1.0, 2.0], gap))
+    gaps = np.array([gap_at(gap, (1.0, 3.0), t) for t in times])
+    assert gaps == pytest.approx(np.outer([0.0, 0.25, 1.0, 2.0], gap))
 
 
 def test_clearance_hertz_contact_grows_with_its_load() -> None:

@@ -1,4 +1,4 @@
-"""References of the verification suite, against the physics reference and their own equations.
+"""References of the verification suite, against other formulas and their equations.
 
 Displacement fields are differentiated numerically: nothing of their derivation is used twice.
 """
@@ -160,7 +160,7 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
 
 
 @pytest.mark.parametrize(
-    ("found", "reference", "rel"),
+    ("values", "reference", "rel"),
     [
         # Physics reference 5.2: titanium in 2 to 7 mm of cement.
         (
@@ -189,6 +189,6 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
     ids="Lamé,free ends,line,ball,Cattaneo,incline,Klarbring,penalty".split(","),
 )
 def test_closed_forms_reference_values(
-    found: list[float], reference: list[float], rel: float
+    values: list[float], reference: list[float], rel: float
 ) -> None:
-    assert found == pytest.approx(reference, rel=rel)
+    assert values == pytest.approx(reference, rel=rel)

@@ -1,4 +1,4 @@
-"""References of the thermal verification, against the physics reference and their own equations.
+"""References of the thermal verification, against other formulas and their equations.
 
 Fields are differentiated numerically and rates are integrated by other means than the references.
 """

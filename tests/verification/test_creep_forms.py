@@ -17,8 +17,8 @@ A, P, M0, M1 = creep.CEMENT
 def test_closed_forms_creep_laws_have_published_values() -> None:
     """Computed by hand in the notes on clinical data, 1e4, 2.5e5 and 1e6 cycles."""
     for s, values in ((3, (1.7, 5.4, 8.9)), (5, (3.6, 10.4, 16.5)), (7, (5.8, 16.0, 24.7))):
-        found = [1e4 * creep.strain(creep.CEMENT, s, N) for N in (1e4, 2.5e5, 1e6)]
-        assert found == pytest.approx(values, abs=0.06)
+        strains = [1e4 * creep.strain(creep.CEMENT, s, N) for N in (1e4, 2.5e5, 1e6)]
+        assert strains == pytest.approx(values, abs=0.06)
 
 
 @pytest.mark.parametrize("law", [creep.CEMENT, creep.NORTON])

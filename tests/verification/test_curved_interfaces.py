@@ -85,8 +85,8 @@ def test_curved_interfaces_rigid_motions_and_widening_are_exact() -> None:
         (lambda p: np.column_stack([-p[:, 1], p[:, 0], 0 * p[:, 2]]), level),
         (lambda p: np.column_stack([p[:, 0], p[:, 1], 0 * p[:, 2]]), level),
     ):
-        found = _product(B, q, field(j.local.x), u)
-        np.testing.assert_allclose(found[where], field(x)[where], atol=1e-10)
+        jumps = _product(B, q, field(j.local.x), u)
+        np.testing.assert_allclose(jumps[where], field(x)[where], atol=1e-10)
 
 
 def _product(B: Any, q: Any, values: support.Floats, u: Any) -> support.Floats:

@@ -133,10 +133,10 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
         force = jumps.forces(trial.equilibrium)
         interfaces = {
             c.name: InterfaceState(
-                *(v[own] for v in (vertex, normal, jumps.local.weight, trial.jump, slip, force))
+                *(v[points] for v in (vertex, normal, jumps.local.weight, trial.jump, slip, force))
             )
             for k, c in enumerate(problem.scene.contacts)
-            for own in [jumps.local.interface == k]
+            for points in [jumps.local.interface == k]
         }
         displacement: dict[str, tuple[Ints, Floats]] = {
             name: (number, u.x.array.reshape(-1, 3).copy())
@@ -227,11 +227,11 @@ def test_formulation_b_agrees_with_a(text: str, steps: int) -> None:
         assert max(differences.values()) < TOLERANCE, (time, differences)
         seen += shares(two, friction)
     for k, name in enumerate(friction):
-        own = jumps.local.interface == k
+        points = jumps.local.interface == k
         slip, work = sums([s.interfaces[name] for s in b])
-        order = np.argsort(jumps.points.vertex[jumps.local.rows][own])
-        assert support.difference(jumps.state.path[own][order], slip) < TOLERANCE
+        order = np.argsort(jumps.points.vertex[jumps.local.rows][points])
+        assert support.difference(jumps.state.path[points][order], slip) < TOLERANCE
         if friction[name]:
-            assert support.difference(jumps.state.dissipation[own][order], work) < TOLERANCE
+            assert support.difference(jumps.state.dissipation[points][order], work) < TOLERANCE
     # The case says something about history only if points of all kinds occur.
     assert (seen > 0.02).all(), seen

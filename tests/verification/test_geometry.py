@@ -111,8 +111,10 @@ def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
     shared = [c.case.geometry for c in planned if c.point.part == "cavity"]
     assert len({g.cement_thickness for g in shared}) == len(shared) == 4
     for z in (-118.0, -50.0, 20.0):
-        found = [femur_stem.body(g.implant).offset(g.cement_thickness).section(z) for g in shared]
-        assert np.ptp(found, axis=0) == pytest.approx(0.0, abs=0.003)
+        outlines = [
+            femur_stem.body(g.implant).offset(g.cement_thickness).section(z) for g in shared
+        ]
+        assert np.ptp(outlines, axis=0) == pytest.approx(0.0, abs=0.003)
 
 
 def test_geometry_plug_fills_the_canal_below_the_tip() -> None:
@@ -158,8 +160,8 @@ def test_geometry_head_is_a_sphere_on_a_neck() -> None:
 def test_geometry_patches_are_at_muscles_and_head() -> None:
     data = femur(4.0)
     for name, place in MUSCLES.items():
-        own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
-        assert np.linalg.norm(data.points[own].mean(axis=(0, 1)) - place) < SIZE, name
+        facets = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
+        assert np.linalg.norm(data.points[facets].mean(axis=(0, 1)) - place) < SIZE, name
         assert set(data.boundaries[name]) <= set(data.boundaries["bone_surface"])
     disc = data.facets[np.isin(data.facet_tags, data.boundaries["stem_trunnion"])]
     weights = facet_areas(data.points, disc)

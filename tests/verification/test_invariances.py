@@ -258,10 +258,10 @@ def test_invariances_shipped_cases_are_independent_of_axes(
     case = load(support.ROOT / "configs" / f"{name}.yaml", [size, "solver.tolerance=1e-12"]).config
     data, scene = meshes.build(case.geometry, case.mesh, None), build_scene(case)
     one, other = [], []
-    for found, Q in ((one, np.eye(3)), (other, SHIPPED[name])):
+    for results, Q in ((one, np.eye(3)), (other, SHIPPED[name])):
         monkeypatch.setattr(support, "build_scene", lambda _, Q=Q: moved(scene, Q))
         solved = support.solve(case, tagged=distribute(changed(data, Q), MPI.COMM_WORLD))
-        found.extend(solved.interfaces.items())
+        results.extend(solved.interfaces.items())
     assert one
     for (interface, a), (_, b) in zip(one, other, strict=True):
         scales = {"pressure": a["pressure_max"], "contact": a["pressure_max"] * a["area"]}

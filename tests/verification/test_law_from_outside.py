@@ -56,11 +56,11 @@ def run(folder: Path, program: str, text: str, *more: str) -> tuple[dict[str, An
 def test_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     """A layer in tension: the gap is σ/k, whatever the blocks do; from YAML to the fields."""
     summary, _ = run(tmp_path, LAYER, CASE)
-    found = summary["interfaces"]["lower_upper"]
-    assert found["gap_mean"] == pytest.approx(3 / 50, rel=1e-9)
-    assert found["gap_max"] == pytest.approx(3 / 50, rel=1e-9)
-    assert found["pressure_mean"] == pytest.approx(-3, rel=1e-9)
-    assert found["shear_max"] == pytest.approx(0, abs=1e-9)
+    interface = summary["interfaces"]["lower_upper"]
+    assert interface["gap_mean"] == pytest.approx(3 / 50, rel=1e-9)
+    assert interface["gap_max"] == pytest.approx(3 / 50, rel=1e-9)
+    assert interface["pressure_mean"] == pytest.approx(-3, rel=1e-9)
+    assert interface["shear_max"] == pytest.approx(0, abs=1e-9)
     assert summary["balance"]["energy"] < 1e-9
     # The equations are linear, and a layer holds what it joins.
     assert summary["solver"]["newton_iterations"] <= 2
@@ -74,15 +74,15 @@ def test_law_from_outside_constants_vary_in_space(tmp_path: Path) -> None:
     case = CASE.replace("50 MPa/mm", "50 * (1 + x / 8)").replace("size: 2 mm", "size: 1 mm")
     case = case.replace("upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}", rigid)
     summary, _ = run(tmp_path, LAYER, case)
-    found = summary["interfaces"]["lower_upper"]
+    interface = summary["interfaces"]["lower_upper"]
     assert summary["balance"]["force"] < 1e-9
     # An opening a + b s over s in [-2, 2] mm: force 3 MPa x 16 mm2, no moment.
-    at = found["gap_max_at"][0]  # an edge of the block: the soft one
+    at = interface["gap_max_at"][0]  # an edge of the block: the soft one
     s = np.linspace(-2, 2, 5)
     k = 4 * np.array([0.5, 1, 1, 1, 0.5]) * 50 * (1 + (at + 2 + s) / 8)
     a, b = np.linalg.solve([[k.sum(), k @ s], [k @ s, k @ s**2]], [48, 0])
-    assert found["gap_mean"] == pytest.approx(a, rel=2e-3)
-    assert found["gap_max"] == pytest.approx(a - 2 * b, rel=2e-3)
+    assert interface["gap_mean"] == pytest.approx(a, rel=2e-3)
+    assert interface["gap_max"] == pytest.approx(a - 2 * b, rel=2e-3)
     done = support.extended(
         tmp_path, LAYER, CASE.replace("50 MPa/mm", "50 * (1 - x)"), "run", "case.yaml", "-o", "bad"
     )
@@ -154,8 +154,8 @@ def test_law_from_outside_keeps_internal_variables(tmp_path: Path) -> None:
     case += "stages: [{name: load, increments: 2}, {name: unload, increments: 2}]\n"
     summary, _ = run(tmp_path, WORN, case)
     most = high / (k - high / length)
-    found = summary["interfaces"]["lower_upper"]["gap_mean"]
-    assert found == pytest.approx(low * (1 + most / length) / k, rel=1e-8)
+    gap = summary["interfaces"]["lower_upper"]["gap_mean"]
+    assert gap == pytest.approx(low * (1 + most / length) / k, rel=1e-8)
     fields = mantle.read(tmp_path / "out").fields
     assert fields.at_interface("lower_upper", "most").max() == pytest.approx(most, rel=1e-8)
     assert set(fields.at_interface("lower_upper", "status")) == {-1, 3}
@@ -240,12 +240,12 @@ def test_law_from_outside_breaks_by_given_energy_then_has_friction(tmp_path: Pat
     opening = 1e-3 + used[breaking] / 1.6 * (0.02 - 1e-3)
     end = 0.4 * np.asarray(record["time [-]"])[breaking]
     np.testing.assert_allclose(end, tension * 8 / 400 + opening, rtol=1e-6)
-    found = summary["interfaces"]["lower_upper"]
-    assert found["area_broken"] == pytest.approx(16, rel=1e-9)
+    interface = summary["interfaces"]["lower_upper"]
+    assert interface["area_broken"] == pytest.approx(16, rel=1e-9)
     pressure = 0.05 * 0.4 * 400 / 8
-    assert found["pressure_mean"] == pytest.approx(pressure, rel=1e-9)
-    assert found["shear_mean"] == pytest.approx(0.3 * pressure, rel=1e-9)
-    assert found["dissipation"] > 1.6 and summary["balance"]["energy"] < 1e-8
+    assert interface["pressure_mean"] == pytest.approx(pressure, rel=1e-9)
+    assert interface["shear_mean"] == pytest.approx(0.3 * pressure, rel=1e-9)
+    assert interface["dissipation"] > 1.6 and summary["balance"]["energy"] < 1e-8
 
 
 # The layer of `compliance` in series with contact, by the slot of a law.
@@ -282,7 +282,7 @@ class ContactLayer(InterfaceLaw):
         internal_variables = at.updated({"slid": gap - elastic})
         both = internal_variables["slid"], old
         slid, since = (v - dot(v, at.normals[0]) * at.normals[0] for v in both)
-        told = {
+        outputs = {
             "force": law.force,
             "by_jump": expand_derivatives(diff(law.force, gap)),
             "pressures": law.pressures,
@@ -291,7 +291,7 @@ class ContactLayer(InterfaceLaw):
             "stored": inner(law.force, elastic) / 2,
             "dissipated": inner(law.force, slid - since),
         }
-        plain = {name: strip_variables(e) for name, e in told.items()}
+        plain = {name: strip_variables(e) for name, e in outputs.items()}
         internal_variables = {name: strip_variables(e) for name, e in internal_variables.items()}
         return Response(by_multiplier=None, internal_variables=internal_variables, **plain)
 '''
@@ -306,23 +306,23 @@ def test_law_from_outside_layer_equals_compliance(tmp_path: Path) -> None:
     case = CASE.replace("size: 2 mm}", "size: 1 mm}").partition("loads:")[0]
     case = case.replace("bottom}}", f"bottom}}, push: {push}, press: {press}}}")
     case += f"stages: {stages}\nsolver: {{tolerance: 1.0e-12}}\n"
-    own = "kind: contact_layer, coefficient: 0.3, normal: 150 MPa/mm, "
-    own += "tangential: 130 MPa/mm"
+    layer = "kind: contact_layer, coefficient: 0.3, normal: 150 MPa/mm, "
+    layer += "tangential: 130 MPa/mm"
     built_in = "kind: contact, friction_coefficient: 0.3, "
     built_in += "compliance: {normal: 150 MPa/mm, tangential: 130 MPa/mm}"
-    found = []
-    for name, law in (("own", own), ("built_in", built_in)):
+    runs = []
+    for name, law in (("own", layer), ("built_in", built_in)):
         text = case.replace("kind: elastic_layer, stiffness: 50 MPa/mm", law)
         (tmp_path / name).mkdir()
         run(tmp_path / name, CONTACT_LAYER, text)
-        found.append(mantle.read(tmp_path / name / "out"))
-    one, two = (r.summary["interfaces"]["lower_upper"] for r in found)
+        runs.append(mantle.read(tmp_path / name / "out"))
+    one, two = (r.summary["interfaces"]["lower_upper"] for r in runs)
     assert 0.1 < two["open_fraction"] + two["slip_fraction"] and two["dissipation"] > 0
     for key, value in two.items():
         if not key.endswith("_at") and key not in ("contact_work", "critical_friction"):
             assert one[key] == pytest.approx(value, rel=1e-7, abs=1e-9), key
     for name in ("gap", "slip", "pressure", "shear", "status"):
-        maps = [r.fields.at_interface("lower_upper", name) for r in found]
+        maps = [r.fields.at_interface("lower_upper", name) for r in runs]
         assert support.difference(*maps) < 1e-7
 
 
@@ -352,14 +352,14 @@ def test_load_from_outside_does_work(tmp_path: Path) -> None:
     """The shear of the layer is that of the load, and the balances have its work."""
     case = CASE.replace("kind: pressure", "kind: wind").replace("pressure: -3", "shear: 3")
     summary, _ = run(tmp_path, LAYER + WIND, case)
-    found = summary["interfaces"]["lower_upper"]
-    assert found["shear_mean"] == pytest.approx(3, rel=0.05)
-    assert abs(found["force"][0]) == pytest.approx(3 * 16, rel=1e-9)
+    interface = summary["interfaces"]["lower_upper"]
+    assert interface["shear_mean"] == pytest.approx(3, rel=0.05)
+    assert abs(interface["force"][0]) == pytest.approx(3 * 16, rel=1e-9)
     assert all(summary["balance"][name] < 1e-9 for name in ("force", "moment", "energy"))
 
 
 # Quantities: what each is, and how it is computed.
-OWN = '''
+EXTENSION = '''
 import numpy as np
 from mpi4py import MPI
 from app.case.quantities import STRESS, Quantity, add_quantity
@@ -402,18 +402,18 @@ study:
 
 def test_quantity_from_outside_is_published(tmp_path: Path) -> None:
     """3 MPa over 16 mm²; the energy is σ²/(2E) times 32 mm³."""
-    summary, told = run(tmp_path, OWN, PRESSED, "--error")
-    found = summary["interfaces"]["lower_upper"]
-    assert found["area_over_1MPa"] == pytest.approx(16, rel=1e-9)
-    assert found["area_over_1MPa_error"] == pytest.approx(0, abs=1e-9)
-    assert found["area_over_5MPa"] == 0
+    summary, output = run(tmp_path, EXTENSION, PRESSED, "--error")
+    interface = summary["interfaces"]["lower_upper"]
+    assert interface["area_over_1MPa"] == pytest.approx(16, rel=1e-9)
+    assert interface["area_over_1MPa_error"] == pytest.approx(0, abs=1e-9)
+    assert interface["area_over_5MPa"] == 0
     energies = [summary["regions"][name]["strain_energy"] for name in ("lower", "upper")]
     assert energies == pytest.approx([0.072, 0.144], rel=1e-9)
-    assert "area_over_5MPa_error" not in found
+    assert "area_over_5MPa_error" not in interface
     record = mantle.read(tmp_path / "out").step_record
     assert record["lower_upper area_over_1MPa [mm^2]"][-1] == pytest.approx(16, rel=1e-9)
     assert not any("5MPa" in name for name in record)
-    lines = told.splitlines()
+    lines = output.splitlines()
     title = next(k for k, line in enumerate(lines) if line.startswith("interface"))
     assert lines[title].endswith(" over 1 MPa  area over 5MPa")
     assert lines[title + 1].split()[-2:] == ["mm^2", "mm^2"]
@@ -425,7 +425,7 @@ def test_quantity_from_outside_is_published(tmp_path: Path) -> None:
 def test_quantity_from_outside_is_measured_by_a_study(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text(STUDY)
     done = support.extended(
-        tmp_path, OWN, PRESSED, "study", "study.yaml", "-o", "out", "--cores", "1"
+        tmp_path, EXTENSION, PRESSED, "study", "study.yaml", "-o", "out", "--cores", "1"
     )
     assert done.returncode == 0, done.stdout + done.stderr
     record = json.loads((tmp_path / "out" / "study.json").read_text())["quantities"]

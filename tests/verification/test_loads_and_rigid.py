@@ -81,7 +81,7 @@ loads:
 
 
 def test_loads_varying_load_is_evaluated_only_in_its_regions() -> None:
-    """Finite in the bone alone, that is enough; in the stem it is told, with the key."""
+    """Finite in the bone alone, that is enough; in the stem it is reported, with the key."""
     density = "density: ['log(hypot(x, y) - 10)', 0 N/mm^3, 0 N/mm^3]"
     bone = f"loads.hip={{kind: body_force, regions: [bone], {density}}}"
     problem = assembled(CYLINDERS, "geometry.taper=0 deg", bone)

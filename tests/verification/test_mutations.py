@@ -97,17 +97,17 @@ app/mechanics/thermal_strain.py
 
 def mutations() -> dict[str, tuple[str, str, str, str]]:
     """By name: a file, what is in it, what is planted instead, and the problem that has to fail."""
-    found, file, problem = {}, "", ""
+    table, file, problem = {}, "", ""
     for line in filter(None, TABLE.splitlines()):
         if line.startswith("    "):
             name, _, change = line.strip().partition(": ")
             right, wrong = change.replace("\\n", "\n").split(" -> ")
-            found[name] = (file, right, wrong, problem)
+            table[name] = (file, right, wrong, problem)
         elif line.startswith("  "):
             problem = line.strip()
         else:
             file = line
-    return found
+    return table
 
 
 MUTATIONS = mutations()

@@ -153,7 +153,7 @@ SHIFT = np.array([0.01, -0.02, 0.005])
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("interfaces", ["{}", "bonded and contact", "contact"])
 def test_patch_affine_displacement_on_the_boundary(interfaces: str, order: int) -> None:
-    """Given on all sides by expressions, it is found inside, whether or not interfaces may open."""
+    """Given on all sides by expressions, it is exact inside, also if interfaces may open."""
     rows = [
         f"{axis}: '{' + '.join(f'{g} * {c}' for g, c in zip(row, 'xyz', strict=True))} + {shift}'"
         for axis, row, shift in zip("xyz", GRADIENT, SHIFT, strict=True)

@@ -8,7 +8,7 @@ from app.verification.closed_forms import CUP
 from tests.reference import axisymmetric
 
 # Ball of 14 mm, outside of the cup 22 mm, by clearance [mm]: sink [um], mean pressure within 20
-# degrees [MPa] and edge of contact [degrees], by a program of its own with linear gaps.
+# degrees [MPa] and edge of contact [degrees], by a separate program with linear gaps.
 KNOWN = {
     0.05: (35.4, 8.27, 50.8),
     0.1: (45.0, 10.30, 42.9),

@@ -188,11 +188,11 @@ def test_solvers_agree_on_two_breaking_arms() -> None:
         "loads.down.force=[0 N, 0 N, -14 N]",
         "stages=[{name: pull, increments: 10, fracture_step: 0.5 N mm}]",
     )
-    found = {s: support.solve(ARMS, *changes, f"solver.linear={s}") for s in support.SOLVERS}
-    one = found["condensed"]
+    solved = {s: support.solve(ARMS, *changes, f"solver.linear={s}") for s in support.SOLVERS}
+    one = solved["condensed"]
     broken = [int((s.gap > 0.01).sum()) for s in one.samples]
     assert broken[-1] > 1.5 * broken[1]
-    for solver, other in found.items():
+    for solver, other in solved.items():
         assert [s.time for s in other.steps] == pytest.approx([s.time for s in one.steps], rel=1e-6)
         assert support.difference(one.last.motion, other.last.motion) < 1e-6
         krylov = [

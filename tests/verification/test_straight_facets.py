@@ -188,7 +188,7 @@ def test_straight_facets_frictionless_stem_does_not_rotate(taper: float, digits:
     load = "[300 N, 0 N, -900 N]" if taper else "[300 N, 0 N, 0 N]"
     changes = (SMOOTH, f"geometry.taper={taper} deg", f"loads.hip.force={load}")
     tagged = rounded(support.case(support.STEM, *changes), digits)
-    found = []
+    states = []
     for linear in support.SOLVERS:
         solved = support.solve(
             support.STEM, *changes, f"solver.linear={linear}", tagged=tagged, balances=True
@@ -196,11 +196,11 @@ def test_straight_facets_frictionless_stem_does_not_rotate(taper: float, digits:
         # The axis is off by as much, along which the stem sinks by 2 mm.
         assert abs(torsion(solved)) < max(1e-9, 0.1 * 10.0**-digits)
         assert solved.balances.max() < 1e-8
-        found.append(solved.last)
-    assert (found[0].pressure > 0).any()
-    for other in found[1:]:
-        assert support.difference(found[0].pressure, other.pressure) < 1e-6
-        assert support.difference(found[0].motion, other.motion) < 1e-6
+        states.append(solved.last)
+    assert (states[0].pressure > 0).any()
+    for other in states[1:]:
+        assert support.difference(states[0].pressure, other.pressure) < 1e-6
+        assert support.difference(states[0].motion, other.motion) < 1e-6
 
 
 @pytest.mark.parametrize("friction", [0, 0.2, 0.4])
@@ -252,10 +252,10 @@ time: {method: backward_euler, tolerance: 1 K}
 @pytest.mark.parametrize("linear", ["auto", "direct", "multigrid"])
 def test_straight_facets_conducting_stem_does_not_rotate(linear: str, tmp_path: Path) -> None:
     """Heat and contact are one system, of which the mechanics are those without heat."""
-    found = support.run(WARM, tmp_path, f"solver.linear={linear}").summary
+    summary = support.run(WARM, tmp_path, f"solver.linear={linear}").summary
     text = re.sub(r",\s+(thermal|conductance): \{[^}]*\}", "", WARM.partition("time:")[0])
     text = re.sub(r"heat:\n.*\n", "", text).replace("duration: 10 s, ", "")
     cold = support.solve(text).interfaces["stem_cement"]
-    warm = found["interfaces"]["stem_cement"]
+    warm = summary["interfaces"]["stem_cement"]
     for key in ("pressure_max", "pressure_mean", "motion_max"):
         assert warm[key] == pytest.approx(cold[key], rel=1e-6)

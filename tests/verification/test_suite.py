@@ -40,7 +40,7 @@ def test_{name}(problem):
 
 @pytest.fixture
 def problems(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder for problems of one's own, in place of the program's."""
+    """A folder for problems of the user, in place of the program's."""
     folder = tmp_path / "problems"
     folder.mkdir()
     (folder / "conftest.py").write_text(CONFTEST)

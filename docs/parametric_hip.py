@@ -1,8 +1,8 @@
-r"""Write mantle's own femur, its canal and a stem as the files of docs/howto/your_hip.md.
+r"""Write the parametric femur, its canal and a stem as the files of docs/howto/your_hip.md.
 
-    ./mantle shell -c 'python3 docs/own_hip.py out/hip'
+    ./mantle shell -c 'python3 docs/parametric_hip.py out/hip'
 
-In the page yours then take their place.
+On that page your files then take their place.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from tests.patient import bones
 def write(folder: Path) -> None:
     """Write femur.stl, canal.stl and stem.step."""
     folder.mkdir(parents=True, exist_ok=True)
-    bones.write(folder / "femur.stl", bones.own())
-    bones.write(folder / "canal.stl", bones.own_canal())
+    bones.write(folder / "femur.stl", bones.parametric_femur())
+    bones.write(folder / "canal.stl", bones.parametric_canal())
     cad_stems.write("exeter", folder).rename(folder / "stem.step")
 
 
