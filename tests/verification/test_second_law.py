@@ -193,7 +193,7 @@ loads:
 
 
 def test_second_law_contact_work_vanishes_with_small_steps() -> None:
-    r"""First order is what has to be; the second is what is found.
+    r"""First order is required; the computed order is two.
 
     Where a point closes or opens within a step the trapezoidal rule pairs a pressure with a gap,
     both of the first order in the step, and each point does so a fixed number of times.
