@@ -325,11 +325,12 @@ class _CaseRun:
                 summary["accuracy"] = accuracy.reached(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
             verdicts.record(summary, notes)
-        with setup.timing.phase("error"), self._last_state_kept():
-            influence = shaft_influence.measured(case, model)
-        if influence:
-            summary["continued_shaft"] = influence
-            verdicts.record(summary, notes)
+        if case.geometry.continued_below is not None:
+            with setup.timing.phase("error"), self._last_state_kept():
+                influence = shaft_influence.measured(case, model)
+            if influence:
+                summary["continued_shaft"] = influence
+                verdicts.record(summary, notes)
         self._writer.finish(summary, done=True)
         if case.output.checkpoint == CheckpointOptions():
             # No periodic checkpoints: those of interruptions are no longer needed.
