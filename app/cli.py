@@ -5,9 +5,19 @@
 errors and exit codes. With python3-argcomplete installed,
 ``eval "$(register-python-argcomplete mantle)"`` completes commands and options in bash.
 
-Exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input,
-3 geometry or mesh, 4 not converged, 5 stopped, 6 solved but not to be used, 69 environment, 70
-internal.
+Exit codes:
+
+| code | meaning |
+|---|---|
+| 0 | done |
+| 1 | a verification problem fails, or a benchmark cannot be measured |
+| 2 | wrong input |
+| 3 | geometry or mesh |
+| 4 | not converged |
+| 5 | stopped |
+| 6 | solved, but not to be used |
+| 69 | environment |
+| 70 | internal error |
 """
 
 from __future__ import annotations

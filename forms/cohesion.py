@@ -15,9 +15,11 @@ Softening is linear or exponential:
           d = 1 - \frac{m_0}m e^{-(m - m_0)/δ}, \; δ = \frac G{K m_0} - \frac{m_0}2 .
 
 Damage never falls. An undamaged point is a spring in tension and in compression. A damaged point
-also has exact contact with Coulomb friction :math:`d μ p` on its debonded area:
-:math:`F = T + P(F - T + r D)`, :math:`T = (1 - d) K D^+`. It is the law of Alfano and Sacco (2006)
-without its elastic slip.
+also has exact contact with Coulomb friction :math:`d μ p` on its debonded area,
+
+.. math:: F = T + P(F - T + r D), \qquad T = (1 - d) K D^+ .
+
+It is the law of Alfano and Sacco (2006) without its elastic slip.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ The heat equation of each body, :math:`c\,\dotθ = ∇·(k ∇θ) + Q`, has the 
 .. math:: ∫ c\, \dotθ\, v + ∂_θ \Big( ∫ φ(∇θ) + ∫ φ_b(θ) + ∫_{∂} φ_a(θ) \Big)[v]
           = ∫ Q\, v + ∫_{∂} q\, v \qquad ∀ v,
 
-The derivatives of the potentials are heat flows. :math:`-∂φ/∂∇θ = -k ∇θ` is Fourier's heat flux,
-positive down the gradient (paper eq. 20). :math:`∂φ_a/∂θ` is the heat that leaves through a surface
-per area.
+The derivatives of the potentials are heat flows. Fourier's heat flux :math:`-∂φ/∂∇θ = -k ∇θ` is
+positive down the gradient (paper eq. 20). The heat that leaves through a surface is
+:math:`∂φ_a/∂θ` per area.
 
 Symbols: θ temperature [K], g = ∇θ [K/mm], c capacity per volume (density times specific heat)
 [N/(mm2 K)], k conductivity [N/(s K)], m unit fibre direction (3,), v virtual temperature.

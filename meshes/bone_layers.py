@@ -2,9 +2,9 @@
 
 Lines across the layers end on the periosteum, at angles about the centre of each section, which is
 on the stem's axis. Below the plug the shaft may bow away from that axis: there the centre goes over
-to the shaft's or to the canal's. Along any line each surface is met once: in sections that are
-parallel to the neck cut near it, bone is star-shaped about the centre, trochanters included, where
-levels of z would meet it several times.
+to the centre of the shaft or of the canal. Each line meets each surface once, because bone is
+star-shaped about the centre in these sections, trochanters included. Near the neck cut sections are
+parallel to it: a horizontal line would meet the trochanters several times.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A stem from CAD in a hip: points of its surface in the sections of the mesh.
 
-Above the neck cut sections turn on until they are across the neck, about points that lead from the
-stem's axis to the neck's, from the cut on or from the shoulder, if that is lower. Rays from these
-points meet the surface, which is triangles, once.
+Above the neck cut, or above the shoulder if that is lower, sections rotate until they are across
+the neck. Their centres lead from the stem's axis to the neck's. Each ray from a centre meets the
+triangles of the surface once.
 """
 
 from __future__ import annotations
@@ -119,14 +119,14 @@ def _outwards(density: Floats, level: float, start: int, way: int) -> float:
 
 @dataclass(frozen=True)
 class CornerLines:
-    """Corners and flats of the section where lines are counted, and what lines they have.
+    """Corners and flats of the section where lines are counted, with their shares of the lines.
 
     Attributes:
         middles: Middles of the corners in parts of the length around (k,).
-        sharp: Whether each is a point (k,).
+        sharp: True for corners that are points (k,).
         first: Number of the end of a corner at which the first line is; -1: it is on the first ray.
         weights: 1 for flats, `ARC` for corners, from the first line on (m,).
-        shares: Parts of all lines on them (m,).
+        shares: Fraction of all lines on each flat and corner (m,).
     """
 
     middles: Floats

@@ -1,11 +1,15 @@
 """Contact points: where the two sides of an interface can part, on a conforming mesh.
 
-A contact point is a mesh vertex seen from one interface. It carries the jump of that interface (the
-displacement of the slave side minus that of the master side), the normals of its faces (facets that
-meet at less than 30 degrees are one face; a vertex on an edge has two faces, on a corner three) and
-its area: for each facet around it the integral of its linear shape function, a third of the
-facet where it is flat. On curved cells normals are those of the curved facets, so that a smooth
-surface is one face however coarse the mesh. Straight facets have the normals of the smooth surface
+A contact point is a mesh vertex seen from one interface. It carries:
+
+* the jump of that interface: the displacement of the slave side minus that of the master side;
+* the normals of its faces. Facets that meet at less than 30 degrees are one face. A vertex on an
+  edge has two faces, on a corner three;
+* its area: the integral of its linear shape function over the facets around it, a third of each
+  flat facet.
+
+On curved cells normals are those of the curved facets, so that a smooth surface is one face on any
+mesh. Straight facets have the normals of the smooth surface
 that is fitted to their vertices (`meshes.smooth_normals`). The law acts along these normals; area
 and force are those of the facets around the point.
 
@@ -294,11 +298,11 @@ def _forest(
 
     At each vertex corners become points in this order:
 
-    1. corners of interfaces that would have no point at all;
-    2. corners whose jump supports prescribe: otherwise bodies between the two would be held, too;
-    3. corners without a point to which they could give their force;
-    4. corners whose normals agree with the others there: the bars of a T before its stem;
-    5. corners of the larger interface, then by name.
+    1. Corners of interfaces that would have no point at all.
+    2. Corners whose jump supports prescribe: otherwise bodies between the two would be held, too.
+    3. Corners without a point to which they could give their force.
+    4. Corners whose normals agree with the others there: the bars of a T before its stem.
+    5. Corners of the larger interface, then by name.
 
     Args:
         facets: All facets.

@@ -112,7 +112,7 @@ class MeshData:
 
     @property
     def curved(self) -> bool:
-        """Whether cells are quadratic (ten nodes)."""
+        """Return True if cells are quadratic (ten nodes)."""
         return self.cells.shape[1] == 10
 
     @cached_property

@@ -4,11 +4,11 @@ Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial
 from x towards y. Sections are superellipses with different medial and lateral half-widths, from
 the tables below by monotone cubic interpolation in z.
 
-Medio-lateral canal widths follow the CT of 508 femora (ISTA 2014 abstract: 43.7, 35.0, 28.7, 24.0,
-20.6, 16.7, 15.7 and 13.5 mm at z = 20 ... -80); so do the antero-posterior depths at z = -40 (15.2)
-and -80 (12.5 mm). Noble's isthmus (12.3 by 16.9 mm, 1988) is deeper antero-posteriorly than that
-sample is 30 mm above it; one sample was preferred to two that do not fit together, so the isthmus
-at z = -113 is 12.3 by 12.5 mm. Cortex and trochanter are assumed.
+Canal widths follow the CT of 508 femora (ISTA 2014 abstract). Medio-lateral widths at
+z = 20 ... -80 are 43.7, 35.0, 28.7, 24.0, 20.6, 16.7, 15.7 and 13.5 mm. Antero-posterior depths are
+15.2 mm at z = -40 and 12.5 mm at z = -80. Noble's isthmus (12.3 by 16.9 mm, 1988) is deeper than
+that sample is 30 mm above it. The two samples do not fit together, so the isthmus at z = -113 is
+12.3 by 12.5 mm. Cortex and trochanter are assumed.
 """
 
 from __future__ import annotations

@@ -1,13 +1,17 @@
 """A proximal femur before the operation: cortical bone around cancellous bone, with head and neck.
 
 Shaft, trochanters, canal and muscle patches are those of the femur with a stem, cell by cell: the
-lines are those of the stem that is planned (`layered_surfaces`). What the operation would take away
-is a blend from the neck cut to a round neck, and a sphere about the head's centre, whose nodes are
-on no lines: a ball of sections that bulge, in a shell that a lid closes at its end. Assumed, for
-want of a published set that goes with this shaft: a neck of 0.70 of the head's diameter in
-its middle (means are 48 and 33 mm in men, not verified), round and turned as the implant is; a
-cortex of 2 mm under the head, of 3.5 mm at the root of the neck, alike all around (it is thicker
-below and thinner above); no cartilage; no fovea; a round trochanter.
+lines are those of the planned stem (`layered_surfaces`). The part that the operation removes is a
+blend from the neck cut to a round neck, and a sphere about the head's centre. The nodes of the
+sphere are on no lines: it is a ball of bulging sections in a shell, which a lid closes at its end.
+
+No published set of dimensions goes with this shaft. Assumed are:
+
+* a round neck, rotated as the implant. In its middle it has 0.70 of the head's diameter (means are
+  48 and 33 mm in men, not verified);
+* a cortex of 2 mm under the head and 3.5 mm at the root of the neck, the same all around (it is
+  thicker below and thinner above);
+* no cartilage, no fovea, and a round trochanter.
 """
 
 from __future__ import annotations

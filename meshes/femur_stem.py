@@ -120,8 +120,8 @@ class Body:
     def _shares(self, z: FloatOrFloats) -> Floats:
         """Shares at levels z (3, ...).
 
-        They are the same everywhere, so that lines do not leave the ends of arcs, but for pieces
-        that have become too short for their lines, as the flats of a round end.
+        They are the same at all levels, so that lines stay at the ends of arcs. Only pieces that
+        are too short for their lines have fewer, such as the flats of a round end.
         """
         weights = self._weights(z)
         shares = np.reshape(self.shares, (3,) + (1,) * (weights.ndim - 1))
@@ -242,7 +242,7 @@ class Tip:
         return np.asarray(width + (1.0 - width) * np.clip(plug, 0.0, 1.0))
 
     def bulge(self, part: Floats, z: Floats) -> Floats:
-        """How far sections hang below their outlines at parts of their width [mm].
+        """Distance of sections below their outlines at parts of their width [mm].
 
         The last section is the bowl; in the plug sections get flat again.
         """

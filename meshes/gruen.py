@@ -6,11 +6,10 @@ order: 8 to 10 anterior, 11 distal to the tip, 12 to 14 posterior (Johnston et a
 Surg 72-A (1990) 161). From memory, not verified against the originals.
 
 Heights are thirds of the length of the stem in the bone, measured on its axis from the tip to the
-neck cut; bone beside the stem above it counts to the proximal third. Zones 4 and 11 begin where the
-end of the stem is rounded, and are drawn on radiographs as far as these reach. Here they end 20 mm
-below the tip, about the length measured there by X-ray absorptiometry (a habit, not a standard):
-down to the distal cut they would depend on where a model is cut and supported. Bone below is in no
-zone.
+neck cut. Bone above the cut counts to the proximal third. Zones 4 and 11 begin where the end of the
+stem is rounded. On radiographs they reach down to the end of the picture. Here they end 20 mm below
+the tip, about the length measured there by X-ray absorptiometry (a habit, not a standard). Zones
+down to the distal cut would depend on the place of the cut. Bone below is in no zone.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@ Sections are planes z = zeta - slope(zeta) (x + lean y) of the stem's axes. They
 stem and turn over the last `TURN` millimetres to the neck cut.
 
 A node has three coordinates: `phi` around and `s` along the line, in half steps, and `rho` across.
-Whole values of `rho` are surfaces: 1 the stem or whatever is innermost, 2 the outer side of the
-mantle, 3 the endosteum, 4 the periosteum; 0 stands for the nodes inside the innermost surface.
-Without cement the stem is surface 2, and there is no surface 1.
+Whole values of `rho` are surfaces: 1 the innermost one (the stem, if there is one), 2 the outer
+side of the cement mantle, 3 the endosteum, 4 the periosteum. Nodes inside the innermost surface
+have 0. Without cement the stem is surface 2, and there is no surface 1.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""Normals of the smooth surface that straight facets approximate.
 
 The mean normal of the facets around a node is off by some hundredths, also along the axis of a
-cylinder or a cone: bodies that slide along this axis then climb their facets. Here a node has the
+cylinder or a cone. Bodies that slide along this axis then climb their facets. Here a node has the
 normal of a surface through it that is fitted to the nodes near it. With a, b the coordinates of a
 near node along two tangents and h that along the mean normal, relative to the node,
 

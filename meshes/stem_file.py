@@ -53,19 +53,25 @@ class StemRequest(TypedDict):
 
 
 def read(request: StemRequest) -> dict[str, FloatOrFloats]:
-    """The stem of a file.
+    """The stem of a file: its surface and landmarks.
 
     Args:
         request: ``path``, ``unit`` and, in the file's coordinates [mm] or None, ``head_centre``
             (3,), two points of the ``axis`` from distal (2, 3), ``taper_face``: a point of it (3,).
 
     Returns:
-        ``x``: triangles (m, 3, 3), ``coarse``: fewer [mm]; ``head``: the head's centre (3,) [mm];
-        ``neck``: unit vector along the neck (3,); ``end``: centre of its end (3,), ``radius`` of a
-        circle as large, ``shoulder``: height of the highest point lateral to the axis, ``lateral``:
-        how far it reaches lateral there, ``rounding``: height of the rounded tip [mm];
-        ``around``: length of a section at 3/4 of that [mm]; ``in_file``: in the file, two
-        points of the axis, the centres of head and neck's end [mm], the way to medial (5, 3).
+        Arrays by name, lengths in mm:
+
+        * ``x``: triangles (m, 3, 3), ``coarse``: fewer of them.
+        * ``head``: centre of the head (3,).
+        * ``neck``: unit vector along the neck (3,).
+        * ``end``: centre of the neck's end (3,), ``radius``: that of a circle of its area.
+        * ``shoulder``: height of the highest point lateral to the axis.
+        * ``lateral``: lateral extent of the stem at the shoulder.
+        * ``rounding``: height of the rounded tip.
+        * ``around``: length of a section at 3/4 of the shoulder's height.
+        * ``in_file``: in coordinates of the file, two points of the axis, the centres of the head
+          and of the neck's end, and the direction to medial (5, 3).
 
     Raises:
         GeometryError: It is no file of one solid, or no stem.

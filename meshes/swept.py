@@ -1,8 +1,8 @@
 """Meshes of nested layers: the reference body by gmsh, its image by one map.
 
 gmsh's prisms are split by the ranks of their columns, both sides of a face alike. Along a line
-where two layers would be thinner than a floor, the two surfaces are one: the nodes between them are
-merged, and cells that have a node twice are left out. The floor bounds the angle of the wedges in
+where a layer would be thinner than a floor, its two surfaces are one: the nodes between them are
+merged, and cells that have a node twice are removed. The floor bounds the angle of the wedges in
 which a layer ends. (gmsh would split prisms into flat cells there.)
 """
 
@@ -38,10 +38,11 @@ class Swept:
     """A mesh of layers.
 
     Attributes:
-        nodes: Its nodes; those of curved cells include middle nodes.
-        cells: Tetrahedra (m, 4 or 10).
+        surfaces: Surfaces of the layers, which map nodes to their places.
+        nodes: Nodes of the mesh; those of curved cells include middle nodes.
+        cells: Nodes of each tetrahedron (m, 4 or 10).
         region: Number of the region of each cell (m,).
-        names: Regions.
+        names: Names of the regions, by number.
     """
 
     surfaces: LayeredSurfaces
@@ -141,11 +142,12 @@ def _mended(
 def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
 
-    Those that are not inverted have positive volumes.
+    A tetrahedron that is not inverted has a positive volume.
 
-    Columns rank from lateral to medial, all of one line together, outwards: sections turn about an
-    antero-posterior axis, and diagonals from lateral to medial are the short ones; where sections
-    turn back, those from medial to lateral. Lines on a flat side rank as if it were round.
+    Columns rank from lateral to medial; the columns of one line rank together, outwards. Sections
+    rotate about an antero-posterior axis, so that diagonals from lateral to medial are the short
+    ones. Where sections rotate back, the order is reversed. Lines on a flat side rank as if it were
+    round.
     """
     c = len(body.at)
     lines = surfaces.around * len(body.rho)

@@ -3,7 +3,7 @@
 A run lives in a directory named by its content, so that a finished one is never repeated, and a
 failed or changed one is::
 
-    folder/cases/<id>.yaml      the resolved case; <id> is case- and a digest of all it depends on
+    folder/cases/<id>.yaml      the resolved case; <id> is case- and a digest of all inputs
     folder/runs/<id>/           its run directory, complete once it holds DONE
     folder/runs/<id>.log        its output
     folder/runs/<id>.status     when it began and ended, and its exit code

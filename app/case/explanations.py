@@ -1,7 +1,7 @@
 """Texts of ``mantle explain``: keys, kinds, entries of the library and results by any word.
 
-A word is the path of a key, the name of a kind, a name of the library, a part of the name of a
-result, or a term of the field (`WORDS`, the glossary of the manual).
+A word is the path of a key, the name of a kind, or a name of the library. It may also be a part of
+the name of a result, or a term of the field (`WORDS`, the glossary of the manual).
 """
 
 from __future__ import annotations

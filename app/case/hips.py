@@ -81,7 +81,7 @@ class Resection(Section):
     angle: Annotated[float, Dimension("rad", "an angle", "38 deg", at_least=0.0, below=1.2)] = (
         math.radians(38.0)
     )
-    """Its angle to the transverse plane (rad), below 1.2."""
+    """Angle of the cut to the transverse plane (rad), below 1.2."""
     azimuth: Angle | None = None
     """Direction of its normal about the shaft, from medial to anterior (rad); by default the
     neck's."""
@@ -180,8 +180,8 @@ class Hip(Shape):
     """Length of cement below the tip. Without cement: length below the tip over which the cells
     keep the outline of the stem."""
     tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] | None = None
-    """Length without cement or bone below the stem's end, as in a hollow centraliser: nothing bears
-    on the end, which is flat then. 1 mm at least, and 1 mm less than the plug at most; 0: none. By
+    """Length without cement or bone below the stem's end, as in a hollow centraliser. The end is
+    then flat and carries no load. 0, or at least 1 mm and at most 1 mm less than the plug. By
     default 0 in cement, and 5 mm without cement: a stem hangs in its canal."""
 
     @property

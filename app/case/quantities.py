@@ -105,10 +105,10 @@ class Quantity:
             section in braces, and the interface as {name}.
         caption: Of an interface: caption with {name} of a large number at the head of the page.
         detail: Sentence below it, with quantities in braces.
-        compute: Function of an added quantity, in `unit`. For an interface it takes the contact
-            points (`ContactSamples`) and a mask of those of the interface (n,), and returns the
-            same on every rank; for a region the stresses (`results.stresses.Stresses`) and the name
-            of the region; collective.
+        compute: Function of an added quantity, in `unit`; collective. For an interface it takes the
+            contact points (`ContactSamples`) and the mask of its points (n,). For a region it takes
+            the stresses (`results.stresses.Stresses`) and the name of the region. It returns the
+            same number on every rank.
     """
 
     section: str

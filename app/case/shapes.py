@@ -167,9 +167,9 @@ class Shape(Extensible):
     shape_keys: ClassVar[str] = "geometry"
     """Keys to change where cells are poor, in words of a message."""
     is_around_z: ClassVar[bool] = False
-    """Whether z is the axis of a stem, or of a planned one."""
+    """True if z is the axis of a stem, or of a planned one."""
     has_gruen_zones: ClassVar[bool] = False
-    """Whether it has the bone around a stem, or a planned one (`meshes.gruen`)."""
+    """True if the geometry has the bone around a stem, or a planned one (`meshes.gruen`)."""
 
     kind: str
 
@@ -226,7 +226,7 @@ class Shape(Extensible):
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones; False by default."""
+        """Return True if curved cells follow it better than straight ones; False by default."""
         return False
 
     @property
@@ -362,8 +362,8 @@ class MeshOptions(Section):
     order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
     """Polynomial degree of the displacement."""
     curved: Truth | None = None
-    """Whether the cells are curved (second order) to follow the geometry; by default where it is
-    curved and `order` is 2. Not at first order."""
+    """`true`: cells are curved (second order) and follow the geometry; needs `order: 2`. By default
+    cells are curved if the geometry is and `order` is 2."""
 
     around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
@@ -477,8 +477,8 @@ class MeshOptions(Section):
 def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
     """Estimated number of tetrahedra of a mesh that is fine at its interfaces.
 
-    ``a A / h^2 + b V / H^3`` for an area A of all interfaces (mm2) and a volume V (mm3), with
-    constants fitted to meshes of the femur; at most the cells of a uniform mesh.
+    ``a A / h^2 + b V / H^3`` for an area A of all interfaces (mm2) and a volume V (mm3). The
+    constants are fitted to meshes of the femur. The result is at most that of a uniform mesh.
     """
     uniform = 8.5 * volume / mesh.size**3
     graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3

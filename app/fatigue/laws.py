@@ -125,8 +125,8 @@ class Fatigue(Section):
 
         .. math:: \frac{s (1 - R) / 2}{1 - s (1 + R) / 2 S} = \frac{a}{1 - m / S}
 
-        with R the ratio of the law, a amplitude and m mean of the cycle and S the strength, which
-        is infinite without the rule: s (1 - R) is then the range. ``most`` and ``least`` are the
+        with R the ratio of the law, a amplitude and m mean of the cycle and S the strength. Without
+        Goodman's rule S is infinite, and s (1 - R) is the range. ``most`` and ``least`` are the
         tensions of the cycle, not negative [MPa].
         """
         strength = self.goodman or float("inf")

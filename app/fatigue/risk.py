@@ -8,9 +8,9 @@ of the stress of the displacement, with that of setting. High powers of stress n
 means of cells are 13 % off at a shape of 10, with eight cells over a bent bar. Those here are exact
 to degree 9.
 
-Rim and tip of a hip are reported separately, as on interfaces, and so are re-entrant edges: stress
-has no bound there, and R has none where m times the power of the distance with which stress grows
-is 2 or more. It then grows with every refinement.
+Rim and tip of a hip are reported separately, as on interfaces. So are re-entrant edges, where
+stress grows with a negative power -p of the distance and has no bound. R has no bound there if m p
+is 2 or more: it grows with every refinement.
 """
 
 from __future__ import annotations

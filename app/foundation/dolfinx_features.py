@@ -1,7 +1,7 @@
 """Calls of DOLFINx that differ between 0.9, 0.10 and 0.11; no other module asks for them.
 
-It asks for a feature (a module, an argument, a kind of attribute), never for a version, so that a
-later release runs without a change as long as it keeps the features.
+The code tests for a feature (a module, an argument, a kind of attribute), never for a version. A
+later release then runs unchanged as long as it keeps the features.
 
 | feature | 0.9 | 0.10 | 0.11 |
 |---|---|---|---|

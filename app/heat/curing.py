@@ -179,9 +179,12 @@ class AutocatalyticKinetics:
     ) -> tuple[Floats, Floats, Floats, Floats]:
         r"""Reacted part at some nodes, with the rate and its derivatives by degree and temperature.
 
-        The unknown of Newton's method is s with a = a* + (a_max - a*) / (1 + exp(-s)), between
-        bounds. ln(a - a*) - ln(h f) is nearly linear in s at both ends. For m <= 1 it increases, so
-        that there is one root. For m > 1 a long step may have several; one of them is returned.
+        Newton's method solves ln(a - a*) - ln(h f) = 0 between bounds, with the unknown s:
+
+        .. math:: a = a^* + (a_{max} - a^*) / (1 + e^{-s}) .
+
+        The function is nearly linear in s at both ends. For m <= 1 it increases, so that there is
+        one root. For m > 1 a long step may have several; one of them is returned.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.log(share) - np.log1p(-share)

@@ -178,9 +178,9 @@ class Force(Load):
     at: Point | None = None
     """Point at which the resultant acts (mm). By default the traction is uniform."""
     cycle_table: CycleTable | None = None
-    """Force through each cycle of the last stage, in place of `history`: the column `factor` times
-    the key `force`; or the column `force` times its direction, 1 N long; or `force x`, `force y`
-    and `force z` in place of the key."""
+    """Force through each cycle of the last stage, in place of `history`. A column `factor`
+    multiplies the key `force`. A column `force` multiplies the direction `force`, 1 N long. Columns
+    `force x`, `force y` and `force z` replace the key."""
     follows: Name | None = None
     """Motion with which the force rotates; by default its direction is fixed in space."""
 

@@ -71,7 +71,7 @@ class Outline(Section):
 
     @property
     def path(self) -> Path | None:
-        """Its file, if there is one."""
+        """File of the surface, if there is one."""
         return self.surface or self.image
 
 
@@ -95,8 +95,8 @@ class Canal(Outline):
     threshold: Number = 600.0
     """CT number at the inner surface of the cortex."""
     ream: Literal["none", "by", "broach"] = "none"
-    """What the surgeon widens it by: nothing, the same everywhere (`ream_by`), or to what stem and
-    mantle need. At least 1.5 mm of cortex are left."""
+    """Reaming by the surgeon: none, by the same distance everywhere (`ream_by`), or as far as stem
+    and cement mantle need. At least 1.5 mm of cortex are left."""
     ream_by: PositiveLength = 1.0
     """Distance by which it is widened with `ream: by`."""
 
@@ -117,8 +117,8 @@ class Landmarks(Section):
 class Patient(OperatedHip):
     """A patient's proximal femur with a stem, in cement or without.
 
-    Axes: z along the shaft, proximal positive, 0 at the apex of the lesser trochanter; x medial,
-    along the posterior condyles, or along the neck where the surface has no condyles; y anterior.
+    Axes: z along the shaft, proximal positive, 0 at the apex of the lesser trochanter; y anterior.
+    x is medial, along the posterior condyles. It is along the neck if the surface has no condyles.
     """
 
     file_keys: ClassVar[tuple[str, ...]] = (
@@ -129,9 +129,9 @@ class Patient(OperatedHip):
 
     kind: Literal["patient"] = "patient"
     bone: Bone
-    """Its outer surface."""
+    """Outer surface of the bone."""
     canal: Canal = Field(default_factory=Canal)
-    """Its medullary canal, and how it is reamed."""
+    """Medullary canal, and its reaming."""
     landmarks: Landmarks = Field(default_factory=Landmarks)
     """Landmarks that are given; the others are determined."""
     stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)

@@ -53,7 +53,7 @@ class ImageModulus(ModulusField):
     """Image of CT numbers: NIfTI, DICOM (slices or frames), or `values` and `affine` in an `.npz`
     of numpy."""
     calibration: Calibration
-    """What makes densities of CT numbers: the line of a phantom."""
+    """Density as a linear function of CT numbers, from a phantom."""
     law: Law
     """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a law that the case gives."""
     axes: Literal["RAS", "LPS"] = "RAS"
@@ -81,7 +81,7 @@ class ImageModulus(ModulusField):
 
     @property
     def image(self) -> Image:
-        """Its voxels."""
+        """Voxels of the image."""
         from app.patient import images  # scipy, which other cases do without
 
         return images.read(self.density)

@@ -1,8 +1,8 @@
 """Curves: panels of lines with errors, as picture files and as drawings inside a page.
 
 A `Panel` says what is drawn. `draw` makes files of it by matplotlib. `drawing` gives it to
-`page.html`, which writes it as SVG. Both stay, by measurement: ten panels of a page take 0.02 s and
-20 kB by the template, 0.5 s and 140 kB by matplotlib; a page of a short run takes 1 s in all.
+`page.html`, which writes it as SVG. Measurements speak for both: ten panels of a page take 0.02 s
+and 20 kB by the template, 0.5 s and 140 kB by matplotlib. A page of a short run takes 1 s in all.
 """
 
 from __future__ import annotations

@@ -262,9 +262,9 @@ class HeatBalance:
 
     Args:
         stored: Heat stored at the start [N mm].
-        flows: Flow into the model by each condition at the start [N mm/s]; empty if it is not
-            known (it is infinite where temperatures differ from given ones): the first step is
-            then summed with the flows at its end.
+        flows: Flow into the model by each condition at the start [N mm/s]. Empty if unknown: it is
+            infinite where initial temperatures differ from prescribed ones. The first step is then
+            summed with the flows at its end.
     """
 
     saved = (

@@ -1,8 +1,8 @@
 """Size of the zone in which an interface breaks.
 
 With w the spent part of the fracture energy, the zone is where 0 < w < 1. By the co-area formula
-the integral of the slope of w is its largest value times the mean length of its contours: the area
-of the zone over that length is how wide it is,
+the integral of the slope of w is its largest value times the mean length of its contours. The area
+of the zone over that length is its width,
 
 .. math:: l = A(0 < w < 1) w_{max} / ∫ |∇w| dA .
 """

@@ -122,10 +122,10 @@ class HeatFields:
     ) -> tuple[dict[str, Floats], dict[str, Floats]]:
         """Fields by node, and none by cell.
 
-        Temperature now and its highest so far [degC]; in bone seconds at or above 47 degC, CEM43
-        [min] and Henriques-Moritz; degree of cure in curing regions; by interface of finite
-        conductance the temperature jump, second side minus first [K], and the heat flux from first
-        to second side [W/m2]. Both are zero away from the interface.
+        Everywhere: temperature and its highest value so far [degC]. In bone: seconds at or above
+        47 degC, CEM43 [min] and Henriques-Moritz. In curing regions: degree of cure. By interface
+        of finite conductance: temperature jump, second side minus first [K], and heat flux from
+        first to second side [W/m2]. Both are zero away from the interface.
         """
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]

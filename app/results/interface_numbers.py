@@ -298,8 +298,8 @@ def _of_part(
 def failing(surface: Surface, index: Floats, part: str) -> Numbers:
     """Failure indices at points (n,) or faces (n, 3) on a part of an interface.
 
-    Their percentile, the share of the area beyond 1, and the load factor: by how much a traction
-    proportional to it would have to grow until the first hundredth of the area fails.
+    Largest value, percentile, share of the area beyond 1, and load factor. The load factor is the
+    multiple of the tractions at which one hundredth of the area fails.
     """
     field = surface.field(index, part)
     p99, (most, place) = field.percentile(), field.maximum()

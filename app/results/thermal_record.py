@@ -233,8 +233,8 @@ class ThermalRecord:
     ) -> None:
         """Record an accepted step; collective.
 
-        The duration of the way to a steady state is unknown: it adds to peaks, and leaves doses
-        without a value unless all is too cool for doses before it and after it.
+        The time to a steady state is unknown. Its temperatures count for peaks. Doses then have no
+        value, unless all temperatures before and after are too low for doses.
 
         Args:
             seconds: Time at its end [s].

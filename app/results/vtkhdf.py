@@ -1,7 +1,7 @@
 """Fields in time on a mesh that does not move, in one VTKHDF file.
 
-VTKHDF is the HDF5 format of ParaView and VTK (``UnstructuredGrid``, version 2.0, VTK 9.3 or later):
-the geometry and constant cell data are stored once, and every step adds its rows to each field.
+VTKHDF is the HDF5 format of ParaView and VTK (``UnstructuredGrid``, version 2.0, VTK 9.3 or later).
+The geometry and constant cell data are stored once, and every step adds its rows to each field.
 Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 
 Rank 0 gathers and writes one step at a time. Collective HDF5 would save that copy, but on a full

@@ -290,8 +290,9 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
 def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     """Return an error on a body that smooth contact frees and only its mesh holds; collective.
 
-    The stiffness of contact in relative rigid motions of the bodies is compared with that of the
-    spread of facet normals in the same motions: where the quotient is small, only the mesh resists.
+    The stiffness of contact in relative rigid motions of the bodies is divided by the stiffness
+    from the spread of facet normals in the same motions. Where the quotient is small, only the mesh
+    resists.
     A slope common to all normals of an interface is no spread: a taper, however slight.
     """
     smooth = [

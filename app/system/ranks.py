@@ -149,8 +149,8 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     second one, a second later or more, ends them at once.
 
     Returns:
-        The exit code of the first rank that failed, 0 if none did; 5 where they were stopped before
-        they listened to signals, 130 where a second signal ended them, 70 where one crashed.
+        The exit code of the first rank that failed, 0 if none did. 5: stopped before the ranks
+        handled signals. 130: a second signal ended them. 70: a rank crashed.
 
     Raises:
         EnvironmentProblem: There is no mpirun.

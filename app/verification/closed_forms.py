@@ -87,13 +87,16 @@ def lame_pressure_free(δ: float, b: float, c: float, core: Elastic, ring: Elast
 
 
 def press_out_factor(μ: float, r: float, R: float, length: float, ν: float) -> float:
-    """Force that pulls a rigid rod out of a ring r < R, over μ p A with Lamé's pressure p.
+    r"""Force that pulls a rigid rod out of a ring r < R, over μ p A with Lamé's pressure p.
 
     Friction loads the ring along the axis: its axial stress changes by -2 μ p r / (R² - r²) per
-    length. By Poisson's effect this moves the inner surface, and the pressure follows
-    p = p0 exp(b s) with the distance s from the free end of the ring, where
-    b = 2 μ r ν / ((R² - r²) k) and k = (R² + r²) / (R² - r²) + ν. Push in with a negative μ, the
-    ring being held at its far end; the factor is then that of the pushing force.
+    length. By Poisson's effect this moves the inner surface. At a distance s from the free end of
+    the ring the pressure is
+
+    .. math:: p = p_0 e^{b s}, \quad b = 2 μ r ν / ((R² - r²) k), \quad
+              k = (R² + r²) / (R² - r²) + ν .
+
+    A negative μ is for pushing in a rod whose ring is held at its far end.
     """
     k = (R * R + r * r) / (R * R - r * r) + ν
     bL = 2 * μ * r / (R * R - r * r) * ν / k * length
@@ -138,9 +141,13 @@ class Layers:
     """A core and concentric rings around it without load, in plane strain.
 
     In each u_r = A r + B / r, with B = 0 in the core (Timoshenko & Goodier, section 28). A core too
-    large by δ is one of the free strain δ / (1 + ν) r. From inside to outside: radii of the outer
-    surfaces [mm], materials, and free strains, the same in all directions; for each pair of
-    neighbours whether they are joined, else there is no traction between them.
+    large by δ is one of the free strain δ / (1 + ν) r. All attributes are from inside to outside.
+
+    Attributes:
+        radii: Radii of the outer surfaces [mm].
+        materials: Young's modulus [MPa] and Poisson's ratio of each.
+        free_strains: Free strains, the same in all directions.
+        joined: For each pair of neighbours True if they are joined, False for no traction.
     """
 
     radii: Sequence[float]
@@ -192,11 +199,15 @@ class Layers:
 
 @dataclass(frozen=True)
 class OvalFit:
-    """A press fit whose interference varies: δ₀ + δ₂ cos 2θ at r = b; no friction, plane strain.
+    r"""A press fit whose interference varies: δ₀ + δ₂ cos 2θ at r = b; no friction, plane strain.
 
     The even part is Lamé's. The rest is Michell's solution of order 2 (Barber, Elasticity, table
-    9.1): φ = (A r² + B r⁴) cos 2θ in the core, (A r² + B r⁴ + C r⁻² + D) cos 2θ in the ring, with
-    no shear on r = b, no traction on r = c, equal normal traction and the given jump on r = b.
+    9.1), in the core and in the ring:
+
+    .. math:: φ = (A r² + B r⁴) \cos 2θ, \qquad φ = (A r² + B r⁴ + C r^{-2} + D) \cos 2θ .
+
+    There is no shear on r = b and no traction on r = c. On r = b normal tractions are equal, and
+    the jump is given.
 
     Radii b of the interface and c of the outer surface, δ₀ and δ₂ in mm.
     """

@@ -1,9 +1,13 @@
 r"""Closed forms of heat, cure and heated elastic bodies, each with its source.
 
-Nothing here comes from the code under test. Units as everywhere: conductivity N/(s K) (= W/(m K)),
-capacity per volume N/(mm2 K) (= 1e6 J/(m3 K)), conductance N/(mm s K) (= 1e3 W/(m2 K)), heat flux
-N/(mm s) (= 1e3 W/m2); temperatures in degC where only differences count, else in K. A conductor is
-passed as a pair (conductivity, capacity), an elastic material as (E, ν).
+Nothing here comes from the code under test. Units as everywhere:
+
+* conductivity N/(s K) (= W/(m K)),
+* capacity per volume N/(mm2 K) (= 1e6 J/(m3 K)),
+* conductance N/(mm s K) (= 1e3 W/(m2 K)), heat flux N/(mm s) (= 1e3 W/m2),
+* temperatures in degC where only differences count, else in K.
+
+A conductor is passed as a pair (conductivity, capacity), an elastic material as (E, ν).
 """
 
 from __future__ import annotations
@@ -242,11 +246,18 @@ class HeatedWalls:
     """Two bars between fixed walls, pressed together by their expansion; ν = 0.
 
     The conductance between them is h₀ + h₁ p, h₁ in N/(mm s K) per MPa. More pressure lets more
-    heat pass, which cools the hot bar and warms the cold one: where the cold bar expands more,
-    several states can hold, one of them open (Barber, Dundurs & Comninou, J. Appl. Mech. 47, 1980).
-    Lengths [mm], Young's moduli [MPa], expansions [1/K] and conductivities are those of the bars;
-    the gap [mm] is that without strain; temperatures are those of the hot wall, which holds the
-    first bar, of the cold one, and without strain.
+    heat pass, which cools the hot bar and warms the cold one. If the cold bar expands more, several
+    states are possible, one of them open (Barber, Dundurs & Comninou, J. Appl. Mech. 47, 1980).
+
+    Attributes:
+        lengths: Lengths of the bars [mm]; the hot wall holds the first one.
+        moduli: Young's moduli of the bars [MPa].
+        expansions: Coefficients of expansion of the bars [1/K].
+        conductivities: Conductivities of the bars.
+        h0: Conductance without pressure.
+        h1: Increase of the conductance with pressure.
+        gap: Gap without strain [mm].
+        temperatures: Of the hot wall, of the cold wall, and without strain.
     """
 
     lengths: tuple[float, float]
@@ -298,16 +309,18 @@ WALLS = HeatedWalls(
 
 @dataclass(frozen=True)
 class WavyContact:
-    """Two blocks, 0 < z < H and H < z < 2 H, that touch with a pressure that varies along x.
+    r"""Two blocks, 0 < z < H and H < z < 2 H, that touch with a pressure that varies along x.
 
-    With p = p₀ + p₁ cos κx, κ = π / L, and the conductance h₀ + h₁ p the temperature jumps by g
-    everywhere, the heat flux q = g (h₀ + h₁ p) varies, and
+    The pressure is p = p₀ + p₁ cos κx, κ = π / L, and the conductance h₀ + h₁ p. The temperature
+    jumps by g everywhere, and the heat flux is q = g (h₀ + h₁ p). The solution is
 
-        T = T_m + g (below only) - q (z - H) / k,     u = (0, 0, f(x) (z - H)),
-        (λ + 2 μ) f = -p + (3 λ + 2 μ) a (T_i - T_ref),   T_i = T_m + g below, T_m above,
+    .. math:: T = T_i - q (z - H) / k, \quad u = (0, 0, f(x) (z - H)), \quad
+              (λ + 2 μ) f = -p + (3 λ + 2 μ) a (T_i - T_{ref}),
 
-    so that neither shear nor motion is on z = H, and nothing but sliding on x = 0 and x = L. The
-    values are those of wavy_contact.yaml; pairs are of the block below and of that above.
+    with T_i = T_m + g below and T_m above,
+
+    without shear or motion on z = H, and with sliding only on x = 0 and x = L. The values are those
+    of wavy_contact.yaml. Pairs are of the block below and of that above.
     """
 
     L: float = 2.0  # mm

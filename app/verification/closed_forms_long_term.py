@@ -52,8 +52,9 @@ def relaxed(law: Law, s: float, N: float) -> float:
 def shrink_fit(a: float, b: float, δ: float, ν: float, t: float) -> float:
     """Pressure of a rigid core of radius a in a ring a < r < b of Maxwell's law [MPa].
 
-    Too small by δ, plane strain, after t relaxation times of shear: with the elastic solution by
-    correspondence, G s / (s + 1) in place of G, the inverse transform is two exponentials.
+    The ring is too small by δ, in plane strain, after t relaxation times of shear. By
+    correspondence G s / (s + 1) replaces G in the elastic solution. The inverse transform has two
+    exponentials.
     """
     G = E / (2 + 2 * ν)
     K = E / (3 - 6 * ν)

@@ -142,7 +142,7 @@ def test_docs_yaml_blocks_are_cases_or_parts(page: Path, text: str, tmp_path: Pa
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
         new_case.write(tmp_path / "hip", "femur")
         if page.stem == "your_hip":
-            script("own_hip").write(tmp_path)
+            script("parametric_hip").write(tmp_path)
         assert load(tmp_path / "case.yaml").config.loads
     elif "base" in data:
         assert (StudyFile if "study" in data else Sweep).model_validate(data)

@@ -1,7 +1,7 @@
 """Fixtures and hooks of pytest for the problems.
 
-The same files are run by `mantle verify` (`app.verification.suite`) and with the tests of the
-program, where each problem solves its runs in this process; all but the quick ones count as slow.
+`mantle verify` (`app.verification.suite`) runs these files, and so do the tests of the program.
+There each problem solves its runs in this process, and all but the quick ones count as slow.
 """
 
 from __future__ import annotations
