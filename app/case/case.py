@@ -24,6 +24,7 @@ from pydantic import (
 from pydantic.config import JsonDict
 
 from app.case import checks, overlay, points
+from app.case.credibility import Credibility
 from app.case.geometries import Geometry, MeshFile, MeshOptions
 from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
@@ -72,10 +73,8 @@ class Case(Section):
     with the meaning of its version. A version newer than the program is refused."""
     title: Text = ""
     """A line for people."""
-    question: Text = ""
-    """The question of interest, for `mantle report --evidence`."""
-    context_of_use: Text = ""
-    """Use of the answer, and how much depends on it."""
+    credibility: Credibility = Credibility()
+    """Question, context of use and risk, for `mantle report --evidence`."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
     side: Literal["left", "right"] = "left"
@@ -121,8 +120,9 @@ class Case(Section):
     such as `stance`. Mappings merge key by key, of another kind they replace; lists and values
     replace; `null` removes an entry."""
     library: Text | None = None
-    """File of more materials and loads by name, relative to this one, such as `mine.yaml`;
-    `mantle explain materials` and `loads` list those that are known without it."""
+    """File of more materials, loads and contexts of use by name, relative to this one, such as
+    `mine.yaml`; `mantle explain materials`, `loads` and `contexts` list those that are known
+    without it."""
 
     @field_validator("*", mode="wrap")
     @classmethod

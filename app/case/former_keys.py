@@ -28,6 +28,8 @@ FORMER_KEYS: dict[tuple[str, ...], str] = {
     ("heat", "*", "course"): "time_course",
     ("geometry", "resection_height"): "resection.height",
     ("geometry", "resection_angle"): "resection.angle",
+    ("question",): "credibility.question",
+    ("context_of_use",): "credibility.context_of_use",
 }
 # The same in libraries, where loads are in sets.
 FORMER_KEYS_OF_LIBRARIES: dict[tuple[str, ...], str] = {

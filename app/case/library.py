@@ -1,4 +1,4 @@
-"""Library of materials, cycle tables and loads by name with their sources: shipped, of the user."""
+"""Library of materials, cycle tables, loads and contexts of use by name, shipped or of the user."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ KINDS = {
     "finishes": "a cohesive interface takes one by `finish: NAME`",
     "cycle_tables": "a motion, a load or all loads take one by `cycle_table: NAME`",
     "loads": "the loads of a case are those of a name by `library: NAME` among them",
+    "contexts": "a case takes one by `credibility: {library: NAME}`",
 }
 
 

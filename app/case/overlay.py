@@ -36,7 +36,12 @@ OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 # Keys of a region or a load that its status and source do not describe.
 OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Key that names an entry of the library, by section.
-NAMED = {"regions": "material", "interfaces": "finish", "loads": "library"}
+NAMED = {
+    "regions": "material",
+    "interfaces": "finish",
+    "loads": "library",
+    "credibility": "library",
+}
 # Files that a case names relative to its folder, in addition to those that a geometry or a form of
 # `youngs_modulus` declares; a cycle table without a suffix is the library's.
 FILES = ["loads.cycle_table", "loads.*.cycle_table", "motions.*.rotation.cycle_table"]
@@ -209,6 +214,8 @@ def _rule(path: Path) -> Rule | None:
             return _region
         case ("interfaces", _):
             return _interface
+        case ("credibility",):
+            return _credibility
         case ("loads",):
             return _loads
         case ("loads", _):
@@ -256,6 +263,14 @@ def _interface(case: CaseFile, lower: object, upper: object, path: Path) -> tupl
     if isinstance(lower, dict) and lower.get("kind") == entry["kind"]:
         return lower | entry, upper
     return entry, upper
+
+
+def _credibility(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve ``library: NAME``, a context of use in place of that of the base."""
+    if not isinstance(upper, dict) or not isinstance(upper.get("library"), str):
+        return lower, upper
+    entry = _entry(case, "contexts", upper["library"], (*path, "library"), path)
+    return entry or lower, {k: v for k, v in upper.items() if k != "library"}
 
 
 def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:

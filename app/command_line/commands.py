@@ -242,10 +242,11 @@ def _report(options: argparse.Namespace) -> int:
         from app.report import compare, evidence, run_report, sweep_report
 
     folder, *others = options.folders
-    if options.spread and (others or not (folder / "case.yaml").exists()):
+    many = others and not options.evidence
+    if options.spread and (many or not (folder / "case.yaml").exists()):
         raise InputError("--spread: expected one DIR, the folder of a run")
     if options.evidence or options.methods:
-        files = evidence.write(options.folders) if options.evidence else []
+        files = evidence.write(options.folders, options.spread) if options.evidence else []
         files += [evidence.methods(folder)] if options.methods else []
         print(*files, sep="\n")
         return 0

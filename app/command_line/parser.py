@@ -116,12 +116,12 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         nargs="*",
         metavar="WORD",
         help="a key such as interfaces.friction_coefficient; a result such as slip; a term such as "
-        "mesh size; a name of the library; 'materials' or 'loads' for lists",
+        "mesh size; a name of the library; 'materials', 'loads' or 'contexts' for lists",
     ),
     "--evidence": dict(
         action="store_true",
-        help="write the credibility factors of ASME V&V 40 of a run: evidence.html and .json; "
-        "further folders are those of mantle verify",
+        help="write the 25 credibility factors of a run with their grades: evidence.html and "
+        ".json; further folders are those of mantle verify, --spread is a sweep of the case",
     ),
     "--methods": dict(
         action="store_true", help="write the methods section of a paper on a run: methods.md"

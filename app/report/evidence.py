@@ -1,24 +1,33 @@
-"""Evidence for a referee or an authority: credibility factors of ASME V&V 40-2018, and methods.
+"""Evidence for a referee or an authority: credibility factors of a run, and methods.
 
-Results of runs fill each factor. The applicant writes what a program cannot know.
+The factors, their grades and the goals for a risk are those of `app.case.credibility`. The program
+grades what the run and the given folders show. Claims of the case add what only a person knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
-from app.case import quantities
+import configs
+from app.case import credibility, quantities
 from app.case.case import Case, load
+from app.case.credibility import FACTORS, RISKS, FactorName, Grade
 from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
 from app.case.quantities import TABLE
 from app.case.summary import Summary
 from app.foundation.errors import InputError
 from app.foundation.verdict import Severity, recorded
-from app.report import page
-from app.report.page import PageSection
+from app.laws.loads import AnyLoad
+from app.laws.materials import Material
+from app.report import input_spread, page
+from app.report.input_spread import InputSpread
+from app.report.page import Block, Link, PageSection
+from app.report.sweep_results import CONVERGED, SweptCase
 from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.schema.section import Section
@@ -28,22 +37,66 @@ from app.system.layout import plain
 if TYPE_CHECKING:
     from app.results.run_folder import Provenance
 
-# Text of a factor without evidence.
 APPLICANT = "the applicant writes this"
-LEFT = (APPLICANT,)
-# Names of the factors, in their order, and what they belong to.
-FACTORS = {
-    "code verification": ("software quality assurance", "numerical code verification"),
-    "calculation verification": ("discretization error", "numerical solver error", "use error"),
-    "validation: computational model": ("model form", "model inputs"),
-    "validation: comparator": ("test samples", "test conditions"),
-    "validation: assessment": ("equivalency of inputs", "output comparison"),
-    "applicability": (
-        "relevance of the quantities of interest",
-        "relevance of the validation to the context of use",
+NO_COMPARATOR = (
+    "no experiment was given: mantle verify -k validation -o FOLDER, then FOLDER after the run"
+)
+# Folder with the repository's files; an installed program has only those of its packages.
+REPOSITORY = configs.FOLDER.parent
+STANDARD = "ASME V&V 40-2018 with the guidance of the FDA of 17 November 2023"
+
+_EXPERIMENTS = (
+    "docs/verification.md",
+    "app/verification/problems/test_validation.py",
+    "configs/validation",
+)
+# Files of the repository with evidence for a factor.
+LINKS: Mapping[FactorName, tuple[str, ...]] = {
+    "software_quality_assurance": (
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "tests/README.md",
+        ".ci/run",
+        "tests/project/test_layering.py",
+        "tests/verification/test_mutations.py",
+        "tests/robustness",
     ),
+    "numerical_code_verification": (
+        "docs/verification.md",
+        "app/verification/problems",
+        "configs/verification",
+        "tests/verification/test_formulation_b.py",
+        "tests/simulation/test_calculix.py",
+    ),
+    "discretization_error": (
+        "docs/howto/error.md",
+        "docs/error_estimate.py",
+        "configs/studies/stance.yaml",
+        "tests/results/test_error.py",
+    ),
+    "numerical_solver_error": (
+        "tests/results/test_balances.py",
+        "tests/mechanics/test_augmentation.py",
+        "tests/numerics/test_solver.py",
+        "configs/studies/stance_penalty.yaml",
+    ),
+    "use_error": (
+        "tests/command_line/bad_input.yaml",
+        "tests/soundness/test_soundness.py",
+        "tests/soundness/test_preview.py",
+    ),
+    "model_form": ("docs/theory.md", "docs/paper.md", "docs/notebook.md"),
+    "input_sensitivities": ("configs/sweeps/inputs.yaml", "configs/sweeps/sobol.yaml"),
+    "input_uncertainties": ("configs/sweeps/inputs.yaml", "docs/howto/many-runs.md"),
+    "sample_quantity": _EXPERIMENTS,
+    "condition_quantity": _EXPERIMENTS,
+    "input_equivalency": _EXPERIMENTS,
+    "output_agreement": _EXPERIMENTS,
+    "relevant_quantities": ("docs/howto/evidence.md",),
+    "relevant_validation": ("docs/howto/evidence.md",),
+    "calibration": ("docs/verification.md", "configs/library/library.yaml"),
+    "result_uncertainty": ("docs/howto/error.md", "configs/sweeps/inputs.yaml"),
 }
-PARTS = [(part, name) for part, names in FACTORS.items() for name in names]
 
 
 class Check(TypedDict):
@@ -59,77 +112,288 @@ class Check(TypedDict):
     note: str
 
 
-class CredibilityFactor(NamedTuple):
-    """A credibility factor: 1 to 13 in the order of the standard, its group, and sentences."""
+@dataclass(frozen=True)
+class Evidence:
+    """Everything that factors are graded by.
+
+    Attributes:
+        case: The case of the run.
+        summary: Its ``summary.json``.
+        record: Its ``provenance.json``.
+        verified: Outcomes of problems with known answers.
+        validated: Outcomes of comparisons with experiments.
+        run: The run as a case of a sweep.
+        spread: Numbers of the run over uncertain inputs; None if no sweep was given.
+    """
+
+    case: Case
+    summary: Summary
+    record: Provenance
+    verified: Sequence[Check]
+    validated: Sequence[Check]
+    run: SweptCase
+    spread: InputSpread | None
+
+
+class Finding(NamedTuple):
+    """Grade of a factor by the program, None without evidence; sentences; what is missing."""
+
+    grade: Grade | None
+    evidence: Sequence[str]
+    missing: str = ""
+
+
+Grader = Callable[[Evidence], Finding]
+
+
+@dataclass(frozen=True)
+class AssessedFactor:
+    """A credibility factor of a run.
+
+    Attributes:
+        number: 1 to 25.
+        key: Its key below `credibility.evidence` of a case.
+        group: Activity to which it belongs.
+        name: Name in words.
+        scale: Meaning of the grades from a on.
+        grade: Grade that is reached; None without evidence.
+        goal: Grade that is proposed for the risk; None if the risk is not stated.
+        evidence: Sentences on the run and the given folders.
+        claim: Sentence of the applicant or of the context of use; empty without one.
+        links: Files of the repository, and of the claim.
+        missing: Evidence that is missing for the next grade; empty at the highest.
+    """
 
     number: int
-    part: str
+    key: FactorName
+    group: str
     name: str
+    scale: tuple[str, ...]
+    grade: Grade | None
+    goal: Grade | None
     evidence: tuple[str, ...]
+    claim: str
+    links: tuple[str, ...]
+    missing: str
+
+    @property
+    def state(self) -> str:
+        """Goal reached, or below it; empty if there is no goal."""
+        if self.goal is None:
+            return ""
+        return "reached" if (self.grade or "") >= self.goal else "below"
 
 
-def write(folders: Sequence[Path]) -> list[Path]:
+def write(folders: Sequence[Path], spread: Path | None = None) -> list[Path]:
     """Write ``evidence.html`` and ``evidence.json`` into the folder of the run.
 
     Args:
         folders: The folder of the run, then folders of ``mantle verify`` with verification and
             validation problems.
+        spread: Folder of a sweep over uncertain inputs of the run's case.
 
     Raises:
-        InputError: The first folder has no finished run, or another one has no outcomes.
+        InputError: The first folder has no finished run, another one has no outcomes, or the sweep
+            is not one of this case.
     """
     run = _finished(folders[0])
     checks = [check for folder in folders[1:] for check in _checks(folder)]
-    case = load(run.folder / "case.yaml").config
-    credibility = factors(case, run.summary, read_json(run.folder / "provenance.json"), checks)
-    filled = sum(factor.evidence != LEFT for factor in credibility)
-    head = {key: getattr(case, key) or APPLICANT for key in ("question", "context_of_use")}
-    content = head | {"standard": "ASME V&V 40-2018", "factors": [f._asdict() for f in credibility]}
-    write_json(run.folder / "evidence.json", content)
-    rows = [[str(f.number), f.part, f.name, list(f.evidence)] for f in credibility]
-    table = page.table(["", "part", "factor", "evidence"], rows)
-    html = page.page(
-        f"Evidence: {case.title or run.folder.name}",
-        [
-            PageSection("question", "Question", page.bullets([head["question"]])),
-            PageSection("context", "Context of use", page.bullets([head["context_of_use"]])),
-            PageSection("factors", "Credibility factors of ASME V&V 40-2018", table),
-        ],
-        page.bullets([f"{filled} of {len(credibility)} factors have evidence"]),
-        facts=f"from {run.folder}",
-        lead="Computed evidence for each factor. The applicant adds the rest.",
+    swept = SweptCase(run.folder.name, run.folder, CONVERGED)
+    basis = Evidence(
+        load(run.folder / "case.yaml").config,
+        run.summary,
+        read_json(run.folder / "provenance.json"),
+        [c for c in checks if c["group"] != "validation"],
+        [c for c in checks if c["group"] == "validation"],
+        swept,
+        input_spread.of_run(spread, swept) if spread else None,
     )
-    write_text(run.folder / "evidence.html", html)
+    factors = assessed(basis)
+    write_json(run.folder / "evidence.json", _content(basis.case, factors))
+    write_text(run.folder / "evidence.html", _page(run.folder, basis.case, factors))
     return [run.folder / "evidence.html", run.folder / "evidence.json"]
 
 
-def factors(
-    case: Case, summary: Summary, record: Provenance, checks: Sequence[Check]
-) -> list[CredibilityFactor]:
-    """Return the factors of a run, with outcomes of verification and validation problems."""
-    validated = [c for c in checks if c["group"] == "validation"]
-    verified = [c for c in checks if c["group"] != "validation"]
-    measured = tuple(_outcome(c) for c in validated)
-    sentences: tuple[tuple[str, ...], ...] = (
-        tuple(_software(record)),
-        tuple(_code(verified)),
-        tuple(_discretization(summary)),
-        tuple(v.text for v in recorded(summary) if v.where in SOLVED),
-        tuple(_use(summary, record)),
-        tuple(_form(case)),
-        tuple(_inputs(case)),
-        tuple(f"{c['name']}: {c['note']}" for c in validated if c["note"]) or LEFT,
-        LEFT,
-        LEFT,
-        measured or LEFT,
-        (f"the question: {case.question}",) if case.question else LEFT,
-        (f"the context of use: {case.context_of_use}", *LEFT) if case.context_of_use else LEFT,
+def assessed(basis: Evidence) -> list[AssessedFactor]:
+    """Return the 25 factors of a run in their order."""
+    stated = basis.case.credibility
+    factors = []
+    for number, (key, factor) in enumerate(FACTORS.items(), 1):
+        finding = GRADERS[key](basis)
+        claim = stated.evidence.get(key)
+        grade = finding.grade
+        if claim and claim.grade:
+            grade = None if claim.grade == "none" else claim.grade
+        above = factor.next_grade(grade)
+        missing = ""
+        if above:
+            by_program = finding.missing if grade == finding.grade else ""
+            missing = (claim.missing if claim else "") or by_program or factor.meaning(above)
+            missing = f"for {above if grade else 'a grade'}: {missing}"
+        factors.append(
+            AssessedFactor(
+                number,
+                key,
+                factor.group,
+                factor.name,
+                factor.scale,
+                grade,
+                factor.goal(stated.risk) if stated.risk else None,
+                tuple(finding.evidence),
+                claim.text if claim else "",
+                (*LINKS.get(key, ()), *(claim.links if claim else ())),
+                missing,
+            )
+        )
+    return factors
+
+
+def _content(case: Case, factors: Sequence[AssessedFactor]) -> dict[str, object]:
+    """Content of ``evidence.json``."""
+    stated = case.credibility
+    return {
+        "standard": STANDARD,
+        "question": stated.question or APPLICANT,
+        "context_of_use": stated.context_of_use or APPLICANT,
+        "influence": stated.influence,
+        "consequence": stated.consequence,
+        "risk": stated.risk,
+        "factors": [vars(factor) | {"state": factor.state} for factor in factors],
+    }
+
+
+# Page
+
+
+def _page(folder: Path, case: Case, factors: Sequence[AssessedFactor]) -> str:
+    """HTML of the page."""
+    groups = dict.fromkeys(factor.group for factor in factors)
+    sections = [
+        PageSection("context", "Question, context of use and risk", _context(case)),
+        PageSection("overview", "The 25 factors", _overview(factors)),
+    ]
+    for group in groups:
+        blocks: list[Block] = []
+        for factor in factors:
+            if factor.group == group:
+                blocks += _blocks(folder, factor)
+        anchor = "".join(c if c.isalnum() else "-" for c in group)
+        sections.append(PageSection(anchor, f"{group[0].upper()}{group[1:]}", blocks))
+    sections.append(PageSection("method", "How grades and goals are set", page.bullets(METHOD)))
+    return page.page(
+        f"Evidence: {case.title or folder.name}",
+        sections,
+        page.bullets(_gaps(factors)),
+        facts=f"from {folder}, by {STANDARD}",
+        lead=_lead(case, factors),
     )
-    return [CredibilityFactor(k + 1, *PARTS[k], s) for k, s in enumerate(sentences)]
 
 
-# Verdicts of a run that are about the solver.
-SOLVED = (EQUILIBRIUM, CONTACT, HEAT)
+def _lead(case: Case, factors: Sequence[AssessedFactor]) -> str:
+    """Conclusion in sentences."""
+    risk = case.credibility.risk
+    if risk is None:
+        return (
+            "The case does not state its risk (influence and consequence), so no factor has a "
+            "goal. The grades below are what the run and the given folders show."
+        )
+    reached = sum(factor.state == "reached" for factor in factors)
+    level = f"Risk {risk} of 5 ({RISKS[risk - 1]})."
+    if reached == len(factors):
+        return f"{level} All {len(factors)} factors reach the grade proposed for this risk."
+    return (
+        f"{level} {reached} of {len(factors)} factors reach the grade proposed for this risk. "
+        f"{len(factors) - reached} do not: the evidence is not sufficient for this context of use."
+    )
+
+
+def _gaps(factors: Sequence[AssessedFactor]) -> list[str]:
+    """Factors below their goal, with grade and goal."""
+    return [
+        f"below: {f.number} {f.name}, grade {f.grade or 'none'}, goal {f.goal}"
+        for f in factors
+        if f.state == "below"
+    ]
+
+
+def _context(case: Case) -> list[Block]:
+    """Question, context of use and risk, as a table."""
+    stated = case.credibility
+    rows = [
+        ["question of interest", stated.question or APPLICANT],
+        ["context of use", stated.context_of_use or APPLICANT],
+        ["influence of the model", _reasoned(stated.influence, stated.influence_reason)],
+        [
+            "consequence of a wrong decision",
+            _reasoned(stated.consequence, stated.consequence_reason),
+        ],
+        ["risk", f"{RISKS[stated.risk - 1]}, {stated.risk} of 5" if stated.risk else APPLICANT],
+    ]
+    if stated.source:
+        rows.append(["source of this context", stated.source])
+    return page.table(["", ""], rows)
+
+
+def _reasoned(level: str | None, reason: str) -> str:
+    if level is None:
+        return APPLICANT
+    return f"{level}. {reason}" if reason else level
+
+
+def _overview(factors: Sequence[AssessedFactor]) -> list[Block]:
+    """Table of all factors with grade and goal."""
+    rows = [
+        [str(f.number), f.group, f.name, _of_scale(f.grade, f.scale), f.goal or "-", f.state or "-"]
+        for f in factors
+    ]
+    return page.table(["", "activity", "factor", "grade", "goal", ""], rows)
+
+
+def _of_scale(grade: str | None, scale: Sequence[str]) -> str:
+    return f"{grade or 'none'} of a to {credibility.GRADES[len(scale) - 1]}"
+
+
+def _blocks(folder: Path, factor: AssessedFactor) -> list[Block]:
+    """Heading and table of a factor."""
+    scale = [
+        f"{letter}: {meaning}" + (" (this run)" if letter == factor.grade else "")
+        for letter, meaning in zip(credibility.GRADES, factor.scale, strict=False)
+    ]
+    goal = f", goal {factor.goal}: {factor.state}" if factor.goal else ""
+    rows: list[list[page.Cell]] = [["grades", scale]]
+    if factor.evidence:
+        rows.append(["in this run and the given folders", list(factor.evidence)])
+    if factor.claim:
+        rows.append(["stated by the case", factor.claim])
+    if factor.links:
+        links = [Link(name, _address(folder, name)) for name in factor.links]
+        rows.append(["in the repository", links])
+    if factor.missing:
+        rows.append(["missing", factor.missing])
+    title = f"{factor.number} {factor.name}: grade {factor.grade or 'none'}{goal}"
+    return page.titled(title, page.table(["", ""], rows))
+
+
+def _address(folder: Path, name: str) -> str:
+    """Address of a file of the repository, relative to the page; empty if it is not installed."""
+    file = REPOSITORY / name
+    return Path(os.path.relpath(file, folder)).as_posix() if file.exists() else ""
+
+
+METHOD = (
+    "Risk is 1 for low influence and low consequence, and one more for each step of either.",
+    "The goal of a factor is the same part of its scale as the risk of 1 to 5: for risk 3 of 5, "
+    "grade b of a to c, or grade c of a to d. It is a proposal of mantle. The standard leaves "
+    "goals to the applicant.",
+    "Factors 1 to 23 are the 13 factors of ASME V&V 40-2018 with their sub-factors, by Table 5 of "
+    "Galappaththige et al. 2022, PLoS Comput Biol 18:e1010541. Scales are shortened.",
+    "Factors 24 and 25 are evidence of the guidance of 2023 without a number in the standard. "
+    "Their scales are mantle's.",
+    "The program grades only what it has seen. A grade in `credibility.evidence` of the case "
+    "replaces it, and the text is shown as stated by the case.",
+)
+
+# Factors
 
 
 def _finished(folder: Path) -> Results:
@@ -145,28 +409,77 @@ def _checks(folder: Path) -> list[Check]:
     return [check for file in files for check in read_json(file)]
 
 
-def _software(record: Provenance) -> Iterator[str]:
-    parts = ", ".join(f"{name} {version}" for name, version in record["identity"].items())
-    yield f"sources by digest and versions: {parts}"
-    yield f"{record['ranks']} rank(s), {record['processor']}, {record['started'][:10]}"
-    yield "mantle test checks this version: lint, types, tests, planted faults of its equations"
+def _software(basis: Evidence) -> Finding:
+    parts = ", ".join(f"{name} {version}" for name, version in basis.record["identity"].items())
+    ranks, processor = basis.record["ranks"], basis.record["processor"]
+    return Finding(
+        "b",
+        (
+            f"sources by digest and versions: {parts}",
+            f"{ranks} rank(s), {processor}, {basis.record['started'][:10]}",
+            "mantle test checks this version: lint, types, tests, planted faults of its equations",
+        ),
+        "an assessment of known anomalies for this context of use, and measures of quality",
+    )
 
 
-def _code(checks: Sequence[Check]) -> Iterator[str]:
+def _code(basis: Evidence) -> Finding:
+    checks = basis.verified
     if not checks:
-        yield f"no outcomes of mantle verify were given: {APPLICANT}"
-        return
-    passed = [c for c in checks if c["outcome"] in ("passed", "refused")]
-    yield f"{len(passed)} of {len(checks)} problems with known answers are solved within tolerance"
-    for check in checks:
-        if check["outcome"] not in ("passed", "refused"):
-            yield _outcome(check)
+        text = "no outcomes of mantle verify were given"
+        return Finding(None, (text,), "mantle verify -o FOLDER, then FOLDER after the run")
+    wrong = [c for c in checks if c["outcome"] not in ("passed", "refused")]
+    right = len(checks) - len(wrong)
+    texts = [f"{right} of {len(checks)} problems with known answers are solved within tolerance"]
+    texts += map(_outcome, wrong)
     shares = [
         c["order"] / c["expected_order"] for c in checks if c["order"] and c["expected_order"]
     ]
     if shares:
         least = min(shares)
-        yield f"{len(shares)} orders of convergence, the least {least:.0%} of the theoretical one"
+        texts.append(
+            f"{len(shares)} orders of convergence, the least {least:.0%} of the theoretical one"
+        )
+    if wrong:
+        return Finding("a", texts, "solutions within tolerance for every problem that was run")
+    groups = {check["group"] for check in checks}
+    subjects = _subjects(basis.case)
+    texts.append(f"their groups: {', '.join(sorted(groups))}")
+    unproved = [subject for subject in subjects if not groups.intersection(SUBJECTS[subject])]
+    if unproved:
+        return Finding("a", texts, f"problems with known answers on {', '.join(unproved)}")
+    return Finding("d" if shares else "c", texts)
+
+
+# Groups of problems of `mantle verify` that prove a part of the equations.
+SUBJECTS: Mapping[str, tuple[str, ...]] = {
+    "elasticity": ("patch", "uniaxial", "sine", "cook", "fibre"),
+    "contact": ("lame", "hertz", "cattaneo", "incline", "foundation", "press", "oval"),
+    "cohesion": ("cohesive",),
+    "heat": ("heat",),
+    "cure": ("cure",),
+    "creep": ("creep",),
+}
+
+
+def _subjects(case: Case) -> list[str]:
+    """Parts of the equations that a case uses, as in `SUBJECTS`."""
+    kinds = {law.kind for law in case.interfaces.values()}
+    thermal = [region.thermal for region in case.regions.values() if region.thermal]
+    used = {
+        "elasticity": True,
+        "contact": bool(kinds & {"contact", "penalty"}),
+        "cohesion": "cohesive" in kinds,
+        "heat": bool(thermal),
+        "cure": any(part.cure for part in thermal),
+        "creep": bool(_creeping(case)),
+    }
+    return [subject for subject, uses in used.items() if uses]
+
+
+def _creeping(case: Case) -> list[str]:
+    """Names of the regions that creep."""
+    return [name for name, region in case.regions.items() if getattr(region, "creep", None)]
 
 
 def _outcome(check: Check) -> str:
@@ -175,9 +488,19 @@ def _outcome(check: Check) -> str:
     return f"{check['name']}: {check['outcome']}{numbers}"
 
 
+def _discretization_error(basis: Evidence) -> Finding:
+    texts = tuple(_discretization(basis.summary))
+    if "error" not in basis.summary:
+        return Finding("a", texts, "a run with --error")
+    failed = basis.summary["error"].get("failed", [])
+    if failed:
+        return Finding("b", texts, f"an estimate also for: {', '.join(failed)}")
+    return Finding("c", texts)
+
+
 def _discretization(summary: Summary) -> Iterator[str]:
     if "error" not in summary:
-        yield f"not estimated; run with --error: {APPLICANT}"
+        yield "not estimated"
         return
     for section, name, numbers in quantities.numbers_of(summary):
         shown = [q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers]
@@ -188,25 +511,220 @@ def _discretization(summary: Summary) -> Iterator[str]:
     yield from (v.text for v in recorded(summary) if v.where == PEAKS)
 
 
-def _use(summary: Summary, record: Provenance) -> Iterator[str]:
-    yield "the case was checked against its schema: units, names, ranges, balance of loads"
-    yield f"input by digest: {record['case_sha256'][:16]}; case.yaml has every default"
-    yield from (str(v) for v in recorded(summary) if v.severity is Severity.NOTE)
+# Verdicts of a run that are about the solver.
+SOLVED = (EQUILIBRIUM, CONTACT, HEAT)
 
 
-def _form(case: Case) -> Iterator[str]:
+def _solver(basis: Evidence) -> Finding:
+    verdicts = [v for v in recorded(basis.summary) if v.where in SOLVED]
+    texts = [v.text for v in verdicts]
+    if any(v.severity is Severity.ERROR for v in verdicts):
+        return Finding("a", texts, "a run whose balances are within their limits")
+    return Finding(
+        "b", texts, "runs with other tolerances of the solver, and their effect on the results"
+    )
+
+
+def _use(basis: Evidence) -> Finding:
+    texts = ["the case was checked against its schema: units, names, ranges, balance of loads"]
+    texts.append(f"digest of the input: {basis.record['case_sha256'][:16]}")
+    texts.append("case.yaml in the folder of the run has every default")
+    doubts = (Severity.NOTE, Severity.WARNING)
+    texts += [str(v) for v in recorded(basis.summary) if v.severity in doubts]
+    return Finding("a", texts, "name and date of the person who verified inputs and outputs")
+
+
+def _form(basis: Evidence) -> Finding:
+    case = basis.case
     laws = ", ".join(f"{name} {law.kind}" for name, law in case.interfaces.items())
-    yield f"small strains and slips, linear elasticity, quasi-static loads; interfaces: {laws}"
-    yield "no plasticity, creep, damage or remodelling"
-    yield f"sensitivity to the form of the model: {APPLICANT}"
+    creeping = _creeping(case)
+    texts = [f"small strains, linear elasticity, quasi-static loads; interfaces: {laws or 'none'}"]
+    texts.append(f"creep: {', '.join(creeping)}" if creeping else "no creep")
+    texts.append("no plasticity")
+    return Finding("a", texts, "runs of this case with other laws, geometry, loads and supports")
+
+
+def _sensitivities(basis: Evidence) -> Finding:
+    if not basis.spread:
+        return Finding("a", ("no sweep was given",), SWEEP)
+    texts = [_samples(basis.spread)]
+    for name, q in _headlines(basis.summary):
+        values = basis.spread.of(f"{name}.{q.key}")
+        if values and values[2]:
+            texts.append(f"{name}: {q.label} follows most {values[2]}")
+    return Finding("b", texts, "the same for every input of the case")
+
+
+def _uncertainties(basis: Evidence) -> Finding:
+    texts = list(_inputs(basis.case))
+    if not basis.spread:
+        stated = [part.status for part in _parts(basis.case).values()]
+        return Finding("a" if None in stated else "b", texts, SWEEP)
+    texts.append(_samples(basis.spread))
+    texts += _bands(basis.summary, basis.spread)
+    return Finding("b", texts, "ranges of all inputs, propagated to the results")
+
+
+SWEEP = "a sweep over uncertain inputs of this case (latin_hypercube), then --spread FOLDER"
+
+
+def _samples(spread: InputSpread) -> str:
+    return (
+        f"{len(spread.samples)} samples of {len(spread.inputs)} inputs: {', '.join(spread.inputs)}"
+    )
+
+
+def _headlines(summary: Summary) -> Iterator[tuple[str, quantities.Quantity]]:
+    """Main numbers of a run with the names of their interfaces or regions."""
+    for section, name, numbers in quantities.numbers_of(summary):
+        for q in TABLE[section].values():
+            if q.headline and q.key in numbers:
+                yield name, q
+
+
+def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
+    """Ranges of the main numbers over uncertain inputs."""
+    for name, q in _headlines(summary):
+        values = spread.of(f"{name}.{q.key}")
+        if values:
+            low, high, _ = values
+            ends = f"{low:.{q.digits}f} to {high:.{q.digits}f} {quantities.printed(q.shown)}"
+            yield f"{name}: {q.label} {ends} (5 to 95 % over the inputs)"
+
+
+def _parts(case: Case) -> Mapping[str, Material | AnyLoad]:
+    """Regions and loads by their paths."""
+    regions = {f"regions.{name}": region for name, region in case.regions.items()}
+    return regions | {f"loads.{name}": load for name, load in case.loads.items()}
 
 
 def _inputs(case: Case) -> Iterator[str]:
-    for section, parts in (("regions", case.regions), ("loads", case.loads)):
-        for name, part in parts.items():
-            source = f", {part.source}" if part.source else ""
-            yield f"{section}.{name}: {part.status or 'without status'}{source}"
-    yield "spread over inputs: mantle report --spread shows it next to the error"
+    for name, part in _parts(case).items():
+        source = f", {part.source}" if part.source else ""
+        yield f"{name}: {part.status or 'without status'}{source}"
+
+
+def _comparator(grade: Grade, text: str, missing: str, several: Grade | None = None) -> Grader:
+    """Grader of a factor on samples or conditions, the same for the shipped experiments."""
+
+    def graded(basis: Evidence) -> Finding:
+        if not basis.validated:
+            return Finding(None, (), NO_COMPARATOR)
+        count = len(basis.validated)
+        reached = several if several and count > 1 else grade
+        return Finding(reached, (f"{count} comparison(s) with experiments", text), missing)
+
+    return graded
+
+
+def _outputs(basis: Evidence) -> Finding:
+    if not basis.validated:
+        return Finding(None, (), NO_COMPARATOR)
+    count = len(basis.validated)
+    return Finding("b" if count > 1 else "a", (f"{count} output(s) were compared",))
+
+
+def _rigor(basis: Evidence) -> Finding:
+    if not basis.validated:
+        return Finding(None, (), NO_COMPARATOR)
+    text = "the measured range is the limit; the error of the mesh is in the note"
+    missing = "the band of the model over its inputs, next to the scatter of the measurement"
+    return Finding("c", (text,), missing)
+
+
+def _agreement(basis: Evidence) -> Finding:
+    if not basis.validated:
+        return Finding(None, (), NO_COMPARATOR)
+    inside = [c for c in basis.validated if c["outcome"] == "passed"]
+    texts = [f"{len(inside)} of {len(basis.validated)} outputs are inside the measured range"]
+    for check in basis.validated:
+        note = f"; {check['note']}" if check["note"] else ""
+        texts.append(f"{_outcome(check)}{note}")
+    if len(inside) == len(basis.validated):
+        return Finding("c", texts)
+    return Finding("a", texts, "a statement which outputs are key, all of them inside")
+
+
+def _relevance(basis: Evidence) -> Finding:
+    if not basis.validated:
+        return Finding(None, (), NO_COMPARATOR)
+    return Finding(None, (), "the applicant compares the experiments with the context of use")
+
+
+def _calibration(basis: Evidence) -> Finding:
+    unknown = [name for name, part in _parts(basis.case).items() if part.status is None]
+    texts = ["no input was fitted to the experiments of docs/verification.md"]
+    if unknown:
+        texts.append(f"inputs of unknown origin: {', '.join(unknown)}")
+        return Finding("b", texts, "`status` and `source` of these inputs")
+    return Finding("c", texts)
+
+
+def _result_uncertainty(basis: Evidence) -> Finding:
+    texts = []
+    if "error" in basis.summary:
+        texts.append("the error of mesh and step is estimated (factor 3)")
+    if basis.spread:
+        texts.append(basis.spread.sentence(basis.run))
+    grades: tuple[Grade, ...] = ("a", "b", "c")
+    wanted = {"error": "--error", "spread": "--spread FOLDER"}
+    if "error" in basis.summary:
+        del wanted["error"]
+    if basis.spread:
+        del wanted["spread"]
+    missing = f"a report with {' and '.join(wanted.values())}" if wanted else ""
+    return Finding(grades[len(texts)], texts, missing)
+
+
+ABSTRACTS = "the sources are abstracts; most give neither sizes nor numbers of samples"
+
+GRADERS: Mapping[FactorName, Grader] = {
+    "software_quality_assurance": _software,
+    "numerical_code_verification": _code,
+    "discretization_error": _discretization_error,
+    "numerical_solver_error": _solver,
+    "use_error": _use,
+    "model_form": _form,
+    "input_sensitivities": _sensitivities,
+    "input_uncertainties": _uncertainties,
+    "sample_quantity": _comparator(
+        "a", ABSTRACTS, "numbers of samples, from the papers or from tests of your own"
+    ),
+    "sample_range": _comparator("a", ABSTRACTS, "samples of several sizes and materials"),
+    "sample_measurements": _comparator(
+        "b",
+        "finish of rods, height of discs, share of contact are known; sizes are assumed",
+        "measured sizes and materials of the samples",
+    ),
+    "sample_uncertainty": _comparator("a", ABSTRACTS, "uncertainty of sizes and materials"),
+    "condition_quantity": _comparator(
+        "a", "an experiment with its conditions is one comparison", "more conditions", several="b"
+    ),
+    "condition_range": _comparator(
+        "a", "each experiment was compared as published", "loads and temperatures in a range"
+    ),
+    "condition_measurements": _comparator(
+        "b",
+        "loads or moulds are known; friction, room and air are assumed",
+        "measured friction, temperatures and supports of the tests",
+    ),
+    "condition_uncertainty": _comparator("a", ABSTRACTS, "accuracy of loads and temperatures"),
+    "input_equivalency": _comparator(
+        "b",
+        "models have the type of load and support of the tests; ranges of inputs are assumed",
+        "inputs with the ranges of the tests",
+    ),
+    "output_quantity": _outputs,
+    "output_equivalency": _comparator(
+        "c", "the compared numbers are those that were measured: force, temperature, motion", ""
+    ),
+    "output_rigor": _rigor,
+    "output_agreement": _agreement,
+    "relevant_quantities": _relevance,
+    "relevant_validation": _relevance,
+    "calibration": _calibration,
+    "result_uncertainty": _result_uncertainty,
+}
 
 
 # Methods

@@ -25,6 +25,8 @@ CLASSES = {
     "failed": "bad",
     "not converged": "bad",
     "do not use": "bad",
+    "reached": "good",
+    "below": "bad",
 }
 # Names of percentiles and maxima in labels of numbers, and as titles have them.
 SPELLED = {r"\bp(\d\d)\b": r"\1th percentile", r"\bmax\b": "maximum", r"\bmin\b": "minimum"}
@@ -37,8 +39,8 @@ class Link(NamedTuple):
     to: str
 
 
-# Content of a table's cell: a text, a list of texts, or a link.
-Cell = str | Sequence[str] | Link
+# Content of a table's cell: a text, a link, or a list of them.
+Cell = str | Link | Sequence[str | Link]
 
 
 @dataclass(frozen=True)
