@@ -222,14 +222,14 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
 
 
 def _by_facets(name: str, q: Numbers) -> Verdict:
-    """The largest pressure of an interface, where straight facets decide it."""
+    """The largest pressure of an interface, where facets decide it."""
     most = TABLE["interfaces"]["pressure_max"].text(q)
     part = TABLE["interfaces"]["pressure_by_facets"].text(q)
     text = (
         f"the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip over their "
         f"edges causes up to {part} MPa"
     )
-    cure = "use curved cells of second order, or reduce mesh.size"
+    cure = "reduce mesh.size; if the cells are straight, use curved ones of second order"
     return Verdict(text, "pressure", cure, Severity.WARNING)
 
 
