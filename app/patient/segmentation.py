@@ -58,8 +58,8 @@ class Structure:
 
     def __str__(self) -> str:
         """Name, label and file."""
-        name = f"{self.name} " if self.name else ""
-        return f"{name}(label {self.number} of {self.path.name})"
+        label = f"label {self.number} of {self.path.name}"
+        return f"{self.name} ({label})" if self.name else label
 
 
 def segments(path: Path) -> list[Structure]:

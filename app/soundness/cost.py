@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
-from app.case.summary import MantleNumbers
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
-from app.system.layout import count, duration, plain
+from app.soundness import mesh_notes
+from app.system.layout import count, duration
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -265,23 +265,9 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     lines = [_described("size", case, size, available)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
-    for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
-        if name == "messages" or note == {}:
-            continue
-        text = f"{name.replace('_', ' ')}: {plain(note)}" if name != "mantle" else _mantle(note)
-        lines += textwrap.wrap(text, 98, initial_indent="  ", subsequent_indent="    ")
+    for line in mesh_notes.lines(data.notes):
+        lines += textwrap.wrap(line, 98, initial_indent="  ", subsequent_indent="    ")
     return "\n".join(lines)
-
-
-def _mantle(note: MantleNumbers) -> str:
-    """A line on the thickness of the cement."""
-    t = note["thickness"]
-    return (
-        f"cement mantle: {t['nominal']:.3g} mm, achieved {t['min']:.2f} to {t['max']:.2f}, mean "
-        f"{t['mean']:.2f}, median {t['median']:.2f}, p5 {t['p5']:.2f}, p95 {t['p95']:.2f} mm; "
-        f"clipped on {t['clipped_fraction']:.1%} of the stem; {note['volume']:.0f} mm3 of cement, "
-        f"{note['plug_volume']:.0f} below the stem's flanks"
-    )
 
 
 def gigabytes(case: Case, available: float = math.inf) -> float:

@@ -12,7 +12,6 @@ import meshes
 from app.case.femurs import Femur
 from app.case.geometries import Blocks, Cylinders, MeshOptions
 from app.plots import sections
-from app.soundness import cost
 from meshes import mantle
 from meshes.data import MeshData
 from meshes.gruen import Zones
@@ -127,18 +126,3 @@ def test_mantle_is_absent_in_a_stack_of_blocks() -> None:
     blocks = [{"name": n, "size": "[4, 4, 4] mm"} for n in ("stem", "cement", "bone")]
     stack = Blocks.model_validate({"blocks": blocks})
     assert "mantle" not in meshes.build(stack, MeshOptions(size="3 mm")).notes
-
-
-def test_mantle_is_reported_in_a_line() -> None:
-    note = {
-        "thickness": {
-            **{"nominal": 4.0, "min": 1.591, "p5": 1.8, "median": 2.95, "mean": 3.05},
-            **{"p95": 4.08, "max": 4.81, "clipped_fraction": 0.6102},
-        },
-        "volume": 20069.8,
-        "plug_volume": 1238.4,
-    }
-    assert cost._mantle(note) == (
-        "cement mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
-        "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the stem's flanks"
-    )

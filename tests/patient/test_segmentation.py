@@ -121,3 +121,11 @@ def test_segmentation_refuses_files_that_are_damaged(tmp_path: Path) -> None:
     nifti(folder / "liver.nii.gz", 1)
     with pytest.raises(InputError, match="has no file of a femur"):
         segmentation.femur(folder, None, None)
+
+
+def test_segmentation_structures_without_names_are_described_by_their_label() -> None:
+    path = Path("scan/labels.nii.gz")
+    unnamed = segmentation.Structure(path, 1, "", "")
+    named = segmentation.Structure(path, 75, "femur_left", "by its file")
+    assert str(unnamed) == "label 1 of labels.nii.gz"
+    assert str(named) == "femur_left (label 75 of labels.nii.gz)"

@@ -1,0 +1,93 @@
+"""Lines on a mesh: its cement, layers, quality, volumes and areas, from the notes of its mesher."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from app.case.summary import MantleNumbers
+from app.system.layout import count, percent, plain, point_text
+
+# Notes that have no line: messages are notes of the run, the others repeat a message.
+WITHOUT_LINE = ("messages", "cells_without_region")
+NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
+
+
+def lines(notes: Mapping[str, Any]) -> Iterator[str]:
+    """Lines on the notes of a mesh (`meshes.data.MeshData.notes`)."""
+    rest = {name: note for name, note in notes.items() if name not in WITHOUT_LINE and note}
+    if "mantle" in rest:
+        mantle: MantleNumbers = rest.pop("mantle")
+        yield _mantle(mantle)
+        if "cortex_min" in mantle:
+            yield _cortex(mantle["cortex_min"])
+    if "cortex_min" in rest:
+        yield _cortex(rest.pop("cortex_min"))
+    if "head_centre" in rest:
+        yield f"centre of the stem's head: {point_text(rest.pop('head_centre'))}"
+    if "layers" in rest:
+        yield _layers(rest.pop("layers"))
+    if "quality" in rest:
+        yield _quality(rest.pop("quality"))
+    sizes = {
+        "volumes_mm3": "volumes (mm³)",
+        "boundary_areas_mm2": "areas of boundaries (mm²)",
+        "interface_areas_mm2": "areas of interfaces (mm²)",
+    }
+    for key, words in sizes.items():
+        if key in rest:
+            yield f"{words}: {_named(rest.pop(key))}"
+    for name, note in rest.items():
+        yield f"{name.replace('_', ' ')}: {plain(note)}"
+
+
+def _mantle(note: MantleNumbers) -> str:
+    """A line on the thickness of the cement."""
+    t = note["thickness"]
+    return (
+        f"cement mantle: {t['nominal']:.3g} mm, achieved {t['min']:.2f} to {t['max']:.2f}, mean "
+        f"{t['mean']:.2f}, median {t['median']:.2f}, p5 {t['p5']:.2f}, p95 {t['p95']:.2f} mm; "
+        f"clipped on {t['clipped_fraction']:.1%} of the stem; {note['volume']:.0f} mm3 of cement, "
+        f"{note['plug_volume']:.0f} below the stem's flanks"
+    )
+
+
+def _cortex(thickness: float) -> str:
+    """A line on the least thickness of the cortex [mm]."""
+    return f"cortex beside the stem: at least {thickness:.2f} mm"
+
+
+def _layers(note: Mapping[str, Any]) -> str:
+    """A line on the grid of a layered mesh (`meshes.swept.Swept.describe`)."""
+    through = ", ".join(str(cells) for cells in note["cells_through"])
+    moved = (
+        f"{percent(note['moved_nodes'])} of their nodes are moved, by at most "
+        f"{note['moved_max_mm']:.2f} mm"
+        if note["moved_nodes"]
+        else "no node is moved"
+    )
+    least = f"{note['least_thickness_mm']:.2f} mm"
+    return (
+        f"layers: {note['lines_around']} lines around, {note['steps_along']} steps along, "
+        f"{through} cells through, from inside; the thinnest layer has {least}; {moved}"
+    )
+
+
+def _quality(note: Mapping[str, Any]) -> str:
+    """A line on the quality of the cells (`meshes.quality.describe`)."""
+    regions = ", ".join(f"{name} {least:.2f}" for name, least in note["sicn_min_by_region"].items())
+    return (
+        f"quality (SICN; 1 is a regular tetrahedron): median {note['sicn_median']:.2f}, least "
+        f"{note['sicn_min']:.2f} ({regions}); {_count(note['sicn_below_0.1'])} of "
+        f"{_count(note['cells'])} cells are below 0.1"
+    )
+
+
+def _named(sizes: Mapping[str, float]) -> str:
+    """Sizes with their names, rounded."""
+    return ", ".join(f"{name} {_count(size)}" for name, size in sizes.items())
+
+
+def _count(number: float) -> str:
+    """Count with thousands separated by spaces at which no line ends."""
+    return count(number).replace(" ", NO_BREAK_SPACE)
