@@ -9,20 +9,25 @@ nearest to the start is taken.
 
 from __future__ import annotations
 
+import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linprog
 
+from app.foundation import files
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
-from meshes import femur_stem, room
+from meshes import cache, femur_stem, room
 from meshes.femur_stem import Thickness
 from meshes.placement import Placement, Position, position
 from meshes.room import StemSurface, WidestCanal
 
+SEARCH_VERSION = 1  # raise it whenever the same input gives another position
 NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
 WORTH = 0.05  # mm of room for which a number may go as far as its limit
 TRUST = 0.3  # of the limits: first size of the trust region
@@ -122,16 +127,52 @@ def wanted_thickness(geometry: Any, placed: Placement) -> Thickness:
     return femur_stem.thickness(thickness, geometry.implant.tip_z, placed.top)
 
 
-def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
-    """The keys of the best position of a stem, and what it gained, in words.
+def searched(geometry: Any, insertion: Any, folder: Path | None) -> tuple[Any, str]:
+    """Keys of the best position of a stem, and its gain of room, in words.
+
+    A search takes 4 s of a core. Its result is kept, because each rank and each case of a sweep
+    would repeat it.
 
     Args:
         geometry: A hip with its bone, cut and implant.
         insertion: Its keys, with the limits of the search as `best`.
+        folder: Folder of the positions that were searched before, if there is one.
 
     Raises:
         GeometryError: No position within the limits has room for the stem.
     """
+    content = {**cache.of_geometry(geometry), "search": SEARCH_VERSION}
+    path = folder / f"{cache.hashed(content)}.json" if folder else None
+    if path:
+        # A damaged file is replaced.
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            known = json.loads(path.read_text(encoding="utf-8"))
+            return _with_numbers(insertion, *map(float, known["numbers"])), str(known["gain"])
+    numbers, gain = _search(geometry, insertion)
+    if path:
+        with suppress(OSError):
+            text = json.dumps({"numbers": numbers, "gain": gain})
+            files.write_bytes(path, text.encode(), 0o600)
+    return _with_numbers(insertion, *numbers), gain
+
+
+def _with_numbers(
+    insertion: Any, varus: float, flexion: float, angle: float, medial: float, anterior: float
+) -> Any:
+    """Keys of an insertion at a position, in rad and mm, without a search."""
+    keys = {
+        "varus": varus,
+        "flexion": flexion,
+        "version": insertion.version.model_copy(update={"angle": angle}),
+        "medial_offset": medial,
+        "anterior_offset": anterior,
+        "best": None,
+    }
+    return insertion.model_copy(update=keys)
+
+
+def _search(geometry: Any, insertion: Any) -> tuple[list[float], str]:
+    """Numbers of the best position, in the order of `_with_numbers`, and its gain in words."""
     start, limits = position(geometry), insertion.best
     canal, neck = room.canal(geometry), geometry.femur.neck
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
@@ -139,30 +180,16 @@ def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
     stem = StemSurface.of(implant, given)
     chosen = best(canal, stem, start, Limits.of(limits), wanted_thickness(geometry, given))
     relative = neck if insertion.version.relative_to == "neck" else 0.0
+    varus, flexion = _rounded_angle(chosen.varus), _rounded_angle(chosen.flexion)
     angle = _rounded_angle(chosen.version - relative)
-    keys = {
-        "varus": _rounded_angle(chosen.varus),
-        "flexion": _rounded_angle(chosen.flexion),
-        "version": insertion.version.model_copy(update={"angle": angle}),
-        "medial_offset": round(chosen.medial, LENGTH_DIGITS),
-        "anterior_offset": round(chosen.anterior, LENGTH_DIGITS),
-        "best": None,
-    }
-    result = insertion.model_copy(update=keys)
-    rounded = Position(
-        start.depth,
-        result.varus,
-        result.flexion,
-        angle + relative,
-        result.medial_offset,
-        result.anterior_offset,
-    )
+    medial, anterior = round(chosen.medial, LENGTH_DIGITS), round(chosen.anterior, LENGTH_DIGITS)
+    rounded = Position(start.depth, varus, flexion, angle + relative, medial, anterior)
     placed = cut.put(implant, rounded, mirrored)
     after, before = room.fit(canal, stem, placed), room.fit(canal, stem, given)
     words = (
-        f"varus {math.degrees(result.varus):.1f}, flexion {math.degrees(result.flexion):.1f},"
+        f"varus {math.degrees(varus):.1f}, flexion {math.degrees(flexion):.1f},"
         f" version {math.degrees(angle):.1f} deg from the {insertion.version.relative_to},"
-        f" offsets {result.medial_offset:.1f} mm medial, {result.anterior_offset:.1f} mm anterior"
+        f" offsets {medial:.1f} mm medial, {anterior:.1f} mm anterior"
     )
     if after.least < geometry.least_room:
         does = f"leaves {after.least:.2f} mm"
@@ -175,7 +202,7 @@ def searched(geometry: Any, insertion: Any) -> tuple[Any, str]:
             " shorter stem, or widen insertion.best"
         )
     gain = f"{after.words(placed)}, {after.least - before.least:.2f} mm more than as given"
-    return result, f"{words}: room {gain}"
+    return [varus, flexion, angle, medial, anterior], f"{words}: room {gain}"
 
 
 def _rounded_angle(angle: float) -> float:

@@ -1,4 +1,4 @@
-"""Cache of meshes, by the content of their input."""
+"""Cache of meshes and positions, by the content of their input."""
 
 from __future__ import annotations
 
@@ -27,20 +27,27 @@ MESHER_VERSION = 33  # raise it whenever the same input gives another mesh or ot
 
 def key(geometry: GeometryKeys, mesh: MeshKeys) -> str:
     """Hash of everything the mesh depends on; of files their content, not their names."""
-    content: dict[str, Any] = {
-        "geometry": _without_paths(geometry.model_dump()),
-        "mesh": mesh.model_dump(),
-    }
+    content = of_geometry(geometry)
+    content["mesh"] = mesh.model_dump()
     # The order of the displacement does not change the mesh.
     content["mesh"].pop("order", None)
-    content["version"] = MESHER_VERSION
-    content["files"] = geometry.content
     is_meshed = True
     if is_file(geometry):
         content["apart"] = geometry.apart
         is_meshed = geometry.is_script
     if is_meshed:
         content["gmsh"] = _gmsh_version()
+    return hashed(content)
+
+
+def of_geometry(geometry: GeometryKeys) -> dict[str, Any]:
+    """Content of a geometry and its files, and the version of the meshers."""
+    keys = _without_paths(geometry.model_dump())
+    return {"geometry": keys, "files": geometry.content, "version": MESHER_VERSION}
+
+
+def hashed(content: dict[str, Any]) -> str:
+    """Hash of a content, the name of its file in a cache."""
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 

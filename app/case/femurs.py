@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from importlib import import_module
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
@@ -17,6 +16,11 @@ from app.foundation.implant import Implant
 from app.foundation.verdict import Verdict
 from app.schema.section import Kinds, Section, fail
 from app.schema.units import Angle, Dimension, Length
+
+# At run time `meshes` is imported where it is used, as in `app.case.hips`.
+if TYPE_CHECKING:
+    from meshes.femur_bone import FemurBone
+    from meshes.layered_surfaces import LayeredSurfaces
 
 MEDIAL = 24.747  # mm from the shaft's axis to the medial cortex, where the cut usually leaves it
 HEAD = (20.0, 100.0)  # mm: levels of the head's centre
@@ -157,10 +161,11 @@ class _Femur(Hip):
         return self.stem.implant(self.tip_z, self.plug_length, self.void)
 
     @property
-    def femur(self) -> Any:
-        """The bone before the operation (`meshes.femur_bone.FemurBone`)."""
-        bone = import_module("meshes.femur_bone").FemurBone
-        return bone(self.anteversion, self.canal_widening, self.metaphyseal_cortex)
+    def femur(self) -> FemurBone:
+        """The bone before the operation."""
+        from meshes.femur_bone import FemurBone
+
+        return FemurBone(self.anteversion, self.canal_widening, self.metaphyseal_cortex)
 
     @property
     def more_room(self) -> tuple[str, str]:
@@ -168,9 +173,11 @@ class _Femur(Hip):
         text = "widen the canal (canal_widening), narrow the stem or move it proximally"
         return "geometry", f"{text} (tip_z)"
 
-    def surfaces(self, mesh: MeshOptions) -> Any:
-        """The nested surfaces that are meshed (`meshes.layered_surfaces.LayeredSurfaces`)."""
-        return import_module("meshes.layered_surfaces").LayeredSurfaces(self, mesh)
+    def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
+        """The nested surfaces that are meshed."""
+        from meshes.layered_surfaces import LayeredSurfaces
+
+        return LayeredSurfaces(self, mesh)
 
     @property
     def points(self) -> dict[str, Point3]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -26,9 +25,12 @@ from app.foundation.implant import FLAT, Implant
 from app.laws.values import ROUNDING
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
+from app.system import folders
 
+# `meshes` is imported where it is used: scipy takes 0.15 s, which cases without a hip save.
 if TYPE_CHECKING:
     from app.case.stems import Stem, StemFile
+    from meshes.placement import InsertionKeys, Placement, ResectionKeys
 
 BONE = ("cortical_bone", "cancellous_bone")
 OF_BONE = dict.fromkeys(BONE, "bone")
@@ -184,6 +186,16 @@ class Hip(Shape):
     then flat and carries no load. 0, or at least 1 mm and at most 1 mm less than the plug. By
     default 0 in cement, and 5 mm without cement: a stem hangs in its canal."""
 
+    if TYPE_CHECKING:
+
+        @property
+        def resection(self) -> ResectionKeys:
+            """The cut across the neck."""
+
+        @property
+        def insertion(self) -> InsertionKeys | None:
+            """Position of the stem; None: along the shaft's axis."""
+
     @property
     def femur(self) -> Any:
         """The bone before the operation, as `meshes.placement` describes it."""
@@ -205,9 +217,11 @@ class Hip(Shape):
         return 0.0
 
     @property
-    def placement(self) -> Any:
-        """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
-        return import_module("meshes.placement").place(self)
+    def placement(self) -> Placement:
+        """Cut and stem in the model's axes."""
+        from meshes.placement import place
+
+        return place(self)
 
     @property
     def cut_height(self) -> float:
@@ -224,6 +238,13 @@ class Hip(Shape):
         """Centre of the head in the model's axes (mm)."""
         implant = self.implant
         return point(self.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
+
+    @property
+    def flanks_end(self) -> float:
+        """Level of the end of the stem's flanks in the model's axes (mm)."""
+        implant = self.implant
+        end = [0.0, 0.0, implant.tip_z + implant.tip_height]
+        return float(self.placement.to_model(end)[2]) + HALF_TIP * self.placement.tilt
 
     @property
     def is_cemented(self) -> bool:
@@ -371,18 +392,24 @@ class OperatedHip(Hip):
         """Replace a position that is to be searched by the best one."""
         insertion = self.insertion
         if insertion and insertion.best:
-            search = import_module("meshes.best_position").searched
-            self.__dict__["insertion"], self._gain = search(self, insertion)
+            from meshes.best_position import searched
+
+            best, self._gain = searched(self, insertion, folders.cache("positions"))
+            self.__dict__["insertion"] = best
 
     @property
     def placement_details(self) -> dict[str, str]:
         """Head of the stem against the intact one, and the gain of a search, in words."""
-        details = {"head of the stem": import_module("meshes.placement").head_in_words(self)}
+        from meshes.placement import head_in_words
+
+        details = {"head of the stem": head_in_words(self)}
         return details | ({"best position": self._gain} if self._gain else {})
 
     def room_details(self) -> str:
         """Least room around the stem, in words."""
-        return str(import_module("meshes.room").room_in_words(self))
+        from meshes.room import room_in_words
+
+        return room_in_words(self)
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
@@ -390,13 +417,6 @@ class OperatedHip(Hip):
         if not self.is_cemented:
             return ()
         return (Mantle(spread(self.cement_thickness)[1], self.flanks_end),)
-
-    @property
-    def flanks_end(self) -> float:
-        """Level of the end of the stem's flanks in the model's axes (mm)."""
-        implant = self.implant
-        end = [0.0, 0.0, implant.tip_z + implant.tip_height]
-        return float(self.placement.to_model(end)[2]) + HALF_TIP * self.placement.tilt
 
     @property
     def interface_area(self) -> float:

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from app.case.geometries import Femur
+from app.system import folders
 from meshes import best_position, room
 from meshes.best_position import Limits
+from meshes.placement import Position
 from meshes.room import StemSurface
 from tests.meshes.canals import CUT, IMPLANT, RADIUS, START, rod, tube
 
 WANTED = 4.0  # mm: all the room that a rod of 5 mm has in the middle of the canal
 LIMITS = Limits(math.radians(3), math.radians(3), math.radians(10), 4.0, 4.0)
+
+
+@pytest.fixture(autouse=True)
+def new_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No position of an earlier search is known."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def wanted(theta: object, z: object) -> float:
@@ -74,3 +83,27 @@ def test_best_position_without_room_is_refused() -> None:
     thick |= {"tip_half_depth": "7 mm", "section_depth": "14 mm"}
     with pytest.raises(ValueError, match=r"no position .* leaves 1 mm .* cuts \d\.\d+ mm into"):
         Femur.model_validate({"insertion": "best", "stem": thick})
+
+
+def test_best_position_is_searched_once_for_a_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other cases and other processes read it; not after a change of what it depends on."""
+    searches: list[str] = []
+
+    def counted(canal: object, stem: object, start: Position, *more: object) -> Position:
+        searches.append("")
+        return replace(start, varus=math.radians(0.4))
+
+    monkeypatch.setattr(best_position, "best", counted)
+    given = {"insertion": "best", "stem": {"length": "130 mm"}, "tip_z": "-101 mm"}
+    one, two = (Femur.model_validate(given) for _ in range(2))
+    assert len(searches) == 1 and one == two
+    assert one.placement_details == two.placement_details
+    Femur.model_validate(given | {"cement_thickness": "3 mm"})
+    assert len(searches) == 2
+    folder = folders.cache("positions")
+    assert folder
+    for damaged in ("", "{}", "[]", '{"numbers": [1], "gain": ""}'):
+        for path in folder.iterdir():
+            path.write_text(damaged)
+        assert Femur.model_validate(given) == one
+    assert len(searches) == 6
