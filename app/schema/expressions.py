@@ -38,6 +38,8 @@ FUNCTIONS: dict[str, tuple[str, int, int]] = {
 }
 # Longest expression [characters].
 LONGEST = 1000
+# Words of Python that follow a number in a condition; they are no units.
+CONDITIONS = ("if", "and", "or")
 # A number, or its values at points (n,).
 Value = float | Floats
 
@@ -89,6 +91,11 @@ def _value(node: ast.expr, names: Mapping[str, Value]) -> Value:
             first, *others = (_value(argument, names) for argument in arguments)
             function = getattr(np, function)
             return reduce(function, others, first) if others else function(first)
+        case ast.IfExp() | ast.Compare() | ast.BoolOp():
+            raise ValueError(
+                "an expression has no conditions; a step at x = 3 mm is "
+                "'max(0, min(1, 1000 * (x - 3)))'"
+            )
     raise ValueError(
         f"'{ast.unparse(node)[:40]}' is not allowed in an expression; allowed are numbers, x, y, "
         f"z, pi, + - * / **, parentheses and {', '.join(FUNCTIONS)}"
@@ -131,8 +138,9 @@ class Varying(Scalar):
         # "0.02 mm" is a length and "0.02" one without its unit; "0.02 * x" is an expression.
         number = NUMBER.fullmatch(value) if isinstance(value, str) else None
         unit = number[2] if number else ""
+        condition = unit.split(" ")[0] in CONDITIONS
         constant = number is not None and (not unit or unit[0].isalpha() or unit[0] in "°%")
-        if not isinstance(value, str) or constant:
+        if not isinstance(value, str) or (constant and not condition):
             return self.constant.read(value)
         try:
             calculate(value, dict.fromkeys(("x", "y", "z", "pi"), 1.0))

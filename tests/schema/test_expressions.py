@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic_core import PydanticCustomError
 
 from app.foundation.errors import InputError
-from app.schema.expressions import evaluate
+from app.schema.expressions import Varying, evaluate
+from app.schema.units import Dimension, Part
 
 POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
 
@@ -40,7 +42,9 @@ def test_expressions_are_evaluated(expression: str, expected: object) -> None:
         ("9**9**9**9", "is not finite at"),
         ("__import__('os')", "'__import__' is not one of"),
         ("(lambda: 1)()", "is not allowed"),
-        ("x < y", "is not allowed"),
+        ("x < y", "has no conditions; a step at x = 3 mm"),
+        ("1 if z < -70 else 0", "has no conditions"),
+        ("1 if z < -70 else 0 if x > 1 and y > 1 else 2", "has no conditions"),
         ("x @ y", "is not allowed"),
         ("min(x)", "min takes 2 to 9 arguments, got 1"),
         (f"min({', '.join(['x'] * 10)})", "min takes 2 to 9 arguments, got 10"),
@@ -57,3 +61,9 @@ def test_expressions_are_evaluated(expression: str, expected: object) -> None:
 def test_expressions_are_refused(expression: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         evaluate(expression, POINTS)
+
+
+@pytest.mark.parametrize("kind", [Part(), Dimension("mm", "a length", "0.05 mm")])
+def test_expressions_with_conditions_are_not_read_as_units(kind: Dimension) -> None:
+    with pytest.raises(PydanticCustomError, match="an expression has no conditions"):
+        Varying(kind).read("1 if z < -70 else 0")
