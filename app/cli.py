@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
+from app.foundation import files
 from app.foundation.errors import AloneError, InputError, MantleError, together
 from app.soundness import memory
 from app.system import form_cache, ranks
@@ -84,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         silence(sys.stdout)
         return 0
     except Exception as error:
-        problem = memory.explain(error) or form_cache.explain(error)
+        problem = memory.explain(error) or form_cache.explain(error) or files.explain(error)
         if problem is not None:
             return _leave(problem)
         print(

@@ -12,7 +12,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from math import cos, hypot, sin
-from os.path import expanduser
+from os.path import expanduser, isfile
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -120,8 +120,9 @@ def _from(folder: FilePath, part: object, keys: Sequence[str]) -> None:
 def base_file(folder: FilePath, base: str) -> FilePath:
     """Path of a base: a file relative to a folder, or a shipped case by its name alone."""
     shipped = configs.FOLDER / f"{base}.yaml"
+    # `isfile` is False for a name that the system refuses.
     word = base.replace("_", "").isalnum()  # not a path
-    return shipped if word and shipped.is_file() else folder / expanduser(base)
+    return shipped if word and isfile(shipped) else folder / expanduser(base)
 
 
 def _chain(path: FilePath) -> list[CaseFile]:

@@ -9,8 +9,14 @@ import secrets
 from contextlib import suppress
 from pathlib import Path
 
+from app.foundation.errors import InputError
+
 # A file under this name is not finished.
 PARTIAL = ".partial"
+# Reasons for which a system refuses a path that a user gave.
+REFUSED = (errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR)
+# Longest name that a message shows whole [characters].
+LONGEST_NAME = 80
 LEFT = re.compile(r"\.[0-9a-f]{16}\.partial$")
 
 
@@ -39,6 +45,16 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
 def parts(path: Path) -> list[Path]:
     """A file, or those in a folder, by name."""
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
+
+
+def explain(error: BaseException) -> InputError | None:
+    """Error that explains why the system refuses a path; None for any other error."""
+    if not isinstance(error, OSError) or error.errno not in REFUSED or error.filename is None:
+        return None
+    name = os.fsdecode(error.filename)
+    shown = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
+    reason = (error.strerror or "").lower()
+    return InputError(f"{shown}: cannot be opened: {reason}; give another path")
 
 
 def clear(folder: Path, name: str = "*") -> None:

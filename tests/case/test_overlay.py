@@ -137,6 +137,7 @@ def test_overlay_errors_name_the_file_of_the_key(tmp_path: Path) -> None:
         ("base: [a]", "case.yaml:1:1: base: a list is not text; expected a file"),
         ("base: .", "case.yaml:1:1: base: no such file: "),
         ('base: "a\\0b"', "case.yaml:1:1: base: no such file: a\\x00b"),
+        (f"base: {300 * 'x'}", "case.yaml:1:1: base: 'xxx"),
         ("base: broken.yaml", "broken.yaml:1:5: not valid YAML"),
         ("base: twice.yaml", "twice.yaml:2:1: mesh: this key is given twice; keep one"),
         ("base: large.yaml", "large.yaml: is larger than 4 MB, too large for a case file"),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import mantle
 from app.case import sweep as sweep_file
 from app.case.case import load
 from app.cli import main
+from app.foundation import files
 from app.foundation.errors import InputError
 from app.schema import yaml_file
 from app.schema.units import LONGEST_VALUE
@@ -198,6 +200,41 @@ def test_bad_input_on_the_command_line(
     assert main(arguments.split()) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1) and expected in err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "check {}",
+        "run {}",
+        "run stance -o {}",
+        "mesh {}.yaml",
+        "place {}",
+        "report {}",
+        "report out {}",
+        "init hip --labels {}",
+    ],
+)
+def test_bad_input_path_that_the_system_refuses(
+    arguments: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments.format(300 * "x").split()) == 2
+    err = capsys.readouterr().err
+    assert "xxx...: cannot be opened: file name too long; give another path\n" in err
+
+
+def test_bad_input_explains_only_paths_of_the_user() -> None:
+    locked = PermissionError(errno.EACCES, "Permission denied", "locked/case.yaml")
+    error = files.explain(locked)
+    assert error is not None and error.exit_code == 2
+    assert str(error) == "locked/case.yaml: cannot be opened: permission denied; give another path"
+    assert files.explain(FileNotFoundError(errno.ENOENT, "No such file", "a")) is None
+    assert files.explain(OSError(errno.EACCES, "Permission denied")) is None
+    assert files.explain(ValueError("a")) is None
 
 
 def test_bad_input_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
