@@ -158,15 +158,22 @@ def _at(inputs: Mapping[str, Range | Choice], shares: Floats) -> list[dict[str, 
     ]
 
 
-class LatinHypercube(Section):
-    """Samples of uncertain inputs: one value of each input in each of equal intervals."""
+class Samples(Section):
+    """Samples of uncertain inputs."""
 
-    samples: Annotated[int, Field(ge=2, le=10_000)]
+    samples: int
     """Number of samples."""
     seed: Annotated[int, Field(ge=0)] = 0
     """The same seed gives the same samples."""
     inputs: Inputs
     """The range of each key, or its values."""
+
+
+class LatinHypercube(Samples):
+    """Samples of uncertain inputs: one value of each input in each of equal intervals."""
+
+    samples: Annotated[int, Field(ge=2, le=10_000)]
+    """Number of samples."""
 
     def draw(self) -> list[dict[str, object]]:
         """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522).
@@ -187,15 +194,11 @@ class LatinHypercube(Section):
         return _at(self.inputs, min(designs, key=correlation))
 
 
-class Sobol(Section):
+class Sobol(Samples):
     """Samples from which Sobol' indices are computed: the share of each input in the variance."""
 
     samples: Annotated[int, Field(ge=8, le=4096), AfterValidator(_power_of_two)]
     """Number of base samples, a power of two. Each makes (inputs + 2) runs."""
-    seed: Annotated[int, Field(ge=0)] = 0
-    """The same seed gives the same samples."""
-    inputs: Inputs
-    """The range of each key, or its values."""
 
     def draw(self) -> dict[str, dict[str, object]]:
         """The overrides of each run by its name, base sample by base sample.

@@ -6,14 +6,12 @@ in the reamed canal is proposed, in the position with the most room.
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
@@ -24,6 +22,7 @@ from app.foundation.implant import Implant
 from app.patient import ct_canal, segmentation
 from app.patient.geometry import Patient
 from app.patient.segmentation import Structure
+from app.schema import yaml_file
 from app.schema.section import faults
 
 if TYPE_CHECKING:
@@ -85,13 +84,18 @@ def write(
     path = new_case.yaml(path)
     bone = segmentation.femur(labels, side, label)
     proposal = _proposed(path.parent, bone, segmentation.canal(labels, bone), ct)
-    keys = "".join(f"  {key}: {_flow(value)}\n" for key, value in proposal.keys.items())
+    keys: dict[str, object] = {
+        "base": "stance",
+        "title": f"Hip of {labels.name}",
+        "geometry": {"kind": "patient", **proposal.keys},
+        "mesh": {"size": f"{SIZE:g} mm"},
+        "loads": {"library": "one_leg_stance"},
+    }
     new_case.save(
         path,
         "# The hip of a segmentation, standing on one leg. `mantle explain KEY` explains a key.\n"
         "# `mantle place` shows and changes the position of the stem.\n\n"
-        f"base: stance\ntitle: Hip of {labels.name}\n\ngeometry:\n  kind: patient\n{keys}\n"
-        f"mesh:\n  size: {SIZE:g} mm\n\nloads:\n  library: one_leg_stance\n",
+        + yaml_file.to_yaml(keys, short=True),
     )
     return path, list(_assumed(bone, ct, proposal))
 
@@ -219,14 +223,3 @@ def _size(implant: Implant) -> str:
 def _relative(path: Path, folder: Path) -> str:
     """A path as a case file in a folder names it."""
     return os.path.relpath(path.resolve(), folder.resolve())
-
-
-def _flow(value: object) -> str:
-    """A value as YAML on one line."""
-    if isinstance(value, dict):
-        entries = cast("dict[str, object]", value).items()
-        return "{" + ", ".join(f"{key}: {_flow(v)}" for key, v in entries) + "}"
-    if isinstance(value, int | float):
-        return f"{value:g}"
-    text = str(value)
-    return text if re.fullmatch(r"[\w/.][\w/. -]*[^\W\d]", text) else json.dumps(text)

@@ -6,9 +6,10 @@
   const packed = Uint8Array.from(atob($("data").textContent), c => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const data = await new Response(stream).arrayBuffer();
+  const LEVELS = 65534; // of a fraction, as in `packed_arrays.py`
   const TYPES = { i2: Int16Array, u2: Uint16Array, u4: Uint32Array, f4: Float32Array };
   const array = a => new TYPES[a.type](data, a.at, a.shape.reduce((n, k) => n * k, 1));
-  const places = a => Float32Array.from(array(a), (v, k) => a.low[k % 3] + v / 65535 * a.width);
+  const places = a => Float32Array.from(array(a), (v, k) => a.low[k % 3] + v / LEVELS * a.width);
   const make = (tag, into, props) => into.appendChild(Object.assign(document.createElement(tag), props));
   const RAD = Math.PI / 180;
 

@@ -7,17 +7,13 @@ same grid, so its numbers are those of ``mantle check --mesh``.
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 import os
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.case.case import Case
 from app.case.hips import OperatedHip, Search
@@ -28,18 +24,17 @@ from app.foundation.errors import InputError, MantleError
 from app.foundation.files import write_bytes
 from app.foundation.implant import Implant
 from app.report import page, viewer
+from app.report.packed_arrays import PackedArrays, as_text, points_in_range
 from meshes import best_position, femur_stem, layered_surfaces, room
 from meshes.femur_bone import tube_triangles
 from meshes.placement import Position, position
 
-COMPRESSION = 6  # level of zlib: the highest saves 1 % in four times the time
 DEPTHS = np.arange(-4.0, 14.5, 3.0)  # mm: depths for which the best position is in the page
 MOST_TRIANGLES = 40_000  # of the bone; above, corners are merged in boxes
 BOX = 1.0  # mm: first edge of these boxes
 BELOW = 25.0  # mm of bone shown below the part with a known canal
 EVERY = 3  # sections of the canal of which one is drawn
 SIZES = 12  # stems in one folder that are offered, at most
-DRAWN = 65535  # largest of the numbers that stand for a coordinate
 
 
 @dataclass(frozen=True)
@@ -55,26 +50,6 @@ class Size:
     name: str
     implant: Implant
     yaml: str
-
-
-class _Numbers:
-    """Arrays of the page, one after another, each at its offset."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def add(self, array: NDArray[Any]) -> dict[str, object]:
-        """Append an array; where it is, its type and shape."""
-        at = len(self.data)
-        self.data.extend(array.tobytes())
-        self.data.extend(bytes(-len(self.data) % 4))
-        return {"at": at, "type": array.dtype.str[1:], "shape": list(array.shape)}
-
-    def places(self, x: Floats) -> dict[str, object]:
-        """Append places (n, 3) as parts of their range [mm]."""
-        low, width = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
-        parts = np.round((x - low) / width * DRAWN).astype("<u2")
-        return self.add(parts) | {"low": low.tolist(), "width": width}
 
 
 def write(case: Case, source: Path, path: Path) -> Path:
@@ -100,7 +75,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
         {
             "title": case.title or source.stem,
             "head": json.dumps(head),
-            "data": base64.b64encode(zlib.compress(numbers, COMPRESSION)).decode("ascii"),
+            "data": as_text(numbers),
             "licence": (here / "three_licence.txt").read_text("utf-8"),
             "scripts": [*texts, (here / "placement.js").read_text("utf-8")],
         },
@@ -119,7 +94,7 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
     Raises:
         GeometryError: The shaft's axis leaves the bone.
     """
-    numbers, femur, insertion = _Numbers(), geometry.femur, geometry.insertion
+    numbers, femur, insertion = PackedArrays(), geometry.femur, geometry.insertion
     canal, start = room.canal(geometry), position(geometry)
     placed = geometry.placement
     edge = femur_stem.edge(geometry.implant, placed.slopes[0])
@@ -157,22 +132,28 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
         },
         "thickness": {"uniform": None if tables else thickness, "tables": tables},
         "position": _shown(start),
-        "grid": numbers.add(canal.distances.astype("<i2"))
+        "grid": numbers.described(canal.distances.astype(np.int16))
         | {"low": canal.low.tolist(), "step": room.STEP.tolist(), "unit": room.UNIT},
         "canal": {
-            "points": numbers.places(rings.reshape(-1, 3)),
-            "triangles": numbers.add(tube_triangles(*rings.shape[:2]).astype("<u4")),
+            "points": _places(rings.reshape(-1, 3), numbers),
+            "triangles": numbers.described(tube_triangles(*rings.shape[:2]).astype(np.uint32)),
         },
         "bone": {
-            "points": numbers.places(points),
-            "triangles": numbers.add(triangles.astype("<u4")),
+            "points": _places(points, numbers),
+            "triangles": numbers.described(triangles.astype(np.uint32)),
         },
         "stems": [
             _packed_stem(size, geometry, canal, start, limits, numbers)
             for size in sizes(geometry, source.parent)
         ],
     }
-    return head, bytes(numbers.data)
+    return head, numbers.content()
+
+
+def _places(x: Floats, numbers: PackedArrays) -> dict[str, object]:
+    """Append points (n, 3) as fractions of their range [mm]."""
+    parts, ends = points_in_range(x)
+    return numbers.described(parts) | ends
 
 
 def _shown(start: Position) -> dict[str, float]:
@@ -193,7 +174,7 @@ def _packed_stem(
     canal: room.WidestCanal,
     start: Position,
     limits: best_position.Limits,
-    numbers: _Numbers,
+    numbers: PackedArrays,
 ) -> dict[str, object]:
     """Shape of a stem, and its best positions by depth."""
     implant, mirrored = size.implant, geometry.femur.mirrored
@@ -205,7 +186,7 @@ def _packed_stem(
         bests.append(_shown(best_position.best(canal, stem, at, limits, thickness)))
     surface: dict[str, object] = {"points": None}
     if stem.points is not None:
-        surface = {"points": numbers.add(stem.points.astype("<f4"))}
+        surface = {"points": numbers.described(stem.points.astype(np.float32))}
     return surface | {
         "name": size.name,
         "yaml": size.yaml,

@@ -136,7 +136,7 @@
     const data = await new Response(stream).arrayBuffer();
     const renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
     renderer.localClippingEnabled = true;
-    const rest = Float32Array.from(words(data, head.points.at, 3 * n), (v, k) => v / LEVELS * head.size + head.low[k % 3]);
+    const rest = Float32Array.from(words(data, head.points.at, 3 * n), (v, k) => v / LEVELS * head.points.width + head.points.low[k % 3]);
     const position = new THREE.BufferAttribute(new Float32Array(rest), 3);
     const v = { head, bounds: new THREE.Box3().setFromBufferAttribute(position) };
     const far = 40 * v.bounds.getSize(new THREE.Vector3()).length();

@@ -13,9 +13,7 @@ cuts through cells would stay ours.
 
 from __future__ import annotations
 
-import base64
 import json
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,18 +24,15 @@ from numpy.typing import NDArray
 from app.case.quantities import INTERFACE_FIELDS
 from app.foundation.arrays import Bools, Floats, Ints
 from app.report import page
+from app.report.packed_arrays import LEVELS, PackedArrays, as_text, fractions, points_in_range
 from app.report.sweep_results import QUANTITIES
 from app.results.reading import Run
 from meshes.data import cell_volumes, exterior_facets
 
 THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
-# Values are 0 to this, and one more stands for none.
-LEVELS = 65534
 # Bytes of values before they are compressed: about half of a page of 2 MB.
 MOST = 3_000_000
-# Level of compression: 0.03 s for 2.5 MB of a hip; the highest takes 0.25 s and saves 1 %.
-LEVEL = 4
 # Triangles of a facet with six nodes.
 QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
 # Largest value of a field that is zero to rounding, in the unit of its file.
@@ -96,8 +91,7 @@ def viewer(folders: Mapping[str, Path]) -> str:
     views = []
     for name, run, minus in pairs:
         head, values = packed(run, minus, MOST // len(pairs))
-        data = base64.b64encode(zlib.compress(values, LEVEL)).decode("ascii")
-        views.append((name, json.dumps(head), data))
+        views.append((name, json.dumps(head), as_text(values)))
     texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
     return page.render("viewer.html", {"runs": views, "scripts": texts})
 
@@ -139,26 +133,19 @@ def packed(
     # Three for the places, three for the displacement that deforms.
     fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
-    numbers = bytearray()
-
-    def add(array: NDArray[np.generic]) -> int:
-        numbers.extend(array.tobytes())
-        return len(numbers) - array.nbytes
-
+    numbers = PackedArrays()
     x = run.points[nodes]
-    low, width = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
+    places, extent = points_in_range(x)
     moves: list[dict[str, object]] = []
     fields: list[dict[str, object]] = []
     head: dict[str, object] = {
-        "points": {"at": add(_levels((x - low) / width)), "n": len(nodes)},
-        "low": low.tolist(),
-        "size": width,
+        "points": {"at": numbers.add(places), "n": len(nodes), **extent},
         "bodies": [
             {
                 "name": body,
-                "at": add(np.searchsorted(nodes, t).astype("<u4")),
+                "at": numbers.add(np.searchsorted(nodes, t).astype(np.uint32)),
                 "triangles": len(t),
-                "inside": add(np.searchsorted(nodes, inside[body]).astype("<u4")),
+                "inside": numbers.add(np.searchsorted(nodes, inside[body]).astype(np.uint32)),
                 "cells": len(inside[body]),
             }
             for body, t in fine.items()
@@ -173,7 +160,7 @@ def packed(
     for stage in ends:
         u = run.displacement(at[stage])[nodes] if "displacement" in run.point_fields else 0 * x
         most = float(np.abs(u).max()) or 1.0
-        moves.append({"at": add(_levels((u / most + 1) / 2)), "most": most})
+        moves.append({"at": numbers.add(fractions((u / most + 1) / 2)), "most": most})
     for name, contact, label, unit, factor in kinds:
         on = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
         steps = []
@@ -182,9 +169,9 @@ def packed(
             less = 0.0 if minus is None else lengths(minus, name, other)
             v = factor * (lengths(run, name, at[stage]) - less)[nodes]
             parts, least, most = _scaled(v, np.isfinite(v) & (on | (v > 0)))
-            steps.append({"at": add(parts), "min": least, "max": most})
+            steps.append({"at": numbers.add(parts), "min": least, "max": most})
         fields.append({"name": name, "label": label, "unit": unit, "steps": steps})
-    return head, bytes(numbers)
+    return head, numbers.content()
 
 
 def _opening(
@@ -245,7 +232,7 @@ def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
     """Values as 16-bit fractions of their range, and its ends; one extra level marks no value."""
     least, most = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
-    parts = _levels(np.where(known, (values - least) / ((most - least) or 1.0), 0.0))
+    parts = fractions(np.where(known, (values - least) / ((most - least) or 1.0), 0.0))
     parts[~known] = LEVELS + 1
     return parts, least, most
 
@@ -302,8 +289,3 @@ def cells_of(run: Run, numbers: Sequence[int]) -> Ints:
 def quartered(facets: Ints) -> Ints:
     """Triangles (t, 3) of facets with three nodes or six; those with six are four each."""
     return facets if facets.shape[1] == 3 else facets[:, QUARTERS].reshape(-1, 3)
-
-
-def _levels(part: Floats) -> NDArray[np.uint16]:
-    """Fractions of a range, 0 to 1, as 16-bit numbers."""
-    return np.round(np.clip(part, 0.0, 1.0) * LEVELS).astype("<u2")

@@ -365,10 +365,15 @@ def _text(node: ScalarNode) -> str:
     return text
 
 
-def to_yaml(data: dict[str, object]) -> str:
-    """Mappings, lists and scalars as YAML that reads back to the same."""
+def to_yaml(data: dict[str, object], *, short: bool = False) -> str:
+    """Mappings, lists and scalars as YAML that reads back to the same.
+
+    Args:
+        data: Keys and values.
+        short: Write lists and mappings of scalars on one line.
+    """
     yaml: Any = YAML(typ="safe")
-    yaml.default_flow_style = False
+    yaml.default_flow_style = None if short else False
     yaml.sort_base_mapping_type_on_output = False
     yaml.width = 1 << 20
     stream = io.StringIO()

@@ -29,7 +29,8 @@ NEGLIGIBLE = 0.1
 def measured(case: Case, model: Model) -> ShaftInfluence | None:
     """Return the changes of main numbers by a longer continued shaft; collective.
 
-    None: Nothing is continued, the companions are not solved, or the scan has no longer shaft.
+    None: Nothing is continued, the companions are not solved, the scan has no longer shaft, or the
+    run has no main numbers.
     """
     geometry = case.geometry
     end, longer = geometry.continued_below, geometry.longer(LONGER)
@@ -45,6 +46,8 @@ def measured(case: Case, model: Model) -> ShaftInfluence | None:
         log.warning("continued shaft: its influence is unknown: %s", str(failure).splitlines()[0])
         return None
     changes, worst = _changes(first, second)
+    if not changes:
+        return None
     text = f"{LONGER:g} mm more of the continued shaft change the main numbers by at most"
     sentence = f"{text} {worst}, on cells of {mesh.size:g} mm"
     return ShaftInfluence(
@@ -53,7 +56,7 @@ def measured(case: Case, model: Model) -> ShaftInfluence | None:
 
 
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
-    """Return main numbers of both companions by their names, and the largest change."""
+    """Return main numbers of both companions by their names, and the largest change, in words."""
     largest = largest_of_units(first)
     others = {(section, name): numbers for section, name, numbers in numbers_of(second)}
     changes = dict[str, list[float]]()
@@ -67,5 +70,7 @@ def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], s
             changes[word] = [one, two]
             size = max(abs(one), NEGLIGIBLE * largest[quantity.unit])
             relative[word] = abs(two - one) / size if size else 0.0
+    if not changes:
+        return changes, ""
     worst = max(relative, key=lambda word: relative[word])
     return changes, f"{percent(relative[worst])} ({worst})"

@@ -56,13 +56,14 @@ def test_first_case_of_a_scan_has_the_bone_of_the_patient(
 
 
 def test_first_case_without_ct_has_the_canal_of_the_table(tmp_path: Path) -> None:
+    """The file may have any name."""
     folder = scan(tmp_path, 150.0, edges=(1.5, 1.5, 1.5))
-    path, assumed = first_case.write(
-        folder / "hip.yaml", folder / "labels.nii.gz", None, None, None
-    )
+    labels = (folder / "labels.nii.gz").rename(folder / "patient: 7 #1.nii.gz")
+    path, assumed = first_case.write(folder / "hip.yaml", labels, None, None, None)
     assert "ratios of the parametric femur" in assumed[2]
+    assert case_file.load(path).config.title == f"Hip of {labels.name}"
     with pytest.raises(InputError, match="exists already"):
-        first_case.write(path, folder / "labels.nii.gz", None, None, None)
+        first_case.write(path, labels, None, None, None)
 
 
 def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:

@@ -53,10 +53,11 @@ def test_viewer_values_equal_those_of_files(run: Run) -> None:
     head, data = viewer.packed(run)
     assert head["stages"] == ["half", "whole"]
     n = head["points"]["n"]
-    x = unpacked(data, head["points"]["at"], 3 * n).reshape(-1, 3) * head["size"] + head["low"]
+    x = unpacked(data, head["points"]["at"], 3 * n).reshape(-1, 3)
+    x = x * head["points"]["width"] + head["points"]["low"]
     shown_nodes = [t.ravel() for t in viewer.outsides(run, True).values()]
     nodes = np.unique(np.concatenate([*shown_nodes, run.cells[:, :4].ravel()]))
-    assert np.abs(x - run.points[nodes]).max() <= 0.51 * head["size"] / viewer.LEVELS
+    assert np.abs(x - run.points[nodes]).max() <= 0.51 * head["points"]["width"] / viewer.LEVELS
     for field, stage, values in shown(head, data):
         sizes = size(run, field["name"], stage)[nodes]
         known = np.isfinite(values)

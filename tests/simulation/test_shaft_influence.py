@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from app.simulation import shaft_influence
 from app.simulation.shaft_influence import LONGER
 from tests import support
 from tests.patient.bones import opened, parametric_femur, write
@@ -34,3 +35,8 @@ def test_shaft_influence_of_a_scan_that_ends_beside_the_stem(tmp_path: Path) -> 
     assert first > 0.0
     assert abs(second - first) < 0.05 * first
     assert any(influence["sentence"] in v["what"] for v in summary["verdicts"])
+
+
+def test_shaft_influence_without_main_numbers_is_empty() -> None:
+    """Bonded interfaces have none of the numbers by which runs are compared."""
+    assert shaft_influence._changes({"interfaces": {}}, {"interfaces": {}}) == ({}, "")
