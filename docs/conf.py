@@ -52,6 +52,7 @@ head_cup
 heat
 error
 many-runs
+fit
 cluster
 administrators
 restart

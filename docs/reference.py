@@ -24,6 +24,7 @@ import mantle
 from app import rooms  # noqa: F401  (registers keys that cases have)
 from app.case import keys
 from app.case.case import Case, LoadedCase
+from app.case.fit import FitFile
 from app.case.former_keys import (
     FORMER_KEYS,
     FORMER_KEYS_OF_FEMURS,
@@ -56,11 +57,11 @@ An *expression* is arithmetic in the coordinates x, y, z in mm, for example
 required; *none* means that it may be left out. `mantle explain --schema` prints the same as a JSON
 schema, for completion in editors.
 """
-CAMPAIGNS = """# Keys of sweep and study files
+CAMPAIGNS = """# Keys of sweep, study and fit files
 
-How to use them: [Many runs](../howto/many-runs.md). Keys of overrides are written as after
-`--set`: `interfaces.stem_cement.friction_coefficient`. The key `ranks` sets the number of MPI
-ranks of a run.
+How to use them: [Many runs](../howto/many-runs.md), [Fit](../howto/fit.md). Keys of overrides are
+written as after `--set`: `interfaces.stem_cement.friction_coefficient`. The key `ranks` sets the
+number of MPI ranks of a run.
 """
 FORMER = """# Former keys
 
@@ -123,10 +124,11 @@ def written(path: tuple[str, ...]) -> str:
 
 
 def campaigns_page() -> str:
-    """Every key of sweep and study files, in Markdown."""
+    """Every key of sweep, study and fit files, in Markdown."""
     sweep = _page(Sweep, "Sections of a sweep file")
     study = _page(StudyFile, "Sections of a study file")
-    return "\n".join([CAMPAIGNS, *sweep, *study])
+    fit = _page(FitFile, "Sections of a fit file")
+    return "\n".join([CAMPAIGNS, *sweep, *study, *fit])
 
 
 def _page(root: type[BaseModel], title: str) -> Iterator[str]:

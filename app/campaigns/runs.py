@@ -33,6 +33,8 @@ DIGITS = 10
 NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{CASE}[0-9a-f]{{10}}", re.ASCII)
 # Last lines of a log that a message shows.
 LOG_LINES = 12
+# Beginning of the essential line of a run that did not converge.
+NOT_CONVERGED = "no convergence"
 # Exit code of a run that left none.
 LOST = 70
 
@@ -220,3 +222,9 @@ def tail(path: Path) -> str:
     except OSError:
         return ""
     return "\n".join([line for line in lines if line.strip()][-LOG_LINES:])
+
+
+def reason(message: str) -> str:
+    """Essential line of a message: the one on missing convergence, else the last."""
+    lines = [line.strip() for line in message.splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

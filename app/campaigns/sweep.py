@@ -17,7 +17,7 @@ from typing import TypedDict
 
 from app.campaigns import batch, uncertainty
 from app.campaigns.batch import Options
-from app.campaigns.runs import Result
+from app.campaigns.runs import Result, reason
 from app.campaigns.uncertainty import PartSpread
 from app.case import sweep as sweep_file
 from app.foundation.errors import gravest
@@ -32,7 +32,6 @@ log = logging.getLogger("mantle")
 
 STATUS = {0: "converged", 4: "not converged", 5: "stopped", 6: UNUSABLE}
 FAILED = "failed"
-NOT_CONVERGED = "no convergence"
 
 
 class SweepRecord(TypedDict):
@@ -106,7 +105,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     log.info(f"written in %s: {made}", folder, folder)
     failed = [row for row in rows if row["exit_code"]]
     if failed:
-        reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]
+        reasons = [f"{r['name']}: {reason(r['message'])} (in {r['folder']})" for r in failed]
         head = f"{len(failed)} of {len(rows)} cases failed or are not to be used:"
         raise gravest([r["exit_code"] for r in failed], "\n".join([head, *reasons]))
 
@@ -123,9 +122,3 @@ def _row(result: Result, folder: Path) -> SweepRow:
         "exit_code": result.exit_code,
         "message": result.message,
     }
-
-
-def _reason(message: str) -> str:
-    """Essential line of a message: the one on missing convergence, else the last."""
-    lines = [line.strip() for line in message.splitlines() if line.strip()]
-    return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

@@ -422,15 +422,14 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
             yield Fault(("stages", through, key), f"{text}; use an earlier stage")
 
 
-def quantities(case: CaseParts, names: Sequence[str]) -> Iterable[Fault]:
-    """Quantities of interfaces, regions or other owners of numbers unknown to a case."""
+def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
+    """Quantities, by path in a file, of owners of numbers that a case does not have."""
     geometry = case.geometry
     added = [owner for section in ADDED.values() for owner in section.owners(case)]
     known = (*geometry.interface_sides, *geometry.region_names, *added)
-    for i, quantity in enumerate(names):
+    for path, quantity in names.items():
         name = quantity.partition(".")[0]
         if name not in known and quantity not in of_run():
-            path = ("study", "quantities", i)
             yield _unknown(path, "interface or region", name, known, geometry.kind)
 
 

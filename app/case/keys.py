@@ -94,7 +94,7 @@ class Keys:
 
 @cache
 def table(root: type[BaseModel] = Case) -> list[Keys]:
-    """All sections of a `Case`, `StudyFile` or `Sweep` with their keys, in the order of the file.
+    """All sections of a case, sweep, study or fit with their keys, in the order of the file.
 
     Kinds added from outside the program are among them.
     """

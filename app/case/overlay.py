@@ -133,7 +133,7 @@ def _chain(path: FilePath) -> list[CaseFile]:
     """
     chain = [yaml_file.read(path)]
     of_this_version(chain[0])
-    for what, keys in (("sweep", AXES), ("study", {"study"})):
+    for what, keys in (("sweep", AXES), ("study", {"study"}), ("fit", {"fit"})):
         if "base" in chain[0].data and keys & chain[0].data.keys():
             text = f"is a {what} file, not a case; use mantle {what} {path}"
             chain[0].raise_all([Fault(("base",), text)])

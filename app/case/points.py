@@ -122,15 +122,22 @@ class Range(Section):
             fail(f"{show(self.low)} is not positive, so it has no logarithm", at=("low",))
         return self
 
-    def at(self, share: float) -> str | float:
-        """Value at a fraction of the range."""
-        (low, unit), (high, _) = _number(self.low), _number(self.high)
+    @property
+    def unit(self) -> str:
+        """Unit of both ends; empty for a plain number."""
+        return _number(self.low)[1]
+
+    def number(self, share: float) -> float:
+        """Value at a fraction of the range, without its unit; defined beyond the range, too."""
+        low, high = _number(self.low)[0], _number(self.high)[0]
         if self.scale == "logarithmic":
-            value = low * (high / low) ** share
-        else:
-            value = low + share * (high - low)
-        number = float(f"{value:.6g}")
-        return f"{number:g} {unit}" if unit else number
+            return low * (high / low) ** share
+        return low + share * (high - low)
+
+    def at(self, share: float) -> str | float:
+        """Value at a fraction of the range, to six digits."""
+        number = float(f"{self.number(share):.6g}")
+        return f"{number:g} {self.unit}" if self.unit else number
 
 
 class Choice(Section):

@@ -630,13 +630,15 @@ def titled(name: str) -> str:
     return f"{words} ({unit})" if unit else words
 
 
-def known_value(name: str, value: object) -> float:
-    """A value in a file, in the unit of its quantity.
+def known_value(name: str, value: object, difference: bool = False) -> float:
+    """A value in a file, in the unit of its quantity; or a difference of two values.
 
     Raises:
         PydanticCustomError: It has another dimension.
     """
     unit = find(name).unit
+    if difference and unit == "degC":
+        unit = "K"
     kind: Plain | Dimension
     if unit == "-":
         kind = Plain()

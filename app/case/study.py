@@ -178,7 +178,10 @@ def read(
     study = content.study
     runs, problems = sweep.plan(file, path.parent, list(content.points()), others)
     if runs:
-        problems += checks.quantities(runs[0].case, study.quantities)
+        names: dict[yaml_file.Path, str] = {
+            ("study", "quantities", i): name for i, name in enumerate(study.quantities)
+        }
+        problems += checks.quantities(runs[0].case, names)
     problems += _shared_meshes(study, runs)
     if CONDITION in study.quantities and not all(r.case.output.condition for r in runs):
         at = ("study", "quantities", study.quantities.index(CONDITION))

@@ -71,7 +71,12 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         InputError: Every error of the file and its cases, at its place.
     """
     file = yaml_file.read(path)
-    for key, what in (("geometry", "case: use mantle run"), ("study", "study: use mantle study")):
+    others = {
+        "geometry": "case: use mantle run",
+        "study": "study: use mantle study",
+        "fit": "fit: use mantle fit",
+    }
+    for key, what in others.items():
         if key in file.data:
             raise InputError(f"{path}: this is a {what} {path}")
     sweep = content(file, Sweep)

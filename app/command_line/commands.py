@@ -209,6 +209,19 @@ def _campaign(options: argparse.Namespace) -> int:
     return 0
 
 
+def _fit(options: argparse.Namespace) -> int:
+    configure_log("info")
+    from app.campaigns import fit, fit_results
+    from app.report import fit_report
+
+    many = _many(options, Path("out") / f"{options.fit.stem}-fit")
+    record = fit.run(options.fit, options.overrides, many)
+    if record is not None:
+        print(fit_report.write(many.folder))
+        fit_results.raise_faults(record)
+    return 0
+
+
 def _suite(options: argparse.Namespace) -> int:
     """Run a suite; 1 if a problem fails."""
     configure_log("info")
@@ -239,7 +252,7 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
 def _report(options: argparse.Namespace) -> int:
     configure_log("info")
     with stack_needed():
-        from app.report import compare, evidence, run_report, sweep_report
+        from app.report import compare, evidence, fit_report, run_report, sweep_report
 
     folder, *others = options.folders
     many = others and not options.evidence
@@ -258,6 +271,9 @@ def _report(options: argparse.Namespace) -> int:
     if run_report.is_run(folder):
         for path in run_report.write(folder, spread=options.spread):
             print(path)
+        return 0
+    if fit_report.is_fit(folder):
+        print(fit_report.write(folder))
         return 0
     files, cases = sweep_report.run(folder)
     print(f"{sum(c.done for c in cases)} of {len(cases)} cases have results")
@@ -285,6 +301,7 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "place": _place,
     "study": _campaign,
     "sweep": _campaign,
+    "fit": _fit,
     "report": _report,
     "verify": _suite,
     "stress": _suite,

@@ -77,8 +77,12 @@ COMMANDS = {
         "run many cases that vary one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
+    "fit": (
+        "find values of keys by which numbers reach measured ones, or are smallest or largest",
+        f"fit --set --allow-scripts {MANY}",
+    ),
     "report": (
-        "write the page of a run or sweep again, or compare several runs",
+        "write the page of a run, sweep or fit again, or compare several runs",
         "folders -o --spread --evidence --methods",
     ),
     "verify": ("solve problems with known answers and compare", SUITE),
@@ -89,6 +93,7 @@ COMMANDS = {
 }
 OUTPUTS = {
     "check": "also mesh the case and draw it: FOLDER/<name of CASE>.png",
+    "fit": "folder of the results, default: out/<name of FIT>-fit",
     "mesh": "folder of <name of CASE>.msh, default: out; or NAME.inp, a CalculiX deck of the case",
     "place": "the page, default: out/<name of CASE>-place.html",
     "report": "folder of compare.html, for several runs; default: out",
@@ -106,11 +111,15 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "sweep": dict(
         type=Path, metavar="SWEEP", help="sweep file (YAML): a base case and the keys that vary"
     ),
+    "fit": dict(
+        type=Path, metavar="FIT", help="fit file (YAML): a base case, keys with bounds, and an aim"
+    ),
     "folders": dict(
         type=Path,
         nargs="+",
         metavar="DIR",
-        help="folder that mantle run or sweep has written; several folders of runs are compared",
+        help="folder that mantle run, sweep or fit has written; several folders of runs are "
+        "compared",
     ),
     "key": dict(
         nargs="*",

@@ -74,7 +74,7 @@ class StoppedError(MantleError):
 
 
 class UnusableError(MantleError):
-    """Solved, but out of balance or beyond small displacements: do not use the numbers."""
+    """Solved, but do not use the numbers: out of balance, large displacements, or not fitted."""
 
     exit_code = 6
 

@@ -20,6 +20,7 @@ from ruamel.yaml import YAML
 import mantle
 from app.case import new_case
 from app.case.case import Case, load
+from app.case.fit import FitFile
 from app.case.quantities import TABLE
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
@@ -145,7 +146,8 @@ def test_docs_yaml_blocks_are_cases_or_parts(page: Path, text: str, tmp_path: Pa
             script("parametric_hip").write(tmp_path)
         assert load(tmp_path / "case.yaml").config.loads
     elif "base" in data:
-        assert (StudyFile if "study" in data else Sweep).model_validate(data)
+        kinds = {"study": StudyFile, "fit": FitFile}
+        assert next((kinds[key] for key in kinds if key in data), Sweep).model_validate(data)
     else:
         assert data.keys() <= Case.model_fields.keys()
 

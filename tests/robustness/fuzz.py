@@ -26,6 +26,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from app import rooms  # noqa: F401  (registers keys that cases have)
+from app.case import fit as fit_file
 from app.case import gmsh_header
 from app.case import study as study_file
 from app.case import sweep as sweep_file
@@ -198,6 +199,8 @@ def read(path: Path, overrides: list[str]) -> None:
         sweep_file.read(path, overrides)
     elif "study" in data or path.parent.name == "studies":
         study_file.read(path, overrides)
+    elif "fit" in data or path.parent.name == "fits":
+        fit_file.read(path, overrides)
     else:
         loaded = load(path, overrides)
         case = loaded.config
@@ -275,7 +278,7 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
         raw = (of_text, of_text, of_tree, of_tree)[rng.randrange(4)](rng, text)
         path.write_bytes(raw)
         overrides = options(rng, text) if rng.random() < 0.3 else []
-        many = name.parent.name in ("sweeps", "studies") or b"variations" in raw
+        many = name.parent.name in ("fits", "sweeps", "studies") or b"variations" in raw
         limit = SECONDS_OF_MANY if many else SECONDS
         # A base by its name is a shipped file.
         places = (f"{folder}", f"{CONFIGS}", "--set ")

@@ -1,0 +1,607 @@
+"""Results of a fit: its runs, keys with uncertainties, verdicts, and tables."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NotRequired, TypedDict
+
+import numpy as np
+
+from app.campaigns import identifiability
+from app.campaigns.batch import Options
+from app.campaigns.identifiability import KNOWN_RANGE, Identifiability, identify
+from app.campaigns.runs import Result, reason
+from app.case import points, quantities
+from app.case.fit import FitProblem
+from app.case.points import short_keys
+from app.foundation.arrays import Floats
+from app.foundation.errors import ConvergenceError, InputError, UnusableError, gravest
+from app.foundation.verdict import Severity, Verdict, recorded, texts_of
+from app.schema.yaml_file import Fault
+from app.system import identity, layout
+from app.system.folders import csv_text
+
+# Deviation of a number from its target [standard uncertainties] that is doubtful, and that is not
+# reached.
+DOUBTFUL = 2.0
+NOT_REACHED = 3.0
+# Half width of an interval of 95 % [standard uncertainties].
+INTERVAL = 1.96
+# Distance to a bound at which a key has reached it, as a fraction of its range.
+AT_BOUND = 2e-3
+# Change of a number over the range of a key that is rounding, relative to the number.
+ROUNDING = 1e-6
+# Uncertainty from which a key is not determined, as a fraction of its range.
+UNDETERMINED = KNOWN_RANGE
+
+
+@dataclass(frozen=True)
+class FitRun:
+    """A run of a fit.
+
+    Attributes:
+        name: ``start``, ``step 3``, or ``step 3, +friction_coefficient`` for a derivative.
+        shares: Keys as fractions of their ranges, as rounded in the case (keys,).
+        values: Values of the keys.
+        array: Numbers of the fit in units of ``summary.json`` (numbers,); nan if the run failed.
+        misfit: Sum over the targets of the squares of (number - value) / uncertainty; nan without
+            targets.
+        exit_code: 0 if it is done.
+        message: Why it failed.
+        seconds: Wall time.
+        folder: Run directory; None if the case was refused.
+    """
+
+    name: str
+    shares: Floats
+    values: dict[str, object]
+    array: Floats
+    misfit: float
+    exit_code: int
+    message: str
+    seconds: float
+    folder: Path | None
+
+    @property
+    def done(self) -> bool:
+        """Return True if the run has numbers."""
+        return self.exit_code == 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a search.
+
+    Attributes:
+        best: The run with the fitted values; if no run meets the constraints, the closest one.
+        derivatives: Of the numbers by the keys, over their ranges (numbers, keys); nan where runs
+            failed. None if there were too few runs.
+        converged: False if the search stopped because it had used its runs.
+    """
+
+    best: FitRun
+    derivatives: Floats | None
+    converged: bool
+
+
+class KeyRow(TypedDict):
+    """A key in ``fit.json``.
+
+    Attributes:
+        value: Value with its unit, as in a case.
+        number: Value without unit.
+        unit: Its unit.
+        low: Lower bound.
+        high: Upper bound.
+        scale: Scale of its range.
+        uncertainty: Standard uncertainty by the targets; None if they do not determine it.
+        interval: Ends of its interval of 95 %, within the bounds; empty likewise.
+        at: ``low`` or ``high`` if the key is at a bound.
+    """
+
+    value: object
+    number: float
+    unit: str
+    low: float
+    high: float
+    scale: str
+    uncertainty: float | None
+    interval: list[float]
+    at: str
+
+
+class NumberRow(TypedDict):
+    """A number in ``fit.json``, in the unit of ``summary.json``.
+
+    Attributes:
+        value: Value in the best run.
+        unit: Its unit.
+        derivatives: Change over the range of each key by the derivatives at the best run.
+        target: Wanted value.
+        uncertainty: Its standard uncertainty.
+        deviation: (value - target) / uncertainty [-].
+        at_least: Lower bound.
+        at_most: Upper bound.
+    """
+
+    value: float
+    unit: str
+    derivatives: dict[str, float | None]
+    target: NotRequired[float]
+    uncertainty: NotRequired[float]
+    deviation: NotRequired[float]
+    at_least: NotRequired[float]
+    at_most: NotRequired[float]
+
+
+class FitRow(TypedDict):
+    """A run in ``fit.json``."""
+
+    name: str
+    values: dict[str, object]
+    shares: list[float]
+    numbers: dict[str, float]
+    misfit: float | None
+    exit_code: int
+    message: str
+    seconds: float
+    folder: str
+
+
+class FitRecord(TypedDict):
+    """Content of ``fit.json``.
+
+    Attributes:
+        title: Title of the fit.
+        file: Its file.
+        overrides: Options ``--set``.
+        program: Version and hash of the program.
+        aim: ``targets``, ``minimise`` or ``maximise``.
+        objective: Number or key of the aim; empty with targets.
+        converged: False if the search used all its runs.
+        best: Name of the run with the fitted values.
+        command: Command that repeats this run.
+        misfit: Its sum of squares; None without targets.
+        keys: Fitted keys.
+        numbers: Numbers of the aim and of the constraints.
+        correlation: Correlation of the keys; nan is None. Empty without targets.
+        covariance: Covariance of the keys as fractions of their ranges, without the directions that
+            the targets do not determine; empty likewise.
+        singular_values: Of the derivatives, in uncertainties by ranges; empty likewise.
+        verdicts: What speaks for or against the result.
+        runs: All runs in their order.
+    """
+
+    title: str
+    file: str
+    overrides: list[str]
+    program: str
+    aim: str
+    objective: str
+    converged: bool
+    best: str
+    command: str
+    misfit: float | None
+    keys: dict[str, KeyRow]
+    numbers: dict[str, NumberRow]
+    correlation: list[list[float | None]]
+    covariance: list[list[float]]
+    singular_values: list[float]
+    verdicts: list[dict[str, str]]
+    runs: list[FitRow]
+
+
+def fit_run(
+    problem: FitProblem, name: str, shares: Floats, result: Result | None, refusal: str
+) -> FitRun:
+    """Return a run of a fit, from its result or the reason of its refusal.
+
+    Raises:
+        InputError: The run is done and lacks a number.
+    """
+    names = problem.fit.numbers
+    values = problem.values(shares)
+    array: Floats = np.full(len(names), np.nan)
+    if result is None:
+        code, message = InputError.exit_code, refusal
+        return FitRun(name, shares, values, array, math.nan, code, message, 0.0, None)
+    if result.exit_code == 0:
+        numbers = {n: quantities.read(result.summary, n) for n in names}
+        text = "is not in summary.json of this case; mantle explain lists the results"
+        lacking = [Fault(problem.path_of(n), text) for n, v in numbers.items() if v is None]
+        problem.file.raise_all(lacking)
+        array = np.array([v for v in numbers.values() if v is not None])
+    misfit = math.nan
+    targets = problem.fit.number_targets
+    if targets:
+        pairs = zip(array, targets.values(), strict=True)
+        misfit = float(sum(((v - t.value) / t.uncertainty) ** 2 for v, t in pairs))
+    return FitRun(
+        name,
+        shares,
+        values,
+        array,
+        misfit,
+        result.exit_code,
+        reason(result.message),
+        result.seconds,
+        result.folder,
+    )
+
+
+def cost(problem: FitProblem, run: FitRun) -> float:
+    """Objective of a run, with the other sign if it is maximised; nan if the run failed."""
+    fit = problem.fit
+    sign = 1.0 if fit.minimise else -1.0
+    if fit.objective in fit.keys:
+        share = float(run.shares[[*fit.keys].index(fit.objective)])
+        return sign * share if run.done else math.nan
+    return sign * float(run.array[fit.numbers.index(fit.objective)])
+
+
+def violations(problem: FitProblem, run: FitRun) -> Floats:
+    """Violation of each bound of a number, relative to the bound; negative if it is met."""
+    fit = problem.fit
+    missing = []
+    for name, (low, high) in fit.limits.items():
+        value = float(run.array[fit.numbers.index(name)])
+        if math.isfinite(low):
+            missing.append((low - value) / (abs(low) or 1.0))
+        if math.isfinite(high):
+            missing.append((value - high) / (abs(high) or 1.0))
+    return np.array(missing)
+
+
+def record(
+    problem: FitProblem, options: Options, runs: Sequence[FitRun], outcome: Outcome
+) -> FitRecord:
+    """Content of ``fit.json``."""
+    fit, best = problem.fit, outcome.best
+    known = None
+    if fit.targets and outcome.derivatives is not None:
+        scale = np.array([t.uncertainty for t in fit.number_targets.values()])
+        known = identify(np.nan_to_num(outcome.derivatives / scale[:, None]))
+    verdicts = [*_of_runs(problem, runs, outcome), *_of_keys(problem, best)]
+    if fit.targets:
+        verdicts += _of_targets(problem, best)
+    else:
+        verdicts += _of_constraints(problem, best)
+    if known is not None:
+        verdicts += _of_knowledge(problem, known)
+    elif outcome.derivatives is not None:
+        verdicts += _of_influence(problem, outcome.derivatives, best)
+    changes = [f"--set {shlex.quote(o)}" for o in points.as_overrides(problem.changes(best.values))]
+    changes += [f"--set {shlex.quote(o)}" for o in problem.overrides]
+    return {
+        "title": problem.title,
+        "file": str(problem.path),
+        "overrides": list(problem.overrides),
+        "program": identity.program(),
+        "aim": "targets" if fit.targets else "minimise" if fit.minimise else "maximise",
+        "objective": fit.objective,
+        "converged": outcome.converged,
+        "best": best.name,
+        "command": f"mantle run {shlex.quote(str(problem.base))} {' '.join(changes)}",
+        "misfit": best.misfit if fit.targets else None,
+        "keys": _key_rows(problem, best, known),
+        "numbers": _number_rows(problem, best, outcome.derivatives),
+        "correlation": [_plain(row) for row in known.correlation] if known else [],
+        "covariance": [_floats(row) for row in known.covariance] if known else [],
+        "singular_values": _floats(known.singular_values) if known else [],
+        "verdicts": [v.record() for v in verdicts],
+        "runs": [_run_row(problem, run, options.folder) for run in runs],
+    }
+
+
+def _floats(values: Floats) -> list[float]:
+    """Numbers for JSON."""
+    return [float(v) for v in values]
+
+
+def _plain(values: Floats) -> list[float | None]:
+    """Numbers for JSON, None for nan."""
+    return [float(v) if math.isfinite(v) else None for v in values]
+
+
+def _key_rows(
+    problem: FitProblem, best: FitRun, known: Identifiability | None
+) -> dict[str, KeyRow]:
+    rows: dict[str, KeyRow] = {}
+    for k, (key, bounds) in enumerate(problem.fit.keys.items()):
+        share = float(best.shares[k])
+        deviation = float(known.uncertainties[k]) if known else math.inf
+        determined = deviation < UNDETERMINED
+        ends = (max(0.0, share - INTERVAL * deviation), min(1.0, share + INTERVAL * deviation))
+        # The uncertainty on a logarithmic scale, too: half of the interval of one deviation.
+        around = bounds.number(share + deviation) - bounds.number(share - deviation)
+        rows[key] = {
+            "value": best.values[key],
+            "number": bounds.number(share),
+            "unit": bounds.unit,
+            "low": bounds.number(0.0),
+            "high": bounds.number(1.0),
+            "scale": bounds.scale,
+            "uncertainty": 0.5 * around if determined else None,
+            "interval": [bounds.number(end) for end in ends] if determined else [],
+            "at": _at_bound(share),
+        }
+    return rows
+
+
+def _at_bound(share: float) -> str:
+    """Bound that a key has reached: low, high, or none."""
+    if share < AT_BOUND:
+        return "low"
+    return "high" if share > 1.0 - AT_BOUND else ""
+
+
+def _number_rows(
+    problem: FitProblem, best: FitRun, derivatives: Floats | None
+) -> dict[str, NumberRow]:
+    fit = problem.fit
+    rows: dict[str, NumberRow] = {}
+    for i, name in enumerate(fit.numbers):
+        value = float(best.array[i])
+        changes = {} if derivatives is None else _plain(derivatives[i])
+        row: NumberRow = {
+            "value": value,
+            "unit": quantities.find(name).unit,
+            "derivatives": dict(zip(fit.keys, changes, strict=False)),
+        }
+        if name in fit.number_targets:
+            target = fit.number_targets[name]
+            row["target"] = target.value
+            row["uncertainty"] = target.uncertainty
+            row["deviation"] = (value - target.value) / target.uncertainty
+        low, high = fit.limits.get(name, (-math.inf, math.inf))
+        if math.isfinite(low):
+            row["at_least"] = low
+        if math.isfinite(high):
+            row["at_most"] = high
+        rows[name] = row
+    return rows
+
+
+def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
+    names = problem.fit.numbers
+    return {
+        "name": run.name,
+        "values": run.values,
+        "shares": _floats(run.shares),
+        "numbers": {n: float(v) for n, v in zip(names, run.array, strict=True) if run.done},
+        "misfit": run.misfit if math.isfinite(run.misfit) else None,
+        "exit_code": run.exit_code,
+        "message": run.message,
+        "seconds": round(run.seconds, 3),
+        "folder": os.path.relpath(run.folder, folder) if run.folder else "",
+    }
+
+
+# Verdicts
+
+
+def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> Iterator[Verdict]:
+    """Verdicts on the number of runs, and on those that failed."""
+    if not outcome.converged:
+        what = f"the search stopped after {len(runs)} runs, before it converged"
+        cure = f"set fit.runs above {problem.fit.runs}; the same command continues"
+        yield Verdict(what, "fit.runs", cure)
+    failed = [run for run in runs if not run.done]
+    if failed:
+        what = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: "
+        what += "; ".join(f"{run.name}: {run.message}" for run in failed)
+        yield Verdict(what, severity=Severity.WARNING)
+    if outcome.derivatives is not None:
+        for k, key in enumerate(problem.fit.keys):
+            if np.isnan(outcome.derivatives[:, k]).any():
+                what = "runs on both sides of the result failed, so that its influence is unknown"
+                yield Verdict(what, key, "choose other bounds", Severity.WARNING)
+
+
+def _of_keys(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on keys at their bounds."""
+    fit = problem.fit
+    for (key, bounds), share in zip(fit.keys.items(), best.shares, strict=True):
+        at = _at_bound(float(share))
+        if at:
+            end, words = ("low", "lower") if at == "low" else ("high", "upper")
+            what = f"is at its {words} bound, {getattr(bounds, end)}"
+            cure = f"set another '{end}' if values beyond it are possible"
+            severity = Severity.WARNING if fit.targets else Severity.PLAIN
+            yield Verdict(what, key, cure, severity)
+
+
+def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on targets that the best run does not reach."""
+    at_bound = any(_at_bound(float(share)) for share in best.shares)
+    cure = "widen the bounds" if at_bound else "check the target and its uncertainty"
+    cure += ", or add a key that changes this number"
+    for name, value in zip(problem.fit.numbers, best.array, strict=True):
+        target = problem.fit.number_targets[name]
+        away = abs(value - target.value) / target.uncertainty
+        if away > DOUBTFUL:
+            wanted = shown(name, target.value)
+            what = f"is {shown(name, float(value))} at best and cannot reach {wanted}: "
+            what += f"{away:.1f} uncertainties of {shown(name, target.uncertainty)} remain"
+            severity = Severity.ERROR if away > NOT_REACHED else Severity.WARNING
+            yield Verdict(what, name, cure, severity)
+
+
+def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdict]:
+    """Verdicts on keys that the targets do not determine, or do not tell apart."""
+    fit = problem.fit
+    names = [*short_keys(list(fit.keys)).values()]
+    full = [*fit.keys]
+    for direction in known.undetermined():
+        if len(direction) == 1:
+            (k,) = direction
+            low, high = fit.keys[full[k]].low, fit.keys[full[k]].high
+            what = "the targets do not determine it: from one bound to the other "
+            what += f"({low} to {high}) the numbers change by {known.influence[k]:.2g} of their "
+            yield Verdict(
+                what + "uncertainties",
+                full[k],
+                "leave this key out, or add a number that depends on it",
+            )
+            continue
+        what = "the targets cannot tell these keys apart: the numbers hardly change if "
+        what += f"{identifiability.in_words(direction, names)} change together"
+        cure = "fix one of them, or add a number on which they act in different ways"
+        if len(fit.targets) < len(fit.keys):
+            what = f"{len(fit.keys)} keys and {len(fit.targets)} targets: {what}"
+        yield Verdict(what, ", ".join(full[k] for k in direction), cure)
+
+
+def _of_influence(problem: FitProblem, derivatives: Floats, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on keys without influence on any number."""
+    changes = np.abs(np.nan_to_num(derivatives))
+    for k, key in enumerate(problem.fit.keys):
+        if key != problem.fit.objective and (changes[:, k] <= ROUNDING * abs(best.array)).all():
+            what = "has no influence on the numbers, so that its value is arbitrary"
+            yield Verdict(what, key, "leave this key out", Severity.WARNING)
+
+
+def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on the constraints of the best run."""
+    fit = problem.fit
+    for name, (low, high) in fit.limits.items():
+        value = float(best.array[fit.numbers.index(name)])
+        for limit, words, beyond in (
+            (low, "at least", low - value),
+            (high, "at most", value - high),
+        ):
+            if beyond > 0:
+                what = "no run meets all constraints; in the closest one it is "
+                what += f"{shown(name, value)}, and it must be {words} {shown(name, limit)}"
+                yield Verdict(what, name, "widen the bounds of the keys, or relax this constraint")
+
+
+def raise_faults(of: FitRecord) -> None:
+    """Raise the errors among the verdicts of a fit.
+
+    Raises:
+        ConvergenceError: The search used all its runs.
+        UnusableError: The result must not be used.
+    """
+    errors = texts_of(recorded(of), Severity.ERROR)
+    if errors:
+        codes = [UnusableError.exit_code] if of["converged"] else [ConvergenceError.exit_code]
+        raise gravest(codes, "\n".join(errors))
+
+
+# Tables
+
+
+def shown(name: str, value: float) -> str:
+    """A number with its unit as printed."""
+    q = quantities.find(name)
+    return f"{q.factor * value:.4g} {quantities.printed(q.shown)}".strip()
+
+
+def line(problem: FitProblem, run: FitRun) -> str:
+    """Keys, numbers and misfit of a run in a line."""
+    short = short_keys(list(problem.fit.keys))
+    keys = ", ".join(f"{short[key]} {value}" for key, value in run.values.items())
+    if not run.done:
+        return f"{run.name}: {keys}: {run.message}"
+    pairs = zip(problem.fit.numbers, run.array, strict=True)
+    numbers = ", ".join(f"{name} {shown(name, float(value))}" for name, value in pairs)
+    misfit = f", misfit {run.misfit:.3g}" if problem.fit.targets else ""
+    return f"{run.name}: {keys}: {numbers}{misfit}"
+
+
+def key_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of keys."""
+    head = ["key", "value", "unit", "±", "95 % interval", "bounds"]
+    if of["aim"] != "targets":
+        head = [word for word in head if word not in ("±", "95 % interval")]
+    rows = []
+    for key, row in of["keys"].items():
+        cells = [key, f"{row['number']:.4g}", row["unit"]]
+        if of["aim"] == "targets":
+            known = row["uncertainty"] is not None
+            cells.append(f"{row['uncertainty']:.2g}" if known else "not determined")
+            cells.append(" to ".join(f"{end:.4g}" for end in row["interval"]) or "-")
+        rows.append([*cells, f"{row['low']:.4g} to {row['high']:.4g}"])
+    return head, rows
+
+
+def number_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of numbers."""
+    if of["aim"] == "targets":
+        head = ["number", "unit", "target", "±", "reached", "deviation / ±"]
+    else:
+        head = ["number", "unit", "at least", "at most", "reached"]
+    rows = []
+    for name, row in of["numbers"].items():
+        q = quantities.find(name)
+
+        def text(value: float | None, digits: int = 4, factor: float = q.factor) -> str:
+            return "" if value is None else f"{factor * value:.{digits}g}"
+
+        cells = [name, quantities.printed(q.shown)]
+        if of["aim"] == "targets":
+            cells += [text(row["target"]), text(row["uncertainty"], 2), text(row["value"])]
+            cells.append(f"{row['deviation']:+.1f}")
+        else:
+            cells += [text(row.get("at_least")), text(row.get("at_most")), text(row["value"])]
+        rows.append(cells)
+    return head, rows
+
+
+def run_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of runs."""
+    short = short_keys(list(of["keys"]))
+    numbers = [*of["numbers"]]
+    targets = of["aim"] == "targets"
+    head = ["run", *short.values(), *map(quantities.titled, numbers)]
+    head += ["misfit", "time"] if targets else ["time"]
+    rows = []
+    for run in of["runs"]:
+        cells = [run["name"], *(str(value) for value in run["values"].values())]
+        for name in numbers:
+            value = run["numbers"].get(name)
+            cells.append("-" if value is None else f"{quantities.find(name).factor * value:.4g}")
+        if targets:
+            cells.append("failed" if run["misfit"] is None else f"{run['misfit']:.3g}")
+        rows.append([*cells, layout.duration(run["seconds"])])
+    return head, rows
+
+
+def correlation_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of correlations; no rows for a single key."""
+    names = [*short_keys(list(of["keys"])).values()]
+    rows = [
+        [name, *("-" if value is None else f"{value:+.2f}" for value in row)]
+        for name, row in zip(names, of["correlation"], strict=False)
+    ]
+    return ["correlation", *names], rows if len(names) > 1 else []
+
+
+def text(of: FitRecord) -> str:
+    """Tables and verdicts of a fit."""
+    parts = [layout.table(*run_rows(of)), layout.table(*key_rows(of))]
+    head, correlations = correlation_rows(of)
+    if correlations:
+        parts.append(layout.table(head, correlations))
+    parts.append(layout.table(*number_rows(of)))
+    parts.append(f"{of['best']} has these values; to repeat it: {of['command']}")
+    return "\n\n".join(parts)
+
+
+def csv(of: FitRecord) -> str:
+    """Table of the runs as CSV, in units of ``summary.json``."""
+    rows = []
+    for run in of["runs"]:
+        numbers = {f"{n} [{of['numbers'][n]['unit']}]": v for n, v in run["numbers"].items()}
+        row = {"run": run["name"], **run["values"], **numbers}
+        if of["aim"] == "targets":
+            row["misfit [-]"] = run["misfit"]
+        row |= {"exit code": run["exit_code"], "wall [s]": run["seconds"]}
+        rows.append(row | {"message": run["message"], "folder": run["folder"]})
+    return csv_text(rows)
