@@ -236,6 +236,15 @@ def _suite(options: argparse.Namespace) -> int:
     return 0 if suite.run(options.command, many) else CHECK_FAILED
 
 
+def _validate(options: argparse.Namespace) -> int:
+    """Run experiments; 1 if this version computes other values than the committed predictions."""
+    configure_log("info")
+    from app.validation import campaign
+
+    many = _many(options, Path("out") / "validate")
+    return 0 if campaign.run(many, record=options.record) else CHECK_FAILED
+
+
 def _many(options: argparse.Namespace, folder: Path) -> Options:
     from app.campaigns.batch import Options
 
@@ -306,6 +315,7 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "verify": _suite,
     "stress": _suite,
     "bench": _suite,
+    "validate": _validate,
     "explain": _explain,
     "doctor": _doctor,
 }

@@ -88,6 +88,10 @@ COMMANDS = {
     "verify": ("solve problems with known answers and compare", SUITE),
     "stress": ("solve extreme cases: each is right, or refused with a reason", SUITE),
     "bench": ("measure the cost of contact, from 20 000 unknowns (20 minutes)", SUITE),
+    "validate": (
+        "predict published experiments and compare with what was measured",
+        f"{SUITE} --record",
+    ),
     "explain": ("explain a key, a result or a term, such as E, fixed or friction", "key --schema"),
     "doctor": ("check this machine: MPI, BLAS, compiler, threads", ""),
 }
@@ -219,6 +223,10 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         choices=("quick", "default", "long"),
         default="default",
         help="quick: seconds; default; long: also problems that take long",
+    ),
+    "--record": dict(
+        action="store_true",
+        help="write the predictions of these runs into docs/validation/predictions.json",
     ),
     "--spread": dict(
         type=Path,

@@ -19,7 +19,7 @@ from app import __version__
 
 # Modules that no number of a run depends on: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"app/(__init__|cli|(campaigns|command_line|report|verification)/.*|results/reading"
+    r"app/(__init__|cli|(campaigns|command_line|report|validation|verification)/.*|results/reading"
     r"|case/(fit|keys|new_case|study|sweep)|system/doctor)\.py"
 )
 MISSING = "missing"

@@ -1,0 +1,1 @@
+"""Published experiments: predictions from inputs alone, and their comparison with measurements."""

@@ -1,0 +1,121 @@
+"""An experiment: its files, the quantities that are predicted, and the runs that they need.
+
+The file ``configs/experiments/NAME.yaml`` is a sweep with three parts::
+
+    nominal    the conditions of the experiment with the middle of each range
+    finer      the same on a finer mesh
+    samples    the same conditions, with inputs drawn from their ranges by a Latin hypercube
+
+A condition is an entry of the axis ``table``, such as the finish of a rod. Conditions whose inputs
+have other ranges are parts of their own, ``samples_polished``; with the same seed and number of
+inputs they draw the same fractions of all ranges. Every part has the same conditions. The case
+that the sweep varies is ``configs/validation/NAME.yaml``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import configs
+from app.case import sweep as sweep_file
+from app.case.case import PlannedRun
+from app.case.points import LatinHypercube
+from app.results.reading import Results
+
+# Names of the parts of the sweep of an experiment.
+NOMINAL = "nominal"
+FINER = "finer"
+SAMPLES = "samples"
+# Name of a sample at the end of the name of a point, before its number.
+SAMPLE = "sample"
+
+# Results of a run for each condition, by its name; the name is empty if there is only one.
+Conditions = Mapping[str, Results]
+
+
+@dataclass(frozen=True)
+class PredictedQuantity:
+    """A quantity of an experiment.
+
+    Attributes:
+        text: The quantity in words.
+        unit: Its unit; "-" if it has none.
+        number: Its value in this unit, from the results of all conditions.
+        failure: The meaning of a measured value outside of the predicted band.
+    """
+
+    text: str
+    unit: str
+    number: Callable[[Conditions], float]
+    failure: str
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A published experiment.
+
+    Attributes:
+        name: Name of its files.
+        title: The experiment in a few words.
+        blind: True if the prediction was made before anybody compared.
+        quantities: The quantities that are predicted, by name.
+    """
+
+    name: str
+    title: str
+    blind: bool
+    quantities: Mapping[str, PredictedQuantity]
+
+    @property
+    def sweep(self) -> Path:
+        """The file of its conditions, ranges and meshes."""
+        return configs.FOLDER / "experiments" / f"{self.name}.yaml"
+
+    @cached_property
+    def planned(self) -> list[PlannedRun]:
+        """All runs, in the order of the sweep.
+
+        Raises:
+            InputError: The sweep or one of its cases is wrong.
+        """
+        return sweep_file.read(self.sweep)[1]
+
+    @cached_property
+    def designs(self) -> list[LatinHypercube]:
+        """Ranges of the uncertain inputs of each part of samples, equal in number and seed."""
+        parts = sweep_file.read(self.sweep)[0].parts.values()
+        return [part.latin_hypercube for part in parts if part.latin_hypercube is not None]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of a run in an experiment.
+
+    Attributes:
+        part: Part of the sweep.
+        condition: Name of the condition; empty if there is only one.
+        sample: Number of the sample, from 1; 0 outside of the samples.
+    """
+
+    part: str
+    condition: str
+    sample: int
+
+
+def place(run: PlannedRun) -> Place:
+    """Place of a run, from the name of its point: ``samples_polished/short_sample07``."""
+    of_part, _, label = run.name.partition("/")
+    part, _, first = of_part.partition("_")
+    number = "0"
+    if part == SAMPLES:
+        label, _, number = label.rpartition(SAMPLE)
+    words = (first, label.removesuffix("_"))
+    return Place(part, "_".join(filter(None, words)), int(number))
+
+
+def of_part(runs: Sequence[PlannedRun], part: str) -> list[PlannedRun]:
+    """The runs of one part."""
+    return [run for run in runs if place(run).part == part]

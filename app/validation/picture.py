@@ -1,0 +1,97 @@
+"""Pictures of predictions beside measurements, both with their bands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+
+from app.plots import figures
+from app.plots.figures import PNG
+from app.validation import metrics
+from app.validation.records import Measured, Prediction
+
+# A quantity: its name, its prediction and its measurement.
+Pair = tuple[str, Prediction, Measured | None]
+
+# Colours of predictions and of measurements, by number.
+PREDICTED = 0
+MEASURED = 1
+# Font size of names of quantities.
+WORDS = 8
+# Height of a row [inch].
+ROW = 0.42
+
+
+def draw_all(pairs: Sequence[Pair], path: Path) -> None:
+    """Draw predicted against measured values, on logarithmic axes.
+
+    Numbers without a logarithm are left out, and counted.
+    """
+    figure = figures.new(6.8, 6.4)
+    axes = figure.add_subplot()
+    drawn = 0
+    left_out = 0
+    for name, prediction, measured in pairs:
+        if measured is None:
+            continue
+        low, high = metrics.band(prediction)
+        least, largest = metrics.measured_range(measured)
+        if min(measured.middle, prediction.value, low, least) <= 0:
+            left_out += 1
+            continue
+        colour = figures.colour(PREDICTED if metrics.inside(prediction, measured) else MEASURED)
+        axes.plot([least, largest], [prediction.value] * 2, color=colour, linewidth=1.2)
+        axes.plot([measured.middle] * 2, [low, high], color=colour, linewidth=1.2)
+        axes.plot(measured.middle, prediction.value, "o", color=colour, markersize=5)
+        at = (measured.middle, prediction.value)
+        axes.annotate(f" {name}", at, fontsize=WORDS - 1, va="bottom")
+        drawn += 1
+    axes.set(xscale="log", yscale="log")
+    axes.set_xlabel("measured, with its range")
+    axes.set_ylabel("predicted, 5th to 95th percentile of the inputs ± mesh")
+    if drawn:
+        ends = [*axes.get_xlim(), *axes.get_ylim()]
+        diagonal = [min(ends), max(ends)]
+        axes.plot(diagonal, diagonal, color="0.3", linewidth=0.8)
+        axes.set(xlim=diagonal, ylim=diagonal)
+    text = f"{drawn} quantities with a measurement; blue: inside, orange: outside"
+    if left_out:
+        text += f"; {left_out} not positive"
+    figures.title(axes, text)
+    figures.grid(axes)
+    figures.save(figure, path, 110, PNG)
+
+
+def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
+    """Draw the quantities of an experiment as rows, relative to the predicted values."""
+    figure = figures.new(7.4, 1.3 + ROW * len(pairs))
+    axes = figure.add_subplot()
+    for row, (_, prediction, measured) in enumerate(pairs):
+        _row(axes, row, prediction, measured)
+    axes.axvline(1.0, color="0.3", linewidth=0.8)
+    names = [f"{name}\n{p.value:.3g} {p.unit}" for name, p, _ in pairs]
+    axes.set_yticks(range(len(pairs)), names, fontsize=WORDS)
+    axes.set_ylim(len(pairs) - 0.4, -0.6)
+    axes.set_xlabel("over the predicted value")
+    for k, label in ((PREDICTED, "predicted"), (MEASURED, "measured")):
+        axes.plot([], [], "o-", color=figures.colour(k), label=label)
+    axes.legend(fontsize=WORDS, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    axes.annotate(
+        title, (1.0, 1.0), xycoords="axes fraction", ha="right", va="bottom", fontsize=WORDS
+    )
+    figures.grid(axes)
+    figures.save(figure, path, 110, PNG)
+
+
+def _row(axes: Axes, row: int, prediction: Prediction, measured: Measured | None) -> None:
+    """Draw the two bands of a quantity."""
+    scale = prediction.value or 1.0
+    bands = [(PREDICTED, -0.12, prediction.value, metrics.band(prediction))]
+    if measured is not None:
+        bands.append((MEASURED, 0.12, measured.middle, metrics.measured_range(measured)))
+    for k, shift, middle, ends in bands:
+        colour = figures.colour(k)
+        axes.plot([end / scale for end in ends], [row + shift] * 2, color=colour, linewidth=3)
+        axes.plot(middle / scale, row + shift, "o", color=colour, markersize=5)
