@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
-from app.validation import bearings, interfaces
+from app.validation import bearings, cement, interfaces
 
 EXPERIMENTS = {
-    experiment.name: experiment for experiment in (interfaces.PUSH_OUT, bearings.WEAR_SIZE)
+    experiment.name: experiment
+    for experiment in (
+        cement.BENDING_CREEP,
+        bearings.SIMULATOR_TORQUE,
+        bearings.ROCKING_TORQUE,
+        bearings.WEAR_SIZE,
+        interfaces.PUSH_OUT,
+        interfaces.PLUGS,
+        interfaces.SECTIONS,
+        cement.RESURFACING,
+        interfaces.RODS,
+        cement.DISC,
+        cement.MANTLE,
+        interfaces.SLAB,
+    )
 }

@@ -74,9 +74,6 @@ ORDER_TOLERANCE = 0.2
 # Phases of a run outside set-up and solution.
 APART = ("mesh", "compile", "output", "error", "total")
 
-# Group of problems that compare with experiments.
-EXPERIMENTS = "validation"
-
 log = logging.getLogger("mantle")
 
 
@@ -214,8 +211,8 @@ class Row:
 
     @property
     def may_miss(self) -> bool:
-        """Return True if a miss is a result: of an experiment, or of a goal for the cost."""
-        return self.group in (EXPERIMENTS, "bench")
+        """Return True if a miss is a result, that of a goal for the cost."""
+        return self.group == "bench"
 
 
 def by_group(rows: Iterable[Row]) -> dict[str, list[Row]]:

@@ -5,39 +5,21 @@ Their answers are tested by `app/verification/problems`.
 
 from __future__ import annotations
 
-import json
-import logging
 import re
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
-import numpy as np
-import pytest
-
-from app.campaigns.batch import Options
 from app.case.case import PlannedRun, load
 from app.verification import suite
 from app.verification.problem import within
 from tests.support import CONFIGS
-from tests.verification.made_runs import judged
-
-# Experiments that mantle does not reproduce, as published in docs/verification.md.
-OUTSIDE = {
-    "validation_rods",
-    "validation_disc_ptfe_rise",
-    "validation_disc_foam_rise",
-    "validation_disc_ptfe_time",
-    "validation_disc_foam_time",
-}
 
 
 def test_problems_of_verify_are_well_posed() -> None:
     """Unique short names; cases that exist and say how to run them; sizes that fall."""
     everything = suite.planned("verify", "long")
     names = [planned.row.name for planned in everything]
-    assert len(set(names)) == len(names) == 163
+    assert len(set(names)) == len(names) == 153
     assert max(map(len, names)) <= 26
     for planned in (*everything, *suite.planned("verify")):
         row = planned.row
@@ -54,8 +36,7 @@ def test_problems_of_verify_are_well_posed() -> None:
             assert sizes == sorted(sizes, reverse=True)
             assert len(set(sizes)) == len(sizes) == len(planned.runs) >= 3
     cases = {run.case for planned in everything for run in planned.runs}
-    folders = ("verification", "validation")
-    assert cases == {f"{f}/{p.name}" for f in folders for p in CONFIGS.glob(f"{f}/*.yaml")}
+    assert cases == {f"verification/{p.name}" for p in CONFIGS.glob("verification/*.yaml")}
 
 
 def test_problems_of_stress_are_well_posed(tmp_path: Path) -> None:
@@ -89,48 +70,3 @@ def test_problems_of_stress_are_well_posed(tmp_path: Path) -> None:
     assert len(some) > 150
     assert len(refused) == 3
     assert all(row.group == "floating" and row.tolerance is None for row in refused)
-
-
-@pytest.mark.slow
-def test_problems_of_validation_miss_published_values(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """From end to end; nothing is run twice."""
-    caplog.set_level(logging.INFO, "mantle")
-    options = Options(tmp_path, 2, "validation")
-    assert suite.run("verify", options)
-    entries = json.loads((tmp_path / "verify-validation.json").read_text())
-    missed = {e["name"]: e["message"] for e in entries if e["outcome"] == "missed"}
-    assert missed.keys() == OUTSIDE
-    assert len(entries) == 10
-    assert (tmp_path / "verify-validation.png").stat().st_size > 5_000
-    assert suite.run("verify", options)
-    assert "10 problems: 5 passed, 5 missed" in caplog.text
-    assert re.search(r"(\d+) runs: \1 done already", caplog.text)
-
-
-def test_problems_of_validation_name_sources_and_ranges(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Published means lie within their ranges; notes name the source, the mesh and the range."""
-    name = "validation_disc_foam_peak"
-    others = 4 * [(0.0, 0.0)]
-
-    def note(*peaks: tuple[float, float]) -> str:
-        runs: list[Any] = [
-            SimpleNamespace(step_record={"centre [degC]": np.array([23.0, peak])})
-            for pair in (*peaks, *others)
-            for peak in pair
-        ]
-        row = judged(monkeypatch, "verify", name, runs[:12], tmp_path)
-        assert row.group == "validation"
-        assert row.comparison is not None
-        inside = row.comparison.error < (row.tolerance or 0)
-        assert inside == (row.outcome == "passed")
-        return f"{row.comparison.error:.3g}: {row.comparison.note}"
-
-    near = note((95, 46), (95, 47), (90, 60))
-    assert near.startswith("0.02: 49 ± 1 by mesh, inside the measured 40 to 60; seed 1e-4 30; ")
-    assert "abstract of" in near
-    far = note((95, 34), (95, 34))
-    assert far.startswith("0.22: 61 ± 0 by mesh, OUTSIDE the measured 40 to 60; ")
