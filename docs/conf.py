@@ -32,6 +32,7 @@ demos
 faq
 theory
 verification
+validation/README
 notebook
 paper
 joss/paper
@@ -60,6 +61,20 @@ evidence
 paraview
 python
 trouble
+""",
+    "validation/README": """
+bending_creep
+simulator_torque
+rocking_torque
+wear_size
+push_out
+plugs
+sections
+resurfacing
+disc
+rods
+mantle
+slab
 """,
     "reference/README": """
 case

@@ -38,16 +38,17 @@ if TYPE_CHECKING:
     from app.results.run_folder import Provenance
 
 APPLICANT = "the applicant writes this"
-NO_COMPARATOR = (
-    "no experiment was given: mantle verify -k validation -o FOLDER, then FOLDER after the run"
-)
+NO_COMPARATOR = "no experiment was given: mantle validate -o FOLDER, then FOLDER after the run"
+# Outcome of a prediction that nothing measured is compared with.
+NOT_MEASURED = "predicted"
 # Folder with the repository's files; an installed program has only those of its packages.
 REPOSITORY = configs.FOLDER.parent
 STANDARD = "ASME V&V 40-2018 with the guidance of the FDA of 17 November 2023"
 
 _EXPERIMENTS = (
-    "docs/verification.md",
-    "app/verification/problems/test_validation.py",
+    "docs/validation/README.md",
+    "docs/validation/predictions.json",
+    "app/validation",
     "configs/validation",
 )
 # Files of the repository with evidence for a factor.
@@ -100,7 +101,7 @@ LINKS: Mapping[FactorName, tuple[str, ...]] = {
 
 
 class Check(TypedDict):
-    """Outcome of a problem in ``verify.json``, as far as evidence needs it."""
+    """Outcome of a problem in ``verify.json`` or ``validate.json``, as far as evidence needs it."""
 
     name: str
     group: str
@@ -188,8 +189,7 @@ def write(folders: Sequence[Path], spread: Path | None = None) -> list[Path]:
     """Write ``evidence.html`` and ``evidence.json`` into the folder of the run.
 
     Args:
-        folders: The folder of the run, then folders of ``mantle verify`` with verification and
-            validation problems.
+        folders: The folder of the run, then folders of ``mantle verify`` and ``validate``.
         spread: Folder of a sweep over uncertain inputs of the run's case.
 
     Raises:
@@ -403,10 +403,12 @@ def _finished(folder: Path) -> Results:
 
 
 def _checks(folder: Path) -> list[Check]:
-    files = sorted(folder.glob("verify*.json"))
+    files = sorted([*folder.glob("verify*.json"), *folder.glob("validate.json")])
     if not files:
-        raise InputError(f"{folder}: holds no verify.json; mantle verify -o {folder} writes it")
-    return [check for file in files for check in read_json(file)]
+        text = f"mantle verify or mantle validate with -o {folder} writes one"
+        raise InputError(f"{folder}: holds no verify.json or validate.json; {text}")
+    checks: list[Check] = [check for file in files for check in read_json(file)]
+    return [check for check in checks if check["outcome"] != NOT_MEASURED]
 
 
 def _software(basis: Evidence) -> Finding:

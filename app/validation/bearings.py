@@ -78,7 +78,7 @@ def _exponent(first: float, second: float, ratio: float) -> float:
 COULOMB = (
     "Outside of the band friction is not Coulomb's with the friction factors of other simulators."
 )
-SIZES = (22, 28, 36, 44)
+SIZES = (22, 36, 44)
 ROCKING_TORQUE = Experiment(
     name="rocking_torque",
     title="Friction torque of polyethylene cups by head size and load, rocking",

@@ -40,7 +40,7 @@ from app.validation.experiment import (
     of_part,
     place,
 )
-from app.validation.records import ExperimentRecord, Measured, Prediction, Predictions
+from app.validation.records import ExperimentRecord, Measurement, Prediction, Predictions
 
 log = logging.getLogger("mantle")
 
@@ -53,7 +53,7 @@ COMMITTED = ("app", "forms", "meshes", "configs")
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ComparedQuantity:
     """A quantity: its committed prediction, its value of today and its measurement.
 
     Attributes:
@@ -66,7 +66,7 @@ class Comparison:
     quantity: str
     today: float
     prediction: Prediction
-    measured: Measured | None
+    measured: Measurement | None
 
     @property
     def reproduced(self) -> bool:
@@ -100,7 +100,7 @@ def run(options: Options, *, record: bool) -> bool:
     measured = records.measurements(known)
     results = _results(planned, options)
     comparisons = [
-        Comparison(
+        ComparedQuantity(
             experiment.name,
             name,
             quantity.number(_conditions(results[experiment.name], NOMINAL)),
@@ -326,10 +326,10 @@ def _predicted_table(name: str, predicted: Mapping[str, Prediction]) -> str:
     return layout.table((name, "unit", "predicted", "± mesh", "band"), rows)
 
 
-# Comparison
+# ComparedQuantity
 
 
-def _write(comparisons: Sequence[Comparison], options: Options) -> None:
+def _write(comparisons: Sequence[ComparedQuantity], options: Options) -> None:
     """Log the table; write the numbers and the pictures."""
     table = [_row(c) for c in comparisons]
     log.info("%s", layout.table(list(table[0]), [list(row.values()) for row in table]))
@@ -349,7 +349,7 @@ def _write(comparisons: Sequence[Comparison], options: Options) -> None:
             picture.draw_one(name, of_one, pictures[name])
 
 
-def _row(c: Comparison) -> dict[str, object]:
+def _row(c: ComparedQuantity) -> dict[str, object]:
     """A row of the table."""
     p, m = c.prediction, c.measured
     row: dict[str, object] = {
@@ -375,7 +375,7 @@ def _row(c: Comparison) -> dict[str, object]:
     return row
 
 
-def _is_spread(measured: Measured) -> bool:
+def _is_spread(measured: Measurement) -> bool:
     return measured.range is not None or measured.uncertainty is not None
 
 
@@ -383,17 +383,25 @@ def _interval(ends: tuple[float, float]) -> str:
     return f"{ends[0]:.3g} to {ends[1]:.3g}"
 
 
-def as_json(c: Comparison) -> dict[str, object]:
+def as_json(c: ComparedQuantity) -> dict[str, object]:
     """The entry of ``validate.json``."""
     p, m = c.prediction, c.measured
+    outcome = "predicted"
+    if m is not None:
+        outcome = "passed" if metrics.inside(p, m) else "missed"
     return {
+        "name": f"{c.experiment}.{c.quantity}",
+        "group": "validation",
+        "outcome": outcome,
+        "value": p.value,
+        "reference": m.middle if m else None,
+        "note": f"{p.text}; {m.source}" if m else p.text,
         "experiment": c.experiment,
         "quantity": c.quantity,
         "blind": EXPERIMENTS[c.experiment].blind,
         "today": c.today,
         "prediction": p.model_dump(mode="json"),
         "measured": m.model_dump(mode="json") if m else None,
-        "inside": metrics.inside(p, m) if m else None,
         "normalised_error": metrics.normalised_error(p, m) if m else None,
         "area_metric": metrics.area_metric(p, m) if m else None,
     }

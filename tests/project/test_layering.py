@@ -43,7 +43,7 @@ ROWS = (
     ("simulation",),
     ("bearing", "fatigue", "patient", "press_fit", "remodelling"),
     ("campaigns",),
-    ("report", "verification"),
+    ("report", "validation", "verification"),
     ("command_line",),
 )
 TOP = ("mantle", "app.cli", "app.rooms")
