@@ -40,7 +40,7 @@ from app.validation.experiment import (
     of_part,
     place,
 )
-from app.validation.records import ExperimentRecord, Measurement, Prediction, Predictions
+from app.validation.records import ExperimentRecord, MeasuredQuantity, Prediction, Predictions
 
 log = logging.getLogger("mantle")
 
@@ -66,7 +66,7 @@ class ComparedQuantity:
     quantity: str
     today: float
     prediction: Prediction
-    measured: Measurement | None
+    measured: MeasuredQuantity | None
 
     @property
     def reproduced(self) -> bool:
@@ -375,7 +375,7 @@ def _row(c: ComparedQuantity) -> dict[str, object]:
     return row
 
 
-def _is_spread(measured: Measurement) -> bool:
+def _is_spread(measured: MeasuredQuantity) -> bool:
     return measured.range is not None or measured.uncertainty is not None
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.stats import norm
 
-from app.validation.records import Measurement, Prediction
+from app.validation.records import MeasuredQuantity, Prediction
 
 # Points of the quadrature over probabilities.
 PROBABILITIES = 4000
@@ -21,22 +21,22 @@ def band(prediction: Prediction) -> tuple[float, float]:
     return low - prediction.discretization, high + prediction.discretization
 
 
-def measured_range(measured: Measurement) -> tuple[float, float]:
-    """Measurement range; without one the value and two standard uncertainties on either side."""
+def measured_range(measured: MeasuredQuantity) -> tuple[float, float]:
+    """MeasuredQuantity range; without one the value and two standard uncertainties on either side."""
     if measured.range is not None:
         return measured.range
     around = EXPANDED * (measured.uncertainty or 0.0)
     return measured.middle - around, measured.middle + around
 
 
-def inside(prediction: Prediction, measured: Measurement) -> bool:
+def inside(prediction: Prediction, measured: MeasuredQuantity) -> bool:
     """Return True if the predicted band and the measured range overlap."""
     low, high = band(prediction)
     least, largest = measured_range(measured)
     return low <= largest and least <= high
 
 
-def standard_uncertainty(measured: Measurement) -> float:
+def standard_uncertainty(measured: MeasuredQuantity) -> float:
     """Standard uncertainty of a measured number; of a range that of an even distribution."""
     if measured.uncertainty is not None:
         return measured.uncertainty
@@ -46,7 +46,7 @@ def standard_uncertainty(measured: Measurement) -> float:
     return 0.0
 
 
-def normalised_error(prediction: Prediction, measured: Measurement) -> float:
+def normalised_error(prediction: Prediction, measured: MeasuredQuantity) -> float:
     """Error over its expanded uncertainty: up to 1 in size, it is explained by uncertainty.
 
     E_n = (S - D) / (2 sqrt(s^2 + d^2 + u^2)), with the mean S and the standard deviation s of the
@@ -60,7 +60,7 @@ def normalised_error(prediction: Prediction, measured: Measurement) -> float:
     return error / (EXPANDED * uncertainty)
 
 
-def area_metric(prediction: Prediction, measured: Measurement) -> float:
+def area_metric(prediction: Prediction, measured: MeasuredQuantity) -> float:
     """Area between the distribution functions of predicted and measured values, in their unit.
 
     The integral of the difference of their quantiles over the probability (Ferson, Oberkampf and

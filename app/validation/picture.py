@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from app.plots import figures
 from app.plots.figures import PNG
 from app.validation import metrics
-from app.validation.records import Measurement, Prediction
+from app.validation.records import MeasuredQuantity, Prediction
 
 # A quantity: its name, its prediction and its measurement.
-Pair = tuple[str, Prediction, Measurement | None]
+Pair = tuple[str, Prediction, MeasuredQuantity | None]
 
 # Colours of predictions and of measurements, by number.
 PREDICTED = 0
@@ -85,7 +85,7 @@ def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
     figures.save(figure, path, 110, PNG)
 
 
-def _row(axes: Axes, row: int, prediction: Prediction, measured: Measurement | None) -> None:
+def _row(axes: Axes, row: int, prediction: Prediction, measured: MeasuredQuantity | None) -> None:
     """Draw the two bands of a quantity."""
     scale = prediction.value or 1.0
     bands = [(PREDICTED, -0.12, prediction.value, metrics.band(prediction))]

@@ -81,7 +81,7 @@ class ExperimentRecord(Section):
     """Predictions by quantity."""
 
 
-class Measurement(Section):
+class MeasuredQuantity(Section):
     """A measured quantity."""
 
     value: float | None = None
@@ -96,7 +96,7 @@ class Measurement(Section):
     """Where it was read."""
 
     @model_validator(mode="after")
-    def _complete(self) -> Measurement:
+    def _complete(self) -> MeasuredQuantity:
         if self.value is None and self.range is None:
             fail("has neither a value nor a range; expected one of them")
         if self.range is not None and not self.range[0] < self.range[1]:
@@ -113,7 +113,7 @@ class Measurement(Section):
 
 
 Predictions = dict[str, ExperimentRecord]
-Measurements = dict[str, dict[str, Measurement]]
+Measurements = dict[str, dict[str, MeasuredQuantity]]
 
 
 def predictions() -> Predictions:

@@ -106,7 +106,7 @@ def test_launcher_help_lists_every_command() -> None:
         assert word in result.stdout
     (commands,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
     lines = [f"  {a.dest:<10} {a.help}" for a in commands._choices_actions]
-    assert len(lines) == 14 and set(lines) <= set(result.stdout.splitlines())
+    assert len(lines) == 15 and set(lines) <= set(result.stdout.splitlines())
 
 
 def test_launcher_shell_has_dolfinx_and_one_thread(tmp_path: Path) -> None:
