@@ -22,7 +22,7 @@ def band(prediction: Prediction) -> tuple[float, float]:
 
 
 def measured_range(measured: MeasuredQuantity) -> tuple[float, float]:
-    """MeasuredQuantity range; without one the value and two standard uncertainties on either side."""
+    """Measured range; without one the value and two standard uncertainties on either side."""
     if measured.range is not None:
         return measured.range
     around = EXPANDED * (measured.uncertainty or 0.0)
