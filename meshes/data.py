@@ -231,13 +231,6 @@ def tangents(x: Floats, at: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
     return np.asarray(np.einsum("qak,maj->kjmq", by_edges, x, optimize=True))
 
 
-def shares(corners: Floats, point: Floats) -> Floats:
-    """Return the barycentric coordinates (m, 4) of a point in straight cells (m, 4, 3)."""
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    others = np.linalg.solve(edges, (point - corners[:, 0])[:, :, None])[:, :, 0]
-    return np.column_stack([1.0 - others.sum(axis=1), others])
-
-
 def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
     """Edges from the first corner of straight cells (3, k), in chunks that fit a cache."""
     x = np.ascontiguousarray(points.T)

@@ -165,6 +165,9 @@ def _names(case: CaseParts) -> Iterable[Fault]:
     if case.output is not None:
         probes = (case.output.probes or {}).items()
         used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
+        for name, along in (case.output.paths or {}).items():
+            for key in ("region", "interface"):
+                used.append((("output", "paths", name, key), key, getattr(along, key, None)))
     known = {"region": regions, "interface": interfaces, "boundary": boundaries}
     for path, what, used_name in used:
         if used_name is not None and used_name not in known[what]:

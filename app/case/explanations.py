@@ -85,6 +85,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "convergence": ("solver.tolerance", "solver.max_iterations"),
     # Output
     "probe": ("output.probes",),
+    "path": ("output.paths",),
     "restart": ("--restart", "output.checkpoint"),
     "checkpoint": ("output.checkpoint", "--restart"),
     "micromotion": ("interfaces.motion_p99", "interfaces.area_motion_over_30um"),

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
+from app.case.paths import AnyPath
 from app.laws.interface_laws import DEFAULT_AUGMENTATION
 from app.laws.loads import Point
 from app.schema import units
@@ -265,3 +266,5 @@ class OutputOptions(Section):
     """Times at which the state is saved for `--restart`."""
     probes: Annotated[dict[Name, Probe], MAPPING] = Field(default_factory=dict)
     """Points whose displacement and temperature are recorded over time."""
+    paths: Annotated[dict[Name, AnyPath], MAPPING] = Field(default_factory=dict)
+    """Paths along which fields are written, at the steps of the fields (`every`)."""

@@ -61,8 +61,8 @@ def load(path: str | os.PathLike[str], **overrides: object) -> LoadedCase:
 def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     """Describe a case as understood, its size, and doubtful values in it.
 
-    With ``meshed``, or with probes, the mesh is made: sizes are counted instead of estimated, and
-    loose parts, unsolvable problems and probes outside their regions are reported.
+    With ``meshed``, or with probes or paths, the mesh is made: sizes are counted instead of
+    estimated, and loose parts, unsolvable problems, and probes and paths outside are reported.
 
     Returns:
         Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
@@ -75,7 +75,8 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     memory.check(case.file, case.config)
     size = cost.estimated_size(case.config, memory.available())
     notes = [*case.file.notes, *preview.warnings(case.config)]
-    if meshed or case.config.output.probes:
+    output = case.config.output
+    if meshed or output.probes or output.paths:
         data = mesh(case)
         with stack_needed():
             from app.soundness import well_posedness

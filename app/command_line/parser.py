@@ -187,7 +187,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     ),
     "--mesh": dict(
         action="store_true",
-        help="make the mesh and count instead of estimating (always with probes)",
+        help="make the mesh and count instead of estimating (always with probes or paths)",
     ),
     "--kind": dict(
         choices=("femur", "cylinders", "blocks", "head_cup", "file"),

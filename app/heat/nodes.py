@@ -13,16 +13,15 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem
+from dolfinx.mesh import CellType
 
 from app.foundation.arrays import Floats, Ints
+from app.foundation.dolfinx_features import cell_perm_array
 from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.scene.bodies import cell_tags
-from meshes.data import shares
 from meshes.distribute import TaggedMesh
-
-# Tolerance for points outside a cell, in barycentric coordinates: curved surfaces are cut.
-OUTSIDE = 0.1
+from meshes.location import place
 
 # A point [mm], and the region that it belongs to; None for any region that holds it.
 Probe = tuple[tuple[float, float, float], str | None]
@@ -144,18 +143,22 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
     Raises:
         InputError: The point is not in its region.
     """
-    comm = tagged.mesh.comm
+    comm, geometry = tagged.mesh.comm, tagged.mesh.geometry
     tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
     at, region = probe
-    wanted = tagged.regions[region] if region else tags
-    cell, share, inside = _nearest(tagged, np.flatnonzero(tags == wanted), np.array(at))
-    best, rank = comm.allreduce((inside, -comm.rank), MPI.MAX)
-    if best < -OUTSIDE:
+    cells = np.flatnonzero(tags == tagged.regions[region]) if region else np.arange(len(tags))
+    # Columns in the order of gmsh.
+    nodes: Ints = np.empty((len(cells), geometry.dofmap.shape[1]), dtype=np.int64)
+    nodes[:, cell_perm_array(CellType.tetrahedron, nodes.shape[1])] = geometry.dofmap[cells]
+    places = place(np.asarray(geometry.x, np.float64), nodes, np.array([at]))
+    best, rank = comm.allreduce((places.inside[0], -comm.rank), MPI.MAX)
+    if best == -np.inf:
         raise InputError(outside_text(probed, probe))
     if rank != -comm.rank:
         return None
     names = {tag: name for name, tag in tagged.regions.items()}
-    return cell, names[int(tags[cell])], share
+    cell = int(cells[places.cell[0]])
+    return cell, names[int(tags[cell])], places.share[0]
 
 
 def outside_text(name: str, probe: Probe) -> str:
@@ -163,20 +166,3 @@ def outside_text(name: str, probe: Probe) -> str:
     at, region = probe
     where = f"region '{region}'" if region else "the model"
     return f"output.probes.{name}: {list(at)} mm is not in {where}; allowed: a point inside"
-
-
-def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Floats, float]:
-    """Best cell for a point, its barycentric coordinates there (4,), the smallest of them."""
-    if not len(cells):
-        return -1, np.zeros(4), -np.inf
-    geometry = tagged.mesh.geometry
-    every = shares(np.asarray(geometry.x[geometry.dofmap[cells][:, :4]], float), point)
-    smallest = every.min(axis=1)
-    best = int(np.argmax(smallest))
-    place = every[best, 1:]
-    if geometry.dofmap.shape[1] > 4:
-        nodes = np.ascontiguousarray(geometry.x[geometry.dofmap[cells[best]]])
-        place = geometry.cmap.pull_back(point[None, :], nodes)[0]
-    # A point just outside gets the value of the surface.
-    share = np.maximum([1 - place.sum(), *place], 0.0)
-    return int(cells[best]), share / share.sum(), float(smallest[best])

@@ -16,6 +16,7 @@ from app.report import (
     difference_maps,
     lead,
     page,
+    path_curves,
     run_report,
     sweep_figures,
     viewer,
@@ -88,6 +89,7 @@ def _page(folders: Sequence[Path]) -> str:
         [
             PageSection("differences", "Numbers", _numbers(names, cases, numbers)),
             PageSection("strains", "Strain of the cortex", _strains(names, cases)),
+            PageSection("paths", "Along paths", path_curves.compared(names, cases)),
             PageSection("maps", "Maps of the differences", _maps(names, cases)),
             PageSection("input", "Input that differs", _input(names, cases)),
         ],

@@ -31,6 +31,7 @@ from app.report import (
     gruen,
     lead,
     page,
+    path_curves,
     pictures,
     step_curves,
     sweep_figures,
@@ -185,6 +186,8 @@ def _run(
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
+    if share == math.inf:
+        files = _path_files(case) + files
     case_file = _text(folder / "case.yaml")
     verbatim = [Verbatim(case_file)] if case_file else []
     every_number = _tables(summary, every=True)
@@ -193,6 +196,7 @@ def _run(
         PageSection("numbers", "Numbers", _numbers(summary, over)),
         PageSection("sides", "The interfaces from three sides", sides),
         PageSection("curves", "Over time", page.drawings(drawn)),
+        PageSection("paths", "Along paths", path_curves.of_run(case)),
         PageSection("tension", "Cement under tension", page.drawings(stressed)),
         PageSection("maps", "Maps of the interfaces", maps),
         PageSection("gruen", "Gruen zones", gruen.blocks([("", case)])),
@@ -229,6 +233,17 @@ def _forces(case: SweptCase) -> list[curves.Panel]:
         return step_curves.forces(load(case.folder / "case.yaml").config, case.step_record)
     except InputError:
         return []
+
+
+def _path_files(case: SweptCase) -> list[Path]:
+    """Draw the curves of each path as files; return them."""
+    stages = path_curves.stages_of(case)
+    files = []
+    for name, path in case.paths.items():
+        (case.folder / PICTURES).mkdir(exist_ok=True)
+        panels = path_curves.panels(path, stages)
+        files += curves.draw(case.folder / PICTURES / f"path_{name}.png", panels, 3)
+    return files
 
 
 def _starts_at_rest(case: SweptCase) -> bool:

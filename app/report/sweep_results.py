@@ -14,7 +14,7 @@ from app.case import quantities
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.results.reading import Results
+from app.results.reading import PathTable, Results
 from app.results.verdicts import UNUSABLE
 from app.schema.units import NUMBER
 from app.system.folders import read_json
@@ -118,6 +118,13 @@ class SweptCase:
         """Columns of history.csv by their titles; nan where there is no value; may be empty."""
         with suppress(OSError, IndexError):
             return Results(self.folder).step_record
+        return {}
+
+    @cached_property
+    def paths(self) -> dict[str, PathTable]:
+        """Fields along the paths by their names; empty if their files cannot be read."""
+        with suppress(OSError, ValueError, KeyError):
+            return Results(self.folder).paths
         return {}
 
     def number(self, name: str) -> Number | None:

@@ -36,12 +36,61 @@ from meshes.distribute import TaggedMesh
 
 @dataclass(frozen=True)
 class OutputNodes:
-    """Nodes of the grid that this rank writes, as one physics sees them."""
+    """Nodes at which this rank evaluates fields, as one physics sees them.
 
-    body: Ints  # of each node (n,)
-    dof: Ints  # its row in the space the grid was made from, ghosts too (n,)
-    cell: Ints  # one that has it (n,)
-    ends: Ints  # vertices of that cell: the node itself, twice, or the ends of its edge (n, 2)
+    Attributes:
+        body: Body of each node (n,).
+        dof: Its row in the space the nodes were made from, ghosts too (n,).
+        cell: A cell that has it (n,).
+        ends: Vertices of that cell: the node itself, twice, or the ends of its edge (n, 2).
+        parts: Groups of regions. The stress of a node is the mean of the cells of its group.
+        part: Group of each node (n,).
+    """
+
+    body: Ints
+    dof: Ints
+    cell: Ints
+    ends: Ints
+    parts: Sequence[Sequence[str]]
+    part: Ints
+
+
+def output_nodes(
+    tagged: TaggedMesh, groups: Sequence[FieldGroup], cells: Ints, label: Ints
+) -> tuple[list[OutputNodes], Ints, Ints]:
+    """Nodes of cells of this rank, once for each label of cells that have them.
+
+    Args:
+        tagged: The mesh.
+        groups: Sources of fields; the first one has the finest space.
+        cells: Cells of this rank (m,).
+        label: Number of the body, or of the region, of each of them (m,).
+
+    Returns:
+        The nodes as each group sees them, with its bodies as groups of regions; rows of the nodes
+        of each cell in the order of the space (m, k); keys of the nodes, equal on all ranks (n,).
+    """
+    space = groups[0].space
+    dofs = space.dofmap.list[cells]
+    stride = tagged.mesh.geometry.index_map().size_global ** 2
+    keys, first, rows = np.unique(
+        label[:, None] * stride + node_keys(space)[dofs],
+        return_index=True,
+        return_inverse=True,
+    )
+    row, local = np.divmod(first, dofs.shape[1])
+    dof, cell = dofs.ravel()[first], cells[row]
+    tags = cell_tags(tagged)[cell]
+    nodes = []
+    for group in groups:
+        body = group.bodies.of_tag[tags]
+        of_region = group.bodies.of_region
+        parts = [
+            [region for region, number in of_region.items() if number == b]
+            for b in range(len(group.bodies.names))
+        ]
+        nodes.append(OutputNodes(body, dof, cell, ENDS[local], parts, body))
+    return nodes, rows.reshape(dofs.shape), keys
 
 
 class Fields:
@@ -50,27 +99,16 @@ class Fields:
     def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
         self._groups, self._path, self._comm = tuple(groups), path, tagged.mesh.comm
         space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
-        tags, dofs = cell_tags(tagged)[:owned], space.dofmap.list[:owned]
+        tags = cell_tags(tagged)[:owned]
         # The bodies of all groups in one number.
         bodies: Ints = np.zeros(owned, dtype=np.int64)
         for part in groups:
             bodies = bodies * len(part.bodies.names) + part.bodies.of_tag[tags]
-        stride = tagged.mesh.geometry.index_map().size_global ** 2
-        keys, first, cells = np.unique(
-            bodies[:, None] * stride + node_keys(space)[dofs],
-            return_index=True,
-            return_inverse=True,
-        )
-        cell, local = np.divmod(first, dofs.shape[1])
-        dof = dofs.ravel()[first]
-        self._nodes = [
-            OutputNodes(part.bodies.of_tag[tags[cell]], dof, cell, ENDS[local]) for part in groups
-        ]
-        cells = cells.reshape(dofs.shape)
+        self._nodes, cells, keys = output_nodes(tagged, groups, np.arange(owned), bodies)
         self._grid = Grid(
-            points=space.tabulate_dof_coordinates()[dof],
+            points=space.tabulate_dof_coordinates()[self._nodes[0].dof],
             point_keys=keys,
-            cells=cells[:, QUADRATIC_NODES] if dofs.shape[1] > 4 else cells,
+            cells=cells[:, QUADRATIC_NODES] if cells.shape[1] > 4 else cells,
             cell_keys=tagged.mesh.topology.original_cell_index[:owned],
             cell_data={"region": tags.astype(np.int32)},
             texts={"region_names": tuple(tagged.regions)},
@@ -120,7 +158,17 @@ class HeatFields:
     def values(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
     ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-        """Fields by node, and none by cell.
+        """Fields by node, and none by cell; collective."""
+        return self.at_nodes(nodes, samples, cells), {}
+
+    def of_cells(self, cells: int) -> dict[str, Floats]:
+        """No fields by cell."""
+        return {}
+
+    def at_nodes(
+        self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
+    ) -> dict[str, Floats]:
+        """Fields by node; collective.
 
         Everywhere: temperature and its highest value so far [degC]. In bone: seconds at or above
         47 degC, CEM43 [min] and Henriques-Moritz. In curing regions: degree of cure. By interface
@@ -129,7 +177,7 @@ class HeatFields:
         """
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
-        fields = {"temperature": self._at(nodes, temperatures)}
+        fields = {"temperature": self._at(nodes, temperatures, nodes.body)}
         regions, bone = self._record.regions, self._record.bone
         peaks = {name: r.peak.value for name, r in regions.items()}
         fields["temperature_peak"] = self._of_regions(nodes, peaks) - CELSIUS
@@ -152,26 +200,28 @@ class HeatFields:
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 for what, values in zip(("temperature_jump", "heat_flux"), at_corners, strict=True):
                     fields[f"{c.name}_{what}"] = _along(at, values if forward else -values)
-        return fields, {}
+        return fields
 
     def _of_regions(self, nodes: OutputNodes, values: Mapping[str, Floats]) -> Floats:
         """Values by region and node at the nodes of the grid, zero elsewhere; collective."""
-        values_of_bodies = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
+        values_of_parts = [np.zeros(len(self._work.x.array)) for _ in nodes.parts]
         for region, of_region in values.items():
             at = self._record.regions[region].nodes
             self._work.x.array[:] = 0.0
             self._work.x.array[at.dof] = of_region
             self._work.x.scatter_forward()
-            # Regions of one body agree on the nodes that they share.
-            values_of_bodies[at.body] = np.maximum(values_of_bodies[at.body], self._work.x.array)
-        return self._at(nodes, values_of_bodies)
+            for k, regions in enumerate(nodes.parts):
+                if region in regions:
+                    # Regions of one body agree on the nodes that they share.
+                    values_of_parts[k] = np.maximum(values_of_parts[k], self._work.x.array)
+        return self._at(nodes, values_of_parts, nodes.part)
 
-    def _at(self, nodes: OutputNodes, values: Sequence[Floats]) -> Floats:
-        """Values of the bodies at the nodes of the grid: linear along edges."""
+    def _at(self, nodes: OutputNodes, values: Sequence[Floats], which: Ints) -> Floats:
+        """Values at nodes, of the table whose number each has (n,): linear along edges."""
         table = np.stack(values)
         dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]
         ends = np.take_along_axis(dofs, nodes.ends, axis=1)
-        return np.asarray(table[nodes.body[:, None], ends].mean(axis=1))
+        return np.asarray(table[which[:, None], ends].mean(axis=1))
 
 
 # Of the mechanics
@@ -201,7 +251,13 @@ class MechanicalFields:
     ) -> tuple[dict[str, Floats], dict[str, Floats]]:
         """Fields by node and by cell, of one evaluation of the stress; collective."""
         nodal, mean = self._stress(nodes, cells)
-        return self._point(nodes, samples, nodal), self._cell(mean)
+        return self._point(nodes, samples, nodal), named_stress(mean) | self.of_cells(cells)
+
+    def at_nodes(
+        self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
+    ) -> dict[str, Floats]:
+        """Fields by node; collective."""
+        return self._point(nodes, samples, self._stress(nodes, cells)[0])
 
     def _point(
         self, nodes: OutputNodes, samples: ContactSamples | None, σ: Floats
@@ -221,7 +277,7 @@ class MechanicalFields:
             if np.isfinite(scene.moduli[m.region]):  # its displacement is in rotated axes
                 u[at] = u[at] @ R.T
             u[at] += (x[at] - m.about) @ (R.T - np.eye(3))
-        point: dict[str, Floats] = {"displacement": u, **_named(σ)}
+        point: dict[str, Floats] = {"displacement": u, **named_stress(σ)}
         if samples is not None:
             assert self._problem.contact is not None
             surface = self._problem.contact.points.surface
@@ -244,11 +300,11 @@ class MechanicalFields:
                 point[f"{name}_failure_index"] = _along(rows[i], index)
         return point
 
-    def _cell(self, σ: Floats) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies [MPa], changing density, and of records."""
-        cells, s, m = len(σ), self._stresses, self._problem.body_forms
+    def of_cells(self, cells: int) -> dict[str, Floats]:
+        """Young's modulus where it varies [MPa], changing density, fields of records (cells,)."""
+        s, m = self._stresses, self._problem.body_forms
         density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.by_density}
-        fields = _named(σ)
+        fields: dict[str, Floats] = {}
         for record in self._records:
             fields |= record.cell_fields(cells)
         for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
@@ -259,16 +315,16 @@ class MechanicalFields:
     def _stress(self, nodes: OutputNodes, cells: int) -> tuple[Floats, Floats]:
         """Stress at the nodes (n, 6), and its mean in the cells (cells, 6) [MPa]; collective.
 
-        At a node it is the mean of the body's cells there, by volume. Within a cell it is the
-        linear field that fits its stress best.
+        At a node it is the mean of the cells of its group there, by volume. Within a cell it is
+        the linear field that fits its stress best. Cells of no group have no mean.
         """
         dofs, X = self.space.dofmap.list, interpolation_points(self.space)
         nodal, mean = (np.zeros((n, len(COMPONENTS))) for n in (len(nodes.dof), cells))
-        for body in range(len(self.bodies.names)):
+        for k, regions in enumerate(nodes.parts):
             sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
             sums[:] = 0.0
             for region, owned in self._stresses.cells.items():
-                if self.bodies.of_region[region] != body:
+                if region not in regions:
                     continue
                 σ = _components(self._stresses.evaluate(region))
                 mean[owned] = self._stresses.shares[region] @ σ
@@ -276,13 +332,13 @@ class MechanicalFields:
                 volume = self._stresses.places(region)[1].sum(axis=1)
                 at = dofs[owned].ravel()
                 # A column at a time takes a tenth of the time of np.add.at.
-                for k in range(len(COMPONENTS)):
-                    weighted = at_nodes[..., k] * volume[:, None]
-                    sums[:, k] += np.bincount(at, weighted.ravel(), len(sums))
+                for c in range(len(COMPONENTS)):
+                    weighted = at_nodes[..., c] * volume[:, None]
+                    sums[:, c] += np.bincount(at, weighted.ravel(), len(sums))
                 sums[:, -1] += np.bincount(at, np.repeat(volume, len(X)), len(sums))
             self._sums.scatter_reverse(la.InsertMode.add)
             self._sums.scatter_forward()
-            at = nodes.body == body
+            at = nodes.part == k
             sampled = sums[nodes.dof[at]]
             nodal[at] = sampled[:, :-1] / np.where(sampled[:, -1:] > 0, sampled[:, -1:], 1.0)
         return nodal, mean
@@ -298,7 +354,7 @@ def _components(σ: Floats) -> Floats:
     return np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
 
 
-def _named(σ: Floats) -> dict[str, Floats]:
+def named_stress(σ: Floats) -> dict[str, Floats]:
     """Components of stress (n, 6), von Mises and principal stresses [MPa], by name."""
     full = np.empty((len(σ), 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):

@@ -26,8 +26,11 @@ from app.foundation.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
 from app.schema.section import did_you_mean
+from app.system.folders import path_files
 from meshes.data import exterior_facets, facet_areas
 
+# Columns of the file of a path by their titles; numbers, and the names of regions.
+PathTable = dict[str, NDArray[Any]]
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 
@@ -86,6 +89,21 @@ class Results:
         path = self.folder / "variations.json"
         rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
         return {row["name"]: Results(self.folder / row["name"]) for row in rows}
+
+    @cached_property
+    def paths(self) -> dict[str, PathTable]:
+        """Fields along the paths by their names: columns by their titles; nan outside bodies."""
+        tables = {}
+        for name, file in path_files(self.folder).items():
+            with file.open(encoding="utf-8", newline="") as text:
+                rows = list(csv.DictReader(text))
+            tables[name] = {
+                key: np.array(
+                    [row[key] if key == "region" else float(row[key] or "nan") for row in rows]
+                )
+                for key in (rows[0] if rows else ())
+            }
+        return tables
 
     @property
     def log(self) -> str:

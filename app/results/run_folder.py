@@ -26,8 +26,18 @@ from app.foundation import files
 from app.foundation.errors import StoppedError, on_root
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
+from app.results.path_tables import PathTables
 from app.system import identity
-from app.system.folders import ENDS, RESULTS, csv_text, saved, write_json, write_text
+from app.system.folders import (
+    ENDS,
+    RESULTS,
+    csv_text,
+    path_file,
+    path_files,
+    saved,
+    write_json,
+    write_text,
+)
 from meshes.distribute import TaggedMesh
 
 UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
@@ -99,6 +109,7 @@ class Writer:
         resolved: The resolved configuration, as YAML.
         record: Called for the provenance when the run ends.
         again: True if the run restarts, so that existing files stay.
+        paths: Files of paths, if the case has some.
 
     Attributes:
         fields: The field file, if fields are written.
@@ -108,7 +119,7 @@ class Writer:
         StoppedError: The directory cannot be written.
     """
 
-    saved = ("columns", "rows", "field_steps")
+    saved = ("columns", "rows", "field_steps", "paths")
 
     def __init__(
         self,
@@ -119,17 +130,19 @@ class Writer:
         fields: bool,
         record: Callable[[], Provenance],
         again: bool = False,
+        paths: PathTables | None = None,
     ) -> None:
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
+        self.paths = paths
         # Rows as text, for a run may have thousands of steps.
         self.columns, self.rows = list[str](), ""
-        self._written = -OFTEN
+        self._written = self._paths_written = -OFTEN
 
         def start() -> None:
             files.clear(folder)
             for name in ENDS if again else RESULTS:
                 (folder / name).unlink(missing_ok=True)
-            for old in () if again else saved(folder):
+            for old in () if again else (*saved(folder), *path_files(folder).values()):
                 old.unlink()
             write_text(folder / "case.yaml", resolved)
 
@@ -152,6 +165,7 @@ class Writer:
             StoppedError: The directory cannot be written.
         """
         self._table()
+        self._path_tables()
         if self.fields and self.field_steps:
             try:
                 self.fields.open(self.field_steps)
@@ -160,12 +174,17 @@ class Writer:
                 log.info("fields.vtkhdf is missing or not usable: a new one starts here")
         self._begin()
 
-    def write_fields(self, time: float, samples: ContactSamples | None) -> None:
-        """Append a step to the field file; collective.
+    def write_fields(
+        self, step: int, time: float, seconds: float | None, samples: ContactSamples | None
+    ) -> None:
+        """Append a step to the field file and to the files of paths; collective.
 
         Raises:
             StoppedError: The disk is full; earlier steps stay readable.
         """
+        if self.paths:
+            self.paths.add(step, time, seconds, samples)
+            self._path_tables(OFTEN)
         if self.fields:
             with _full_disk("fields.vtkhdf"):
                 self.fields.write(time, samples)
@@ -201,10 +220,23 @@ class Writer:
 
         _write(self._comm, write, str(path))
 
+    def _path_tables(self, often: float = 0.0) -> None:
+        """Write the files of paths, unless they were written shortly before; collective."""
+        rows = self.paths.rows if self.paths else {}
+
+        def write() -> None:
+            if clock.monotonic() - self._paths_written >= often:
+                for name, text in rows.items():
+                    write_text(self.folder / path_file(name), text)
+                self._paths_written = clock.monotonic()
+
+        _write(self._comm, write, "files of paths")
+
     def finish(self, summary: Summary, done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
         if self.rows:
             self._table()
+            self._path_tables()
 
         def write() -> None:
             if self.fields and not self.field_steps:  # a grid without any state

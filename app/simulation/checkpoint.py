@@ -202,7 +202,8 @@ def described(case: Case) -> dict[str, object]:
     """All data of a case that its states depend on."""
     data = plain(case)
     data.pop("title", None)
-    data["output"] = {"probes": data.get("output", {}).get("probes", {})}
+    output = data.get("output", {})
+    data["output"] = {key: output.get(key, {}) for key in ("probes", "paths")}
     data["geometry"].pop("path", None)  # the mesh has a digest, wherever it lies
     return dict(json.loads(json.dumps(data)))
 

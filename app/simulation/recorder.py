@@ -269,7 +269,9 @@ class Recorder:
 
     def _fields(self) -> None:
         self.fields_at = self.step_count  # a step that does not fit the disk is not tried again
-        self.writer.write_fields(self.time, self.samples)
+        row = self._model.thermal.row() if self._model.thermal else {}
+        seconds = row.get("seconds [s]")
+        self.writer.write_fields(self.step_count, self.time, seconds, self.samples)
 
     def flush(self) -> None:
         """Write pending fields of the last step, and fields of the last step alone."""

@@ -29,6 +29,7 @@ from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
 from app.results import error_estimate, run_table, verdicts
+from app.results.path_tables import path_tables
 from app.results.run_folder import Writer, provenance
 from app.results.verdicts import UNUSABLE
 from app.simulation import accuracy, checkpoint, finished_runs, shaft_influence
@@ -246,9 +247,12 @@ class _CaseRun:
             ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
             comm.size,
         )
+        groups = model.layers()
+        data = model.parts.data if model.parts else None
+        paths = path_tables(case, model.scene, model.tagged, groups, data)
         self._writer = Writer(
             model.tagged,
-            model.layers(),
+            groups,
             output,
             dump(case),
             case.output.fields,
@@ -261,6 +265,7 @@ class _CaseRun:
                 setup.started,
             ),
             saved_state is not None,
+            paths,
         )
         self._recorder = Recorder(
             case, model, self._writer, setup.timing, setup.begin, setup.progress

@@ -90,6 +90,8 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
         lines += ["time", *_entries(case.time, given.get("time"))]
     if case.output.probes:
         lines += ["probes", *_table(case.output.probes)]
+    if case.output.paths:
+        lines += ["paths", *_table(case.output.paths)]
     varied = case.variations
     if varied:
         lines.append(f"variations: {len(varied)} runs, and none of the case without them")

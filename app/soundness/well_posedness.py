@@ -17,8 +17,9 @@ from app.case.geometries import MeshFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
-from app.heat.nodes import OUTSIDE, outside_text
+from app.heat.nodes import outside_text
 from app.scene.scene import build_scene
+from app.soundness import paths_on_mesh
 from app.soundness.bodies_on_mesh import (
     BodiesOnMesh,
     bodies_of,
@@ -30,7 +31,8 @@ from app.soundness.bodies_on_mesh import (
 )
 from app.soundness.doubts import STRAIN, modulus
 from app.system.layout import point_text
-from meshes.data import boundary_areas, interface_facets, shares
+from meshes import location
+from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, lying
 from meshes.pieces import parts as parts_of
 
@@ -78,6 +80,9 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
     notes += [*_cracks(case, parts), *_size(case, parts)]
     errors = [*_on_axis(case, parts), *_sides_apart(case, parts), *_followers(case, parts)]
     errors += _outside(case, parts)
+    wrong_paths, notes_on_paths = paths_on_mesh.judged(case, parts.data)
+    errors += wrong_paths
+    notes += notes_on_paths
     if errors:
         raise InputError([*errors, *notes])
     if all(region.only_conducts for region in case.regions.values()):
@@ -240,9 +245,10 @@ def _outside(case: Case, parts: Parts) -> list[Verdict]:
     """Probes that are not in their regions."""
     data, errors = parts.data, []
     for name, probe in case.output.probes.items():
-        wanted = data.regions[probe.region] if probe.region else data.cell_tags
-        corners = data.points[data.cells[data.cell_tags == wanted][:, :4]]
-        if shares(corners, np.array(probe.at)).min(axis=1).max() < -OUTSIDE:
+        cells = data.cells
+        if probe.region:
+            cells = cells[data.cell_tags == data.regions[probe.region]]
+        if location.place(data.points, cells, np.array([probe.at])).cell[0] < 0:
             errors.append(Verdict(outside_text(name, (probe.at, probe.region))))
     return errors
 

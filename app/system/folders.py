@@ -25,6 +25,8 @@ SEED = Path("/var/cache/mantle")
 CASE_PICTURE = "case.png"
 # Files written at the end, and all of a run directory but the case.
 ENDS = ("DONE", "summary.json", "provenance.json", "final.vtkhdf", CASE_PICTURE, "report.html")
+# Beginning of the names of the files of paths.
+PATH_FILE = "path_"
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 
 
@@ -163,6 +165,17 @@ def saved(folder: Path) -> list[Path]:
     """The checkpoints in a run directory, the newest first."""
     states = [p for p in folder.glob("checkpoint-*.state") if p.stem.partition("-")[2].isdigit()]
     return sorted(states, key=lambda p: int(p.stem.partition("-")[2]), reverse=True)
+
+
+def path_file(name: str) -> str:
+    """Name of the file of a path in a run directory."""
+    return f"{PATH_FILE}{name}.csv"
+
+
+def path_files(folder: Path) -> dict[str, Path]:
+    """Files of paths in a run directory, by the names of the paths."""
+    files = sorted(folder.glob(path_file("*")))
+    return {file.stem.removeprefix(PATH_FILE): file for file in files}
 
 
 def remove(paths: Iterable[Path]) -> None:

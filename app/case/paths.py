@@ -1,0 +1,179 @@
+"""Paths along which fields are written: lines, circles, sections, and sides of a stem."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, model_validator
+
+from app.case.shapes import SIDES, Shape
+from app.laws.loads import Point
+from app.schema import units
+from app.schema.section import ITEMS, Kinds, Name, Section, Text, fail, show
+from meshes import paths
+from meshes.data import MeshData
+from meshes.geometry import is_hip
+from meshes.paths import Facets, PathPoints
+
+# Most points of a path: a line of the page has fewer.
+MOST_POINTS = 10_000
+
+
+def _some(points: int) -> int:
+    """Refuse a path of one point, or of more than files and pages can hold."""
+    if not 2 <= points <= MOST_POINTS:
+        fail(f"{show(points)} points; expected 2 to {MOST_POINTS}")
+    return points
+
+
+class PathOptions(Section):
+    """Base of the paths."""
+
+    kind: Any
+    points: Annotated[units.PositiveInteger, AfterValidator(_some)] = 101
+    """Number of points, at equal distances, with both ends."""
+    fields: Annotated[tuple[Text, ...], ITEMS] = ()
+    """Fields, by their names in `fields.vtkhdf`; of a vector its length. `displacement.x`,
+    `stress.zz` are components. Fields of an interface are without its name: `pressure`. By default
+    the displacement, the von Mises stress and the temperature; on an interface with contact its
+    pressure, shear, slip, gap and the temperature."""
+
+    @property
+    def interface_name(self) -> str:
+        """Interface on which the path lies; empty for a path through bodies."""
+        return ""
+
+    def points_in(
+        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
+    ) -> PathPoints:
+        """Points of the path in the cells of a mesh.
+
+        Args:
+            data: The mesh.
+            geometry: The geometry of the case.
+            faces: Boundaries of both sides of interfaces that are meshed apart, by interface; the
+                second has the contact points.
+        """
+        raise NotImplementedError
+
+
+class LinePath(PathOptions):
+    """A straight line between two points."""
+
+    kind: Literal["line"] = "line"
+    start: Point
+    """First point."""
+    end: Point
+    """Last point."""
+    region: Name | None = None
+    """Region whose values are taken; by default every region on the line."""
+
+    @model_validator(mode="after")
+    def _long(self) -> LinePath:
+        if self.start == self.end:
+            fail("is the start; expected another point", at=("end",))
+        return self
+
+    def points_in(
+        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
+    ) -> PathPoints:
+        """Points on the line."""
+        return paths.on_line(data, self.region or "", self.start, self.end, self.points)
+
+
+class CirclePath(PathOptions):
+    """A circle, counterclockwise about its axis, from x (or from y if the axis is x)."""
+
+    kind: Literal["circle"] = "circle"
+    centre: Point
+    """Centre."""
+    radius: units.PositiveLength
+    """Radius."""
+    axis: units.Axis = (0.0, 0.0, 1.0)
+    """Axis, a vector of any length except zero."""
+    region: Name | None = None
+    """Region whose values are taken; by default every region on the circle."""
+
+    def points_in(
+        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
+    ) -> PathPoints:
+        """Points on the circle."""
+        return paths.on_circle(
+            data, self.region or "", self.centre, self.axis, self.radius, self.points
+        )
+
+
+class SectionPath(PathOptions):
+    """The outline of a body or an interface at a height, from x to y (medial to anterior)."""
+
+    kind: Literal["section"] = "section"
+    height: units.Length
+    """Height z of the section."""
+    interface: Name | None = None
+    """Interface whose outline it is."""
+    region: Name | None = None
+    """Region whose outer outline it is. With `interface`: the region on one of its sides whose
+    values are taken; by default the first side."""
+
+    @model_validator(mode="after")
+    def _of_something(self) -> SectionPath:
+        if self.interface is None and self.region is None:
+            fail("has no outline; expected interface: NAME, or region: NAME")
+        return self
+
+    @property
+    def interface_name(self) -> str:
+        """The key `interface`."""
+        return self.interface or ""
+
+    def points_in(
+        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
+    ) -> PathPoints:
+        """Points on the outline."""
+        if self.interface is None:
+            facets = paths.facets_of_region(data, self.region or "")
+        else:
+            facets = _facets(data, self.interface, self.region, faces)
+        return paths.on_section(data, facets, self.height, self.points)
+
+
+class SidePath(PathOptions):
+    """A side of an interface around a stem, from its lower to its upper end.
+
+    It lies in the half-plane from the axis of the stem to that side.
+    """
+
+    kind: Literal["side"] = "side"
+    side: Literal["medial", "anterior", "lateral", "posterior"]
+    """Side of the stem: medial is x, anterior is y."""
+    interface: Name
+    """Interface around the stem."""
+    region: Name | None = None
+    """Region on a side of the interface whose values are taken; by default the first side."""
+
+    @property
+    def interface_name(self) -> str:
+        """The key `interface`."""
+        return self.interface
+
+    def points_in(
+        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
+    ) -> PathPoints:
+        """Points on the side."""
+        local = geometry.placement.to_stem(data.points) if is_hip(geometry) else data.points
+        angle = SIDES.index(self.side) * math.pi / 2
+        facets = _facets(data, self.interface, self.region, faces)
+        return paths.on_side(data, facets, np.asarray(local), angle, self.points)
+
+
+def _facets(
+    data: MeshData, interface: str, region: str | None, faces: Mapping[str, tuple[str, str]]
+) -> Facets:
+    """Facets of an interface in the cells of a region, or of its first side."""
+    return paths.facets_of_interface(data, interface, region or "", faces.get(interface))
+
+
+AnyPath = Annotated[LinePath | CirclePath | SectionPath | SidePath, Kinds()]

@@ -1,0 +1,157 @@
+"""Panels of fields along paths: of a run at the ends of its stages, and of several runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from app.case.quantities import FACTORS, printed
+from app.foundation.arrays import Floats
+from app.plots.curves import Line, Panel, drawing
+from app.report import page
+from app.report.page import Block, bullets
+from app.report.sweep_results import SweptCase, named
+from app.results.path_tables import ARC, PLACES, REGION
+from app.results.reading import PathTable
+from app.scene.path_fields import field_of
+from app.system.layout import plain
+
+# Most steps of a run that are drawn in one panel.
+MOST_STEPS = 5
+ABSCISSA = "distance along the path (mm)"
+# Columns that are no fields.
+ABOUT = ("step", "time [-]", "seconds [s]", ARC, *PLACES, REGION)
+GAPS = "Curves have gaps where the path is outside."
+
+
+def of_run(case: SweptCase) -> list[Block]:
+    """Draw the paths of a run: a panel for each field, a curve for each of some steps."""
+    blocks: list[Block] = []
+    for name, table in case.paths.items():
+        drawn = [drawing(panel) for panel in panels(table, stages_of(case))]
+        blocks += page.titled(named(name), page.drawings(drawn, GAPS if has_gaps(table) else ""))
+    return blocks
+
+
+def stages_of(case: SweptCase) -> list[str]:
+    """Names of the stages of a run."""
+    return [str(stage["name"]) for stage in case.data.get("stages", [])]
+
+
+def has_gaps(table: PathTable) -> bool:
+    """Return True if a point of a path is outside."""
+    return bool((table[REGION] == "").any())
+
+
+def panels(table: PathTable, stages: Sequence[str], title: str = "") -> list[Panel]:
+    """Return a panel for each field of a path.
+
+    Args:
+        table: Columns of the file of the path.
+        stages: Names of the stages of the run.
+        title: Beginning of the titles.
+    """
+    steps = _steps(table, stages)
+    drawn = []
+    for column in fields_of(table):
+        lines = [
+            line
+            for k, (step, label) in enumerate(steps.items())
+            for line in _lines(table, column, step, label, k)
+        ]
+        if lines:
+            drawn.append(_panel(column, lines, title))
+    return drawn
+
+
+def fields_of(table: PathTable) -> list[str]:
+    """Titles of the columns of fields."""
+    return [title for title in table if title not in ABOUT]
+
+
+def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
+    """Draw the paths that several runs have at their last steps, and list the others."""
+    blocks: list[Block] = []
+    alone: list[str] = []
+    for path in dict.fromkeys(path for case in cases for path in case.paths):
+        runs = [k for k, case in enumerate(cases) if path in case.paths]
+        if len(runs) < 2:
+            alone.append(f"path {path}: only in {names[runs[0]]}")
+            continue
+        tables = [cases[k].paths[path] for k in runs]
+        drawn = []
+        for column in dict.fromkeys(title for table in tables for title in fields_of(table)):
+            lines = [
+                line
+                for k, table in zip(runs, tables, strict=True)
+                if column in table
+                for line in _lines(table, column, table["step"].max(), names[k], k)
+            ]
+            if lines:
+                drawn.append(drawing(_panel(column, lines)))
+        keys = [_definition(cases[k], path) for k in runs]
+        caption = ""
+        if any(key != keys[0] for key in keys):
+            every = (f"{names[k]}: {plain(key)}" for k, key in zip(runs, keys, strict=True))
+            caption = f"The keys of the path differ: {'; '.join(every)}"
+        blocks += page.titled(named(path), page.drawings(drawn, caption))
+    return blocks + bullets(alone)
+
+
+def _definition(case: SweptCase, path: str) -> Mapping[str, object]:
+    """Keys of a path in the case of a run, without those that choose columns and points."""
+    keys = case.data.get("output", {}).get("paths", {}).get(path, {})
+    return {key: value for key, value in keys.items() if key not in ("points", "fields")}
+
+
+def _steps(table: PathTable, stages: Sequence[str]) -> dict[int, str]:
+    """Steps to draw with their names: ends of stages; within one stage with time, some times."""
+    last_of_time = {float(t): int(s) for t, s in zip(table["time [-]"], table["step"], strict=True)}
+    ends: dict[int, float] = {}
+    for time in last_of_time:
+        ends[math.ceil(time - 1e-9)] = time
+    if len(ends) > 1:
+        chosen = list(ends.items())[-MOST_STEPS:]
+        return {last_of_time[time]: named(stages[k - 1]) for k, time in chosen}
+    seconds = table.get("seconds [s]")
+    last = int(table["step"].max())
+    if seconds is None or len(last_of_time) == 1:
+        return {last: ""}
+    by_step = {int(s): float(t) for s, t in zip(table["step"], seconds, strict=True)}
+    wanted = np.linspace(min(by_step.values()), max(by_step.values()), MOST_STEPS)
+    steps = {min(by_step, key=lambda s: abs(by_step[s] - time)) for time in wanted}
+    return {step: f"{by_step[step]:.4g} s" for step in sorted(steps)}
+
+
+def _panel(column: str, lines: Sequence[Line], title: str = "") -> Panel:
+    """A panel of a field."""
+    label, unit = _shown(column)
+    words = page.spelled_out(f"{title}{label}")
+    return Panel(words, printed(unit), lines, ABSCISSA, log="", from_rest=True)
+
+
+def _shown(column: str) -> tuple[str, str]:
+    """Label and unit on pages of a column of a file."""
+    name, _, unit = column.removesuffix("]").partition(" [")
+    key, _, axis = name.partition(".")
+    field = field_of(key)
+    label = f"{field.label} {axis}".strip() if field else name.replace("_", " ")
+    return label, (field.shown if field and field.unit == unit else "") or unit
+
+
+def _lines(table: PathTable, column: str, step: float, label: str, style: int) -> list[Line]:
+    """Curve of a field at a step, in pieces between gaps; only the first has a label."""
+    at = table["step"] == step
+    x: Floats = table[ARC][at]
+    factor = FACTORS.get(_shown(column)[1], 1.0)
+    y: Floats = factor * table[column][at]
+    known = np.isfinite(y)
+    pieces = np.split(np.arange(len(y)), np.flatnonzero(np.diff(known.astype(int))) + 1)
+    lines: list[Line] = []
+    for piece in pieces:
+        if len(piece) and known[piece[0]]:
+            points = [float(v) for v in x[piece]], [float(v) for v in y[piece]]
+            lines.append(Line("" if lines else label, style, *points, look="line"))
+    return lines

@@ -1,0 +1,240 @@
+"""Fields along paths: one CSV file for each path, with a row for each point and recorded step.
+
+Rows are written at the steps of the field file, so that curves and fields show the same states. A
+point is evaluated by the shape functions of its cell, from the values at the nodes of that cell
+that the field file has. Stress at a node is the mean of the cells of one region alone, so that it
+jumps where bonded regions meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from app.case.case import Case
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError, on_root
+from app.results.field_output import (
+    FieldGroup,
+    OutputNodes,
+    named_stress,
+    output_nodes,
+)
+from app.results.interface_numbers import ContactSamples
+from app.scene.bodies import cell_tags
+from app.scene.path_fields import PathColumn, columns, slave_faces
+from app.scene.scene import Scene
+from app.system.folders import csv_text
+from meshes.data import MeshData
+from meshes.distribute import TaggedMesh
+from meshes.paths import PathPoints
+
+# Fields that follow from the stress at a point.
+FROM_STRESS = ("von_mises", "principal_max", "principal_min")
+# Digits of numbers in files.
+DIGITS = 10
+# Decimals of positions [mm].
+PLACE = 9
+# Columns before those of the fields.
+ARC = "arc length [mm]"
+PLACES = ("x [mm]", "y [mm]", "z [mm]")
+REGION = "region"
+
+
+@dataclass(frozen=True)
+class SampledPath:
+    """A path on all ranks.
+
+    Attributes:
+        points: Its points.
+        columns: Its fields.
+    """
+
+    points: PathPoints
+    columns: Sequence[PathColumn]
+
+
+@dataclass(frozen=True)
+class _Local:
+    """Points of a path in cells of this rank.
+
+    Attributes:
+        at: Numbers of the points (n,).
+        cell: Their cells (n,).
+        nodes: Rows of the nodes of these cells (n, k).
+        shape: Shape functions (n, k).
+        corner: Nearest corner of the cell (n,).
+    """
+
+    at: Ints
+    cell: Ints
+    nodes: Ints
+    shape: Floats
+    corner: Ints
+
+
+def path_tables(
+    case: Case,
+    scene: Scene,
+    tagged: TaggedMesh,
+    groups: Sequence[FieldGroup],
+    data: MeshData | None,
+) -> PathTables | None:
+    """Return the files of the paths of a case, None without paths; collective.
+
+    Args:
+        case: The case.
+        scene: Its scene.
+        tagged: Its mesh.
+        groups: Sources of the fields.
+        data: The whole mesh on rank 0, else None.
+
+    Raises:
+        InputError: The run does not have a field.
+    """
+    if not case.output.paths:
+        return None
+    faces = slave_faces(scene)
+
+    def sampled() -> dict[str, SampledPath]:
+        assert data is not None
+        return {
+            name: SampledPath(
+                path.points_in(data, case.geometry, faces), columns(case, scene, name)
+            )
+            for name, path in case.output.paths.items()
+        }
+
+    return PathTables(tagged, groups, on_root(tagged.mesh.comm, sampled) or {})
+
+
+class PathTables:
+    """The files of paths; made on all ranks.
+
+    Attributes:
+        rows: Rows of each file as text, by the name of the path; on rank 0.
+
+    Raises:
+        InputError: The run does not have a field of cells.
+    """
+
+    saved = ("rows",)
+
+    def __init__(
+        self,
+        tagged: TaggedMesh,
+        groups: Sequence[FieldGroup],
+        paths: Mapping[str, SampledPath],
+    ) -> None:
+        self._comm, self._groups, self._paths = tagged.mesh.comm, tuple(groups), dict(paths)
+        self.rows = dict.fromkeys(paths, "")
+        self._cells = owned = tagged.mesh.topology.index_map(3).size_local
+        original = tagged.mesh.topology.original_cell_index[:owned]
+        order = np.argsort(original)
+        local_paths: dict[str, tuple[Ints, Ints]] = {}
+        for name, path in paths.items():
+            wanted = path.points.cell
+            mine = np.flatnonzero(np.isin(wanted, original))
+            place = np.searchsorted(original, wanted[mine], sorter=order)
+            local_paths[name] = mine, order[place]
+        cells = np.unique(np.concatenate([cell for _, cell in local_paths.values()]))
+        tags = cell_tags(tagged)[cells]
+        nodes, rows, _ = output_nodes(tagged, groups, cells, tags)
+        every = np.unique(np.concatenate([path.points.region for path in paths.values()]))
+        self._regions = {tag: name for name, tag in tagged.regions.items()}
+        visited = [int(tag) for tag in every if tag]
+        parts = [[self._regions[tag]] for tag in visited]
+        of_nodes = cell_tags(tagged)[nodes[0].cell]
+        part = np.searchsorted(visited, of_nodes)
+        self._nodes: list[OutputNodes] = [replace(n, parts=parts, part=part) for n in nodes]
+        element = groups[0].space.element.basix_element
+        self._local: dict[str, _Local] = {}
+        for name, (mine, cell) in local_paths.items():
+            share = paths[name].points.share[mine]
+            shape = np.asarray(element.tabulate(0, share[:, 1:]))[0, :, : rows.shape[1], 0]
+            row = rows[np.searchsorted(cells, cell)]
+            self._local[name] = _Local(mine, cell, row, shape, share.argmax(axis=1))
+        self._check_cell_fields()
+
+    def _check_cell_fields(self) -> None:
+        """Refuse fields of cells that the run does not have; collective."""
+        known = [name for group in self._groups for name in group.of_cells(self._cells)]
+        for name, path in self._paths.items():
+            for k, column in enumerate(path.columns):
+                if column.field.by_cell and column.field.name not in known:
+                    text = f"{column.field.label} is constant in each region and is not written"
+                    raise InputError(
+                        f"output.paths.{name}.fields.{k}: {text}; expected another field"
+                    )
+
+    def add(
+        self, step: int, time: float, seconds: float | None, samples: ContactSamples | None
+    ) -> None:
+        """Add the rows of a step; collective."""
+        point: dict[str, Floats] = {}
+        cell: dict[str, Floats] = {}
+        for group, nodes in zip(self._groups, self._nodes, strict=True):
+            point |= group.at_nodes(nodes, samples, self._cells)
+            cell |= group.of_cells(self._cells)
+        begin: dict[str, object] = {"step": step, "time [-]": _digits(time)}
+        if seconds is not None:
+            begin["seconds [s]"] = _digits(seconds)
+        for name, path in self._paths.items():
+            local = self._local[name]
+            sampled = [_sampled(column, local, point, cell) for column in path.columns]
+            values = np.array(sampled).T
+            gathered = self._comm.gather((local.at, values))
+            if gathered is None:
+                continue
+            table = np.full((len(path.points.arc), len(path.columns)), np.nan)
+            for at, part in gathered:
+                table[at] = part
+            self._add_rows(name, path, begin, table)
+
+    def _add_rows(
+        self, name: str, path: SampledPath, begin: Mapping[str, object], table: Floats
+    ) -> None:
+        """Add the rows of a path at a step; on rank 0."""
+        points = path.points
+        titles = [column.title for column in path.columns]
+        rows: list[dict[str, object]] = []
+        for k in range(len(points.arc)):
+            row = dict(begin)
+            row[ARC] = _digits(points.arc[k])
+            row |= dict(zip(PLACES, map(_digits, np.round(points.x[k], PLACE) + 0.0), strict=True))
+            row[REGION] = self._regions.get(int(points.region[k]), "")
+            row |= {title: _digits(v) for title, v in zip(titles, table[k], strict=True)}
+            rows.append(row)
+        header, _, text = csv_text(rows).partition("\n")
+        self.rows[name] = (self.rows[name] or f"{header}\n") + text
+
+
+def _digits(value: float) -> object:
+    """A number as written; empty if there is none."""
+    return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else ""
+
+
+def _sampled(
+    column: PathColumn, local: _Local, point: Mapping[str, Floats], cell: Mapping[str, Floats]
+) -> Floats:
+    """Values of a column at the points of this rank (n,)."""
+    field = column.field
+    if field.by_cell:
+        return cell[field.file_name][local.cell]
+    if field.name in FROM_STRESS and not field.interface:
+        σ = np.einsum("nk,nkc->nc", local.shape, point["stress"][local.nodes])
+        return named_stress(σ)[field.name]
+    if field.file_name not in point:
+        # Before the first step of the mechanics there is no contact.
+        return np.full(len(local.at), np.nan)
+    values = point[field.file_name][local.nodes]
+    if field.nearest:
+        return np.asarray(values[np.arange(len(values)), local.corner])
+    sampled = np.einsum("nk,nk...->n...", local.shape, values)
+    if not field.axes:
+        return np.asarray(sampled)
+    if column.component is None:
+        return np.asarray(np.linalg.norm(sampled, axis=1))
+    return np.asarray(sampled[:, column.component])

@@ -1,0 +1,223 @@
+"""Fields that can be written along paths: names, units, components."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from app.case.case import Case
+from app.case.paths import PathOptions
+from app.case.quantities import INTERFACE_FIELDS
+from app.foundation.errors import InputError
+from app.scene.scene import Scene
+from app.schema.section import did_you_mean
+
+
+@dataclass(frozen=True)
+class PathField:
+    """A field along paths.
+
+    Attributes:
+        name: Name in the case; of an interface without the name of the interface.
+        label: Name for people.
+        unit: Unit in files.
+        shown: Unit on pages; that of files by default.
+        axes: Components: none of a scalar, x, y, z of a vector, xx, yy, ... of a stress.
+        by_cell: True if it has one value in each cell.
+        nearest: True if values are states: a point has the value of the nearest node.
+        interface: Interface of the field; empty for a field of bodies.
+    """
+
+    name: str
+    label: str
+    unit: str
+    shown: str = ""
+    axes: tuple[str, ...] = ()
+    by_cell: bool = False
+    nearest: bool = False
+    interface: str = ""
+
+    @property
+    def file_name(self) -> str:
+        """Name in the field file."""
+        return f"{self.interface}_{self.name}" if self.interface else self.name
+
+
+@dataclass(frozen=True)
+class PathColumn:
+    """A column of the file of a path.
+
+    Attributes:
+        field: Its field.
+        component: Number of its component; None for a scalar and for the length of a vector.
+    """
+
+    field: PathField
+    component: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name in the case: ``von_mises``, ``stress.zz``."""
+        axis = "" if self.component is None else f".{self.field.axes[self.component]}"
+        return f"{self.field.name}{axis}"
+
+    @property
+    def title(self) -> str:
+        """Title in the file: the name with the unit."""
+        return f"{self.name} [{self.field.unit}]"
+
+    @property
+    def label(self) -> str:
+        """Name for people."""
+        axis = "" if self.component is None else f" {self.field.axes[self.component]}"
+        return f"{self.field.label}{axis}"
+
+
+VECTOR = ("x", "y", "z")
+# VTK's order.
+STRESS = ("xx", "yy", "zz", "xy", "yz", "xz")
+MECHANICAL = (
+    PathField("displacement", "displacement", "mm", "um", VECTOR),
+    PathField("stress", "stress", "MPa", axes=STRESS),
+    PathField("von_mises", "von Mises stress", "MPa"),
+    PathField("principal_max", "largest principal stress", "MPa"),
+    PathField("principal_min", "smallest principal stress", "MPa"),
+    PathField("youngs_modulus", "Young's modulus", "MPa", by_cell=True),
+    PathField("density", "density of the bone", "g/cm^3", by_cell=True),
+)
+THERMAL = (
+    PathField("temperature", "temperature", "degC"),
+    PathField("temperature_peak", "highest temperature so far", "degC"),
+)
+DOSES = (
+    PathField("seconds_over_47", "time at or above 47 °C", "s"),
+    PathField("cem43", "CEM43", "min"),
+    PathField("henriques_moritz", "Henriques-Moritz", "-"),
+)
+CURE = PathField("degree_of_cure", "degree of cure", "-")
+CONTACT = (
+    PathField("pressure", "contact pressure", "MPa"),
+    PathField("shear", "shear stress", "MPa"),
+    PathField("gap", "gap", "mm", "um"),
+    PathField("slip_path", "path slid", "mm", "um"),
+    PathField("status", "open 0, stick 1, slip 2", "-", nearest=True),
+)
+# Of sides that share their nodes.
+SMALL_SLIDING = (
+    PathField("slip", "slip", "mm", "um", VECTOR),
+    PathField("motion", "motion", "mm", "um", VECTOR),
+)
+MICROMOTION = PathField("micromotion", "micromotion", "mm", "um")
+FAILURE = PathField("failure_index", "failure index", "-")
+TEMPERATURE_JUMP = (
+    PathField("temperature_jump", "temperature jump", "K"),
+    PathField("heat_flux", "heat flux", "W/m^2"),
+)
+# Columns of a path without `fields`, of those that the run has.
+IN_BODIES = ("displacement", "von_mises", "temperature")
+ON_CONTACT = ("pressure", "shear", "slip", "gap", "temperature")
+Source = Callable[[Case], Iterable[PathField]]
+# Functions of other packages that give more fields of the bodies of a case.
+SOURCES: list[Source] = []
+
+
+def path_fields(function: Source) -> Source:
+    """Register a function of a case: more fields of its bodies along paths."""
+    SOURCES.append(function)
+    return function
+
+
+def field_of(name: str) -> PathField | None:
+    """The field of a name, None for a field of a law or of another package."""
+    every = (*MECHANICAL, *THERMAL, *DOSES, CURE, *CONTACT, *SMALL_SLIDING, MICROMOTION, FAILURE)
+    return next((field for field in (*every, *TEMPERATURE_JUMP) if field.name == name), None)
+
+
+def available(case: Case, scene: Scene, interface: str) -> dict[str, PathField]:
+    """Fields that a run has in its bodies and on an interface, by name.
+
+    The interface is the one of a path; empty for a path through bodies.
+    """
+    in_bodies: list[PathField] = []
+    if scene.elastic:
+        in_bodies += MECHANICAL
+        for source in SOURCES:
+            in_bodies += source(case)
+    if scene.conductors:
+        in_bodies += THERMAL
+        in_bodies += DOSES if case.of_tissue("bone") else ()
+        in_bodies += [CURE] if scene.cures else []
+    fields = {field.name: field for field in in_bodies}
+    on_interface = _of_interface(scene, interface) if interface else []
+    return fields | {f.name: replace(f, interface=interface) for f in on_interface}
+
+
+def _of_interface(scene: Scene, interface: str) -> list[PathField]:
+    """Fields of an interface."""
+    fields: list[PathField] = []
+    for contact in scene.contacts:
+        if contact.name != interface:
+            continue
+        fields += CONTACT
+        fields += [
+            PathField(name, name.replace("_", " "), "-", axes=VECTOR if shape else ())
+            for name, shape in contact.law.internal_variables.items()
+        ]
+        if contact.press_fit:
+            fields.append(MICROMOTION)
+        if contact.between:
+            fields += [PathField(f.name, f.label, f.unit) for f in INTERFACE_FIELDS.values()]
+        else:
+            fields += SMALL_SLIDING
+    strong = [i.name for i in (*scene.contacts, *scene.bonds) if i.law.strength]
+    if interface in strong:
+        fields.append(FAILURE)
+    if interface in [jump.name for jump in scene.thermal_contacts]:
+        fields += TEMPERATURE_JUMP
+    return fields
+
+
+def columns(case: Case, scene: Scene, name: str) -> list[PathColumn]:
+    """Columns of a path of a case, in the order of its key `fields`.
+
+    Raises:
+        InputError: The run has no such field, or a field has no such component.
+    """
+    path = case.output.paths[name]
+    fields = available(case, scene, path.interface_name)
+    if path.fields:
+        return [
+            _column(f"output.paths.{name}.fields.{k}", text, fields, path)
+            for k, text in enumerate(path.fields)
+        ]
+    usual = ON_CONTACT if "pressure" in fields else IN_BODIES
+    return [PathColumn(fields[key]) for key in usual if key in fields]
+
+
+def _column(
+    place: str, text: str, fields: Mapping[str, PathField], path: PathOptions
+) -> PathColumn:
+    """The column that a name stands for."""
+    name, _, axis = text.partition(".")
+    field = fields.get(name)
+    if field is None:
+        where = f" on {path.interface_name}" if path.interface_name else ""
+        hint = did_you_mean(name, [*fields])
+        listed = ", ".join(fields) or "none"
+        raise InputError(f"{place}: this run has no field '{name}'{where}; it has {listed}{hint}")
+    if axis and axis not in field.axes:
+        axes = f"has the components {', '.join(field.axes)}" if field.axes else "has no components"
+        raise InputError(f"{place}: {name} {axes}; expected {_example(field)}")
+    if not axis and field.axes == STRESS:
+        raise InputError(f"{place}: a stress is six numbers; expected {_example(field)}")
+    return PathColumn(field, field.axes.index(axis) if axis else None)
+
+
+def _example(field: PathField) -> str:
+    """A name of a column of the field."""
+    return f"e.g. {field.name}.{field.axes[-1]}" if field.axes else field.name
+
+
+def slave_faces(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Boundaries of both sides of interfaces with finite sliding, the slave's as the second."""
+    return {c.name: (c.between[0], c.between[1]) for c in scene.contacts if c.between}

@@ -1,0 +1,111 @@
+"""Paths of a case on its mesh: fields that the run does not have, points outside the bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.case.case import Case
+from app.case.paths import PathOptions, SectionPath, SidePath
+from app.foundation.errors import InputError
+from app.foundation.verdict import Verdict, note
+from app.scene.path_fields import columns, slave_faces
+from app.scene.scene import build_scene
+from meshes.data import MeshData
+from meshes.geometry import is_hip
+from meshes.paths import PathPoints
+
+
+def judged(case: Case, data: MeshData) -> tuple[list[Verdict], list[Verdict]]:
+    """Return errors and notes on the paths of a case."""
+    errors: list[Verdict] = []
+    notes: list[Verdict] = []
+    if not case.output.paths:
+        return errors, notes
+    scene = build_scene(case)
+    for name, path in case.output.paths.items():
+        key = f"output.paths.{name}"
+        try:
+            columns(case, scene, name)
+        except InputError as error:
+            errors += error.verdicts
+        contradiction = _contradiction(case, path)
+        if contradiction:
+            errors.append(Verdict(contradiction, key))
+            continue
+        points = path.points_in(data, case.geometry, slave_faces(scene))
+        if not (points.cell >= 0).any():
+            errors.append(_outside(case, data, path, key))
+        elif points.outside:
+            notes.append(_partly_outside(path, points, key))
+    return errors, notes
+
+
+def _contradiction(case: Case, path: PathOptions) -> str:
+    """Reason why a path cannot lie on its interface or stem; empty if it can."""
+    geometry, interface = case.geometry, path.interface_name
+    if isinstance(path, SidePath) and not (is_hip(geometry) or geometry.is_around_z):
+        return (
+            f"geometry.kind: {geometry.kind} has no axis of a stem; expected kind: section at a "
+            "height, or kind: line between two points"
+        )
+    region = getattr(path, "region", None)
+    if interface and region:
+        sides = geometry.interface_sides[interface]
+        regions = [name for side in sides for name in side]
+        if region not in regions:
+            return (
+                f"region '{region}' is on no side of {interface}; expected {' or '.join(regions)}"
+            )
+    return ""
+
+
+def _outside(case: Case, data: MeshData, path: PathOptions, key: str) -> Verdict:
+    """Error on a path without any point in its bodies."""
+    region = getattr(path, "region", None)
+    if isinstance(path, SectionPath | SidePath):
+        what = path.interface_name or f"region '{region}'"
+        x = _nodes(case, data, path)
+        low, high = x[:, 2].min(), x[:, 2].max()
+        if isinstance(path, SidePath):
+            return Verdict(f"{what} has no {path.side} side", key, "expected another side")
+        text = f"there is no {what} at the height {path.height:g} mm"
+        return Verdict(text, key, f"expected a height from {low:.4g} to {high:.4g} mm")
+    where = f"region '{region}'" if region else "every body"
+    x = _nodes(case, data, path)
+    ends = ", ".join(
+        f"{axis} {low:.4g} to {high:.4g}"
+        for axis, low, high in zip("xyz", x.min(axis=0), x.max(axis=0), strict=True)
+    )
+    whole = f"region '{region}'" if region else "the model"
+    return Verdict(
+        f"no point of the path is in {where}" if region else "lies outside every body",
+        key,
+        f"expected points in {whole}, which fills {ends} mm",
+    )
+
+
+def _nodes(case: Case, data: MeshData, path: PathOptions) -> np.ndarray:
+    """Nodes of the bodies of a path (n, 3) [mm]."""
+    region = getattr(path, "region", None)
+    sides = case.geometry.interface_sides.get(path.interface_name, ())
+    regions = [region] if region else [name for side in sides[:1] for name in side]
+    tags = [data.regions[name] for name in regions] or list(data.regions.values())
+    return data.points[np.unique(data.cells[np.isin(data.cell_tags, tags)])]
+
+
+def _partly_outside(path: PathOptions, points: PathPoints, key: str) -> Verdict:
+    """Note on a path with points outside its bodies: how many, and where along it."""
+    region = getattr(path, "region", None)
+    out = points.cell < 0
+    begins = np.flatnonzero(np.diff(out.astype(int), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(out.astype(int), append=0) == -1)
+    stretches = [
+        f"{points.arc[a]:.4g} to {points.arc[b]:.4g} mm" for a, b in zip(begins, ends, strict=True)
+    ]
+    listed = ", ".join(stretches[:3]) + (", ..." if len(stretches) > 3 else "")
+    where = f"region '{region}'" if region else "every body"
+    text = (
+        f"{out.sum()} of its {len(out)} points are outside {where} ({listed} along it); their "
+        "fields stay empty"
+    )
+    return note(text, key)

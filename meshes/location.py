@@ -1,0 +1,108 @@
+"""Points in the cells of a mesh: the cell that holds each of them, and the coordinates in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.foundation.arrays import Floats, Ints
+from meshes.data import EDGES
+
+# Points this far outside a cell still belong to it, in barycentric coordinates: cells cut curved
+# surfaces. They have the value of the surface.
+OUTSIDE = 0.1
+# Digits to which barycentric coordinates are compared, so that rounding does not choose the cell.
+DIGITS = 9
+# Iterations of Newton's method in a curved cell; straight cells need none.
+ITERATIONS = 12
+# Derivatives of the barycentric coordinates with respect to those of the reference cell (4, 3).
+SLOPES = np.vstack([-np.ones(3), np.eye(3)])
+
+
+@dataclass(frozen=True)
+class Places:
+    """Cells that hold points.
+
+    Attributes:
+        cell: Row of the cell, -1 if the point is in no cell (n,).
+        share: Barycentric coordinates in the reference cell, by its corners (n, 4).
+        inside: Smallest barycentric coordinate before the point was moved into the cell (n,).
+    """
+
+    cell: Ints
+    share: Floats
+    inside: Floats
+
+
+def place(points: Floats, cells: Ints, x: Floats) -> Places:
+    """Find the cells that hold points.
+
+    A point on a face of two cells belongs to the first of them.
+
+    Args:
+        points: Nodes of the mesh (k, 3) [mm].
+        cells: Nodes of the cells in gmsh's order (m, 4 or 10).
+        x: The points (n, 3) [mm].
+    """
+    cell = np.full(len(x), -1, dtype=np.int64)
+    share = np.zeros((len(x), 4))
+    inside = np.full(len(x), -np.inf)
+    if not len(cells):
+        return Places(cell, share, inside)
+    nodes = points[cells]
+    low, high = nodes.min(axis=1), nodes.max(axis=1)
+    margin = 4 * OUTSIDE * (high - low)
+    low -= margin
+    high += margin
+    for k in range(len(x)):
+        point = x[k]
+        near = np.flatnonzero((low <= point).all(axis=1) & (point <= high).all(axis=1))
+        if not len(near):
+            continue
+        shares = _shares(nodes[near], point)
+        smallest = np.round(shares.min(axis=1), DIGITS)
+        best = int(np.argmax(smallest))
+        if smallest[best] < -OUTSIDE:
+            continue
+        cell[k] = near[best]
+        inside[k] = smallest[best]
+        within = np.maximum(shares[best], 0.0)
+        share[k] = within / within.sum()
+    return Places(cell, share, inside)
+
+
+def _shares(x: Floats, point: Floats) -> Floats:
+    """Barycentric coordinates (m, 4) of a point in the reference cells of cells (m, 4 or 10, 3)."""
+    edges = (x[:, 1:4] - x[:, :1]).transpose(0, 2, 1)
+    others = np.linalg.solve(edges, (point - x[:, 0])[:, :, None])[:, :, 0]
+    shares = np.column_stack([1.0 - others.sum(axis=1), others])
+    if x.shape[1] == 4:
+        return shares
+    # Far from a cell its quadratic map may have no inverse.
+    close = np.flatnonzero(shares.min(axis=1) >= -2 * OUTSIDE)
+    here = shares[close]
+    for _ in range(ITERATIONS if len(close) else 0):
+        values, slopes = shape_functions(here)
+        residual = point - np.einsum("ma,mai->mi", values, x[close])
+        jacobian = np.einsum("maj,mai->mij", slopes, x[close])
+        here = here + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0] @ SLOPES.T
+        # A point outside may have no solution: its iterates stay near the cell.
+        here = np.clip(here, -1.0, 2.0)
+    shares[close] = here
+    return shares
+
+
+def shape_functions(shares: Floats) -> tuple[Floats, Floats]:
+    """Quadratic shape functions (m, 10) in gmsh's order and derivatives (m, 10, 3)."""
+    i, j = np.array(EDGES).T
+    values = np.concatenate([shares * (2 * shares - 1), 4 * shares[:, i] * shares[:, j]], axis=1)
+    corners = (4 * shares - 1)[:, :, None] * SLOPES
+    middles = 4 * (shares[:, i, None] * SLOPES[j] + shares[:, j, None] * SLOPES[i])
+    return values, np.concatenate([corners, middles], axis=1)
+
+
+def positions(points: Floats, cells: Ints, shares: Floats) -> Floats:
+    """Positions (n, 3) [mm] at barycentric coordinates (n, 4) of cells (n, 4 or 10)."""
+    weights = shares if cells.shape[1] == 4 else shape_functions(shares)[0]
+    return np.asarray(np.einsum("na,nai->ni", weights, points[cells]))

@@ -1,0 +1,387 @@
+"""Points of a path in a mesh: on a line, on a circle, or where a plane cuts a surface.
+
+Each point has its cell and the coordinates in it, so that every rank evaluates the same points by
+the same shape functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.foundation.arrays import Bools, Floats, Ints
+from meshes.data import (
+    MeshData,
+    boundary_facets,
+    exterior_facets,
+    faces_of,
+    interface_facets,
+    same_triangles,
+)
+from meshes.location import place, positions
+
+# Parts of a facet with six nodes, by these.
+QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+# Barycentric coordinates of the nodes of a facet with six nodes.
+NODES = np.vstack([np.eye(3), [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]]])
+# Shift of a plane through nodes, in parts of the extent of the surface: it cuts edges, not nodes.
+SHIFT = 1e-7
+# Segments shorter than this part of their curve are left out.
+SHORT = 1e-9
+
+
+@dataclass(frozen=True)
+class PathPoints:
+    """Points of a path in the cells of a mesh.
+
+    Attributes:
+        arc: Distance along the path from its first point (n,) [mm].
+        x: Positions (n, 3) [mm].
+        cell: Row of the cell in `MeshData`, -1 for a point outside (n,).
+        share: Barycentric coordinates in the reference cell (n, 4).
+        region: Tag of the region of the cell, 0 outside (n,).
+    """
+
+    arc: Floats
+    x: Floats
+    cell: Ints
+    share: Floats
+    region: Ints
+
+    @property
+    def outside(self) -> float:
+        """Part of the points outside."""
+        return float((self.cell < 0).mean())
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Facets of a surface, as faces of cells on one side of it.
+
+    Attributes:
+        nodes: Nodes (k, 3 or 6).
+        cells: Rows of the cells (k,).
+    """
+
+    nodes: Ints
+    cells: Ints
+
+
+def on_line(
+    data: MeshData, region: str, start: Sequence[float], end: Sequence[float], n: int
+) -> PathPoints:
+    """N points at equal distances on a straight line, from start to end [mm].
+
+    The cells that hold them are those of a region, or of every region if it is empty.
+    """
+    part = np.linspace(0.0, 1.0, n)
+    first, last = np.array(start), np.array(end)
+    arc = part * np.linalg.norm(last - first)
+    return _inside(data, region, arc, first + part[:, None] * (last - first))
+
+
+def on_circle(
+    data: MeshData,
+    region: str,
+    centre: Sequence[float],
+    axis: Sequence[float],
+    radius: float,
+    n: int,
+) -> PathPoints:
+    """N points on a circle, counterclockwise about its axis; the last is the first.
+
+    The first point lies towards x from the centre, or towards y if the axis is x.
+    """
+    about = np.array(axis) / np.linalg.norm(axis)
+    start = np.eye(3)[0 if np.abs(about[0]) < 1 - 1e-9 else 1]
+    out = start - (start @ about) * about
+    out /= np.linalg.norm(out)
+    angle = np.linspace(0.0, 2 * np.pi, n)
+    x = np.outer(np.cos(angle), out) + np.outer(np.sin(angle), np.cross(about, out))
+    return _inside(data, region, radius * angle, np.array(centre) + radius * x)
+
+
+def _inside(data: MeshData, region: str, arc: Floats, x: Floats) -> PathPoints:
+    """Points with the cells that hold them."""
+    wanted = data.cell_tags == data.regions[region] if region else data.cell_tags > 0
+    allowed = np.flatnonzero(wanted)
+    places = place(data.points, data.cells[allowed], x)
+    there = places.cell >= 0
+    cell = np.where(there, allowed[places.cell], -1)
+    tags = np.where(there, data.cell_tags[cell], 0).astype(np.int64)
+    return PathPoints(arc, x, cell, places.share, tags)
+
+
+# Surfaces
+
+
+def facets_of_interface(
+    data: MeshData, name: str, region: str, apart: tuple[str, str] | None
+) -> Facets:
+    """Facets of an interface, in the cells of a region, or of its first side if region is empty.
+
+    Of an interface that is meshed apart, with two boundaries, they are those of the second one.
+    """
+    if apart:
+        nodes = boundary_facets(data, apart[1])
+        outer, cells = exterior_facets(data.cells)
+        mine, every = same_triangles(nodes[:, :3], outer[:, :3])
+        order = np.argsort(every)
+        cells = cells[order[np.searchsorted(every[order], mine)]]
+        facets = Facets(nodes, cells)
+    else:
+        nodes, first, second = interface_facets(data, name)
+        sides = data.interfaces[name]
+        facets = Facets(nodes, second if region in sides[1] else first)
+    if not region:
+        return facets
+    kept = data.cell_tags[facets.cells] == data.regions[region]
+    return Facets(facets.nodes[kept], facets.cells[kept])
+
+
+def facets_of_region(data: MeshData, region: str) -> Facets:
+    """Facets of the whole surface of a region."""
+    tag = data.regions[region]
+    behind = data.neighbours
+    other = (behind < 0) | (data.cell_tags[behind] != tag)
+    cell, face = np.nonzero(other & (data.cell_tags == tag)[:, None])
+    return Facets(faces_of(data.cells, cell, face), cell)
+
+
+# Curves in which a plane cuts a surface
+
+
+def on_section(data: MeshData, facets: Facets, z: float, n: int) -> PathPoints:
+    """N points at equal distances on the curve in which a plane at a height cuts a surface.
+
+    Of several curves it is the longest. A closed one begins towards x of its centroid (medial in a
+    hip), turns towards y (anterior), and its last point is its first.
+    """
+    curve = _cut(data, facets, data.points[:, 2] - z, None)
+    if curve is None:
+        return _no_points()
+    x = curve.ends(data)[:, :2]
+    turn = np.sum(x[:-1, 0] * x[1:, 1] - x[:-1, 1] * x[1:, 0])
+    if turn < 0:
+        curve, x = curve.reversed(), x[::-1]
+    begin = _towards_x(x) if curve.closed else 0.0
+    return curve.sampled(data, n, begin)
+
+
+def _towards_x(x: Floats) -> float:
+    """Distance along a closed polygon (n, 2) at which it passes the ray from its centroid to x."""
+    length = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    x = x - length @ (x[1:] + x[:-1]) / 2 / length.sum()
+    a, b = x[:-1], x[1:]
+    passes = np.flatnonzero((a[:, 1] < 0) & (b[:, 1] >= 0))
+    part = a[passes, 1] / (a[passes, 1] - b[passes, 1])
+    out = a[passes, 0] + part * (b[passes, 0] - a[passes, 0])
+    if not len(passes) or out.max() <= 0:
+        return 0.0
+    k = int(np.argmax(out))
+    return float(length[: passes[k]].sum() + part[k] * length[passes[k]])
+
+
+def on_side(data: MeshData, facets: Facets, local: Floats, angle: float, n: int) -> PathPoints:
+    """N points at equal distances on a surface around an axis, from its lower to its upper end.
+
+    They lie in the half-plane from the axis at an angle from x to y [rad]. Of several curves it is
+    the longest. The axis is z of the local positions of the nodes (k, 3) [mm].
+    """
+    out = np.array([np.cos(angle), np.sin(angle)])
+    across = local[:, :2] @ np.array([-out[1], out[0]])
+    curve = _cut(data, facets, across, local[:, :2] @ out)
+    if curve is None:
+        return _no_points()
+    ends = curve.height(local)
+    return (curve.reversed() if ends[0] > ends[-1] else curve).sampled(data, n)
+
+
+def _no_points() -> PathPoints:
+    """A path that meets no surface."""
+    none: Ints = np.zeros(0, dtype=np.int64)
+    return PathPoints(np.zeros(0), np.zeros((0, 3)), none, np.zeros((0, 4)), none)
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A chain of segments on facets.
+
+    Attributes:
+        facets: Nodes of the facet of each segment (s, 3 or 6).
+        cells: Its cell (s,).
+        start: Barycentric coordinates in the facet of the start of each segment (s, 3).
+        end: Those of its end (s, 3).
+        closed: True if the last segment ends where the first begins.
+    """
+
+    facets: Ints
+    cells: Ints
+    start: Floats
+    end: Floats
+    closed: bool
+
+    def shares(self, data: MeshData, segment: Ints, within: Floats) -> Floats:
+        """Coordinates (n, 4) in the cells of segments (n,) from those in their facets (n, 3)."""
+        corners = data.cells[self.cells[segment], :4]
+        same = corners[:, :, None] == self.facets[segment, None, :3]
+        return np.asarray(np.einsum("nij,nj->ni", same, within))
+
+    def places(self, data: MeshData, segment: Ints, within: Floats) -> Floats:
+        """Positions (n, 3) [mm] of points in facets."""
+        cells = data.cells[self.cells[segment]]
+        return positions(data.points, cells, self.shares(data, segment, within))
+
+    def ends(self, data: MeshData) -> Floats:
+        """Positions of the starts of all segments and of the last end (s + 1, 3) [mm]."""
+        every = np.arange(len(self.cells))
+        starts = self.places(data, every, self.start)
+        return np.vstack([starts, self.places(data, every[-1:], self.end[-1:])])
+
+    def height(self, local: Floats) -> Floats:
+        """Height of start and end of the curve (2,), from nodes in other axes (k, 3) [mm]."""
+        first = self.start[0] @ local[self.facets[0, :3], 2]
+        return np.array([first, self.end[-1] @ local[self.facets[-1, :3], 2]])
+
+    def reversed(self) -> _Curve:
+        """The same curve from its end to its start."""
+        back = slice(None, None, -1)
+        return _Curve(
+            self.facets[back], self.cells[back], self.end[back], self.start[back], self.closed
+        )
+
+    def sampled(self, data: MeshData, n: int, begin: float = 0.0) -> PathPoints:
+        """N points at equal distances along the curve; a closed one begins at a distance [mm]."""
+        corners = self.ends(data)
+        length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        until = np.concatenate([[0.0], np.cumsum(length)])
+        arc = np.linspace(0.0, until[-1], n)
+        at = np.mod(begin + arc, until[-1]) if begin else arc
+        segment = np.clip(np.searchsorted(until, at, side="right") - 1, 0, len(length) - 1)
+        part = ((at - until[segment]) / length[segment])[:, None]
+        within = self.start[segment] + part * (self.end[segment] - self.start[segment])
+        cell = self.cells[segment]
+        return PathPoints(
+            arc,
+            self.places(data, segment, within),
+            cell,
+            self.shares(data, segment, within),
+            data.cell_tags[cell].astype(np.int64),
+        )
+
+
+def _cut(data: MeshData, facets: Facets, level: Floats, out: Floats | None) -> _Curve | None:
+    """Longest curve on facets at which a level is zero; None without any.
+
+    The level has values at the nodes of the mesh (k,), and is linear on facets or on a quarter of
+    each. The curve is cut off where the values `out` (k,) are negative.
+    """
+    if not len(facets.nodes):
+        return None
+    extent = float(np.ptp(level[facets.nodes])) or 1.0
+    for shift in (SHIFT, -SHIFT):
+        curve = _chain(data, facets, level, level + shift * extent >= 0, out)
+        if curve is not None:
+            return curve
+    return None
+
+
+def _chain(
+    data: MeshData, facets: Facets, level: Floats, above: Bools, out: Floats | None
+) -> _Curve | None:
+    """Longest chain of the segments in which a surface passes from above to below."""
+    quarters = QUARTERS if facets.nodes.shape[1] == 6 else np.array([[0, 1, 2]])
+    facet = np.repeat(np.arange(len(facets.nodes)), len(quarters))
+    local = np.tile(quarters, (len(facets.nodes), 1))
+    corners = facets.nodes[facet[:, None], local]
+    count = above[corners].sum(axis=1)
+    mixed = (count == 1) | (count == 2)
+    facet, local, corners, count = facet[mixed], local[mixed], corners[mixed], count[mixed]
+    # The corner that is alone on its side: both edges at it are cut.
+    tip = np.argmax(above[corners] == (count == 1)[:, None], axis=1)
+    rows = np.arange(len(facet))
+    keys: list[Ints] = []
+    within: list[Floats] = []
+    values: list[Floats] = []
+    for other in ((tip + 1) % 3, (tip + 2) % 3):
+        a, b = corners[rows, tip], corners[rows, other]
+        # From the lesser node, so that both facets of an edge compute the same point.
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        part = np.clip(level[low] / (level[low] - level[high]), 0.0, 1.0)
+        one, two = NODES[local[rows, tip]], NODES[local[rows, other]]
+        along = np.where(a == low, part, 1.0 - part)[:, None]
+        within.append(one + along * (two - one))
+        keys.append(low * len(level) + high)
+        if out is not None:
+            values.append(out[low] + part * (out[high] - out[low]))
+    start, end = within
+    if out is not None:
+        first, last = values
+        kept = np.maximum(first, last) > 0
+        step = np.where(first == last, 1.0, last - first)
+        zero = (-first / step)[:, None]
+        cut_start = np.where((first < 0)[:, None], start + zero * (end - start), start)
+        cut_end = np.where((last < 0)[:, None], start + zero * (end - start), end)
+        start, end = cut_start[kept], cut_end[kept]
+        facet, keys = facet[kept], [k[kept] for k in keys]
+    x = data.points[facets.nodes[facet, :3]]
+    length = np.linalg.norm(np.einsum("sc,sci->si", end - start, x), axis=1)
+    order, flipped, closed = _longest(np.column_stack(keys), length)
+    if not len(order):
+        return None
+    flip = np.array(flipped)[:, None]
+    first_ends, last_ends = start[order], end[order]
+    return _Curve(
+        facets.nodes[facet[order]],
+        facets.cells[facet[order]],
+        np.where(flip, last_ends, first_ends),
+        np.where(flip, first_ends, last_ends),
+        closed,
+    )
+
+
+def _longest(ends: Ints, length: Floats) -> tuple[list[int], list[bool], bool]:
+    """Longest chain of segments.
+
+    Args:
+        ends: Keys of both ends of each segment (s, 2).
+        length: Length of each segment (s,).
+
+    Returns:
+        Segments in order without those of no length, True for each that runs from its second end
+        to its first, and True if the chain is closed.
+    """
+    pairs = [(int(a), int(b)) for a, b in ends]
+    at: dict[int, list[int]] = {}
+    for k, pair in enumerate(pairs):
+        for key in pair:
+            at.setdefault(key, []).append(k)
+    unused = set(range(len(pairs)))
+    # Open chains begin at a key of one segment.
+    begin = [k for k, pair in enumerate(pairs) if any(len(at[key]) == 1 for key in pair)]
+    best: tuple[list[int], list[bool], bool] = ([], [], False)
+    most = 0.0
+    for first in [*begin, *range(len(pairs))]:
+        if first not in unused:
+            continue
+        flip = len(at[pairs[first][0]]) > 1 and len(at[pairs[first][1]]) == 1
+        origin, order, flipped = pairs[first][int(flip)], [first], [flip]
+        unused.remove(first)
+        key = pairs[first][1 - int(flip)]
+        while True:
+            following = next((k for k in at[key] if k in unused), None)
+            if following is None:
+                break
+            unused.remove(following)
+            flip = pairs[following][0] != key
+            order.append(following)
+            flipped.append(flip)
+            key = pairs[following][1 - int(flip)]
+        total = float(length[order].sum())
+        if total > most:
+            most = total
+            there = [k for k in range(len(order)) if length[order[k]] > SHORT * total]
+            best = [order[k] for k in there], [flipped[k] for k in there], key == origin
+    return best
