@@ -58,6 +58,7 @@ cluster
 administrators
 restart
 evidence
+paths
 paraview
 python
 trouble

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, model_validator
 
-from app.case.shapes import SIDES, Shape
 from app.laws.loads import Point
 from app.schema import units
 from app.schema.section import ITEMS, Kinds, Name, Section, Text, fail, show
-from meshes import paths
-from meshes.data import MeshData
-from meshes.geometry import is_hip
-from meshes.paths import Facets, PathPoints
 
 # Most points of a path: a line of the page has fewer.
 MOST_POINTS = 10_000
@@ -46,19 +38,6 @@ class PathOptions(Section):
         """Interface on which the path lies; empty for a path through bodies."""
         return ""
 
-    def points_in(
-        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
-    ) -> PathPoints:
-        """Points of the path in the cells of a mesh.
-
-        Args:
-            data: The mesh.
-            geometry: The geometry of the case.
-            faces: Boundaries of both sides of interfaces that are meshed apart, by interface; the
-                second has the contact points.
-        """
-        raise NotImplementedError
-
 
 class LinePath(PathOptions):
     """A straight line between two points."""
@@ -77,12 +56,6 @@ class LinePath(PathOptions):
             fail("is the start; expected another point", at=("end",))
         return self
 
-    def points_in(
-        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
-    ) -> PathPoints:
-        """Points on the line."""
-        return paths.on_line(data, self.region or "", self.start, self.end, self.points)
-
 
 class CirclePath(PathOptions):
     """A circle, counterclockwise about its axis, from x (or from y if the axis is x)."""
@@ -96,14 +69,6 @@ class CirclePath(PathOptions):
     """Axis, a vector of any length except zero."""
     region: Name | None = None
     """Region whose values are taken; by default every region on the circle."""
-
-    def points_in(
-        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
-    ) -> PathPoints:
-        """Points on the circle."""
-        return paths.on_circle(
-            data, self.region or "", self.centre, self.axis, self.radius, self.points
-        )
 
 
 class SectionPath(PathOptions):
@@ -129,16 +94,6 @@ class SectionPath(PathOptions):
         """The key `interface`."""
         return self.interface or ""
 
-    def points_in(
-        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
-    ) -> PathPoints:
-        """Points on the outline."""
-        if self.interface is None:
-            facets = paths.facets_of_region(data, self.region or "")
-        else:
-            facets = _facets(data, self.interface, self.region, faces)
-        return paths.on_section(data, facets, self.height, self.points)
-
 
 class SidePath(PathOptions):
     """A side of an interface around a stem, from its lower to its upper end.
@@ -158,22 +113,6 @@ class SidePath(PathOptions):
     def interface_name(self) -> str:
         """The key `interface`."""
         return self.interface
-
-    def points_in(
-        self, data: MeshData, geometry: Shape, faces: Mapping[str, tuple[str, str]]
-    ) -> PathPoints:
-        """Points on the side."""
-        local = geometry.placement.to_stem(data.points) if is_hip(geometry) else data.points
-        angle = SIDES.index(self.side) * math.pi / 2
-        facets = _facets(data, self.interface, self.region, faces)
-        return paths.on_side(data, facets, np.asarray(local), angle, self.points)
-
-
-def _facets(
-    data: MeshData, interface: str, region: str | None, faces: Mapping[str, tuple[str, str]]
-) -> Facets:
-    """Facets of an interface in the cells of a region, or of its first side."""
-    return paths.facets_of_interface(data, interface, region or "", faces.get(interface))
 
 
 AnyPath = Annotated[LinePath | CirclePath | SectionPath | SidePath, Kinds()]

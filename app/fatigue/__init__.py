@@ -15,6 +15,7 @@ from app.fatigue import findings as findings  # registers its checks
 from app.fatigue.laws import Fatigue, Weibull, fatigue_of, weibull_of
 from app.laws.materials import Elastic
 from app.results.records import Followed, add_record
+from app.scene.path_fields import PathField, path_fields
 from app.schema.section import add_key
 
 if TYPE_CHECKING:
@@ -43,6 +44,13 @@ def _laws(case: Case) -> Iterable[str]:
     """Names of the S-N laws, by which damage is published."""
     fatigue = fatigue_of(case)
     return fatigue.laws if fatigue else ()
+
+
+@path_fields
+def _damage(case: Case) -> Iterable[PathField]:
+    """Damage in a year by each S-N law, along paths."""
+    for name in _laws(case):
+        yield PathField(f"damage_{name}", f"damage in a year, {name}", "1/year", by_cell=True)
 
 
 add_record("risk", _risk)

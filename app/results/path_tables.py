@@ -24,7 +24,8 @@ from app.results.field_output import (
 )
 from app.results.interface_numbers import ContactSamples
 from app.scene.bodies import cell_tags
-from app.scene.path_fields import PathColumn, columns, slave_faces
+from app.scene.path_fields import PathColumn, columns
+from app.scene.path_points import path_points
 from app.scene.scene import Scene
 from app.system.folders import csv_text
 from meshes.data import MeshData
@@ -96,14 +97,11 @@ def path_tables(
     """
     if not case.output.paths:
         return None
-    faces = slave_faces(scene)
 
     def sampled() -> dict[str, SampledPath]:
         assert data is not None
         return {
-            name: SampledPath(
-                path.points_in(data, case.geometry, faces), columns(case, scene, name)
-            )
+            name: SampledPath(path_points(case, scene, data, path), columns(case, scene, name))
             for name, path in case.output.paths.items()
         }
 

@@ -216,8 +216,3 @@ def _column(
 def _example(field: PathField) -> str:
     """A name of a column of the field."""
     return f"e.g. {field.name}.{field.axes[-1]}" if field.axes else field.name
-
-
-def slave_faces(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Boundaries of both sides of interfaces with finite sliding, the slave's as the second."""
-    return {c.name: (c.between[0], c.between[1]) for c in scene.contacts if c.between}

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from app.case.case import Case
-from app.case.paths import PathOptions, SectionPath, SidePath
+from app.case.paths import AnyPath, SectionPath, SidePath
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
-from app.scene.path_fields import columns, slave_faces
+from app.scene.path_fields import columns
+from app.scene.path_points import path_points
 from app.scene.scene import build_scene
 from meshes.data import MeshData
 from meshes.geometry import is_hip
@@ -32,7 +33,7 @@ def judged(case: Case, data: MeshData) -> tuple[list[Verdict], list[Verdict]]:
         if contradiction:
             errors.append(Verdict(contradiction, key))
             continue
-        points = path.points_in(data, case.geometry, slave_faces(scene))
+        points = path_points(case, scene, data, path)
         if not (points.cell >= 0).any():
             errors.append(_outside(case, data, path, key))
         elif points.outside:
@@ -40,7 +41,7 @@ def judged(case: Case, data: MeshData) -> tuple[list[Verdict], list[Verdict]]:
     return errors, notes
 
 
-def _contradiction(case: Case, path: PathOptions) -> str:
+def _contradiction(case: Case, path: AnyPath) -> str:
     """Reason why a path cannot lie on its interface or stem; empty if it can."""
     geometry, interface = case.geometry, path.interface_name
     if isinstance(path, SidePath) and not (is_hip(geometry) or geometry.is_around_z):
@@ -48,7 +49,7 @@ def _contradiction(case: Case, path: PathOptions) -> str:
             f"geometry.kind: {geometry.kind} has no axis of a stem; expected kind: section at a "
             "height, or kind: line between two points"
         )
-    region = getattr(path, "region", None)
+    region = path.region
     if interface and region:
         sides = geometry.interface_sides[interface]
         regions = [name for side in sides for name in side]
@@ -59,9 +60,9 @@ def _contradiction(case: Case, path: PathOptions) -> str:
     return ""
 
 
-def _outside(case: Case, data: MeshData, path: PathOptions, key: str) -> Verdict:
+def _outside(case: Case, data: MeshData, path: AnyPath, key: str) -> Verdict:
     """Error on a path without any point in its bodies."""
-    region = getattr(path, "region", None)
+    region = path.region
     if isinstance(path, SectionPath | SidePath):
         what = path.interface_name or f"region '{region}'"
         x = _nodes(case, data, path)
@@ -84,18 +85,18 @@ def _outside(case: Case, data: MeshData, path: PathOptions, key: str) -> Verdict
     )
 
 
-def _nodes(case: Case, data: MeshData, path: PathOptions) -> np.ndarray:
+def _nodes(case: Case, data: MeshData, path: AnyPath) -> np.ndarray:
     """Nodes of the bodies of a path (n, 3) [mm]."""
-    region = getattr(path, "region", None)
+    region = path.region
     sides = case.geometry.interface_sides.get(path.interface_name, ())
     regions = [region] if region else [name for side in sides[:1] for name in side]
     tags = [data.regions[name] for name in regions] or list(data.regions.values())
     return data.points[np.unique(data.cells[np.isin(data.cell_tags, tags)])]
 
 
-def _partly_outside(path: PathOptions, points: PathPoints, key: str) -> Verdict:
+def _partly_outside(path: AnyPath, points: PathPoints, key: str) -> Verdict:
     """Note on a path with points outside its bodies: how many, and where along it."""
-    region = getattr(path, "region", None)
+    region = path.region
     out = points.cell < 0
     begins = np.flatnonzero(np.diff(out.astype(int), prepend=0) == 1)
     ends = np.flatnonzero(np.diff(out.astype(int), append=0) == -1)
