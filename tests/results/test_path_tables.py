@@ -235,7 +235,7 @@ def test_paths_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
     posterior = at_end(results, "posterior")
     assert posterior["y [mm]"] == pytest.approx(-11, abs=0.01)
     radial = ring * (1 - b**2 / 11**2)
-    assert posterior["stress.yy [MPa]"].mean() == pytest.approx(radial, rel=0.1)
+    assert posterior["stress.yy [MPa]"].mean() == pytest.approx(radial, abs=0.05 * p)
     out = at_end(results, "out")
     x = out["x [mm]"]
     middle = (x > 8) & (x < 15)
