@@ -241,7 +241,7 @@ def test_paths_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
     middle = (x > 8) & (x < 15)
     for title, sign in (("stress.xx [MPa]", -1), ("stress.yy [MPa]", 1)):
         exact = ring * (1 + sign * b**2 / x**2)
-        assert np.abs(out[title] - exact)[middle].max() < 0.05 * p
+        assert np.abs(out[title] - exact)[middle].max() < 0.1 * p
 
 
 @pytest.mark.parallel
