@@ -31,7 +31,7 @@ from app.system.folders import csv_text, remove, write_json, write_text
 from app.validation import metrics, picture, records
 from app.validation.catalogue import EXPERIMENTS
 from app.validation.experiment import (
-    FINER,
+    COARSER,
     NOMINAL,
     SAMPLES,
     Conditions,
@@ -257,7 +257,7 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
     Raises:
         InputError: Fewer than `FEWEST` samples are complete.
     """
-    nominal, finer = (_conditions(results, part) for part in (NOMINAL, FINER))
+    nominal, coarser = (_conditions(results, part) for part in (NOMINAL, COARSER))
     complete: list[Conditions] = []
     inputs: list[dict[str, object]] = []
     for number in range(1, experiment.designs[0].samples + 1):
@@ -273,7 +273,7 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
         raise InputError(f"{experiment.sweep}: {text}")
     by_key = {key: [of_sample[key] for of_sample in inputs] for key in inputs[0]}
     return {
-        name: _prediction(quantity, nominal, finer, complete, by_key)
+        name: _prediction(quantity, nominal, coarser, complete, by_key)
         for name, quantity in experiment.quantities.items()
     }
 
@@ -294,7 +294,7 @@ def _inputs(experiment: Experiment, runs: Sequence[PlannedRun]) -> dict[str, obj
 def _prediction(
     quantity: PredictedQuantity,
     nominal: Conditions,
-    finer: Conditions,
+    coarser: Conditions,
     samples: Sequence[Conditions],
     inputs: Mapping[str, Sequence[object]],
 ) -> Prediction:
@@ -305,7 +305,7 @@ def _prediction(
         text=quantity.text,
         unit=quantity.unit,
         value=_rounded(value),
-        discretization=_rounded(abs(quantity.number(finer) - value)),
+        discretization=_rounded(abs(quantity.number(coarser) - value)),
         band=(_rounded(spread["p5"]), _rounded(spread["p95"])),
         failure=quantity.failure,
         follows={key: round(r, 2) for key, r in spread["correlation"].items()},

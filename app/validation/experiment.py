@@ -3,7 +3,7 @@
 The file ``configs/experiments/NAME.yaml`` is a sweep with three parts::
 
     nominal    the conditions of the experiment with the middle of each range
-    finer      the same on a finer mesh
+    coarser    the same on a coarser mesh
     samples    the same conditions, with inputs drawn from their ranges by a Latin hypercube
 
 A condition is an entry of the axis ``table``, such as the finish of a rod. Conditions whose inputs
@@ -27,7 +27,7 @@ from app.results.reading import Results
 
 # Names of the parts of the sweep of an experiment.
 NOMINAL = "nominal"
-FINER = "finer"
+COARSER = "coarser"
 SAMPLES = "samples"
 # Name of a sample at the end of the name of a point, before its number.
 SAMPLE = "sample"

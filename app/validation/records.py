@@ -49,7 +49,7 @@ class Prediction(Section):
     value: float
     """Value with the middle of each range."""
     discretization: Annotated[float, Field(ge=0)]
-    """Difference from the value on the finer mesh."""
+    """Difference from the value on a coarser mesh."""
     band: Interval
     """5th and 95th percentile of the samples."""
     failure: str
