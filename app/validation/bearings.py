@@ -158,7 +158,7 @@ SIMULATOR_TORQUE = Experiment(
                 ("torque", "friction torque", largest_torque),
                 ("taper", "torque about the taper's axis", taper_torque),
             )
-            for size in (28, 36, 40)
+            for size in (28, 40)
         },
         "ratio": PredictedQuantity(
             "largest friction torque of a head of 40 mm over that of 28 mm",
@@ -167,9 +167,9 @@ SIMULATOR_TORQUE = Experiment(
             "Outside of the band the friction factor depends on the size of the head: lubrication.",
         ),
         "time": PredictedQuantity(
-            "part of the cycle at which the friction torque of a head of 36 mm is largest",
+            "part of the cycle at which the friction torque of a head of 28 mm is largest",
             "%",
-            lambda runs: time_of_largest(runs["size36"]),
+            lambda runs: time_of_largest(runs["size28"]),
             "Outside of the band friction follows speed or film thickness, not the force. The two "
             "peaks of the force, at 12 and 50 %, have nearly the same friction here.",
         ),
