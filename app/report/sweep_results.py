@@ -174,7 +174,7 @@ def read(folder: Path) -> SweepResults:
     except FileNotFoundError:
         what = "has no sweep.json" if folder.is_dir() else "no such folder"
         raise InputError(
-            f"{folder}: {what}; expected a folder written by mantle run or sweep"
+            f"{folder}: {what}; expected a folder written by mantle run, sweep or fit"
         ) from None
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: cannot be read: {error!r}") from error

@@ -268,6 +268,23 @@ def test_fit_without_a_run_that_meets_the_constraints_names_the_closest(model: B
         fit_results.raise_faults(record)
 
 
+def test_fit_of_a_minimum_out_of_runs_has_its_best_run(model: Bench) -> None:
+    text = file(targets="", more=f"  minimise: {MODULUS}\n  runs: 6\n  constraints:\n")
+    record = search(model, text + "    lower_upper.pressure_mean: {at_least: 4 MPa}\n")
+    assert len(record["runs"]) <= 6 and not record["converged"]
+    feasible = [r for r in record["runs"] if r["numbers"]["lower_upper.pressure_mean"] >= 4]
+    assert record["best"] == min(feasible, key=lambda r: r["shares"][1])["name"]
+    with pytest.raises(ConvergenceError, match=r"fit.runs above 6"):
+        fit_results.raise_faults(record)
+
+
+def test_fit_of_a_key_without_constraints_goes_to_its_bound(model: Bench) -> None:
+    record = search(model, file(targets="", more=f"  maximise: {FRICTION}\n"))
+    assert record["keys"][FRICTION]["at"] == "high"
+    said = verdicts(record)
+    assert f"{MODULUS}: has no influence on the numbers" in said
+
+
 def test_fit_writes_json_csv_table_and_page(model: Bench, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
     record = search(model, file())
@@ -433,3 +450,40 @@ def test_fit_set_of_a_fitted_key_is_refused(bench: Bench) -> None:
     bench.tell(**{"fit.yaml": file()})
     with pytest.raises(MantleError, match=r"--set .*fixes it for every case"):
         fit_file.read(bench.folder / "fit.yaml", [f"{FRICTION}=0.3"])
+
+
+@pytest.mark.slow  # 12 runs of 2 s
+def test_fit_of_a_push_in_test_recovers_friction_and_modulus(tmp_path: Path) -> None:
+    """The shipped file, whose data were made by 0.35 and 2.5 GPa and changed by noise."""
+    path = support.CONFIGS / "fits" / "push_in.yaml"
+    record: Any = fit.run(path, (), Options(tmp_path / "out", 2))
+    friction, modulus = record["keys"].values()
+    assert abs(friction["number"] - 0.35) < 2 * friction["uncertainty"] < 0.03
+    assert abs(modulus["number"] - 2.5) < 2 * modulus["uncertainty"] < 0.3
+    assert record["converged"] and len(record["runs"]) <= 25 and not record["verdicts"]
+
+
+@pytest.mark.slow  # 12 runs of 2 s, each on a mesh of its own
+def test_fit_finds_the_thinnest_ring_of_a_shrink_fit(tmp_path: Path) -> None:
+    """Lame's pressure in plane strain (`configs/verification/lame_plane_strain.yaml`)."""
+    core, ring, nu, delta, b = 110e3, 2200.0, 0.3, 0.01, 7.0
+
+    def pressure(thickness: float) -> float:
+        c = b + thickness + 1.5
+        of_ring = (1 + nu) / ring * ((1 - 2 * nu) * b**2 + c**2) / (c**2 - b**2)
+        return delta / b / (of_ring + (1 + nu) * (1 - 2 * nu) / core)
+
+    assert pressure(1.5) == pytest.approx(1.02740, abs=1e-5)
+    (tmp_path / "fit.yaml").write_text(f"""\
+base: {support.CONFIGS / "verification" / "lame_plane_strain.yaml"}
+set: {{output.fields: false}}
+fit:
+  keys: {{geometry.cement_thickness: {{low: 1 mm, high: 4 mm}}}}
+  minimise: geometry.cement_thickness
+  constraints: {{stem_cement.pressure_mean: {{at_least: {pressure(2.0)} MPa}}}}
+""")
+    record: Any = fit.run(tmp_path / "fit.yaml", (), Options(tmp_path / "out", 2))
+    thickness = record["keys"]["geometry.cement_thickness"]["number"]
+    assert thickness == pytest.approx(2.0, abs=0.03)
+    assert record["numbers"]["stem_cement.pressure_mean"]["value"] >= pressure(2.0)
+    assert record["converged"] and not record["verdicts"]

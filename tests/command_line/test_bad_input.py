@@ -190,7 +190,7 @@ def test_bad_input_is_printed_once_with_exit_code_2(
         ("run none.yaml -n zero", "-n: 'zero' is not a number of ranks"),
         ("run none.yaml -o", "expected one argument"),
         ("report a b -o page.pdf", "-o page.pdf: expected a folder, whose name"),
-        ("report none", "none: no such folder; expected a folder written by mantle run or sweep"),
+        ("report none", "none: no such folder; expected a folder written by mantle run, sweep or"),
         ("run none.yaml -o out.html", "-o out.html: expected a folder, whose name"),
     ],
 )
