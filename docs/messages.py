@@ -19,6 +19,7 @@ CALLS = {
     *("fail", "Fault", "BadYaml", "Verdict", "note", "replace", "error", "warning", "info"),
     *("print", "InputError", "GeometryError", "ConvergenceError", "EnvironmentProblem"),
     *("StoppedError", "UnusableError", "MantleError", "say", "warn", "debug", "complain"),
+    "ValueError",
 }
 # Shortest text that is a message and not a word.
 SHORTEST = 12

@@ -139,7 +139,7 @@ def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
             return f"Set {key}: {length:g} mm; all elements are good then."
     tried = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
     words = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
-    tried_text = f"with {' and '.join(words)} elements are inverted or nearly flat, too"
+    tried_text = f"elements are also inverted or nearly flat with {' and '.join(words)}"
     return f"Change {geometry.shape_keys}: {tried_text}."
 
 
@@ -159,7 +159,7 @@ def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] 
     ]
     if missing:
         doubled = len(coincident(data.points))
-        hint = f"; {doubled} pairs of nodes coincide but are not one: merge them" if doubled else ""
+        hint = f"; {doubled} pairs of nodes have the same place: merge them" if doubled else ""
         text = "the mesh has no " + ", no ".join(missing) + hint
         raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
     component = components(data.neighbours, data.cell_tags)
@@ -167,7 +167,8 @@ def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] 
     broken = ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
     if broken:
         raise GeometryError(
-            f"regions in several pieces: {broken}; each is one body: change sizes in `geometry`"
+            f"regions in several pieces: {broken}; a region must be one body; "
+            "change sizes in `geometry`"
         )
 
 
@@ -194,8 +195,8 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
         sides = ", ".join(f"{a}_{b}: [{a}, {b}]" for a, b in names)
         laws = ", ".join(f"{a}_{b}: {{kind: bonded}}" for a, b in names)
         raise GeometryError(
-            f"{'; '.join(messages)}: expected a geometry in which they do not meet, or interfaces "
-            "between them (bonded, if they are tied), such as\n"
+            f"{'; '.join(messages)}: separate the bodies, or declare interfaces between them, "
+            "such as\n"
             f"geometry:\n  interfaces: {{{sides}}}\ninterfaces: {{{laws}}}"
         )
 

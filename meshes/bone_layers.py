@@ -161,5 +161,5 @@ class TableLayers:
                 x = placed.where(start[twice[0]])
                 raise GeometryError(
                     f"geometry: a line across the bone from {x} meets the {name} more than once;"
-                    " move or turn the stem, or smooth the surface there"
+                    " move or rotate the stem, or smooth the surface there"
                 )

@@ -395,8 +395,8 @@ def _handed_area(
                 x, y, z = surface.x[c]
                 raise InputError(
                     f"interfaces.{names[int(surface.interface[c])]}: all its nodes lie on lines "
-                    f"where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, and none is "
-                    "left to carry its force; allowed: a finer mesh"
+                    f"where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so none can "
+                    "carry its force; use a finer mesh"
                 )
             away = np.linalg.norm(surface.x[some] - surface.x[c], axis=1)
             to = some[np.isclose(away, away.min(), rtol=1e-6)]
@@ -557,9 +557,9 @@ def _check_rigid(
             x, y, z = facets.x[facets.vertices == v][0]
             met = ", ".join(names[i] for i in np.unique(interface[rows]))
             raise InputError(
-                f"interfaces {met}: two rigid regions that supports do not hold in all directions "
-                f"meet a third body at ({x:.4g}, {y:.4g}, {z:.4g}) mm; allowed: one rigid region "
-                "at a line where interfaces meet"
+                f"interfaces {met}: two rigid regions that can move meet a third body at "
+                f"({x:.4g}, {y:.4g}, {z:.4g}) mm; hold one of them in all directions by a support, "
+                "or make it elastic"
             )
 
 

@@ -93,13 +93,12 @@ def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
     try:
         overlap, (facets, _) = overlapping(cells), exterior_facets(cells)
     except ValueError as error:
-        raise GeometryError(f"{path}: {error}; remove cells that overlap or stand twice") from error
+        raise GeometryError(f"{path}: {error}; remove overlapping and duplicate cells") from error
     if len(overlap):
         where = "\n".join(places(points, cells, cell_tags, regions, overlap))
         raise GeometryError(
-            f"{path}: {len(overlap)} of {len(cells)} cells overlap their neighbours: both lie on "
-            "the same side of the face between them, or bend it differently; a node is in the "
-            f"wrong place:\n{where}\nRepair the mesh file."
+            f"{path}: {len(overlap)} of {len(cells)} cells overlap their neighbours; probably a "
+            f"node is in the wrong place:\n{where}\nRepair the mesh file."
         )
     if cells.shape[1] == 10 and geometry.is_script:
         points = untangle(points, cells)
@@ -164,7 +163,7 @@ def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
     try:
         facets = exterior_facets(cells)[0][:, :3]
     except ValueError as error:
-        raise GeometryError(f"{path}: {error}; remove cells that overlap or stand twice") from error
+        raise GeometryError(f"{path}: {error}; remove overlapping and duplicate cells") from error
     whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in content.nodes.items()}
     empty = [n for n, block in whole.items() if not len(block) and n not in content.triangles]
     pairs = coincident(points)

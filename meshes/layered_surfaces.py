@@ -346,7 +346,7 @@ class LayeredSurfaces:
                 f" beside it is {left[worst]:.1f} mm, {where}"
             )
             return
-        text = f"leaves {left[worst]:.2g} mm of the cortex, of {LEAST_CORTEX:g} mm at least,"
+        text = f"leaves {left[worst]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
         if left[worst] <= 0:
             text = f"is {_rounded_up(-left[worst]):.2g} mm outside of the bone"
         key, _ = self._geometry.more_room
@@ -363,9 +363,7 @@ class LayeredSurfaces:
             self.bone.check(lines.start, lines.end)
             return
         missing = _rounded_up(LEAST_MANTLE - least)
-        text = (
-            f"leaves {LEAST_MANTLE - missing:.2g} mm for cement, of {LEAST_MANTLE:g} mm at least,"
-        )
+        text = f"leaves {LEAST_MANTLE - missing:.2g} mm for cement (least: {LEAST_MANTLE:g} mm)"
         if least < 0:
             text = f"cuts {_rounded_up(-least):.2g} mm into the cortex"
         key, remedy = self._geometry.more_room

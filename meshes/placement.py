@@ -283,8 +283,8 @@ def position(geometry: Any) -> Position:
     if insertion.version.relative_to == "neck":
         version += femur.neck
     elif not femur.has_condyles:
-        text = "is against the condyles, which this surface does not have"
-        raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
+        text = "is measured from the condyles, which this surface does not have"
+        raise GeometryError(f"geometry.insertion.version: {text}; set relative_to: neck")
     tilts, offsets = (
         (insertion.varus, insertion.flexion),
         (insertion.medial_offset, insertion.anterior_offset),

@@ -134,8 +134,8 @@ def _faces(request: StemRequest) -> tuple[Floats, list[Ints]]:
         if solids != 1:
             count = f"{solids} solids" if solids else "no solid"
             raise GeometryError(
-                f"{path}: {count}; a stem is one:"
-                f" {'fuse them, or leave parts out' if solids else 'close its surface'}"
+                f"{path}: {count}; a stem must be one:"
+                f" {'fuse them, or remove parts' if solids else 'close its surface'}"
             )
         box = np.array(gmsh.model.getBoundingBox(-1, -1))
         size = float(np.linalg.norm(box[3:] - box[:3]))
@@ -175,8 +175,8 @@ def _whole(path: str, x: Floats, shoulder: float) -> Floats:
             outline_points = _level(x, z)
         except ValueError:
             raise GeometryError(
-                f"{path}: {z:.0f} mm above the tip its axis is not within the metal, or meets more"
-                " than one surface across: fill holes, or give the stem's `axis`"
+                f"{path}: {z:.0f} mm above the tip the axis is outside of the metal, or the"
+                " section has holes: fill the holes, or set `axis` of the stem"
             ) from None
     return outline_points
 
@@ -233,7 +233,7 @@ def _taper(
         candidates.append((rank, centre, normal, float(np.sqrt(area.sum() / np.pi))))
     if not candidates:
         raise GeometryError(
-            f"{path}: no planar face ends a neck, {TAPER[0]:g} to {TAPER[1]:g} deg from the axis"
-            f" and {ASIDE:g} mm beside it: give `taper_face`, a point of it"
+            f"{path}: no planar face at the end of a neck ({TAPER[0]:g} to {TAPER[1]:g} deg to the"
+            f" axis, more than {ASIDE:g} mm from it); set `taper_face` to a point of that face"
         )
     return max(candidates, key=lambda one: one[0])[1:]

@@ -200,12 +200,12 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
                 written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
                 sections.append(f"`{section}: {{{written}}}`")
         what = "there is no cement" if geometry.laws_to_write else "there is cement"
-        text = f"{what}; expected also {' and '.join(sections)}"
+        text = f"{what}; add {' and '.join(sections)}"
         yield Fault(("geometry", "cement_thickness"), text)
     elif missing:
         example = ", ".join(f"{name}: {law}" for name, law in missing.items())
-        text = f"no law for {', '.join(missing)}, which would be bonded: an ingrown stem; expected"
-        yield Fault(("interfaces",), f"{text} e.g. `{example}`, or `kind: bonded`")
+        text = f"no law for {', '.join(missing)}, which would be bonded, as an ingrown stem; set"
+        yield Fault(("interfaces",), f"{text} `{example}`, or `kind: bonded`")
 
 
 @check("geometry")
@@ -243,7 +243,7 @@ def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
         # Rounded inwards: what the message allows is allowed.
         least, most = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
         if not length / MOST_LINES <= around <= length / COMPANION:
-            text = f"{around:g} mm: the stem is {length:.3g} mm around where lines are counted"
+            text = f"{around:g} mm: the section of the stem has a perimeter of {length:.3g} mm"
             expected = f"expected {least:.2g} to {most:.3g} mm, or a number of lines"
             yield Fault(("mesh", "around"), f"{text}; {expected}")
     along, most = mesh.along, geometry.coarsest_size
@@ -300,9 +300,8 @@ def _accuracy(case: CaseParts) -> Iterable[Fault]:
     touches = any(law and law.can_part for law in case.interfaces.values())
     if case.output and case.output.accuracy and (given or not touches):
         text = (
-            "mesh size cannot be chosen; an accuracy needs contact, and neither variations nor a "
+            "mesh size cannot be chosen; an accuracy needs contact, no variations and no mesh file"
         )
-        text += "mesh file"
         yield Fault(("output", "accuracy"), text)
 
 
@@ -385,8 +384,8 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
         if law.finite_sliding:
             faces = law.sliding_boundaries or case.geometry.faces.get(name)
             if not faces:
-                text = "its sides share facets of the mesh; expected separately meshed bodies, and "
-                text += "`between` with two of "
+                text = "its sides share facets of the mesh; mesh the bodies separately, and set "
+                text += "`between` to two of "
                 text += ", ".join(case.geometry.boundary_names)
                 yield Fault(("interfaces", name, "sliding"), text)
             whole += [(("interfaces", name, "between"), face) for face in faces or ()]
@@ -394,7 +393,7 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     for path, part in whole:
         other = taken.get((path[0], part))
         if other:
-            yield Fault(path, f"{part} is used by {path[0]}.{other} already; expected another")
+            yield Fault(path, f"{part} is used by {path[0]}.{other} already; choose another")
         taken[path[0], part] = path[1]
     for name, motion in _valid(case.motions):
         region = (case.regions or {}).get(motion.region)
@@ -414,14 +413,14 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     stages = case.stages or ()
     if cyclic and stages and all(stage.takes_time for stage in stages):
         last = "steady" if stages[-1].steady else "duration"
-        text = "cycle tables need a stage without duration; add one before this stage, in "
-        text += "which the mean heat of a cycle flows"
+        text = "cycle tables need a stage without duration; add one before this stage, which "
+        text += "has the mean heat of a cycle"
         yield Fault(("stages", len(stages) - 1, last), text)
     through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
     reasons = NO_CYCLE_TABLE | {kind.key: kind.no_cycle_table for kind in STAGE_KINDS}
     for key, why in reasons.items() if cyclic and stages else ():
         if getattr(stages[through], key):
-            text = f"{why}, but cycle tables run through this stage, the last without duration"
+            text = f"{why}, but cycle tables act in this stage, the last one without duration"
             yield Fault(("stages", through, key), f"{text}; use an earlier stage")
 
 
@@ -449,7 +448,7 @@ def _heat(case: CaseParts) -> Iterable[Fault]:
         return
     for name in cold:
         others = " and ".join(n for n in regions if n not in cold)
-        text = f"'thermal' is missing; expected in every region or in none; it is in {others}"
+        text = f"'thermal' is missing; set it in every region or in none (now in {others})"
         yield Fault(("regions", name), text)
     yield from _conductors(case, regions)
     yield from _flow(case, regions)
@@ -467,7 +466,7 @@ def _without_heat(case: CaseParts, whole: bool) -> Iterable[Fault]:
     for i, stage in enumerate(case.stages or ()):
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
-            yield Fault(("stages", i, key), f"a stage takes time only for heat: {text}")
+            yield Fault(("stages", i, key), f"a stage has a duration only for heat: {text}")
     for name, law in case.interfaces.items():
         for key in ("conductance", "friction_heating"):
             if getattr(law, key, None) is not None:

@@ -70,7 +70,9 @@ def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
 
 def _groups_of_script(path: Path) -> list[tuple[int, str]]:
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
-        raise ValueError("a gmsh script is a program; --allow-scripts runs it")
+        raise ValueError(
+            "a gmsh script is a program that can change files; add --allow-scripts to run it"
+        )
     text = _script(path)
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")

@@ -282,8 +282,8 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
     if sets is not None:
         upper = {k: v for k, v in upper.items() if k != "library"}
         if not isinstance(sets, str | dict):
-            text = f"{show(sets)} is not the name of a set, or names with their histories"
-            case.complaints.append(Fault((*path, "library"), f"{text}: {{gait: [1, 0]}}"))
+            text = f"{show(sets)} is not the name of a set, nor names with histories"
+            case.complaints.append(Fault((*path, "library"), f"{text}, e.g. {{gait: [1, 0]}}"))
             return lower, upper
         entry = _activities(case, sets, path) if isinstance(sets, dict) else _set(case, sets, path)
         lower = entry or lower
@@ -422,7 +422,7 @@ def _measured(
 def _changing(case: CaseFile, loads: dict[str, Any], key: str, value: object) -> dict[str, Any]:
     """Return the loads of a base or a library, all with the same history or cycle table."""
     if not loads:
-        text = f"no loads of a library or a base are here; set the {key} of each load"
+        text = f"this section has no loads of a library or a base; set the {key} of each load"
         case.complaints.append(Fault(("loads", key), text))
     if key == "cycle_table":
         _, value = _cycle_table(case, None, value, ("loads", key))

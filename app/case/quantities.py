@@ -229,7 +229,7 @@ def add_quantity(*quantities: Quantity) -> None:
         if q.key in TABLE[q.section] or q.unit not in UNITS:
             raise ValueError(f"{q.section}.{q.key} is there already, or has no known unit")
         if q.compute and q.section not in ("interfaces", "regions"):
-            raise ValueError(f"nothing computes {q.section}.{q.key}")
+            raise ValueError(f"{q.section}.{q.key}: sections interfaces and regions have `compute`")
         TABLE[q.section][q.key] = q
 
 

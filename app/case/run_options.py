@@ -83,7 +83,7 @@ class Stage(Section):
             text = "is the time of the stage; leave `duration` and `steady` out"
             fail(text, at=(self.other.key,))
         if self.creep_cycles and self.creep_time:
-            fail("creep is counted in cycles or in time; leave one out", at=("creep_time",))
+            fail("a stage has `creep_cycles` or `creep_time`; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
             text = "loads are constant in a stage with creep; leave duration, steady and cycles out"
             fail(text, at=(self.creep_key,))

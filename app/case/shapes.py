@@ -468,7 +468,7 @@ class MeshOptions(Section):
                 "curved cells need second order; set `curved: false` or `order: 2`", at=("curved",)
             )
         if 0.0 < self.size < LEAST:
-            fail(f"{self.size:g} mm is smaller than an atom", at=("size",))
+            fail(f"{self.size:g} mm is too small; expected at least {LEAST:g} mm", at=("size",))
         if self.far < self.size:
             fail(f"{self.far:g} mm is smaller than size, {self.size:g} mm", at=("far_size",))
         return self

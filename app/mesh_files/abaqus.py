@@ -210,8 +210,8 @@ def blocks(path: Path) -> Iterator[Keyword]:
             block = Keyword(at, key, _options(at, words[1:]), lines[first:end], scope)
         if key in MOVING or (key == "INSTANCE" and (block.lines or "LIBRARY" in block.options)):
             raise ValueError(
-                f"{at}: makes, moves or includes nodes; export the model flat, as one file "
-                "without it"
+                f"{at}: makes, moves or includes nodes; export the model flat, in one file "
+                "without this keyword"
             )
         if key in ("PART", "INSTANCE"):
             scope = block.option("NAME").upper()
@@ -450,7 +450,9 @@ def _elements(
                 if not 1 <= len(limits) <= 3 or (len(limits) == 3 and limits[2] < 1):
                     raise ValueError(f"{b.at}: line {at}: is not a range; expected from, to, step")
                 if len(limits) > 1 and limits[1] - limits[0] > LONGEST_RANGE:
-                    raise ValueError(f"{b.at}: line {at}: the range is too long")
+                    raise ValueError(
+                        f"{b.at}: line {at}: the range has more than {LONGEST_RANGE:,} numbers"
+                    )
                 out.append(numbers_in(*limits))
             return np.concatenate(out)
         single: list[int] = []
@@ -488,7 +490,7 @@ def _elements(
                 rows = rows_of(element, members[np.isin(members, element)], "element")
                 out.append(cells[rows][:, SIDES[side]])
                 if len(rows) < len(members):
-                    text = "elements of a surface are no tetrahedra of the file"
+                    text = "surfaces with elements that are not tetrahedra of the file"
                     content.notes += left_out(text, [b.options["NAME"]])
             elif side in ("SPOS", "SNEG"):
                 if solid.any():

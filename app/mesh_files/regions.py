@@ -83,7 +83,7 @@ def _given(array: str, joined: Mapping[Names, Mapping[str, np.ndarray]]) -> dict
         there = ", ".join(dict.fromkeys(name for names in joined for name in names)) or "none"
         raise ValueError(f"has no array {array} of its cells; its arrays: {there}")
     if any(array in names and array not in _whole(arrays) for names, arrays in joined.items()):
-        text = f"has no whole numbers of regions, at most {MOST} different ones"
+        text = f"does not number regions; expected whole numbers, at most {MOST} different ones"
         raise ValueError(f"its array {array} {text}")
     return {names: array if array in names else "" for names in joined}
 
@@ -180,14 +180,14 @@ def choice(arrays: Mapping[str, np.ndarray]) -> str:
     pool = integers or pool
     if len(pool) > 1 and any(_divides(whole[n]) != _divides(whole[pool[0]]) for n in pool):
         raise ValueError(
-            f"its arrays {', '.join(pool)} divide the cells differently: set `geometry.array` to "
-            "the one that makes the regions"
+            f"its arrays {', '.join(pool)} give different regions; set `geometry.array` to one of "
+            "them"
         )
     if pool or not arrays:
         return pool[0] if pool else ""
     raise ValueError(
-        f"names no region: none of its arrays of cells ({', '.join(arrays)}) has whole numbers of "
-        f"regions, at most {MOST} different ones; if one does, set `geometry.array` to it"
+        f"names no region: no array of its cells ({', '.join(arrays)}) has whole numbers with at "
+        f"most {MOST} different values; set `geometry.array` if one of them numbers the regions"
     )
 
 

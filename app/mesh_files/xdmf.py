@@ -280,7 +280,7 @@ def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
     while at < len(data):
         code = int(data[at])
         if code not in MIXED:
-            raise ValueError(f"has a cell of type {code}, which XDMF does not have")
+            raise ValueError(f"has a cell of type {code}, which is not a type of XDMF; {AGAIN}")
         name, width = MIXED[code]
         run, first = 1, at + 1
         if width:
@@ -293,7 +293,7 @@ def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
         at = first + run * (width + 1) - 1
         count += run
     if at > len(data):
-        raise ValueError(f"its cells of several kinds are cut short; {AGAIN}")
+        raise ValueError(f"its mixed cells are cut short; {AGAIN}")
     blocks: dict[str, tuple[Ints, Ints]] = {}
     for name, places in starts.items():
         rows, first_nodes = (np.concatenate(parts) for parts in zip(*places, strict=True))

@@ -252,11 +252,19 @@ def _residuals(outcome: NewtonResult) -> str:
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
-    """Changes of the solver with the residuals they reached, and halved steps of the stage."""
-    words = [f"{what}: {residual:.1e}" for what, residual in tried]
-    text = f"{'; '.join(words)} (with final residuals)" if words else "plain Newton only"
-    halved = f"; steps of {', '.join(f'{s:.3g}' for s in steps)} of the stage" if steps else ""
-    return text + halved
+    """Number of remedies with the best of them, and the smallest halved step, in words.
+
+    The log has every remedy when it is tried.
+    """
+    text = "plain Newton only"
+    if tried:
+        best, residual = min(tried, key=lambda attempt: attempt[1])
+        text = (
+            f"{len(tried)} remedies, of which the best ({best}) left a residual of {residual:.1e}"
+        )
+    if steps:
+        text += f"; steps halved down to {min(steps):.3g} of the stage"
+    return text
 
 
 def _state(status: int) -> str:

@@ -114,12 +114,12 @@ def test_cad_stem_check_reports_axis_head_and_neck(
     ("what", "why"),
     [
         ("text", "cannot be read as STEP, IGES or BREP"),
-        ("two", "2 solids; a stem is one: fuse them, or leave parts out"),
-        ("shell", "no solid; a stem is one: close its surface"),
+        ("two", "2 solids; a stem must be one: fuse them, or remove parts"),
+        ("shell", "no solid; a stem must be one: close its surface"),
         ("small", "6.06 mm from end to end; a stem has 60 to 400 mm: the file names no unit"),
         ("large", "mm from end to end; a stem has 60 to 400 mm: the file names no unit"),
-        ("straight", "no planar face ends a neck, 25 to 80 deg from the axis"),
-        ("hole", "mm above the tip its axis is not within the metal"),
+        ("straight", "no planar face at the end of a neck (25 to 80 deg to the axis"),
+        ("hole", "mm above the tip the axis is outside of the metal"),
     ],
 )
 def test_cad_stem_refuses_other_solids(what: str, why: str, tmp_path: Path) -> None:

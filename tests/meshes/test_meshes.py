@@ -206,8 +206,8 @@ def test_quality_relaxation_moves_only_free_nodes_of_poor_cells() -> None:
         ),
         (
             lambda rod, mesh: False,
-            "Change geometry: with mesh.size from 4.5 to 6 mm and geometry.cement_thickness"
-            " from 3.6 to 6.4 mm elements are inverted or nearly flat, too.",
+            "Change geometry: elements are also inverted or nearly flat with mesh.size from 4.5 to"
+            " 6 mm and geometry.cement_thickness from 3.6 to 6.4 mm.",
         ),
     ],
 )

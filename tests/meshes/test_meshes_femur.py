@@ -84,8 +84,8 @@ def test_femur_stem_overlap_is_never_reported_as_zero() -> None:
 @pytest.mark.parametrize(
     ("half_width", "words"),
     [
-        (9.85, "leaves 0.9[0-9] mm for cement, of 1 mm at least, .*; 0.0[1-9] mm more are needed"),
-        (11.0, "leaves 0.3 mm for cement, of 1 mm at least, .*; 0.7 mm more are needed"),
+        (9.85, "leaves 0.9[0-9] mm for cement .least: 1 mm. .*; 0.0[1-9] mm more are needed"),
+        (11.0, "leaves 0.3 mm for cement .least: 1 mm. .*; 0.7 mm more are needed"),
         (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(tip_z\); 1.1 mm more are needed"),
     ],
 )

@@ -177,7 +177,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "neck": (change(head_height="1 mm"), "1 mm above the shoulder, does not clear .* raise"),
     "fossa": (
         {"resection": {"angle": "45 deg", "height": "10 mm"}},
-        f"for cement, of 1 mm at least, laterally at {PLACE}, 0 mm below the cut",
+        f"for cement .least: 1 mm. laterally at {PLACE}, 0 mm below the cut",
     ),
     "steep": ({"resection": {"angle": "60 deg", "height": "20 mm"}}, f"outside .* at {PLACE}"),
     "high": ({"resection": {"height": "120 mm"}}, "120 mm above .* outside of the bone; cut lower"),
