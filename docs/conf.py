@@ -49,6 +49,7 @@ cementless
 your_hip
 ct
 loads
+bench_test
 head_cup
 heat
 error

@@ -194,6 +194,7 @@ class Summary(TypedDict, total=False):
         creep: ``cycles`` or ``time`` [s] of creep, and its ``dissipation`` [N mm].
         cycles: Permanent and inducible motions, by stage.
         fatigue: Damage by S-N law, if a material tires.
+        stem_test: Stress, deflection and life of a stem in its bench test.
         remodelling: Mass of the bone, if it remodels.
         section_loads: Loads above cuts of the femur (`case.section_loads.SectionLoad`).
         probes: ``displacement`` (3,) [mm] of each probe.
@@ -226,6 +227,7 @@ class Summary(TypedDict, total=False):
     creep: dict[str, float]
     cycles: dict[str, StageCycles]
     fatigue: dict[str, Numbers]
+    stem_test: dict[str, Numbers]
     remodelling: RemodellingNumbers
     section_loads: list[Numbers]
     probes: dict[str, dict[str, list[float]]]

@@ -1,7 +1,8 @@
-"""Strength and fatigue of cement: failure at its largest flaw, and the damage of a year.
+"""Strength and fatigue: cement at its largest flaw, damage of a year, bench tests of stems.
 
-`laws` has the keys and the formulas, `risk` evaluates them on the stresses of a run, `findings` has
-the faults, notes and verdicts. Importing the package registers it; the core does not know it.
+`laws` has the keys and the formulas. `risk` evaluates them on the stresses of a run, `potted_stem`
+on those of a stem in resin. `findings` has the faults, notes and verdicts. Importing the package
+registers it; the core does not know it.
 """
 
 from __future__ import annotations
@@ -10,18 +11,35 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from app.case.case import Case
-from app.case.quantities import RISK, STRESS, NumberSection, Quantity, add_quantity, add_section
+from app.case.quantities import (
+    MOTION,
+    RISK,
+    STRESS,
+    NumberSection,
+    Quantity,
+    add_quantity,
+    add_section,
+)
 from app.fatigue import findings as findings  # registers its checks
-from app.fatigue.laws import Fatigue, Weibull, fatigue_of, weibull_of
+from app.fatigue.laws import (
+    Fatigue,
+    StemTest,
+    Weibull,
+    fatigue_of,
+    stem_test_of,
+    weibull_of,
+)
 from app.laws.materials import Elastic
 from app.results.records import Followed, add_record
 from app.scene.path_fields import PathField, path_fields
 from app.schema.section import add_key
 
 if TYPE_CHECKING:
+    from app.fatigue.potted_stem import PottedStem
     from app.fatigue.risk import CementRisk
 
 add_key(Case, "fatigue", Fatigue, "Damage by a spectrum of activities; by default none.")
+add_key(Case, "stem_test", StemTest, "Bench test of a potted stem; by default none.")
 add_key(
     Elastic,
     "weibull",
@@ -53,7 +71,23 @@ def _damage(case: Case) -> Iterable[PathField]:
         yield PathField(f"damage_{name}", f"damage in a year, {name}", "1/year", by_cell=True)
 
 
+def _potted_stem(case: Case, followed: Followed) -> PottedStem | None:
+    """The record of a bench test, or None without one."""
+    if stem_test_of(case) is None:
+        return None
+    from app.fatigue.potted_stem import PottedStem  # starts MPI
+
+    return PottedStem(case, followed)
+
+
+def _tested(case: Case) -> Iterable[str]:
+    """Region of the stem that is tested."""
+    test = stem_test_of(case)
+    return [test.region] if test else ()
+
+
 add_record("risk", _risk)
+add_record("stem_test", _potted_stem)
 add_quantity(
     Quantity("regions", "failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
     Quantity("regions", "failure_probability", "-", "%", order=RISK),
@@ -82,4 +116,56 @@ add_section(
     ),
     Quantity("fatigue", "damage_max", "1/year", digits=4, label="damage, max", peak=True),
     Quantity("fatigue", "stress_p99", "MPa", label="equivalent stress, p99", order=STRESS),
+)
+add_section(
+    NumberSection(
+        name="stem_test",
+        title="Bench test of the stem",
+        columns={
+            "stem in resin": "",
+            "stress at the resin": "level_stress",
+            "tension above": "free_tension_p99",
+            "deflection": "deflection",
+        },
+        owners=_tested,
+        leads=True,
+    ),
+    Quantity(
+        "stem_test",
+        "level_stress",
+        "MPa",
+        digits=1,
+        label="largest axial stress at the level of the resin",
+        order=STRESS,
+        headline=True,
+    ),
+    Quantity(
+        "stem_test",
+        "free_tension_p99",
+        "MPa",
+        digits=1,
+        label="tension above the resin, p99",
+        order=STRESS,
+        headline=True,
+    ),
+    Quantity(
+        "stem_test",
+        "free_tension_max",
+        "MPa",
+        digits=1,
+        label="tension above the resin, max",
+        peak=True,
+    ),
+    Quantity(
+        "stem_test",
+        "deflection",
+        "mm",
+        digits=3,
+        label="deflection of the head along the force",
+        order=MOTION,
+        headline=True,
+    ),
+    Quantity("stem_test", "life_median", "-", digits=0, label="cycles to failure, median"),
+    Quantity("stem_test", "life_p05", "-", digits=0, label="cycles to failure, 5 % of the stems"),
+    Quantity("stem_test", "failing", "-", "%", label="stems that fail within the test"),
 )

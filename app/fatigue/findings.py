@@ -8,7 +8,7 @@ from app.case import quantities
 from app.case.case import Case
 from app.case.checks import check
 from app.case.summary import Numbers, Summary
-from app.fatigue.laws import fatigue_of
+from app.fatigue.laws import fatigue_of, level_of, stem_test_of
 from app.foundation.verdict import Severity, Verdict, note
 from app.results.verdicts import judge
 from app.schema.section import did_you_mean
@@ -45,12 +45,40 @@ def _region(case: Case) -> Iterable[Fault]:
         yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
 
 
+@check("stem_test", "regions", "geometry")
+def _stem_test(case: Case) -> Iterable[Fault]:
+    """Test of a region that does not deform, or without the level of the resin."""
+    test = stem_test_of(case)
+    assert test
+    elastic = [name for name, region in case.regions.items() if region and region.deforms]
+    if test.region not in elastic:
+        text = f"'{test.region}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("stem_test", "region"), text + did_you_mean(test.region, elastic))
+    if level_of(case) is None:
+        yield Fault(("stem_test",), "'level' is missing; this geometry has no neck cut")
+
+
+@check("stem_test", "loads")
+def _head(case: Case) -> Iterable[Fault]:
+    """Test without a load on the boundary of the head."""
+    test = stem_test_of(case)
+    assert test
+    places = [load.place[1] for load in case.loads.values() if load]
+    if test.head not in places:
+        known = ", ".join(sorted({place for place in places if place})) or "none"
+        text = f"no load acts on '{test.head}'; boundaries with loads: {known}"
+        yield Fault(("stem_test", "head"), text)
+
+
 @warner
 def _from_memory(case: Case) -> Iterable[Verdict]:
     """S-N laws from memory."""
     fatigue = fatigue_of(case)
     for name, law in fatigue.laws.items() if fatigue else ():
         yield from from_memory(f"fatigue.laws.{name}", law.source)
+    test = stem_test_of(case)
+    if test:
+        yield from from_memory("stem_test.law", test.law.source)
 
 
 @doubter
@@ -73,10 +101,32 @@ def _life_and_strength(summary: Summary) -> Iterable[Verdict]:
     laws = summary.get("fatigue")
     if laws:
         yield Verdict(life(laws), "fatigue", severity=Severity.WARNING)
+    for name, numbers in summary.get("stem_test", {}).items():
+        yield Verdict(_endurance(name, numbers), "bench test", severity=Severity.WARNING)
     unsettled = summary.get("error", {}).get("unsettled", {})
     for name, numbers in summary.get("regions", {}).items():
         if "failure_risk" in numbers:
             yield _strength(name, numbers, unsettled)
+
+
+# Cycles beyond which a life is not given as a number: no test of the laws was longer.
+LONGEST = 1e9
+
+
+def _endurance(stem: str, numbers: Numbers) -> str:
+    """Stress and life of a stem in its bench test."""
+    lives = [
+        f"{cycles:.1e}" if cycles < LONGEST else f"more than {LONGEST:.0e}"
+        for cycles in (numbers["life_median"], numbers["life_p05"])
+    ]
+    failing = numbers["failing"]
+    part = f"{100 * failing:.2g} %" if failing >= 1e-4 else "less than 0.01 %"
+    return (
+        f"{stem}: {numbers['level_stress']:.0f} MPa at the level of the resin, "
+        f"{numbers['free_tension_p99']:.0f} MPa above it (p99). Cycles to failure: {lives[0]} in "
+        f"the median, {lives[1]} for the weakest 5 %; {part} of the stems fail within the test. "
+        "For comparison, not for prediction"
+    )
 
 
 def life(laws: Mapping[str, Numbers]) -> str:

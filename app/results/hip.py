@@ -51,7 +51,7 @@ class StemMotion:
         if not self._ends:
             return
         self._stem, self._facing = (
-            _surface(problem, bodies.facets_between(problem.tagged, inside, outside))
+            facet_surface(problem, bodies.facets_between(problem.tagged, inside, outside))
             for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
         )
         if len(self._stem.x) and len(self._facing.x):
@@ -61,7 +61,7 @@ class StemMotion:
 
     def __call__(self, side: str) -> Numbers:
         """The numbers, for a hip of this side."""
-        u, comm = _displacements(self._problem), self._problem.comm
+        u, comm = nodal_displacements(self._problem), self._problem.comm
         displacements: Numbers = {}
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
             ends = np.concatenate(comm.allgather(u[body, rows]))
@@ -81,7 +81,7 @@ class StemMotion:
 
 
 @dataclass(frozen=True)
-class _Surface:
+class FacetSurface:
     """Facets of all ranks: centres (f, 3) [mm], areas (f,), and nodes of this rank's facets."""
 
     comm: MPI.Comm
@@ -90,7 +90,7 @@ class _Surface:
     nodes: tuple[Ints, Ints]
 
     def moved(self, u: Floats) -> Floats:
-        """Displacements of the centres (f, 3), from those of `_displacements`; collective."""
+        """Displacements of the centres (f, 3), from those of `nodal_displacements`; collective."""
         return np.concatenate(self.comm.allgather(u[self.nodes].mean(axis=1)))
 
     def rotation(self, u: Floats) -> Floats:
@@ -101,7 +101,7 @@ class _Surface:
         return np.linalg.solve(inertia, self.area @ np.cross(ξ, u))
 
 
-def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
+def facet_surface(problem: Problem, f: bodies.FacetCells) -> FacetSurface:
     """Facets as seen from their cells: few enough for every rank."""
     corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -110,7 +110,7 @@ def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
     body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
     local = corners.mean(axis=1), np.linalg.norm(normal, axis=1) / 2
     x, area = (np.concatenate(problem.comm.allgather(part)) for part in local)
-    return _Surface(problem.comm, x, area, (body[:, None], dofs))
+    return FacetSurface(problem.comm, x, area, (body[:, None], dofs))
 
 
 def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, Ints]]:
@@ -135,7 +135,7 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     return ends
 
 
-def _displacements(problem: Problem) -> Floats:
+def nodal_displacements(problem: Problem) -> Floats:
     """Of all bodies at all nodes of this rank (bodies, n, 3) [mm]."""
     return np.stack([f.x.array.reshape(-1, 3) for f in problem.displacements()])
 
@@ -159,11 +159,11 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
     if not geometry.has_gruen_zones or "cortical_bone" not in bone:
         return {}
     end = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
-    head = _surface(problem, bodies.boundary_facets(problem.tagged, end))
+    head = facet_surface(problem, bodies.boundary_facets(problem.tagged, end))
     f = bodies.boundary_facets(problem.tagged, "bone_surface")
-    outside = _surface(problem, f)
+    outside = facet_surface(problem, f)
     strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
-    moved = head.moved(_displacements(problem))
+    moved = head.moved(nodal_displacements(problem))
     numbers: Numbers = {"head_displacement": np.average(moved, axis=0, weights=head.area).tolist()}
     for side, sign in (("lateral", -1.0), ("medial", 1.0)):
         for name, z in GAUGES.items():
@@ -185,7 +185,7 @@ def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
         """Derivatives (f, 3, 3) of values at nodes (f, n, 3) in the reference cell."""
         return np.einsum("jfn,fni->fij", shape_functions[1:, f.local], values)
 
-    u = _displacements(problem)[problem.bodies.of_region["cortical_bone"]]
+    u = nodal_displacements(problem)[problem.bodies.of_region["cortical_bone"]]
     x = mesh.geometry.x[mesh.geometry.dofmap[f.cells]].astype(np.float64)
     of_x, of_u = (
         element.sub_elements[0].tabulate(1, centres)

@@ -24,6 +24,68 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 # Elasticity
 
 
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class CantileverBar:
+    """A prismatic bar along z, without lateral strain, clamped at z = 0, with a force above it.
+
+    The force acts at a point that moves with the top as a rigid body (Timoshenko and Goodier,
+    Theory of Elasticity: sections 102 to 110 for bending and torsion of rectangles).
+
+    Attributes:
+        E: Young's modulus [MPa]; Poisson's ratio is zero.
+        width: Size of the section along x [mm].
+        depth: Size of the section along y [mm].
+        length: Length [mm].
+    """
+
+    E: float
+    width: float
+    depth: float
+    length: float
+
+    def moments(self, force: Vector, head: Vector, z: float) -> Floats:
+        """Moments about the centre of the section at z (3,) [N mm].
+
+        ``head`` is the point of the force against the centre of the top [mm].
+        """
+        arm = np.array([head[0], head[1], head[2] + self.length - z])
+        return np.cross(arm, force)
+
+    def largest_stress(self, force: Vector, head: Vector, z: float) -> float:
+        """Largest axial stress of the section at z [MPa]."""
+        area = self.width * self.depth
+        about_x, about_y, _ = np.abs(self.moments(force, head, z))
+        bending = 6.0 * about_x / (area * self.depth) + 6.0 * about_y / (area * self.width)
+        return float(force[2] / area + bending)
+
+    def deflection(self, force: Vector, head: Vector) -> float:
+        """Displacement of the point of the force along it [mm], by the energy of the bar."""
+        area, shear_modulus = self.width * self.depth, self.E / 2.0
+        z, weight = np.polynomial.legendre.leggauss(3)
+        x, y, twist = np.array(
+            [self.moments(force, head, 0.5 * self.length * (1.0 + point)) for point in z]
+        ).T
+        twice_energy = (
+            force[2] ** 2 / (self.E * area)
+            + 12.0 * x**2 / (self.E * area * self.depth**2)
+            + 12.0 * y**2 / (self.E * area * self.width**2)
+            + 1.2 * (force[0] ** 2 + force[1] ** 2) / (shear_modulus * area)
+            + twist**2 / (shear_modulus * self.torsion_constant())
+        )
+        along = 0.5 * self.length * float(weight @ twice_energy)
+        return along / float(np.linalg.norm(force))
+
+    def torsion_constant(self) -> float:
+        """Torsion constant of a rectangle [mm^4], by Saint-Venant's series."""
+        long, short = max(self.width, self.depth), min(self.width, self.depth)
+        odd = np.arange(1, 40, 2)
+        series = (np.tanh(odd * math.pi * long / (2.0 * short)) / odd**5).sum()
+        return float(long * short**3 / 3.0 * (1.0 - 192.0 * short / (math.pi**5 * long) * series))
+
+
 @dataclass(frozen=True)
 class Fibrous:
     """A transversely isotropic material: moduli [MPa] and ratios along and across the fibre.

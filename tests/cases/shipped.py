@@ -8,6 +8,11 @@ COARSE: dict[str, list[str]] = {
         "mesh.around=8",
         "output.error=false",
     ],
+    "iso_7206_6.yaml": [
+        "mesh.size=10 mm",
+        "mesh.around=8",
+        "output.error=false",
+    ],
     "blocks.yaml": [
         "mesh.size=3 mm",
     ],

@@ -421,6 +421,14 @@ def check_bench(s: dict[str, Any]) -> None:
     assert "femur" not in s and s["section_loads"]
     assert 250.0 < largest(s["regions"]["stem"], "von_mises_p99") < 450.0
     assert s["regions"]["cement"]["von_mises_p99"] < 50.0
+    assert 300.0 < s["stem_test"]["stem"]["level_stress"] < 450.0
+    assert s["stem_test"]["stem"]["failing"] < 1e-6
+
+
+def check_neck(s: dict[str, Any]) -> None:
+    """The neck bears more than twice the force of the stem's test, on a shorter lever."""
+    assert 300.0 < s["stem_test"]["stem"]["free_tension_p99"] < 500.0
+    assert 0.5 < s["stem_test"]["stem"]["deflection"] < 1.5
 
 
 HIP = (-399.5, -159.9, -1747.8)
@@ -630,6 +638,7 @@ def check_press_fit(s: dict[str, Any]) -> None:
 
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "iso_7206_4.yaml": check_bench,
+    "iso_7206_6.yaml": check_neck,
     "stance.yaml": check_stance,
     "stance_cocr.yaml": check_stance,
     "pressed.yaml": check_press_fit,

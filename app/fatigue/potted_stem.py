@@ -1,0 +1,108 @@
+r"""Stress, deflection and life of a stem that is potted in resin and loaded at its head.
+
+At the level of the resin the stem is a bar: the axial stress is linear over the section, and its
+moments are linear along the stem,
+
+.. math:: σ_{zz} = a + b x + c y + (z - z_0) (d + e x + f y) .
+
+The fit to the stress in a band above the resin, by volume, gives the stress of the section at z_0
+without the peak at the rim of the resin, which has no limit on finer meshes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.case.case import Case
+from app.case.summary import Numbers, Summary
+from app.fatigue.laws import level_of, stem_test_of
+from app.foundation.arrays import Bools, Floats
+from app.laws.values import ROUNDING
+from app.results.hip import facet_surface, nodal_displacements
+from app.results.percentiles import percentile
+from app.results.records import Followed, Record
+from app.results.stresses import Stresses
+from app.scene import bodies
+
+# Strength of the weakest 20th of the stems, in standard deviations from the mean.
+WEAK = -1.645
+
+
+class PottedStem(Record):
+    """Numbers of section ``stem_test`` in the last state."""
+
+    def __init__(self, case: Case, followed: Followed) -> None:
+        test, level = stem_test_of(case), level_of(case)
+        assert test is not None
+        assert level is not None
+        self._test = test
+        self._level = level
+        self._problem = followed.problem
+        self._stresses = Stresses(followed.problem, fine=[test.region])
+        facets = bodies.boundary_facets(followed.problem.tagged, test.head)
+        self._head = facet_surface(followed.problem, facets)
+        loads = [load for load in case.loads.values() if load.place[1] == test.head]
+        self._force = np.sum([getattr(load, "force", (0.0, 0.0, 0.0)) for load in loads], axis=0)
+        points = [at for load in loads if (at := getattr(load, "at", None)) is not None]
+        centre = np.average(self._head.x, axis=0, weights=self._head.area)
+        self._centre = np.asarray(points[0]) if points else centre
+
+    def numbers(self) -> Summary:
+        """Section ``stem_test``; collective."""
+        stresses, region = self._stresses, self._test.region
+        x, volume = stresses.places(region)
+        σ = stresses.evaluate(region).reshape(-1, 3, 3)
+        above = x[:, 2] - self._level
+        free = above > self._test.band
+        near = (above > 0) & ~free
+        level_stress = self._level_stress(x, volume.ravel(), σ[:, 2, 2], near)
+        tension = np.linalg.eigvalsh(σ[free])[:, 2]
+        tensions, weight = stresses.whole(np.stack([tension, volume.ravel()[free]]))
+        free_tension = percentile(tensions, weight) if len(tensions) else 0.0
+        decisive = max(level_stress, free_tension)
+        numbers: Numbers = {
+            "level_stress": level_stress,
+            "free_tension_p99": free_tension,
+            "free_tension_max": float(tensions.max(initial=0.0)),
+            "deflection": self._deflection(),
+            "life_median": self._test.life(decisive),
+            "life_p05": self._test.life(decisive, WEAK),
+            "failing": self._test.failing(decisive),
+        }
+        return {"stem_test": {region: numbers}}
+
+    def _level_stress(self, x: Floats, volume: Floats, axial: Floats, near: Bools) -> float:
+        """Largest axial stress of the section at the level of the resin; collective [MPa]."""
+        rows = np.column_stack([axial, volume, x])[near].T
+        stress, weight, *place = self._stresses.whole(rows)
+        centre = np.average(place[:2], axis=1, weights=weight)
+        across = np.column_stack([np.ones(len(stress)), place[0] - centre[0], place[1] - centre[1]])
+        along = (place[2] - self._level)[:, None]
+        by_volume = np.sqrt(weight)
+        fit = np.hstack([across, along * across]) * by_volume[:, None]
+        coefficients = np.linalg.lstsq(fit, stress * by_volume)[0][:3]
+        nodes = self._section_nodes()
+        section = np.column_stack([np.ones(len(nodes)), nodes[:, :2] - centre])
+        return float((section @ coefficients).max())
+
+    def _section_nodes(self) -> Floats:
+        """Nodes of the stem on all ranks in the band above the resin (n, 3) [mm]; collective."""
+        problem = self._problem
+        cells = problem.body_forms.region_cells(self._test.region)
+        dofs = np.unique(problem.space.dofmap.list[cells][:, :4])
+        x = problem.space.tabulate_dof_coordinates()[dofs]
+        above = x[:, 2] - self._level
+        here = x[(above >= -ROUNDING) & (above <= self._test.band)]
+        return np.concatenate(problem.comm.allgather(here))
+
+    def _deflection(self) -> float:
+        """Displacement of the centre of the head along the force; collective [mm].
+
+        The centre moves with the rigid motion that fits the boundary of the load best.
+        """
+        moved = self._head.moved(nodal_displacements(self._problem))
+        centre = np.average(self._head.x, axis=0, weights=self._head.area)
+        mean = np.average(moved, axis=0, weights=self._head.area)
+        at_head = mean + np.cross(self._head.rotation(moved), self._centre - centre)
+        size = float(np.linalg.norm(self._force))
+        return float(at_head @ self._force / size) if size else float(np.linalg.norm(at_head))
