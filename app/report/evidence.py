@@ -655,7 +655,7 @@ def _relevance(basis: Evidence) -> Finding:
 
 def _calibration(basis: Evidence) -> Finding:
     unknown = [name for name, part in _parts(basis.case).items() if part.status is None]
-    texts = ["no input was fitted to the experiments of docs/verification.md"]
+    texts = ["no input was fitted to the experiments of docs/validation"]
     if unknown:
         texts.append(f"inputs of unknown origin: {', '.join(unknown)}")
         return Finding("b", texts, "`status` and `source` of these inputs")

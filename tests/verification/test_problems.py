@@ -19,11 +19,7 @@ def test_problems_of_verify_are_well_posed() -> None:
     """Unique short names; cases that exist and say how to run them; sizes that fall."""
     everything = suite.planned("verify", "long")
     names = [planned.row.name for planned in everything]
-<<<<<<< HEAD
-    assert len(set(names)) == len(names) == 153
-=======
-    assert len(set(names)) == len(names) == 168
->>>>>>> c1bcb1be (Add bench tests of a potted stem: stress at the resin, deflection, life with scatter)
+    assert len(set(names)) == len(names) == 158
     assert max(map(len, names)) <= 26
     for planned in (*everything, *suite.planned("verify")):
         row = planned.row
