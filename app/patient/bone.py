@@ -150,8 +150,9 @@ class PatientBone:
 
     @property
     def notes(self) -> list[str]:
-        """Doubts about the size and shape of the bone, and about an open proximal end."""
-        return self.frame.doubts(self.surface)
+        """Doubts about files, the size and shape of the bone, and an open proximal end."""
+        doubts = [*self.frame.doubts(self.surface), *(self.canal.doubts if self.canal else ())]
+        return list(dict.fromkeys(doubts))
 
     @property
     def size(self) -> float:

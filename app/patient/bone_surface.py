@@ -5,7 +5,7 @@ A surface may be open at an end of its long axis, where a scan ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,12 +35,17 @@ class BoneSurface:
         triangles: Their rows (m, 3).
         notes: What was read and repaired, in words.
         rim: Middles of its open edges (k, 3), in the axes of the file [mm].
+        borders: Places where the image of a label cuts it, for each side of the image (k, 3), in
+            the axes of the file [mm].
+        doubts: Doubts about the file.
     """
 
     points: Floats
     triangles: Ints
     notes: tuple[str, ...] = ()
     rim: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    borders: tuple[Floats, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def corners(self) -> Floats:
@@ -69,10 +74,12 @@ def read(
         InputError: The image cannot be read.
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
+    body = None
     if label is None:
         corners, notes = surface_files.read(path)
     else:
-        corners, notes = label_surface.read(path, label)
+        corners, body = label_surface.read(path, label)
+        notes = list(body.notes)
         unit = "mm"
     if not len(corners):
         raise GeometryError(f"{path}: has no triangles")
@@ -100,7 +107,8 @@ def read(
         surface = welding.thin(surface, THIN)
     if len(surface.triangles) < 4:
         raise GeometryError(f"{path}: has {len(surface.triangles)} triangles with an area")
-    return _checked(path, surface, [*notes, *surface.notes], thinned)
+    checked = _checked(path, surface, [*notes, *surface.notes], thinned)
+    return replace(checked, borders=body.borders, doubts=body.doubts) if body else checked
 
 
 def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneSurface:

@@ -62,7 +62,8 @@ def read(
     inner = np.argwhere(depth > WALL)
     numbers = np.full(body.solid.shape, np.inf, dtype=float)
     try:
-        numbers[tuple(inner.T)] = images.read(path).at(body.places(inner))
+        ct = images.read(path)
+        numbers[tuple(inner.T)] = ct.at(body.places(inner))
     except InputError as error:
         raise InputError(
             f"{path}: {error}. The CT does not contain the femur of the labels: are both of one"
@@ -92,6 +93,7 @@ def read(
     low, mean, high = (_cortex(bone, surface, frame.end, top) for surface in surfaces)
     return replace(
         surfaces[1],
+        doubts=ct.notes,
         notes=(
             f"CT numbers below {threshold:g} in the bone, up to z = {top:.0f} mm; cortex"
             f" {mean:.1f} mm thick on average ({low:.1f} with {threshold - BESIDE:g},"

@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.files import parts
+from app.patient.voxels import Voxels
 
 UNEVEN = 0.1  # largest distance of a slice from its even place, as a part of the step
 SAME_PLACE = 0.01  # mm: slices that are nearer are at one place
 TURNED = 2e-3  # largest difference of the cosines of a slice's axes from those of the others
+APART = 1.5  # slices farther apart than this part of their thickness have a note
 # First bytes of a file without preamble: a group of its first element, little-endian.
 FIRST_GROUPS = (b"\x02\x00", b"\x08\x00")
 PREAMBLE = 128  # bytes before the letters DICM
@@ -31,42 +32,49 @@ PLACED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
 GROUPS = {
     "PlanePositionSequence": ("ImagePositionPatient",),
     "PlaneOrientationSequence": ("ImageOrientationPatient",),
-    "PixelMeasuresSequence": ("PixelSpacing",),
+    "PixelMeasuresSequence": ("PixelSpacing", "SliceThickness"),
     "PixelValueTransformationSequence": ("RescaleSlope", "RescaleIntercept"),
     "FrameContentSequence": ("StackID",),
+    "SegmentIdentificationSequence": ("ReferencedSegmentNumber",),
 }
 # Tags of a file that its frames share.
 COMMON = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesDescription", "Modality", "ImageType"),
-    *("Rows", "Columns", "SamplesPerPixel"),
+    *("Rows", "Columns", "SamplesPerPixel", "FrameOfReferenceUID", "LossyImageCompression"),
+    *("BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "ModalityLUTSequence"),
 )
 
 
-def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
-    """Return numbers, their affine to mm, notes on what was read and left out, and doubts.
+def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
+    """Return the CT numbers of a series with their affine to mm.
 
     Axes to the left and posterior become axes to the right and anterior.
+
+    Args:
+        path: The folder, or the file of many frames.
+        headers: Headers of its files.
+        left_out: Notes on its other files.
 
     Raises:
         InputError: There are no slices of one series, in one plane, at even steps.
         Exception: A slice is damaged; pydicom raises errors of any kind.
     """
-    headers, notes = _headers(path) if path.is_dir() else (_of_file(path), [])
+    notes = list(left_out)
     slices = _of_one_series(path, headers, notes)
-    _check_equal(path, slices)
+    check_equal(path, slices)
     across, down = np.split(np.mean([s.ImageOrientationPatient for s in slices], axis=0), 2)
     normal = np.cross(across, down)
     slices.sort(key=lambda s: float(normal @ np.array(s.ImagePositionPatient, float)))
     slices, numbers = _without_copies(path, slices, notes)
     at = np.array([s.ImagePositionPatient for s in slices], dtype=float)
     if len(slices) < 2:
-        raise InputError(f"{path}: has one slice only, {_name(slices[0])}")
+        raise InputError(f"{path}: has one slice only, {name_of(slices[0])}")
     step = (at[-1] - at[0]) / (len(at) - 1)
     gaps = np.linalg.norm(np.diff(at, axis=0), axis=1)
     off = np.linalg.norm(at - at[0] - np.outer(range(len(at)), step), axis=1)
     if not off.max() < UNEVEN * np.linalg.norm(step):
         text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
-        after = _name(slices[int(gaps.argmax())])
+        after = name_of(slices[int(gaps.argmax())])
         raise InputError(f"{text}; is one missing after {after}? Resample them evenly")
     spacing = np.array(slices[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
@@ -75,7 +83,25 @@ def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
     modality = str(slices[0].get("Modality", "") or "no modality")
     what = "slices" if _frame(slices[0]) is None else "frames"
     series = f"{len(slices)} DICOM {what} of {_described(slices[0])} ({modality})"
-    return np.stack(numbers).T, affine, [series, *notes], []
+    doubts = tuple(f"{path.name}: {text}" for text in _doubts(slices, float(np.linalg.norm(step))))
+    return Voxels(np.stack(numbers).T, affine, series, tuple(notes), doubts)
+
+
+def _doubts(slices: Sequence[Any], step: float) -> Iterator[str]:
+    """Doubts about a series whose slices are `step` [mm] apart."""
+    thick = max(float(s.get("SliceThickness") or 0.0) for s in slices)
+    if 0.0 < APART * thick < step:
+        yield f"its slices are {step:.3g} mm apart and {thick:.3g} mm thick: are slices missing?"
+    frames = {str(s.get("FrameOfReferenceUID") or "") for s in slices}
+    if len(frames) > 1:
+        yield f"its slices are in {len(frames)} frames of reference: was the patient moved?"
+    numbers = Counter(str(s.get("InstanceNumber") or "") for s in slices)
+    twice = sum(count for count in numbers.values() if count > 1)
+    if twice and len(numbers) > 1:
+        text = f"{twice} of its {len(slices)} slices share their instance number with another"
+        yield f"{text}: two acquisitions or reconstructions in one series?"
+    if any(str(s.get("LossyImageCompression") or "") == "01" for s in slices):
+        yield "its slices were compressed with a loss: CT numbers are not those of the scanner"
 
 
 def is_dicom(start: bytes) -> bool:
@@ -83,8 +109,14 @@ def is_dicom(start: bytes) -> bool:
     return start[PREAMBLE : PREAMBLE + 4] == b"DICM"
 
 
-def _headers(path: Path) -> tuple[list[Any], list[str]]:
-    """Return the headers of all DICOM files of a folder, and notes on its other files."""
+def headers_of(path: Path) -> tuple[list[Any], list[str]]:
+    """Return the headers of a file or of all files of a folder, and notes on its other files.
+
+    Raises:
+        InputError: There is no image.
+    """
+    if not path.is_dir():
+        return [_of_file(path)], []
     headers = []
     others = []
     for file in parts(path):
@@ -93,28 +125,40 @@ def _headers(path: Path) -> tuple[list[Any], list[str]]:
             others.append(file.name)
         else:
             headers.append(header)
-    below = {f.name: sum(map(_is_slice, parts(f))) for f in sorted(path.iterdir()) if f.is_dir()}
-    full = [f"{name} ({count} files)" for name, count in below.items() if count]
+    below = {}
+    for folder in sorted(file for file in path.rglob("*") if file.is_dir()):
+        count = sum(map(_is_slice, parts(folder)))
+        if count:
+            below[str(folder.relative_to(path))] = count
+    full = [f"{name} ({count} files)" for name, count in below.items()]
     if not headers and full:
-        raise InputError(f"{path}: has no slices; look in its folder {', '.join(full)}")
+        raise InputError(f"{path}: has no slices; look in its folder {_names(full)}")
     if not headers:
         text = f"has no slices: none of its {len(others)} files is DICOM"
-        raise InputError(f"{path}: {text}{'; its folders have none' if below else ''}")
+        raise InputError(f"{path}: {text}")
     notes = [f"its folder {text} is not read" for text in full]
     if others:
         notes.append(f"{len(others)} other files left out: {_names(others)}")
     return headers, notes
 
 
-def _of_file(path: Path) -> list[Any]:
-    """Return the header of a file of many frames, as the only one."""
+def _of_file(path: Path) -> Any:
+    """Return the header of a file of many frames.
+
+    Raises:
+        InputError: It is one slice, or has no image.
+    """
     header = _header(path)
+    if "Rows" not in header:
+        kind = header.get("SOPClassUID", "")
+        text = f"has no voxels ({getattr(kind, 'name', kind)})"
+        raise InputError(f"{path}: {text}: export its structures as a labelmap")
     if int(header.get("NumberOfFrames") or 1) < 2:
         raise InputError(f"{path}: is one file of DICOM: give the folder of its series")
-    return [header]
+    return header
 
 
-def _frames(header: Any) -> list[Any]:
+def frames_of(header: Any) -> list[Any]:
     """Return the frames of a file, each with the tags of a slice; a file of one slice itself."""
     import pydicom
 
@@ -176,18 +220,19 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     """
 
     def drop(headers: Sequence[Any], what: str, of: Callable[[Any], bool]) -> list[Any]:
-        dropped = [_name(h) for h in headers if of(h)]
+        dropped = [name_of(h) for h in headers if of(h)]
         if dropped:
             notes.append(f"{len(dropped)} {what} left out: {_names(dropped)}")
         return [h for h in headers if not of(h)]
 
     slices = drop(headers, "files without an image", lambda h: "Rows" not in h)
-    slices = [frame for one in slices for frame in _frames(one)]
+    slices = drop(slices, "segmentations", lambda h: h.get("Modality") == "SEG")
+    slices = [frame for one in slices for frame in frames_of(one)]
     if slices and not any(map(_is_placed, slices)):
         kind = slices[0].get("SOPClassUID", "")
         raise InputError(
-            f"{path}: {_name(slices[0])} and {len(slices) - 1} more have no position in the patient"
-            f" ({getattr(kind, 'name', kind)}): export the original series"
+            f"{path}: {name_of(slices[0])} and {len(slices) - 1} more have no position in the"
+            f" patient ({getattr(kind, 'name', kind)}): export the original series"
         )
     slices = drop(slices, "images without position", lambda s: not _is_placed(s))
     slices = drop(slices, "localizers", lambda s: "LOCALIZER" in (s.get("ImageType") or ()))
@@ -200,7 +245,7 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     if len(series) > 1:
         counts = ", ".join(str(len(those)) for those in series.values())
         each = "; ".join(
-            f"{len(those)} of {_described(those[0])}, as {_name(those[0])}"
+            f"{len(those)} of {_described(those[0])}, as {name_of(those[0])}"
             for those in series.values()
         )
         text = f"has {counts} slices; expected those of one series, in one plane: {each}"
@@ -210,13 +255,13 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     return slices
 
 
-def _check_equal(path: Path, slices: Sequence[Any]) -> None:
+def check_equal(path: Path, slices: Sequence[Any]) -> None:
     """Raise InputError with the file of a slice of another size or plane than most."""
 
     def differ(what: str, values: Sequence[tuple[Any, ...]]) -> None:
         (most, _), *others = Counter(values).most_common()
         if others:
-            odd = [_name(s) for s, value in zip(slices, values, strict=True) if value != most]
+            odd = [name_of(s) for s, value in zip(slices, values, strict=True) if value != most]
             first = next(value for value in values if value != most)
             text = f"{_names(odd)} has {what} {_by(first)}, the other slices {_by(most)}"
             raise InputError(f"{path}: {text}: leave it out")
@@ -229,7 +274,7 @@ def _check_equal(path: Path, slices: Sequence[Any]) -> None:
     axes = np.array([s.ImageOrientationPatient for s in slices], dtype=float)
     off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > TURNED
     if off.any():
-        odd = [_name(s) for s, turned in zip(slices, off, strict=True) if turned]
+        odd = [name_of(s) for s, turned in zip(slices, off, strict=True) if turned]
         raise InputError(f"{path}: {_names(odd)} is in another plane than the rest: leave it out")
 
 
@@ -244,11 +289,11 @@ def _without_copies(
     kept: list[Any] = []
     numbers: list[Any] = []
     copies = []
-    pixels: dict[str, Any] = {}
+    stored: dict[str, Any] = {}
     for one in slices:
-        if one.filename not in pixels:
-            pixels = {one.filename: _pixels(one)}
-        values = _numbers(one, pixels[one.filename])
+        if one.filename not in stored:
+            stored = {one.filename: pixels(one)}
+        values = _numbers(one, stored[one.filename])
         near = kept and np.allclose(
             np.array(one.ImagePositionPatient, float),
             np.array(kept[-1].ImagePositionPatient, float),
@@ -259,30 +304,57 @@ def _without_copies(
             kept.append(one)
             numbers.append(values)
         elif np.array_equal(values, numbers[-1]):
-            copies.append(_name(one))
+            copies.append(name_of(one))
         else:
-            text = f"{_name(kept[-1])} and {_name(one)} are at one place and differ"
+            text = f"{name_of(kept[-1])} and {name_of(one)} are at one place and differ"
             raise InputError(f"{path}: {text}: two series, phases or energies? Keep one")
     if copies:
         notes.append(f"{len(copies)} slices that stand twice taken once: {_names(copies)}")
     return kept, numbers
 
 
-def _pixels(header: Any) -> Any:
-    """Return the stored pixels of the file of a slice (frames, rows, columns)."""
+def pixels(header: Any) -> Any:
+    """Return the stored pixels of the file of a slice (frames, rows, columns).
+
+    Raises:
+        InputError: They are damaged, or their compression cannot be read.
+    """
     import pydicom
 
     try:
         data = pydicom.dcmread(header.filename, force=True)
         if "TransferSyntaxUID" not in data.file_meta:
             data.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
-        return data.pixel_array.reshape(-1, int(header.Rows), int(header.Columns))
+        return _stored_bits(data, data.pixel_array).reshape(
+            -1, int(header.Rows), int(header.Columns)
+        )
     except Exception as error:  # damaged files let pydicom fail in any way
         raise InputError(f"{header.filename}: has no pixels that can be read: {error}") from None
 
 
+def _stored_bits(data: Any, values: Any) -> Any:
+    """Return pixels by their stored bits alone, without an overlay in the other bits.
+
+    pydicom returns all bits of a pixel. Source: DICOM PS3.5, 8.1.1.
+    """
+    allocated, stored = int(data.BitsAllocated), int(data.BitsStored)
+    spare = allocated - stored
+    if values.dtype.kind not in "iu" or not 0 < spare < allocated or allocated == 1:
+        return values
+    above = allocated - 1 - int(data.get("HighBit", stored - 1))
+    # The highest stored bit is moved to the highest one; its sign is then that of the number.
+    return ((values << above) >> spare).astype(values.dtype)
+
+
 def _numbers(header: Any, pixels: Any) -> Any:
-    """Return the CT numbers (rows, columns) of a slice, by its slope and intercept."""
+    """Return the CT numbers (rows, columns) of a slice, by its slope and intercept.
+
+    Raises:
+        InputError: Its numbers are by a table.
+    """
+    if header.get("ModalityLUTSequence") and header.get("RescaleSlope") is None:
+        text = "has its CT numbers by a table (Modality LUT), which is not read"
+        raise InputError(f"{header.filename}: {text}; convert it to NIfTI, as dcm2niix does")
     slope, intercept = header.get("RescaleSlope"), header.get("RescaleIntercept")
     slope = np.float32(1 if slope is None else slope)
     stored = pixels[_frame(header) or 0]
@@ -294,7 +366,7 @@ def _is_placed(header: Any) -> bool:
     return all(header.get(key) is not None for key in PLACED)
 
 
-def _name(header: Any) -> str:
+def name_of(header: Any) -> str:
     """Name of the file of a slice, with the number of a frame."""
     frame = _frame(header)
     return Path(header.filename).name + ("" if frame is None else f" (frame {frame + 1})")

@@ -189,6 +189,8 @@ def _assumed(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[s
     yield f"operation: {cut}; {_size(implant)} with {CEMENT:g} mm of cement, {room}"
     medial = "the condyles" if femur.has_condyles else "the neck, as the scan has no condyles"
     yield f"loads: one leg, body weight 600 N; x is along {medial}; bone and cement of `stance`"
+    for doubt in femur.notes:
+        yield f"note: {doubt}"
 
 
 def _against_axes(femur: PatientBone) -> str:

@@ -22,7 +22,6 @@ from app.case.shapes import MeshOptions, Point3, spread
 from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
-from app.foundation.files import parts
 from app.foundation.implant import Implant
 from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
@@ -191,9 +190,10 @@ class Patient(OperatedHip):
     @cached_property
     def surface_content(self) -> str:
         """Hash of the files of bone and canal at the first access."""
+        from app.patient import images  # scipy, which other cases do without
+
         files = self.bone.path, self.canal.path, self.canal.ct
-        given = [path for path in files if path]
-        paths = [part for path in given for part in parts(path)]
+        paths = [part for path in files if path for part in images.files_of(path)]
         return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
     @property

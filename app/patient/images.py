@@ -7,7 +7,9 @@ the qform or the sizes of voxels.
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -19,7 +21,8 @@ from scipy import ndimage
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.files import parts
-from app.patient import dicom_series, nrrd
+from app.patient import dicom_segmentation, dicom_series, nrrd
+from app.patient.voxels import LabelSegment, Voxels
 
 HALF = 0.5 + 1e-6  # edges from the middle of a voxel to its end
 TILT = 0.01  # largest cosine of the angle between edges of voxels
@@ -29,6 +32,23 @@ APART = 0.5  # voxels: largest distance of places by sform from those by qform
 # Spaces in which sform and qform place voxels, by their codes.
 SPACES = {1: "scanner", 2: "aligned", 3: "Talairach", 4: "MNI"}
 TEMPLATES = (3, 4)  # spaces to which images of patients are scaled
+PADDING = -1500.0  # CT number: lower ones are written where nothing was measured
+GZIP = b"\x1f\x8b"
+SECOND = 540  # first number of NIfTI of version 2
+# Files of other kinds by their first bytes, and what to do with them.
+OTHERS = {
+    b"ObjectType": "is a MetaImage (.mha, .mhd): save it as NIfTI or NRRD, as 3D Slicer does",
+    b"# vtk": "is a file of VTK: save it as NIfTI or NRRD, as 3D Slicer does",
+    b"<?xml": "is XML, as VTK writes it: save it as NIfTI or NRRD, as 3D Slicer does",
+    b"<VTKFile": "is XML of VTK: save it as NIfTI or NRRD, as 3D Slicer does",
+    b"II*\0": "is a TIFF picture without places of its voxels: save it as NIfTI or NRRD",
+    b"MM\0*": "is a TIFF picture without places of its voxels: save it as NIfTI or NRRD",
+    b"\x89PNG": "is a PNG picture without places of its voxels: save it as NIfTI or NRRD",
+    b"PK\x03\x04": "is a ZIP archive: unpack it",
+    b"solid": "is an STL surface: give it as `surface`",
+    b"ply": "is a PLY surface: give it as `surface`",
+    b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
+}
 
 
 @dataclass(frozen=True)
@@ -36,16 +56,18 @@ class Image:
     """An image: numbers of voxels, and their places.
 
     Attributes:
-        values: Numbers (i, j, k).
+        values: Numbers (i, j, k); those of layers (i, j, k, n).
         affine: Matrix from (i, j, k, 1) to the middle of a voxel (4, 4) [mm].
         summary: Format, lattice and type of what was read, then what was left out, in words.
         notes: Doubts about it.
+        segments: Segments by their names, if the file has names.
     """
 
     values: Any
     affine: Floats
     summary: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    segments: Mapping[str, LabelSegment] | None = None
 
     @cached_property
     def sha256(self) -> str:
@@ -66,8 +88,9 @@ class Image:
 
     @cached_property
     def least(self) -> float:
-        """Lowest number of a voxel."""
-        return float(self._numbers.min())
+        """Lowest number of a voxel that was measured."""
+        measured = self._numbers[self._numbers > PADDING]
+        return float((measured if measured.size else self._numbers).min())
 
     @property
     def lost(self) -> int:
@@ -99,15 +122,46 @@ class Image:
 
 
 def read(path: Path) -> Image:
-    """Read NIfTI, NRRD, DICOM (folder, or file of frames), or ``values``, ``affine`` of `.npz`."""
-    return _read(path, max(file.stat().st_mtime_ns for file in (path, *parts(path))))
+    """Read NIfTI, NRRD, DICOM (folder, or file of frames), or ``values``, ``affine`` of `.npz`.
+
+    Raises:
+        InputError: It cannot be read, or has several numbers in each voxel.
+    """
+    image = read_layers(path)
+    if image.values.ndim > 3:
+        count = image.values.shape[3]
+        what = "layers, as its segments overlap" if image.segments else "numbers in each voxel"
+        raise InputError(f"{path}: has {count} {what}; expected one number in each voxel")
+    return image
+
+
+def read_layers(path: Path) -> Image:
+    """Read an image as `read`; segments that overlap are in several layers."""
+    return _read(path, changed(path))
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return all files of an image: those of a folder, and numbers and header in two files."""
+    if path.is_dir():
+        return parts(path)
+    partner = {".hdr": ".img", ".img": ".hdr"}.get(path.suffix)
+    both = [path, path.with_suffix(partner)] if partner else [path]
+    with path.open("rb") as file:
+        is_nrrd = file.read(len(nrrd.MAGIC)) == nrrd.MAGIC
+    return [file for file in both if file.is_file()] + (nrrd.data_files(path) if is_nrrd else [])
+
+
+def changed(path: Path) -> int:
+    """Return the time of the last change of the files of an image [ns]."""
+    return max(file.stat().st_mtime_ns for file in (path, *files_of(path)))
 
 
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> Image:
     try:
-        values, affine, (kind, *left_out), notes = _reader(path)(path)
-        values, affine = np.squeeze(values), np.asarray(affine, dtype=float).reshape(4, 4)
+        voxels = _reader(path)(path)
+        values = np.asarray(voxels.values)
+        affine = np.asarray(voxels.affine, dtype=float).reshape(4, 4)
     except InputError:
         raise
     except ModuleNotFoundError as error:
@@ -116,8 +170,18 @@ def _read(path: Path, _changed: int) -> Image:
         raise InputError(f"{path}: is no image that can be read: {error}") from error
     if values.dtype == bool:
         values = values.astype(np.uint8)
-    if values.ndim != 3 or values.dtype.kind not in "iuf" or not values.size:
+    # Axes of one entry after the three of space have no content.
+    if values.ndim > 3 and int(np.prod(values.shape[3:])) == 1:
+        values = values.reshape(values.shape[:3])
+    layered = values.ndim == 4 and voxels.segments is not None
+    if values.ndim == 4 and not layered:
+        text = f"has {values.shape[3]} numbers in each voxel, as colours or times"
+        raise InputError(f"{path}: {text}; expected one")
+    if not (values.ndim == 3 or layered) or values.dtype.kind not in "iuf" or not values.size:
         raise InputError(f"{path}: is {values.dtype} in {values.ndim} dimensions, not numbers in 3")
+    if min(values.shape[:3]) < 2:
+        text = " x ".join(str(n) for n in values.shape[:3])
+        raise InputError(f"{path}: is one slice, of {text} voxels; expected an image of a body")
     if not np.isfinite(affine).all():
         raise InputError(f"{path}: has no places of its voxels: its affine is no numbers")
     edges = np.linalg.norm(affine[:3, :3], axis=0)
@@ -128,18 +192,24 @@ def _read(path: Path, _changed: int) -> Image:
         raise InputError(f"{path}: its axes are not square, of a tilted gantry? Resample it")
     if not np.isfinite(values).any():
         raise InputError(f"{path}: has no voxel that is a number")
-    lattice, size = (" x ".join(f"{n:.4g}" for n in row) for row in (values.shape, edges))
-    taken = f"{kind}: {lattice} voxels of {size} mm, {values.dtype}"
-    image = Image(values, affine, (taken, *left_out), tuple(notes))
+    lattice, size = (" x ".join(f"{n:.4g}" for n in row) for row in (values.shape[:3], edges))
+    layers = f" in {values.shape[3]} layers" if layered else ""
+    taken = f"{voxels.kind}: {lattice} voxels of {size} mm{layers}, {values.dtype}"
+    summary = (taken, *voxels.left_out)
+    image = Image(values, affine, summary, voxels.doubts, voxels.segments)
     if image.lost:
         return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are no numbers"))
     return image
 
 
-def _reader(path: Path) -> Any:
-    """Return the reader for a path, by its kind."""
+def _reader(path: Path) -> Callable[[Path], Voxels]:
+    """Return the reader for a path, by its kind.
+
+    Raises:
+        InputError: The file is of another kind.
+    """
     if path.is_dir():
-        return dicom_series.read
+        return _dicom
     if path.suffix == ".npz":
         return _npz
     with path.open("rb") as file:
@@ -147,8 +217,24 @@ def _reader(path: Path) -> Any:
     if start.startswith(nrrd.MAGIC):
         return nrrd.read
     if dicom_series.is_dicom(start):
-        return dicom_series.read
+        return _dicom
+    for content, words in OTHERS.items():
+        if start.startswith(content):
+            raise InputError(f"{path}: {words}; expected NIfTI, NRRD, DICOM or .npz")
     return _nifti
+
+
+def _dicom(path: Path) -> Voxels:
+    """Read the slices of a series, or a segmentation if there is nothing else."""
+    headers, left_out = dicom_series.headers_of(path)
+    with_image = [header for header in headers if "Rows" in header]
+    segmentations = [one for one in with_image if dicom_segmentation.is_segmentation(one)]
+    if not segmentations or len(segmentations) < len(with_image):
+        return dicom_series.read(path, headers, left_out)
+    if len(segmentations) > 1:
+        names = ", ".join(dicom_series.name_of(one) for one in segmentations[:3])
+        raise InputError(f"{path}: has {len(segmentations)} segmentations: {names}; give one file")
+    return dicom_segmentation.read(path, segmentations[0], left_out)
 
 
 def missing(path: Path, error: ModuleNotFoundError) -> InputError:
@@ -156,14 +242,14 @@ def missing(path: Path, error: ModuleNotFoundError) -> InputError:
     return InputError(f"{path}: needs {error.name}, of packages.txt: `mantle setup` installs it")
 
 
-def _npz(path: Path) -> tuple[Any, Any, list[str], list[str]]:
-    """Return the same as other readers for arrays of numpy."""
+def _npz(path: Path) -> Voxels:
+    """Return the arrays of a file of numpy."""
     with path.open("rb") as file, np.load(file) as arrays:
-        return arrays["values"], arrays["affine"], ["arrays of numpy"], []
+        return Voxels(arrays["values"], arrays["affine"], "arrays of numpy")
 
 
-def _nifti(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
-    """Return numbers, their affine to mm, notes on what was read of the header, and doubts.
+def _nifti(path: Path) -> Voxels:
+    """Return numbers and their affine to mm, by a header that is checked.
 
     Raises:
         InputError: The header has no axes, other units than mm, or axes that contradict each other.
@@ -171,7 +257,20 @@ def _nifti(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
     """
     import nibabel
 
-    image = nibabel.load(path)
+    with path.open("rb") as file:
+        compressed = file.read(len(GZIP)) == GZIP
+    named = path.suffix in (".nii", ".gz")
+    if named and compressed != (path.suffix == ".gz"):
+        # Browsers and mail programs unpack files and keep the name, or the other way round.
+        content = path.read_bytes()
+        content = gzip.decompress(content) if compressed else content
+        is_second = int.from_bytes(content[:4], "little") == SECOND or (
+            int.from_bytes(content[:4], "big") == SECOND
+        )
+        kind = nibabel.Nifti2Image if is_second else nibabel.Nifti1Image
+        image = kind.from_bytes(content)
+    else:
+        image = nibabel.load(path)
     if not isinstance(image, nibabel.Nifti1Pair):
         kind = type(image).__name__.removesuffix("Image")
         raise InputError(f"{path}: is no NIfTI but {kind}: convert it, as `mri_convert` does")
@@ -200,12 +299,9 @@ def _nifti(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
             f"{path.name}: its sform is in {space} space: is it still the patient's size?"
         )
     name, code = ("sform", sform) if sform else ("qform", qform)
-    return (
-        np.asanyarray(image.dataobj),
-        image.affine,
-        [f"NIfTI, axes by its {name} ({SPACES.get(code, f'code {code}')})"],
-        doubts,
-    )
+    space = SPACES.get(code, f"code {code}")
+    kind = f"NIfTI, axes by its {name} ({space})"
+    return Voxels(np.asanyarray(image.dataobj), image.affine, kind, doubts=tuple(doubts))
 
 
 def _against_qform(path: Path, shape: tuple[int, ...], sform: Floats, qform: Floats) -> list[str]:

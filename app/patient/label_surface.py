@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -12,12 +13,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array, diags_array
 
-from app.foundation.arrays import Bools, Floats, Ints, Numbers
-from app.foundation.errors import InputError
-from app.foundation.files import parts
-from app.patient import images
+from app.foundation.arrays import Bools, Floats, Ints
+from app.patient import images, label_image
 
-NEARLY = 0.05  # largest difference of a label from a whole number
 # Steps of Taubin's smoothing. It keeps shapes that are wider than a dozen of voxels.
 SHRINK = 0.5
 GROW = -0.53
@@ -33,12 +31,17 @@ class LabelBody:
         level: Distance from its surface, positive inside (i, j, k) [voxels].
         affine: Matrix from (i, j, k, 1) to the middle of a voxel (4, 4) [mm].
         notes: What was read and left out, in words.
+        doubts: Doubts about the image.
+        borders: Places of its voxels in the outermost layers of the image, for each of the layers
+            that has some (n, 3) [mm].
     """
 
     solid: Bools
     level: NDArray[np.float32]
     affine: Floats
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    borders: tuple[Floats, ...] = ()
 
     @property
     def spacing(self) -> Floats:
@@ -50,8 +53,8 @@ class LabelBody:
         return np.asarray(index @ self.affine[:3, :3].T + self.affine[:3, 3])
 
 
-def read(path: Path, label: int) -> tuple[Floats, list[str]]:
-    """Return triangles (m, 3, 3) [mm] around the largest body of a label, and notes.
+def read(path: Path, label: int) -> tuple[Floats, LabelBody]:
+    """Return triangles (m, 3, 3) [mm] around the largest body of a label, and the body.
 
     Holes in the body are filled, and the steps of voxels are smoothed.
 
@@ -59,7 +62,7 @@ def read(path: Path, label: int) -> tuple[Floats, list[str]]:
         InputError: The image cannot be read, is no image of labels, or does not have this one.
     """
     whole_body = body(path, label)
-    return surface(whole_body.level, whole_body), list(whole_body.notes)
+    return surface(whole_body.level, whole_body), whole_body
 
 
 def surface(level: Floats | NDArray[np.float32], of: LabelBody) -> Floats:
@@ -79,22 +82,18 @@ def body(path: Path, label: int) -> LabelBody:
     Raises:
         InputError: The image cannot be read, is no image of labels, or does not have this one.
     """
-    return _body(path, label, max(file.stat().st_mtime_ns for file in (path, *parts(path))))
+    return _body(path, label, images.changed(path))
 
 
 @lru_cache(maxsize=2)
 def _body(path: Path, label: int, _changed: int) -> LabelBody:
-    image = images.read(path)
-    values, rounded = whole(path, image.values)
-    notes = [*image.summary, *rounded]
+    labels = label_image.read(path)
+    notes = [*labels.notes]
     try:
         import skimage  # noqa: F401
     except ModuleNotFoundError as error:
         raise images.missing(path, error) from None
-    inside = values == label
-    if not inside.any():
-        labels = ", ".join(f"{v:g}" for v in np.unique(values)[:9])
-        raise InputError(f"{path}: has no label {label}; it has {labels}")
+    inside = labels.inside(label)
     (box,) = ndimage.find_objects(inside.view(np.int8))
     pieces, count = ndimage.label(np.pad(inside[box], 1))
     sizes = np.bincount(pieces.ravel())[1:]
@@ -107,8 +106,9 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
         face |= ndimage.binary_fill_holes(face)
     around, _ = ndimage.label(~solid)
     solid = around != around[0, 0, 0]
-    affine = image.affine.copy()
+    affine = labels.affine.copy()
     affine[:3, 3] += affine[:3, :3] @ [s.start - 1.0 for s in box]
+    borders = tuple(_at_borders(solid, box, inside.shape, affine))
     level = solid.astype(np.float32) - 0.5
     edges = np.linalg.norm(affine[:3, :3], axis=0)
     axis = int(edges.argmax())
@@ -117,7 +117,26 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
         level = _between_slices(solid, axis, times)
         affine[:3, axis] /= times
         notes.append(f"slices of {edges[axis]:g} mm interpolated {times}-fold")
-    return LabelBody(level > 0, level, affine, tuple(notes))
+    return LabelBody(level > 0, level, affine, tuple(notes), labels.doubts, borders)
+
+
+def _at_borders(
+    solid: Bools, box: Sequence[slice], shape: Sequence[int], affine: Floats
+) -> Iterator[Floats]:
+    """Places of the voxels of a body in each outermost layer of its image (n, 3) [mm].
+
+    Args:
+        solid: The body in its box with an empty layer around it (i, j, k).
+        box: Place of the box in the image.
+        shape: Number of voxels of the image (3,).
+        affine: Matrix from voxels of `solid` to their places (4, 4) [mm].
+    """
+    index = np.argwhere(solid)
+    for axis, part in enumerate(box):
+        for end, layer in ((part.start == 0, 1), (part.stop == shape[axis], -2)):
+            if end:
+                there = index[index[:, axis] == layer % solid.shape[axis]]
+                yield there @ affine[:3, :3].T + affine[:3, 3]
 
 
 def _between_slices(solid: Bools, axis: int, times: int) -> NDArray[np.float32]:
@@ -145,33 +164,6 @@ def _between_slices(solid: Bools, axis: int, times: int) -> NDArray[np.float32]:
     weight = (part / times).astype(np.float32)[:, None, None]
     level = (1 - weight) * distance[low] + weight * distance[high]
     return np.asarray(np.moveaxis(np.clip(level, -2.0, 2.0), 0, axis))
-
-
-def whole(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:
-    """Return labels as whole numbers, and notes on those that were rounded.
-
-    Raises:
-        InputError: There are values between whole numbers, as interpolation makes them.
-    """
-    if values.dtype.kind != "f":
-        return values, []
-    finite = np.isfinite(values)
-    known = np.where(finite, values, 0.0)
-    rounded = np.round(known)
-    off = np.abs(known - rounded)
-    between = off > NEARLY
-    if between.any():
-        raise InputError(
-            f"{path}: {int(between.sum()):,} voxels have values between whole numbers, as"
-            f" {known[between][0]:.4g}: no labels; resample the segmentation by nearest neighbour"
-        )
-    notes = []
-    if off.any():
-        notes.append(f"labels rounded by up to {off.max():.2g}")
-    lost = int((~finite).sum())
-    if lost:
-        notes.append(f"{lost:,} voxels are no numbers: taken as 0")
-    return rounded, notes
 
 
 def _smoothed(points: Floats, triangles: Ints) -> Floats:

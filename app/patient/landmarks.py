@@ -135,9 +135,9 @@ class Frame:
         """Notes on a rare size or shape of the femur, and on an open proximal end.
 
         Args:
-            surface: Its surface, whose `rim` is in the axes of the file.
+            surface: Its surface, whose `rim` and `borders` are in the axes of the file.
         """
-        notes = []
+        notes = list(surface.doubts)
         low, high = USUAL_RADII
         if not low <= self.radius <= high:
             text = f"the head's radius is {self.radius:.1f} mm; expected {low:g} to {high:g}"
@@ -156,6 +156,12 @@ class Frame:
             if proximal.any():
                 text = f"its surface is open at the proximal end, at {place(surface.rim[proximal])}"
                 notes.append(f"{text} ({int(proximal.sum())} edges): are triangles missing there?")
+        heights = [float(self.to_model(border)[:, 2].mean()) for border in surface.borders]
+        for border, height in zip(surface.borders, heights, strict=True):
+            # The lowest one is the end of the scan, in the shaft.
+            if height > min(0.0, min(heights)):
+                text = f"the bone is cut by the border of the image at {place(border)}"
+                notes.append(f"{text} ({len(border):,} voxels): is a part of it missing?")
         return notes
 
 

@@ -1,12 +1,15 @@
-"""Images in NRRD files, as 3D Slicer writes them, and the names of their segments.
+"""Images in NRRD files, as 3D Slicer and ITK write them, and the names of their segments.
 
-A header of lines of text is followed by the numbers, with gzip or without. Source: Definition of
-NRRD File Format, version 5, teem.sourceforge.net/nrrd/format.html. A segmentation of 3D Slicer
-(``.seg.nrrd``) has a key ``Segment0_Name`` and ``Segment0_LabelValue`` for each of its segments.
+A header of lines of text is followed by the numbers, or names the files that have them. Source:
+Definition of NRRD File Format, version 5, teem.sourceforge.net/nrrd/format.html. A segmentation of
+3D Slicer (``.seg.nrrd``) has keys ``Segment0_Name``, ``Segment0_LabelValue`` and
+``Segment0_Layer`` for each of its segments. Segments that overlap are in different layers: an axis
+of the numbers that has no direction in space.
 """
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import re
 import zlib
@@ -14,11 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Numbers
+from app.foundation.arrays import Numbers
 from app.foundation.errors import InputError
+from app.patient.voxels import LabelSegment, Voxels
 
 MAGIC = b"NRRD"
 LONGEST_HEADER = 10_000_000  # bytes
+CHUNK = 65_536  # bytes of it that are read at once
 # Types of numbers by their names, in the order of the standard.
 TYPES = {
     "i1": "signed char,int8,int8_t",
@@ -41,92 +46,182 @@ SPACES = {
     "left-anterior-superior": (-1.0, 1.0, 1.0),
     "las": (-1.0, 1.0, 1.0),
 }
+TEXTS = ("ascii", "text", "txt")  # encodings of numbers as words
+# Fields without which voxels have no places.
+NEEDED = ("type", "sizes", "space directions", "space origin")
 
 
-def read(path: Path) -> tuple[Numbers, Floats, list[str], list[str]]:
-    """Read numbers (i, j, k), their affine to right, anterior, superior [mm], format and doubts.
+def read(path: Path) -> Voxels:
+    """Read numbers, their affine to right, anterior, superior [mm], and the segments.
 
     Raises:
         InputError: The file has no axes, a format that is not read, or not all numbers.
     """
-    header, content = _parts(path)
+    header, keys, _, end = _header(path)
+    files = data_files(path)
+    contents = [file.read_bytes() for file in files] if files else [path.read_bytes()[end:]]
     sizes = [int(n) for n in header["sizes"].split()]
-    if len(sizes) != 3:
-        layers = sizes[0] if len(sizes) == 4 else 0
-        text = f"its segments overlap, in {layers} layers" if layers else f"has {len(sizes)} axes"
-        raise InputError(
-            f"{path}: {text}; expected one number in each voxel: in 3D Slicer export the segments"
-            " as a labelmap"
-        )
     kind = next((k for k, names in TYPES.items() if header["type"] in names.split(",")), None)
     space = header.get("space", "").lower()
     if kind is None or space not in SPACES:
         what = f"type `{header['type']}`" if kind is None else f"space `{space}`"
         raise InputError(f"{path}: its {what} is not read; save it as NIfTI in 3D Slicer")
-    raw = _unpacked(path, header.get("encoding", "raw"), content)
-    dtype = np.dtype((">" if header.get("endian") == "big" else "<") + kind)
-    number = int(np.prod(sizes))
-    if len(raw) < number * dtype.itemsize:
+    units = {*re.findall(r'"([^"]*)"', header.get("spaceunits", ""))} - {"", "mm", "none"}
+    if units:
+        raise InputError(f"{path}: its unit is {', '.join(sorted(units))}; expected mm")
+    ways = re.findall(r"\([^)]*\)|none", header["spacedirections"])
+    across = [axis for axis, way in enumerate(ways) if way == "none"]
+    if len(ways) != len(sizes) or len(ways) - len(across) != 3 or len(across) > 1:
         raise InputError(
-            f"{path}: has {len(raw):,} of {number * dtype.itemsize:,} bytes of its voxels: was it"
-            " copied whole?"
+            f"{path}: has {len(sizes)} axes, {len(ways) - len(across)} of them with a direction in"
+            " space; expected 3, and one of layers at most"
         )
-    values = np.frombuffer(raw, dtype, number).reshape(sizes, order="F")
+    dtype = np.dtype((">" if header.get("endian") == "big" else "<") + kind)
+    flat, left_out = _numbers(path, header, contents, dtype, int(np.prod(sizes)))
+    values = flat.reshape(sizes, order="F")
+    for axis in across:
+        values = np.moveaxis(values, axis, -1)
     affine = np.eye(4)
-    ways = [_vector(text) for text in re.findall(r"\([^)]*\)|none", header["space directions"])]
-    affine[:3] = np.column_stack([*ways, _vector(header["space origin"])])
+    vectors = [_vector(way) for way in ways if way != "none"]
+    affine[:3] = np.column_stack([*vectors, _vector(header["spaceorigin"])])
     affine[:3] *= np.array(SPACES[space])[:, None]
-    return values.astype(dtype.newbyteorder("=")), affine, [f"NRRD, axes by its {space}"], []
+    segments = _segments(path, keys, sizes[across[0]] if across else 1)
+    return Voxels(values, affine, f"NRRD, axes by its {space}", left_out, segments=segments)
 
 
-def segments(path: Path) -> dict[str, int]:
-    """Return the labels of the segments of a file by their names; none without names."""
-    header, _ = _parts(path)
-    names = {
-        key.removesuffix("_Name"): name
-        for key, name in header.items()
-        if re.fullmatch(r"Segment\d+_Name", key)
-    }
-    return {name: int(header.get(f"{key}_LabelValue", "1")) for key, name in names.items()}
+def _segments(path: Path, keys: dict[str, str], layers: int) -> dict[str, LabelSegment] | None:
+    """Return the segments of a file by their names; None without names.
 
-
-def _parts(path: Path) -> tuple[dict[str, str], bytes]:
-    """Return fields and keys of the header, and the bytes after it.
+    Old files have no key for the layer: each segment has its own, in their order.
 
     Raises:
-        InputError: The header is damaged, or the numbers are in another file.
+        InputError: A segment has a layer that is none of the file.
     """
-    whole = path.read_bytes()
-    end = re.search(rb"\r?\n\r?\n", whole[:LONGEST_HEADER])
-    if not whole.startswith(MAGIC) or end is None:
+    numbers = [m[1] for m in (re.fullmatch(r"Segment(\d+)_Name", key) for key in keys) if m]
+    segments = dict[str, LabelSegment]()
+    for place, number in enumerate(sorted(numbers, key=int)):
+        name = keys[f"Segment{number}_Name"]
+        value = int(keys.get(f"Segment{number}_LabelValue", "1"))
+        layer = int(keys.get(f"Segment{number}_Layer", f"{place if layers > 1 else 0}"))
+        if not 0 <= layer < layers:
+            text = f"its segment {name} is in layer {layer}, and it has {layers}"
+            raise InputError(f"{path}: {text}: is it damaged?")
+        if name in segments:
+            name = f"{name} ({number})"
+        segments[name] = LabelSegment(value, layer)
+    return segments or None
+
+
+def data_files(path: Path) -> list[Path]:
+    """Return the files that have the numbers of a header; none: they follow it in its own file.
+
+    Raises:
+        InputError: The header is damaged, or one of the files is missing.
+    """
+    header, _, listed, _ = _header(path)
+    given = header.get("datafile", "").split()
+    if not given:
+        return []
+    if given[0] == "LIST":
+        names = listed
+    elif "%" in given[0]:
+        first, last, step = (int(word) for word in given[1:4])
+        names = [given[0] % k for k in range(first, last + (1 if step > 0 else -1), step)]
+    else:
+        names = [header["datafile"]]
+    files = [path.parent / name for name in names]
+    lost = [file.name for file in files if not file.is_file()]
+    if lost or not files:
+        text = f"{len(lost)} of the {len(files)} files of its voxels are missing"
+        raise InputError(f"{path}: {text}, as {', '.join(lost[:3])}: copy them to its folder")
+    return files
+
+
+def _header(path: Path) -> tuple[dict[str, str], dict[str, str], list[str], int]:
+    """Return fields and keys of the header, the list of data files, and the byte after it.
+
+    Names of fields are in small letters and without blanks, because both do not matter.
+
+    Raises:
+        InputError: The header is damaged.
+    """
+    start, end = b"", None
+    with path.open("rb") as file:
+        while end is None and len(start) < LONGEST_HEADER:
+            chunk = file.read(CHUNK)
+            start += chunk
+            end = re.search(rb"\r?\n\r?\n", start) if chunk else re.search(rb"\Z", start)
+    if not start.startswith(MAGIC) or end is None:
         raise InputError(f"{path}: is no NRRD file, or its header is incomplete")
-    header = dict[str, str]()
-    for line in whole[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
-        if not line.startswith("#"):
-            key, _, value = line.partition(":")
-            header[key] = value.removeprefix("=").strip()
-    if "data file" in header or "datafile" in header:
-        raise InputError(f"{path}: its voxels are in another file; save it as one .nrrd")
-    lost = [k for k in ("type", "sizes", "space directions", "space origin") if k not in header]
+    fields = dict[str, str]()
+    keys = dict[str, str]()
+    listed = list[str]()
+    for line in start[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
+        name, mark, value = line.partition(":")
+        if fields.get("datafile", "").startswith("LIST"):
+            listed.append(line.strip())
+        elif mark and value.startswith("="):
+            keys[name] = value[1:].strip()
+        elif mark and not line.startswith("#"):
+            fields[name.lower().replace(" ", "")] = value.strip()
+    lost = [name for name in NEEDED if name.replace(" ", "") not in fields]
     if lost:
         raise InputError(f"{path}: its header has no {' and no '.join(lost)}")
-    return header, whole[end.end() :]
+    return fields, keys, [name for name in listed if name], end.end()
+
+
+def _numbers(
+    path: Path, header: dict[str, str], contents: list[bytes], dtype: np.dtype, number: int
+) -> tuple[Numbers, tuple[str, ...]]:
+    """Return the numbers (n,), and a note on bytes after them.
+
+    Raises:
+        InputError: Numbers are missing or damaged.
+    """
+    encoding = header.get("encoding", "raw").lower()
+    skipped, lines = (int(header.get(key, "0")) for key in ("byteskip", "lineskip"))
+    parts = list[bytes]()
+    size = number * dtype.itemsize // len(contents)
+    for content in contents:
+        for _ in range(lines):
+            content = content.partition(b"\n")[2]
+        part = _unpacked(path, encoding, content)
+        parts.append(part[-size:] if skipped < 0 else part[skipped:])
+    if encoding in TEXTS:
+        words = np.array(b" ".join(parts).split())
+        raw = words.astype(dtype.newbyteorder("=")).tobytes()
+        dtype = dtype.newbyteorder("=")
+    else:
+        raw = b"".join(parts)
+    expected = number * dtype.itemsize
+    if len(raw) < expected or (len(parts) > 1 and any(len(part) != size for part in parts)):
+        raise InputError(
+            f"{path}: has {len(raw):,} of {expected:,} bytes of its voxels: was it copied whole?"
+        )
+    beyond = len(raw) - expected
+    left_out = (f"{beyond:,} bytes after its voxels left out",) if beyond else ()
+    return np.frombuffer(raw, dtype, number).astype(dtype.newbyteorder("=")), left_out
 
 
 def _unpacked(path: Path, encoding: str, content: bytes) -> bytes:
-    """Return the bytes of the numbers.
+    """Return the bytes of the numbers; those of texts are words.
 
     Raises:
         InputError: Another encoding, or a damaged one.
     """
-    if encoding == "raw":
-        return content
-    if encoding not in ("gzip", "gz"):
-        raise InputError(f"{path}: its encoding `{encoding}` is not read; save it with gzip")
     try:
-        return gzip.decompress(content)
-    except (OSError, EOFError, zlib.error) as error:
+        match encoding:
+            case "raw" | "ascii" | "text" | "txt":
+                return content
+            case "gzip" | "gz":
+                return gzip.decompress(content)
+            case "bzip2" | "bz2":
+                return bz2.decompress(content)
+            case "hex":
+                return bytes.fromhex(content.decode("ascii"))
+    except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(f"{path}: its voxels are damaged: {error}") from error
+    raise InputError(f"{path}: its encoding `{encoding}` is not read; save it with gzip")
 
 
 def _vector(text: str) -> list[float]:

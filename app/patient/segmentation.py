@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
 from app.foundation.errors import InputError
-from app.patient import images, label_surface, nrrd
+from app.patient import label_image
 
 # Numbers of the femora in multi-label files of TotalSegmentator, and those of the hip bones, by
 # which a version is recognized.
@@ -26,7 +24,7 @@ TOTAL = {
 }
 # A file with more labels, or larger ones, is taken for one of TotalSegmentator.
 MANY = 20
-ENDINGS = (".nii.gz", ".nii", ".seg.nrrd", ".nrrd", ".npz")
+ENDINGS = (".nii.gz", ".nii", ".seg.nrrd", ".nrrd", ".nhdr", ".npz", ".dcm")
 SIDES = ("left", "right")
 FEMUR = re.compile(r"femur|femoral|thigh ?bone|oberschenkelknochen", re.IGNORECASE)
 NO_FEMUR = re.compile(r"artery|vein|nerve|muscle|cartilage|canal|marrow|medull", re.IGNORECASE)
@@ -84,9 +82,9 @@ def segments(path: Path) -> list[Structure]:
         return [segment for file in named for segment in segments(file)]
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    values, _ = label_surface.whole(path, images.read(path).values)
-    numbers = [int(n) for n in np.unique(values) if n]
-    labels = _names(path)
+    image = label_image.read(path)
+    numbers = image.numbers
+    labels = _names(path) if image.names is None else image.names
     if labels:
         there = {name: n for name, n in labels.items() if n in numbers}
         return [Structure(path, n, name, "by its name") for name, n in there.items()]
@@ -107,9 +105,7 @@ def _of_total_segmentator(path: Path, numbers: Sequence[int]) -> list[Structure]
 
 
 def _names(path: Path) -> dict[str, int]:
-    """Return the labels of a file by their names; none without names."""
-    if path.name.endswith(".nrrd"):
-        return nrrd.segments(path)
+    """Return the labels of NIfTI by the names of its table; none without names."""
     if not path.name.endswith((".nii", ".nii.gz")):
         return {}
     import nibabel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import warnings
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import pydicom
 import pytest
 
 from app.foundation.errors import InputError
-from app.patient import dicom_series, images, label_surface
+from app.patient import dicom_series, images, label_image, label_surface
 from tests.patient.bones import enhanced, slices
 
 SHAPE = (12, 10, 8)
@@ -101,6 +102,88 @@ def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
         images.read(folder / "1.2.0")
 
 
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("names", [("ct.nii", "ct.nii.gz"), ("ct.nii.gz", "ct.nii")])
+def test_images_nifti_may_be_unpacked_under_its_name(
+    names: tuple[str, str], version: int, tmp_path: Path
+) -> None:
+    """As browsers do, or the other way round."""
+    kind = {1: nibabel.Nifti1Image, 2: nibabel.Nifti2Image}[version]
+    kind(VALUES, PLACES).to_filename(tmp_path / names[0])
+    image = images.read((tmp_path / names[0]).rename(tmp_path / names[1]))
+    assert (image.values == VALUES).all()
+    assert image.affine == pytest.approx(PLACES, abs=1e-5)
+
+
+SHAPES: dict[str, tuple[Any, str]] = {
+    "one slice at eight times": (VALUES[:, :, None, :], "has 8 numbers in each voxel, as colours"),
+    "two volumes": (np.stack([VALUES, VALUES], axis=-1), "has 2 numbers in each voxel"),
+    "one slice": (VALUES[:, :, :1], "is one slice, of 12 x 10 x 1 voxels"),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("suffix", ["nii", "npz"])
+def test_images_of_times_or_of_one_slice_are_refused(
+    name: str, suffix: str, tmp_path: Path
+) -> None:
+    """Times are no slices."""
+    values, message = SHAPES[name]
+    path = tmp_path / f"ct.{suffix}"
+    if suffix == "npz":
+        np.savez(path, values=values, affine=PLACES)
+    else:
+        nibabel.Nifti1Image(values, PLACES).to_filename(path)
+    with pytest.raises(InputError, match=message):
+        images.read(path)
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_images_axes_of_one_entry_do_not_matter(axes: int, tmp_path: Path) -> None:
+    values = VALUES.reshape(*SHAPE, *[1] * axes)
+    nibabel.Nifti1Image(values, PLACES).to_filename(tmp_path / "ct.nii")
+    assert (images.read(tmp_path / "ct.nii").values == VALUES).all()
+
+
+OTHERS: dict[str, tuple[bytes, str]] = {
+    "a.mha": (b"ObjectType = Image\nNDims = 3\n", "is a MetaImage .* save it as NIfTI or NRRD"),
+    "a.vtk": (b"# vtk DataFile Version 3.0\n", "is a file of VTK"),
+    "a.tif": (b"II*\0" + bytes(100), "is a TIFF picture without places"),
+    "a.stl": (b"solid bone\n", "is an STL surface: give it as `surface`"),
+    "a.zip": (b"PK\x03\x04" + bytes(100), "is a ZIP archive: unpack it"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_images_files_of_other_kinds_have_a_remedy(name: str, tmp_path: Path) -> None:
+    content, message = OTHERS[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=f"{message}.*; expected NIfTI, NRRD, DICOM or .npz"):
+        images.read(tmp_path / name)
+
+
+def test_images_header_and_numbers_in_two_files_are_both_its_files(tmp_path: Path) -> None:
+    """A change of either is a change of the image."""
+    nibabel.Nifti1Pair(VALUES, PLACES).to_filename(tmp_path / "ct.img")
+    header, numbers = tmp_path / "ct.hdr", tmp_path / "ct.img"
+    assert {*images.files_of(header)} == {*images.files_of(numbers)} == {header, numbers}
+    assert (images.read(header).values == VALUES).all()
+    nibabel.Nifti1Pair(VALUES + 1, PLACES).to_filename(numbers)
+    later = header.stat().st_mtime + 5
+    os.utime(numbers, (later, later))
+    assert (images.read(header).values == VALUES + 1).all()
+
+
+def test_images_padding_is_no_air(tmp_path: Path) -> None:
+    """Numbers below -1500 stand where nothing was measured."""
+    values = np.maximum(VALUES, -900)
+    values[:2] = -2000
+    np.savez(tmp_path / "ct.npz", values=values, affine=PLACES)
+    assert images.read(tmp_path / "ct.npz").least == values[2:].min()
+    np.savez(tmp_path / "padding.npz", values=0 * values - 2000, affine=PLACES)
+    assert images.read(tmp_path / "padding.npz").least == -2000
+
+
 def test_images_nan_voxels_matter_only_where_needed(
     tmp_path: Path,
 ) -> None:
@@ -142,9 +225,9 @@ def test_label_surface_nearly_integer_labels_are_rounded(
 ) -> None:
     corners, _ = label_surface.read(labelled(tmp_path, LABELS), 1)
     values = (LABELS * factor).astype(np.float32)
-    near, notes = label_surface.read(labelled(tmp_path, values), 1)
+    near, body = label_surface.read(labelled(tmp_path, values), 1)
     assert near == pytest.approx(corners)
-    assert f"labels rounded by up to {off}" in notes
+    assert f"labels rounded by up to {off}" in body.notes
 
 
 def test_label_surface_interpolated_labels_are_refused(tmp_path: Path) -> None:
@@ -164,9 +247,20 @@ def test_label_surface_mask_has_label_1(tmp_path: Path) -> None:
 
 def test_label_surface_nan_labels_are_background(tmp_path: Path) -> None:
     values = np.where(LABELS > 0, LABELS, np.nan)
-    corners, notes = label_surface.read(labelled(tmp_path, values), 2)
-    assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in notes
+    corners, body = label_surface.read(labelled(tmp_path, values), 2)
+    assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in body.notes
     assert corners == pytest.approx(label_surface.read(labelled(tmp_path, LABELS), 2)[0])
+
+
+def test_label_surface_knows_where_the_image_cuts_the_body(tmp_path: Path) -> None:
+    """The ball of radius 9 with its upper third and a side cut off."""
+    whole_body = label_surface.body(labelled(tmp_path, LABELS > 0), 1)
+    assert whole_body.borders == ()
+    cut_off = (LABELS > 0)[5:, :, :16]
+    np.savez(tmp_path / "cut.npz", values=cut_off, affine=np.eye(4))
+    side, top = label_surface.body(tmp_path / "cut.npz", 1).borders
+    assert side == pytest.approx(np.argwhere(cut_off[:1]) * [1.0, 1.0, 1.0])
+    assert (top[:, 2] == 15.0).all() and len(top) == cut_off[:, :, 15].sum()
 
 
 # Folders of DICOM slices
@@ -271,6 +365,79 @@ def subfolder(folder: Path) -> None:
     (folder / "1.2.0").write_bytes((folder / "S2" / "other").read_bytes())
 
 
+def stored_in(bits: int, signed: bool, shift: int = 0, above: int = 0) -> Callable[[Path], None]:
+    """Store the numbers in few bits, from bit `shift` on, and something else above them.
+
+    By DICOM PS3.5, 8.1.1. The CT numbers become whole.
+    """
+
+    def alter(folder: Path) -> None:
+        for file in folder.iterdir():
+            data = pydicom.dcmread(file)
+            numbers = np.floor(0.5 * data.pixel_array - 1000).astype(np.int64)
+            stored = (numbers + (0 if signed else 1024)) & ((1 << bits) - 1)
+            pixels = (stored << shift) | (above << (bits + shift))
+            data.RescaleSlope, data.RescaleIntercept = 1, 0 if signed else -1024
+            data.BitsAllocated, data.BitsStored, data.HighBit = 16, bits, bits - 1 + shift
+            data.PixelRepresentation = int(signed)
+            del data.PixelPaddingValue
+            data.PixelData = pixels.astype("<u2").tobytes()
+            data.save_as(file)
+
+    return alter
+
+
+BITS = {
+    "12 bits": stored_in(12, signed=False),
+    "an overlay above them": stored_in(12, signed=False, above=5),
+    "12 bits with a sign": stored_in(12, signed=True),
+    "the upper 12 bits": stored_in(12, signed=False, shift=4),
+    "16 bits with a sign": stored_in(16, signed=True),
+}
+
+
+@pytest.mark.parametrize("name", BITS)
+def test_dicom_series_pixels_have_their_stored_bits_alone(name: str, folder: Path) -> None:
+    BITS[name](folder)
+    assert (images.read(folder).values == np.floor(NUMBERS)).all()
+
+
+def few_of_many(folder: Path) -> None:
+    for file in folder.iterdir():
+        change(file, SliceThickness=0.6)
+
+
+def moved(folder: Path) -> None:
+    change(folder / "1.2.3", FrameOfReferenceUID="1.99")
+
+
+def repeated_numbers(folder: Path) -> None:
+    for k, file in enumerate(sorted(folder.iterdir())):
+        change(file, InstanceNumber=k // 2)
+
+
+def lossy(folder: Path) -> None:
+    for file in folder.iterdir():
+        change(file, LossyImageCompression="01")
+
+
+DOUBTFUL: dict[str, tuple[Callable[[Path], None], str]] = {
+    "gaps": (few_of_many, "slices are 1.25 mm apart and 0.6 mm thick: are slices missing?"),
+    "moved": (moved, "its slices are in 2 frames of reference: was the patient moved?"),
+    "two in one": (repeated_numbers, "8 of its 8 slices share their instance number with another"),
+    "lossy": (lossy, "its slices were compressed with a loss"),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_dicom_series_doubtful_folders_have_a_note(name: str, folder: Path) -> None:
+    alter, message = DOUBTFUL[name]
+    assert images.read(folder).notes == ()
+    alter(folder)
+    (note,) = images.read(folder).notes
+    assert message in note
+
+
 READ: dict[str, tuple[Callable[[Path], None], str]] = {
     "DICOMDIR": (dicomdir, "1 files without an image left out: DICOMDIR"),
     "dose report": (report, "1 files without an image left out: dose.dcm"),
@@ -331,6 +498,22 @@ def in_folders(folder: Path) -> None:
             file.replace(folder / "S1" / file.name)
 
 
+def in_folders_of_folders(folder: Path) -> None:
+    (folder / "A" / "S1").mkdir(parents=True)
+    for file in list(folder.iterdir()):
+        if file.is_file():
+            file.replace(folder / "A" / "S1" / file.name)
+
+
+def table_of_numbers(folder: Path) -> None:
+    data = pydicom.dcmread(folder / "1.2.3")
+    del data.RescaleSlope, data.RescaleIntercept
+    table = pydicom.Dataset()
+    table.LUTDescriptor, table.LUTData, table.ModalityLUTType = [3, 0, 16], b"\1\0\2\0\3\0", "HU"
+    data.ModalityLUTSequence = [table]
+    data.save_as(folder / "1.2.3")
+
+
 def emptied(folder: Path) -> None:
     for file in folder.iterdir():
         file.unlink()
@@ -368,6 +551,8 @@ DICOM_REFUSED: dict[str, tuple[Callable[[Path], None], str]] = {
     "other plane": (other_plane, r"1\.2\.3 is in another plane than the rest"),
     "two phases": (other_values, r"1\.2\.3 and phase2 are at one place and differ|phase2 and 1"),
     "subfolder alone": (in_folders, r"has no slices; look in its folder S1 \(8 files\)"),
+    "subfolder of a subfolder": (in_folders_of_folders, r"look in its folder A/S1 \(8 files\)"),
+    "table": (table_of_numbers, r"1\.2\.3: has its CT numbers by a table .Modality LUT."),
     "nothing": (emptied, "has no slices: none of its 1 files is DICOM"),
     "no position": (no_positions, "no position in the patient .Secondary Capture Image Storage"),
     "many frames at one place": (frames, r"1\.2\.3: has 8 frames and one place; convert it"),
@@ -382,6 +567,16 @@ def test_dicom_series_folders_are_refused_with_file_and_reason(name: str, folder
     alter(folder)
     with pytest.raises(InputError, match=message):
         images.read(folder)
+
+
+def test_dicom_series_file_without_voxels_says_its_kind(folder: Path) -> None:
+    path = folder / "1.2.0"
+    data = pydicom.dcmread(path, stop_before_pixels=True)
+    del data.Rows, data.Columns
+    data.SOPClassUID = "1.2.840.10008.5.1.4.1.1.481.3"
+    data.save_as(path)
+    with pytest.raises(InputError, match=r"has no voxels \(RT Structure Set Storage\): export its"):
+        images.read(path)
 
 
 # One file of many frames
@@ -520,7 +715,7 @@ def test_images_damaged_files_are_read_or_refused(folder: Path, tmp_path: Path) 
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the readers, on what is damaged
                 image = images.read(path)
-                label_surface.whole(path, image.values)
+                label_image.whole(path, image.values)
                 if name == "npz":
                     label_surface.read(path, 1)
         except InputError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import nibabel
@@ -10,7 +9,8 @@ import numpy as np
 import pytest
 
 from app.foundation.errors import InputError
-from app.patient import images, segmentation
+from app.patient import segmentation
+from tests.patient import nrrd_files
 
 TABLE = """<?xml version="1.0" encoding="UTF-8"?> <CaretExtension> <VolumeInformation Index="0">
 <LabelTable> <Label Key="1" Alpha="1"><![CDATA[femur_left]]></Label>
@@ -26,25 +26,6 @@ def nifti(path: Path, *numbers: int, table: str = "") -> Path:
     if table:
         image.header.extensions.append(nibabel.nifti1.Nifti1Extension(0, table.encode()))
     image.to_filename(path)
-    return path
-
-
-def nrrd(path: Path, values: np.ndarray, *lines: str, sizes: str = "") -> Path:
-    """A file as 3D Slicer writes it, its axes to left, posterior, superior."""
-    header = [
-        "NRRD0004",
-        "type: unsigned char",
-        "dimension: 3",
-        "space: left-posterior-superior",
-        f"sizes: {sizes or ' '.join(map(str, values.shape))}",
-        "space directions: (0.5,0,0) (0,0.6,0) (0,0,2)",
-        "kinds: domain domain domain",
-        "encoding: gzip",
-        "space origin: (10,20,30)",
-        *lines,
-    ]
-    content = gzip.compress(values.astype(np.uint8).tobytes(order="F"))
-    path.write_bytes("\n".join([*header, "", ""]).encode() + content)
     return path
 
 
@@ -66,22 +47,13 @@ def test_segmentation_femur_by_name(tmp_path: Path) -> None:
     assert segmentation.femur(tmp_path, "right", None).path == one
     values = np.zeros((3, 4, 5))
     values[0, 0, 0], values[1, 2, 3] = 3, 7
-    names = ["Segment0_Name:=Femur L", "Segment0_LabelValue:=7"]
-    names += ["Segment1_Name:=medullary canal", "Segment1_LabelValue:=3"]
-    path = nrrd(tmp_path / "s.seg.nrrd", values, *names)
+    names = [("Femur L", None, 7), ("medullary canal", None, 3)]
+    path = nrrd_files.segmentation(tmp_path / "s.seg.nrrd", [values], names)
     bone = segmentation.femur(path, None, None)
     assert (bone.number, bone.side) == (7, "left")
     canal = segmentation.canal(path, bone)
     assert canal is not None
     assert canal.number == 3
-
-
-def test_segmentation_nrrd_has_places_to_right_and_anterior(tmp_path: Path) -> None:
-    """The voxel (1, 2, 3) is at (10.5, 21.2, 36) to left, posterior, superior."""
-    values = np.arange(60).reshape(3, 4, 5)
-    image = images.read(nrrd(tmp_path / "a.nrrd", values))
-    assert image.affine @ [1, 2, 3, 1] == pytest.approx([-10.5, -21.2, 36.0, 1.0])
-    assert (image.values == values).all()
 
 
 @pytest.mark.parametrize(
@@ -101,26 +73,12 @@ def test_segmentation_refuses_no_femur_and_two(
     assert segmentation.femur(nifti(path, 75, 76), "right", None).number == 76
 
 
-def test_segmentation_refuses_files_that_are_damaged(tmp_path: Path) -> None:
-    """Layers, cut files, no axes, and folders without a femur."""
-    values = np.ones((3, 4, 5))
-    path = nrrd(tmp_path / "a.seg.nrrd", values, sizes="2 3 4 5")
-    with pytest.raises(InputError, match="its segments overlap, in 2 layers"):
-        images.read(path)
-    path = nrrd(tmp_path / "b.nrrd", values)
-    path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(InputError, match="its voxels are damaged"):
-        images.read(path)
-    path = nrrd(tmp_path / "c.nrrd", values, sizes="9 9 9")
-    with pytest.raises(InputError, match="has 60 of 729 bytes"):
-        images.read(path)
-    folder = tmp_path / "segmentations"
-    folder.mkdir()
+def test_segmentation_refuses_folders_without_a_femur(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no segmentation; expected files"):
-        segmentation.femur(folder, None, None)
-    nifti(folder / "liver.nii.gz", 1)
+        segmentation.femur(tmp_path, None, None)
+    nifti(tmp_path / "liver.nii.gz", 1)
     with pytest.raises(InputError, match="has no file of a femur"):
-        segmentation.femur(folder, None, None)
+        segmentation.femur(tmp_path, None, None)
 
 
 def test_segmentation_structures_without_names_are_described_by_their_label() -> None:

@@ -389,6 +389,21 @@ def test_bone_surface_note_on_an_open_proximal_end(tmp_path: Path) -> None:
     assert len(surface.rim) and frame.doubts(surface) == []
 
 
+def test_landmarks_note_where_the_image_cuts_the_bone() -> None:
+    """The lowest side of the image is the end of the scan; others lose a part of the bone."""
+    bone = parametric_femur()
+    low, top = bone.points[:, 2].min(), bone.points[:, 2].max()
+    end = bone.points[bone.points[:, 2] < low + 1.0]
+    head = bone.points[bone.points[:, 2] > top - 1.0]
+    side = np.tile([20.0, 0.0, -120.0], (9, 1))
+    frame = landmarks.find(bone)
+    assert frame.doubts(replace(bone, borders=(end,))) == []
+    above, beside = frame.doubts(replace(bone, borders=(head, end, side), doubts=()))
+    assert "the bone is cut by the border of the image at (4" in above
+    assert "(20, 0, -120) mm of the file (9 voxels): is a part of it missing?" in beside
+    assert frame.doubts(replace(bone, doubts=("one",))) == ["one"]
+
+
 def damaged(rng: random.Random, content: bytes) -> bytes:
     """A file cut, or with other bytes in it."""
     for _ in range(rng.choice((1, 1, 2, 6))):

@@ -1,0 +1,114 @@
+"""Segmentations as DICOM objects (SEG), as 3D Slicer and AI tools in hospitals write them.
+
+Each frame is the mask of one segment in one plane. Planes without a voxel are left out by most
+programs. Source: DICOM PS3.3, A.51 and C.8.20.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.foundation.arrays import Bools, Floats, Numbers
+from app.foundation.errors import InputError
+from app.patient import dicom_series
+from app.patient.voxels import LabelSegment, Voxels
+
+STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
+OFF_PLANE = 0.1  # largest distance of a frame from its place, as a part of the step
+
+
+def is_segmentation(header: Any) -> bool:
+    """Return True if the header of a file is that of a segmentation."""
+    return str(header.get("SOPClassUID", "")) == STORAGE
+
+
+def read(path: Path, header: Any, left_out: Sequence[str]) -> Voxels:
+    """Read the segments of a file as numbers in layers.
+
+    Segments that do not overlap are in one layer, with the numbers of the segments.
+
+    Args:
+        path: The file, or its folder, for messages.
+        header: Header of the file.
+        left_out: Notes on other files of its folder.
+
+    Raises:
+        InputError: The masks are fractions, or their planes are not parallel at multiples of one
+            step.
+    """
+    if str(header.get("SegmentationType", "BINARY")) != "BINARY":
+        raise InputError(
+            f"{path}: its masks are fractions (SegmentationType {header.SegmentationType}): export"
+            " binary masks, or a labelmap"
+        )
+    frames = dicom_series.frames_of(header)
+    dicom_series.check_equal(path, frames)
+    index, affine = _planes(path, frames)
+    masks = dicom_series.pixels(header).astype(bool)
+    shape = int(header.Columns), int(header.Rows), int(index.max()) + 1
+    layers: list[Numbers] = []
+    segments = dict[str, LabelSegment]()
+    for item in header.get("SegmentSequence") or ():
+        number = int(item.SegmentNumber)
+        mask = np.zeros(shape, dtype=bool)
+        for frame, plane, pixels in zip(frames, index, masks, strict=True):
+            if int(frame.get("ReferencedSegmentNumber", 0)) == number:
+                mask[:, :, plane] |= pixels.T
+        name = str(item.get("SegmentLabel") or f"segment {number}")
+        name = f"{name} ({number})" if name in segments else name
+        segments[name] = LabelSegment(number, _put(layers, mask, number))
+    named = {segment.value for segment in segments.values()}
+    unnamed = sum(int(frame.get("ReferencedSegmentNumber", 0)) not in named for frame in frames)
+    if unnamed or not segments:
+        raise InputError(f"{path}: {unnamed} of its frames are of no segment: is it damaged?")
+    kind = f"{len(frames)} DICOM frames of {len(segments)} segments (SEG)"
+    values = np.stack(layers, axis=-1)
+    return Voxels(values, affine, kind, tuple(left_out), segments=segments)
+
+
+def _put(layers: list[Numbers], mask: Bools, number: int) -> int:
+    """Write a mask into the first layer where its voxels are free; return the layer."""
+    for k, layer in enumerate(layers):
+        if not layer[mask].any():
+            layer[mask] = number
+            return k
+    layers.append(np.where(mask, number, 0).astype(np.uint16))
+    return len(layers) - 1
+
+
+def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
+    """Return the number of the plane of each frame (n,), and the affine to mm.
+
+    Raises:
+        InputError: The planes are not at multiples of one step.
+    """
+    across, down = np.split(np.mean([f.ImageOrientationPatient for f in frames], axis=0), 2)
+    normal = np.cross(across, down)
+    places = np.array([f.ImagePositionPatient for f in frames], dtype=float)
+    heights = places @ normal
+    levels = np.unique(heights)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > dicom_series.SAME_PLACE]
+    if not len(gaps):
+        raise InputError(f"{path}: has one slice only, {dicom_series.name_of(frames[0])}")
+    first = places[heights.argmin()]
+    # The mean step: rounding of each gap has no effect on it.
+    step = float(gaps.min())
+    index = np.round((heights - levels[0]) / step).astype(int)
+    step = float((levels[-1] - levels[0]) / index.max())
+    index = np.round((heights - levels[0]) / step).astype(int)
+    off = np.linalg.norm(places - first - step * index[:, None] * normal, axis=1)
+    if off.max() > OFF_PLANE * step:
+        worst = dicom_series.name_of(frames[int(off.argmax())])
+        text = f"its planes are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
+        raise InputError(f"{path}: {text}, and {worst} is at no multiple of one step")
+    spacing = np.array(frames[0].PixelSpacing, dtype=float)
+    affine = np.eye(4)
+    columns = across * spacing[1], down * spacing[0], step * normal, first
+    affine[:3] = np.stack(columns, axis=1)
+    affine[:2] *= -1
+    return index, affine

@@ -1,0 +1,160 @@
+"""Labels of the voxels of a segmentation: whole numbers, in layers where segments overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from app.foundation.arrays import Bools, Floats, Numbers
+from app.foundation.errors import InputError
+from app.patient import images
+from app.patient.voxels import LabelSegment
+
+NEARLY = 0.05  # largest difference of a label from a whole number
+# A label that was interpolated and then rounded is surrounded by at least as many smaller numbers,
+MIXED = 5
+# on at least this part of its surface,
+MOSTLY = 0.5
+# and a voxel of them has fewer neighbours of its own number than this, on average.
+SCATTERED = 1.5
+
+
+@dataclass(frozen=True)
+class LabelImage:
+    """Labels of voxels.
+
+    Attributes:
+        path: The file or folder.
+        layers: Labels (i, j, k, n), whole numbers.
+        segments: Layers and values of the labels by their numbers; None: numbers are values.
+        names: Numbers of the labels by their names; None: the file has no names.
+        affine: Matrix from (i, j, k, 1) to the middle of a voxel (4, 4) [mm].
+        notes: What was read and left out, in words.
+        doubts: Doubts about it.
+    """
+
+    path: Path
+    layers: Numbers
+    segments: Mapping[int, LabelSegment] | None
+    names: Mapping[str, int] | None
+    affine: Floats
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the labels that have voxels; the background is 0 or negative."""
+        layers = np.moveaxis(self.layers, -1, 0)
+        values = [{int(value) for value in np.unique(layer) if value > 0} for layer in layers]
+        if self.segments is None:
+            return sorted(set().union(*values))
+        there = {
+            n for n, segment in self.segments.items() if segment.value in values[segment.layer]
+        }
+        return sorted(there)
+
+    def inside(self, number: int) -> Bools:
+        """Return True in the voxels of a label (i, j, k).
+
+        Raises:
+            InputError: There is no such label, or it was interpolated.
+        """
+        segment = LabelSegment(number)
+        if self.segments is not None:
+            segment = self.segments.get(number, LabelSegment(0, -1))
+        values = self.layers[..., segment.layer]
+        inside: Bools = values == segment.value
+        if segment.layer < 0 or not inside.any():
+            there = self.numbers
+            if self.segments is None:
+                there = [int(value) for value in np.unique(self.layers)]
+            labels = ", ".join(str(value) for value in there[:9])
+            raise InputError(f"{self.path}: has no label {number}; it has {labels}")
+        self._check_sharp(values, inside, number)
+        return inside
+
+    def _check_sharp(self, values: Numbers, inside: Bools, number: int) -> None:
+        """Raise InputError if a label is surrounded by numbers that interpolation made of it."""
+        around = ndimage.binary_dilation(inside) & ~inside
+        between = around & (values > 0) & (values < number)
+        if between.sum() < MOSTLY * around.sum():
+            return
+        found = values[between]
+        if len(np.unique(found)) < MIXED:
+            return
+        equal = np.zeros(len(found))
+        padded = np.pad(values, 1)
+        place = np.argwhere(between) + 1
+        for axis in range(3):
+            for step in (-1, 1):
+                other = place.copy()
+                other[:, axis] += step
+                equal += padded[tuple(other.T)] == found
+        if equal.mean() < SCATTERED:
+            raise InputError(
+                f"{self.path}: the label {number} is surrounded by numbers from {found.min():g} to"
+                f" {found.max():g} that differ from voxel to voxel: probabilities, or labels that"
+                " were interpolated? Export labels, or resample them by nearest neighbour"
+            )
+
+
+def read(path: Path) -> LabelImage:
+    """Read the labels of a segmentation, once unless its files change.
+
+    Segments in several layers have the numbers that the file gives them. If these repeat, they are
+    numbered in their order.
+
+    Raises:
+        InputError: The image cannot be read, or has values between whole numbers.
+    """
+    return _read(path, images.changed(path))
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, _changed: int) -> LabelImage:
+    image = images.read_layers(path)
+    values, rounded = whole(path, image.values)
+    notes = [*image.summary, *rounded]
+    names = {name: segment.value for name, segment in (image.segments or {}).items()}
+    segments = None
+    if values.ndim > 3 and image.segments:
+        if len({*names.values()}) < len(names):
+            names = {name: number for number, name in enumerate(names, 1)}
+            numbered = ", ".join(f"{number} {name}" for name, number in names.items())
+            notes.append(f"labels repeat in its layers; its segments are numbered: {numbered}")
+        segments = {names[name]: segment for name, segment in image.segments.items()}
+    layers = values if values.ndim > 3 else values[..., None]
+    known = names if image.segments is not None else None
+    return LabelImage(path, layers, segments, known, image.affine, tuple(notes), image.notes)
+
+
+def whole(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:
+    """Return labels as whole numbers, and notes on those that were rounded.
+
+    Raises:
+        InputError: There are values between whole numbers, as interpolation makes them.
+    """
+    if values.dtype.kind != "f":
+        return values, []
+    finite = np.isfinite(values)
+    known = np.where(finite, values, 0.0)
+    rounded = np.round(known)
+    off = np.abs(known - rounded)
+    between = off > NEARLY
+    if between.any():
+        raise InputError(
+            f"{path}: {int(between.sum()):,} voxels have values between whole numbers, as"
+            f" {known[between][0]:.4g}: no labels; resample the segmentation by nearest neighbour"
+        )
+    notes = []
+    if off.any():
+        notes.append(f"labels rounded by up to {off.max():.2g}")
+    lost = int((~finite).sum())
+    if lost:
+        notes.append(f"{lost:,} voxels are no numbers: taken as 0")
+    return rounded, notes
