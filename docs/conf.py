@@ -65,6 +65,7 @@ python
 trouble
 """,
     "validation/README": """
+predictions
 bending_creep
 simulator_torque
 rocking_torque

@@ -78,7 +78,7 @@ def _exponent(first: float, second: float, ratio: float) -> float:
 COULOMB = (
     "Outside of the band friction is not Coulomb's with the friction factors of other simulators."
 )
-SIZES = (22, 36, 44)
+SIZES = (22, 44)
 ROCKING_TORQUE = Experiment(
     name="rocking_torque",
     title="Friction torque of polyethylene cups by head size and load, rocking",
@@ -102,17 +102,17 @@ ROCKING_TORQUE = Experiment(
             "Outside of the band the friction factor depends on the size of the head: lubrication.",
         ),
         "load_exponent": PredictedQuantity(
-            "exponent of the load in the torque, 500 to 2,450 N, head of 36 mm",
+            "exponent of the load in the torque, 500 to 2,450 N, head of 44 mm",
             "-",
             lambda runs: _exponent(
-                mean_torque(runs["light36"]), mean_torque(runs["size36"]), 2450 / 500
+                mean_torque(runs["light44"]), mean_torque(runs["size44"]), 2450 / 500
             ),
             "Below the band the friction factor falls with the load, as in mixed lubrication.",
         ),
         "offset": PredictedQuantity(
-            "angle by which friction moves the middle of the contact off the load, head of 36 mm",
+            "angle by which friction moves the middle of the contact off the load, head of 44 mm",
             "deg",
-            lambda runs: offset(runs["size36"]),
+            lambda runs: offset(runs["size44"]),
             COULOMB,
         ),
     },

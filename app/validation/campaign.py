@@ -169,7 +169,7 @@ def _results(
         (name, r)
         for name, ended in by_name.items()
         for r in ended
-        if r.exit_code and place(r.planned).part != SAMPLES
+        if r.exit_code and place(r.planned.name).part != SAMPLES
     ]
     if failed:
         lines = [f"{name}: {r.planned.name}: {r.message}" for name, r in failed]
@@ -179,7 +179,7 @@ def _results(
 
 def _conditions(results: Sequence[Result], part: str, sample: int = 0) -> Conditions:
     """Results by condition of a part, of one sample."""
-    places = [(place(r.planned), r) for r in results]
+    places = [(place(r.planned.name), r) for r in results]
     return {
         at.condition: Results(r.folder)
         for at, r in places
@@ -266,7 +266,7 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
             log.warning("%s: sample %d failed and is left out", experiment.name, number)
             continue
         complete.append(conditions)
-        runs = [r.planned for r in results if place(r.planned).sample == number]
+        runs = [r.planned for r in results if place(r.planned.name).sample == number]
         inputs.append(_inputs(experiment, runs))
     if len(complete) < FEWEST:
         text = f"only {len(complete)} samples are complete; a prediction needs {FEWEST}"
@@ -283,7 +283,9 @@ def _inputs(experiment: Experiment, runs: Sequence[PlannedRun]) -> dict[str, obj
     keys = dict.fromkeys(key for design in experiment.designs for key in design.inputs)
     values: dict[str, object] = {}
     for key in keys:
-        of_runs = {place(r).condition: r.point.changes[key] for r in runs if key in r.point.changes}
+        of_runs = {
+            place(r.name).condition: r.point.changes[key] for r in runs if key in r.point.changes
+        }
         if len(set(map(str, of_runs.values()))) == 1:
             values[key] = next(iter(of_runs.values()))
         else:

@@ -23,7 +23,9 @@ import configs
 from app.case import sweep as sweep_file
 from app.case.case import PlannedRun
 from app.case.points import LatinHypercube
+from app.case.sweep import Sweep
 from app.results.reading import Results
+from app.schema import yaml_file
 
 # Names of the parts of the sweep of an experiment.
 NOMINAL = "nominal"
@@ -75,6 +77,11 @@ class Experiment:
         return configs.FOLDER / "experiments" / f"{self.name}.yaml"
 
     @cached_property
+    def content(self) -> Sweep:
+        """Content of the sweep; its cases are not checked."""
+        return sweep_file.content(yaml_file.read(self.sweep), Sweep)
+
+    @cached_property
     def planned(self) -> list[PlannedRun]:
         """All runs, in the order of the sweep.
 
@@ -86,7 +93,7 @@ class Experiment:
     @cached_property
     def designs(self) -> list[LatinHypercube]:
         """Ranges of the uncertain inputs of each part of samples, equal in number and seed."""
-        parts = sweep_file.read(self.sweep)[0].parts.values()
+        parts = self.content.parts.values()
         return [part.latin_hypercube for part in parts if part.latin_hypercube is not None]
 
 
@@ -105,9 +112,9 @@ class Place:
     sample: int
 
 
-def place(run: PlannedRun) -> Place:
-    """Place of a run, from the name of its point: ``samples_polished/short_sample07``."""
-    of_part, _, label = run.name.partition("/")
+def place(name: str) -> Place:
+    """Place of a run, from its name such as ``samples_polished/short_sample07``."""
+    of_part, _, label = name.partition("/")
     part, _, first = of_part.partition("_")
     number = "0"
     if part == SAMPLES:
@@ -118,4 +125,4 @@ def place(run: PlannedRun) -> Place:
 
 def of_part(runs: Sequence[PlannedRun], part: str) -> list[PlannedRun]:
     """The runs of one part."""
-    return [run for run in runs if place(run).part == part]
+    return [run for run in runs if place(run.name).part == part]

@@ -181,9 +181,9 @@ PLUGS = Experiment(
             "breaks the cement.",
         ),
         "taper_effect": _load_ratio(
-            "load at failure of a smooth plug of taper 10 over that of taper 5, straight shell",
+            "load at failure of a smooth plug of taper 10 over that of taper 7.5, straight shell",
             "smooth10",
-            "smooth5",
+            "smooth7",
             "Outside of the band the pressure of the wedge, which these criteria do not count, "
             "holds or breaks the cement.",
         ),
