@@ -71,12 +71,16 @@ HEAD_OFFSET = 43.0  # mm from the shaft's axis to the head's centre
 HEAD_HEIGHT = 54.0  # mm: level of the head's centre
 DRAWN_AROUND = 72  # points around in pictures
 DRAWN_ALONG = 160  # sections in pictures
-CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the periosteum
-SHAFT = (-50.0, -10.0)  # levels [mm] between which a metaphyseal cortex goes over to the table's
+CORTEX_LEFT = 2.5  # mm of cortical bone that reaming leaves
+# Levels [mm] between which a given thickness of the metaphyseal cortex blends into the table.
+BLENDED = (-50.0, -10.0)
 
 
 def tube_triangles(along: int, around: int) -> Ints:
-    """Triangles (m, 3) between points of sections, section by section, outwards to their left."""
+    """Triangles (m, 3) of a tube, whose points are ordered section by section.
+
+    Seen from outside corners are counterclockwise if the sections rise and their points turn left.
+    """
     row, turn = (v.ravel() for v in np.mgrid[: along - 1, :around])
     a, b = row * around + turn, row * around + (turn + 1) % around
     return np.concatenate(
@@ -111,7 +115,11 @@ def monotone(x: Floats, y: Floats) -> Callable[[Floats], Floats]:
 
 
 def _end_slope(h: Floats, m: Floats) -> Floats:
-    """Slope (k,) at the end of two intervals (2, 1) of mean slopes (2, k), from the end inwards."""
+    """One-sided slope (k,) at an end of the data.
+
+    ``h`` (2, 1) and ``m`` (2, k) are the lengths and mean slopes of the two intervals next to it,
+    the outer one first.
+    """
     slope = ((2 * h[0] + h[1]) * m[0] - h[0] * m[1]) / (h[0] + h[1])
     slope = np.where(slope * m[0] > 0, slope, 0.0)
     steep = (m[0] * m[1] <= 0) & (np.abs(slope) > 3 * np.abs(m[0]))
@@ -151,8 +159,8 @@ class Tube:
             -1 / n
         )
         height, angle, spread, length = self.bump
-        turn = np.angle(np.exp(1j * (theta - angle)))
-        return r + self.offset + height * np.exp(-((turn / spread) ** 2) - (z / length) ** 2)
+        apart = np.angle(np.exp(1j * (theta - angle)))  # from -pi to pi
+        return r + self.offset + height * np.exp(-((apart / spread) ** 2) - (z / length) ** 2)
 
 
 PERIOSTEUM = Tube(OUTER, TROCHANTER)
@@ -165,7 +173,7 @@ class FemurBone:
     Attributes:
         neck: Azimuth of the neck, its anteversion [rad].
         widening: Reaming: distance by which the endosteum is moved outwards [mm].
-        cortex: Thickness of the cortex above `SHAFT` [mm]; None: as in the table.
+        cortex: Thickness of the cortex above the levels `BLENDED` [mm]; None: as in the table.
     """
 
     neck: float = 0.0
@@ -218,13 +226,13 @@ class FemurBone:
     def endosteum(self, theta: Floats, z: Floats) -> Floats:
         """Distance of the endosteum from the z axis [mm].
 
-        Reaming leaves `CORTEX` of the bone. A thickness of the cortex that is asked for goes over
-        to that of the table within `SHAFT`.
+        Reaming leaves `CORTEX_LEFT`. A given thickness of the cortex blends into that of the table
+        between the levels `BLENDED`.
         """
         bone = self.periosteum(theta, z)
-        canal = np.minimum(self._canal.radius(theta, z), bone - CORTEX)
+        canal = np.minimum(self._canal.radius(theta, z), bone - CORTEX_LEFT)
         if self.cortex is None:
             return canal
-        t = np.clip((z - SHAFT[0]) / (SHAFT[1] - SHAFT[0]), 0.0, 1.0)
-        share = t * t * (3 - 2 * t)
+        t = np.clip((z - BLENDED[0]) / (BLENDED[1] - BLENDED[0]), 0.0, 1.0)
+        share = t * t * (3 - 2 * t)  # smooth from 0 to 1
         return np.asarray((1 - share) * canal + share * (bone - self.cortex))

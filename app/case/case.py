@@ -95,13 +95,12 @@ class Case(Section):
         default_factory=dict,
         json_schema_extra={"properties": LIBRARY_KEYS},
     )
-    """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
-    library, in place of those of the base; further keys change them. `library: {walking: [1, 0],
-    stairs_up: [0, 1]}` stands for several sets, each with its history; their loads are
-    `walking_hip` and so on. `body_weight: 750 N` scales their forces. `history: [0, 1]` or
-    `cycle_table: walking_cycle` is that of each of them. `sagittal_tilt: 8.4 deg` turns them
-    about x, from the frame of measured forces to that of the shaft, whose proximal end is that far
-    posterior in it."""
+    """Loads on the bodies. `library: NAME` takes all loads of a set in the library, in place of
+    those of the base; further keys change them. `library: {walking: [1, 0], stairs_up: [0, 1]}`
+    takes several sets, each with its history; their loads are called `walking_hip` and so on.
+    `body_weight: 750 N` scales the forces. `history: [0, 1]` or `cycle_table: walking_cycle`
+    applies to all of them. `sagittal_tilt: 8.4 deg` rotates them about x, from the frame of the
+    measured forces to that of the shaft, whose proximal end is posterior in it by this angle."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)

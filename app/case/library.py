@@ -22,11 +22,11 @@ SHIPPED = configs.FOLDER / "library" / "library.yaml"
 ENTRY = r"^  ([\w-]+):\n(?:    .*\n)+"
 # Key of an entry with its description.
 ABOUT = "about"
-# Key of a set of loads that says how often a patient does it in a day.
+# Key of a set of loads: number of times that a patient repeats the activity in a day.
 PER_DAY = "per_day"
 # Keys that do not go into a case.
 FOR_PEOPLE = (ABOUT, PER_DAY)
-# Key of an entry that says where its values are from.
+# Key of an entry: origin of its values.
 SOURCE = "source"
 # Keys that go into the case with the values.
 ORIGIN = ("status", SOURCE)
@@ -34,13 +34,13 @@ KINDS = {
     "materials": "a region takes one by `material: NAME`",
     "finishes": "a cohesive interface takes one by `finish: NAME`",
     "cycle_tables": "a motion, a load or all loads take one by `cycle_table: NAME`",
-    "loads": "the loads of a case are those of a name by `library: NAME` among them",
+    "loads": "a case takes the loads of one by `library: NAME` below `loads`",
     "contexts": "a case takes one by `credibility: {library: NAME}`",
 }
 
 
 def read(path: Path = SHIPPED) -> CaseFile:
-    """The content of a library.
+    """Read and check a library.
 
     Raises:
         InputError: The file cannot be read or is no library.

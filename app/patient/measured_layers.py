@@ -18,7 +18,7 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from app.patient.bone_surface import BoneSurface
 from meshes.bone_layers import StemShape
-from meshes.femur_bone import CORTEX, FemurBone
+from meshes.femur_bone import CORTEX_LEFT, FemurBone
 from meshes.layers import CORE_OVER, Sections
 from meshes.placement import Placement
 from meshes.plane_sections import centroid, exits, section
@@ -33,7 +33,7 @@ AROUND = 1.5  # slope of a surface around
 BLUR = 0.7  # samples over which radii are smoothed
 THINNING = 35.0  # mm above the canal's end over which the cortex becomes thin
 THIN = 2.0  # mm: thickness of the cortex there
-LEAST_CORTEX = 1.5  # mm that reaming leaves where the patient has less than `CORTEX`
+LEAST_CORTEX = 1.5  # mm that reaming leaves where the patient has less than `CORTEX_LEFT`
 BROACH = 0.3  # mm that a broach is wider than stem and mantle
 CORE = 0.6  # of the canal's mean radius: the innermost surface below the plug
 NARROW = 0.65  # of the canal's radius at any angle: the innermost surface at most
@@ -231,7 +231,7 @@ class MeasuredLayers:
     def _reamed(self, reaming: Reaming, canal: Floats, stem: StemShape | None) -> Floats:
         """Radii of the endosteum after reaming [mm]; notes say what it takes of the bone."""
         bone, zeta = self._bone.radii, self._bone.zeta
-        most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - canal))
+        most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX_LEFT, bone - canal))
         wanted = canal
         if reaming.ream == "by":
             wanted = canal + reaming.ream_by

@@ -1,11 +1,11 @@
 """Values at nodes reduced over time: their maxima, times above a level, other integrals.
 
-A reduction has one number for each node of a region that this rank owns, and takes every accepted
-step. `maxima` and `largest` reduce the nodes of all ranks to the numbers that are reported.
+A reduction has one number for each owned node of a region, and is updated at every accepted step.
+`maxima` and `largest` reduce the nodes of all ranks to the numbers that are reported.
 
-Between steps a value follows parabolas: the maximum is the vertex of one, where the steps before
-and after allow it. Integrals are those of a parabola through the step and the one before, in
-straight pieces.
+Between steps values follow parabolas. A maximum between two steps is the vertex of a parabola
+through one of them and both neighbours (`peak_between`). An integral over a step uses the parabola
+through its ends and the step before (`bend`), divided into straight pieces.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from app.foundation.arrays import Floats
 
 # A time [s] and the values at it (n,).
 State = tuple[float, Floats]
-# Integral of a function of a value over a piece of time, by the values at its start and end (n,),
-# between which they are linear, and its duration [s].
+# Integral over a piece of time, at each node, of a function of the value. Arguments: values at the
+# start and at the end (n,), linear between them, and the duration [s].
 Measure = Callable[[Floats, Floats, float], Floats]
 
 
 class Maximum:
-    """Largest value of each node so far, and when it was [s] (n,)."""
+    """Largest value of each node so far (n,), and its time [s] (n,)."""
 
     saved = ("value", "time")
 
@@ -36,7 +36,7 @@ class Maximum:
         self.time = np.full(len(value), seconds)
 
     def take(self, value: Floats, seconds: Floats | float) -> None:
-        """Take in values of a time, which may be another for each node (n,)."""
+        """Take values (n,) at one time, or each at its time (n,) [s]."""
         higher = value > self.value
         self.value[higher] = value[higher]
         self.time[higher] = np.broadcast_to(seconds, value.shape)[higher]
@@ -107,11 +107,11 @@ def largest(
 
 
 def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Floats]:
-    """Peaks between the middle ones of four states, at rising times.
+    """Peaks between the second and the third of four states, at rising times.
 
-    The peak is the vertex of the parabola through three of them, the highest in the middle. It is
-    no higher than straight lines through the first two states and through the last two: heating
-    that is switched off leaves no peak.
+    The peak is the vertex of a parabola. It passes through the higher one of the two states and the
+    neighbours of that state. The peak is not above the lines through the first two states and
+    through the last two, so that heating that is switched off leaves no peak.
 
     Returns:
         Values (n,), minus infinity without a peak, and times (n,).
@@ -124,10 +124,11 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
     curvature = np.where(early, (across - before) / (t2 - t0), (after - across) / (t3 - t1))
     inside = (before > 0) & (after < 0) & (curvature < 0)
     curvature = np.where(inside, curvature, -1.0)
-    # Slope at the first of the two.
+    # Slope at the second state.
     slope = across - curvature * (t2 - t1)
     when = t1 - slope / (2 * curvature)
     inside &= (when > t1) & (when < t2)
+    # Time from the second state to the place where the two lines meet.
     meet = np.divide(c - b - after * (t2 - t1), before - after, out=np.zeros_like(b), where=inside)
     bound = np.minimum(b + before * meet, c - after * (t2 - t1 - meet))
     bound = np.maximum(bound, np.maximum(b, c))
@@ -138,8 +139,8 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
 def bend(before: State, start: State, end: State) -> Floats:
     """Depth of a parabola below its chord in the middle of the last step (n,).
 
-    It passes through the ends of the step and the state before; its bend is limited so that it
-    stays between the ends.
+    The parabola passes through the ends of the step and the state before. Its depth is limited, so
+    that its values stay between those of the ends.
     """
     (t0, a), (t1, b), (t2, c) = before, start, end
     if not t0 < t1 < t2:
@@ -156,6 +157,6 @@ def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
 
 
 def limited(bends: Floats, start: Floats, end: Floats) -> Floats:
-    """Bends of parabolas that stay between their ends (n,)."""
+    """Depths limited so that parabolas stay between the values of their ends (n,)."""
     limit = np.abs(end - start) / 4
     return np.asarray(np.clip(bends, -limit, limit))

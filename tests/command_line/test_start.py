@@ -260,7 +260,7 @@ geometry.cement_thickness  (kind patient)
             for name in ("", "stem_cement.")
         ),
         ("stages.0.increments", 0, ["stages[].increments\n"]),
-        ("loads.library", 0, ["library: NAME among them"]),
+        ("loads.library", 0, ["library: NAME"]),
         (
             "interfaces.frictoin",
             2,

@@ -23,7 +23,7 @@ from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
 from meshes import _make, femur_bone, femur_stem, quality
 from meshes.data import interface_facets, region_volumes
-from meshes.femur_bone import CORTEX
+from meshes.femur_bone import CORTEX_LEFT
 from meshes.gruen import Zones
 from meshes.layered_surfaces import LEAST_MANTLE, LayeredSurfaces
 from tests.meshes import cad_stems
@@ -333,7 +333,7 @@ def check(geometry: Patient, seed: int) -> bool:
         data = _make(geometry, mesh)
     except GeometryError as error:
         assert "mm below the cut" in str(error), seed
-        assert distance(geometry) < LEAST_MANTLE + CORTEX, seed
+        assert distance(geometry) < LEAST_MANTLE + CORTEX_LEFT, seed
         return False
     least = 0.015 if isinstance(geometry.stem, StemFile) else 0.025
     assert data.notes["quality"]["sicn_min"] > least, seed
