@@ -165,7 +165,7 @@ def _at(inputs: Mapping[str, Range | Choice], shares: Floats) -> list[dict[str, 
     ]
 
 
-class Samples(Section):
+class SampledInputs(Section):
     """Samples of uncertain inputs."""
 
     samples: int
@@ -176,7 +176,7 @@ class Samples(Section):
     """The range of each key, or its values."""
 
 
-class LatinHypercube(Samples):
+class LatinHypercube(SampledInputs):
     """Samples of uncertain inputs: one value of each input in each of equal intervals."""
 
     samples: Annotated[int, Field(ge=2, le=10_000)]
@@ -201,7 +201,7 @@ class LatinHypercube(Samples):
         return _at(self.inputs, min(designs, key=correlation))
 
 
-class Sobol(Samples):
+class Sobol(SampledInputs):
     """Samples from which Sobol' indices are computed: the share of each input in the variance."""
 
     samples: Annotated[int, Field(ge=8, le=4096), AfterValidator(_power_of_two)]
