@@ -31,6 +31,7 @@ gallery
 demos
 faq
 theory
+sources
 verification
 validation/README
 notebook

@@ -88,14 +88,18 @@ LINKS: Mapping[FactorName, tuple[str, ...]] = {
     ),
     "model_form": ("docs/theory.md", "docs/paper.md", "docs/notebook.md"),
     "input_sensitivities": ("configs/sweeps/inputs.yaml", "configs/sweeps/sobol.yaml"),
-    "input_uncertainties": ("configs/sweeps/inputs.yaml", "docs/howto/many-runs.md"),
+    "input_uncertainties": (
+        "docs/sources.md",
+        "configs/sweeps/inputs.yaml",
+        "docs/howto/many-runs.md",
+    ),
     "sample_quantity": _EXPERIMENTS,
     "condition_quantity": _EXPERIMENTS,
     "input_equivalency": _EXPERIMENTS,
     "output_agreement": _EXPERIMENTS,
     "relevant_quantities": ("docs/howto/evidence.md",),
     "relevant_validation": ("docs/howto/evidence.md",),
-    "calibration": ("docs/verification.md", "configs/library/library.yaml"),
+    "calibration": ("docs/sources.md", "docs/validation/README.md"),
     "result_uncertainty": ("docs/howto/error.md", "configs/sweeps/inputs.yaml"),
 }
 

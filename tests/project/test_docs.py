@@ -261,3 +261,17 @@ def test_docs_site_is_built(tmp_path: Path) -> None:
     pytest.importorskip("myst_parser")
     support.python("-m", "sphinx", "-q", "-W", "--keep-going", DOCS, tmp_path)
     assert (tmp_path / "searchindex.js").is_file()
+
+
+def test_docs_sources_page_names_every_file_with_constants_from_memory() -> None:
+    page = (ROOT / "docs/sources.md").read_text(encoding="utf-8")
+    # Files about the mark itself, or about values whose file is named.
+    without = {"app/laws/values.py", "app/soundness/preview.py", "app/fatigue/findings.py"}
+    files = [
+        path.relative_to(ROOT).as_posix()
+        for folder in ("app", "meshes", "forms", "configs")
+        for path in sorted((ROOT / folder).rglob("*.*"))
+        if path.suffix in (".py", ".yaml")
+        and "from memory" in path.read_text(encoding="utf-8").lower()
+    ]
+    assert [name for name in files if name not in without and name not in page] == []
