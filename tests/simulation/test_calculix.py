@@ -183,7 +183,7 @@ def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floa
     lines = [line for line in table.partition("\n -3")[0].splitlines() if line[:3] == " -1"]
     solved = support.solve(load(folder / "case.yaml").config)
     p = solved.problem
-    u = hip._displacements(p)
+    u = hip.nodal_displacements(p)
     of_cell = p.bodies.of_tag[bodies.cell_tags(p.tagged)][:, None]
     keys = np.unique(p.space.dofmap.list.astype(np.int64) * len(u) + of_cell)
     node, body = np.divmod(keys, len(u))
@@ -197,7 +197,7 @@ def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floa
 def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Subsidence, and p99 of gap and slip at the nodes of the stem [mm]."""
     p = solved.problem
-    monkeypatch.setattr(hip, "_displacements", lambda _: u)
+    monkeypatch.setattr(hip, "nodal_displacements", lambda _: u)
     stem = p.scene.contacts[0]
     f = bodies.facets_between(p.tagged, stem.slave, stem.master)
     dofs = bodies.facet_nodes(p.tagged, p.space, f)[1]
