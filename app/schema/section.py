@@ -95,6 +95,8 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
             expected = f": {text[:1].lower()}{text[1:].rstrip('.')}" if text else ""
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
+            if str(entry["loc"][-1]).startswith(TAG):  # a key of the file that looks like a mark
+                path = (*path, entry["loc"][-1])
             above = _above(path[-1], model, given if isinstance(given, Mapping) else {})
             if above:
                 return path, f"unknown key here; indent it below '{above}', where it belongs"

@@ -179,6 +179,7 @@ SWEEPS = [
         "cannot stand next to other axes",
     ),
     (BASE + "gird: {}", "did you mean 'grid'?"),
+    (BASE + "==grid: {}", "2:1: ==grid: unknown key; allowed: base, set, grid"),
     (BASE + "grid: {mesh.sise: [1 mm]}", "2:20: grid.mesh.sise[0]: unknown key"),
     ("base: nix.yaml\ngrid: {mesh.size: [1 mm]}", "1:1: base: "),
     (CASE, "this is a case: use mantle run"),
