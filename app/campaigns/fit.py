@@ -40,15 +40,16 @@ from pathlib import Path
 
 import numpy as np
 
-from app.campaigns import batch, fit_results
+from app.campaigns import batch, fit_results, fit_verdicts
 from app.campaigns.batch import Options
 from app.campaigns.fit_results import FitRecord, FitRun, Outcome
+from app.campaigns.identifiability import identify
 from app.case import fit as fit_file
 from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation.arrays import Floats
 from app.foundation.errors import gravest
-from app.foundation.verdict import Severity, recorded
+from app.foundation.verdict import Severity
 from app.system.folders import write_json, write_text
 
 log = logging.getLogger("mantle")
@@ -182,12 +183,17 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
         raise gravest([start.exit_code], text)
     search = _reach_targets if fit.targets else _find_extremum
     outcome = search(evaluate, start)
-    record = fit_results.record(problem, options, evaluate.runs, outcome)
+    known = None
+    if fit.targets and outcome.derivatives is not None:
+        uncertainties = np.array([target.uncertainty for target in fit.number_targets.values()])
+        known = identify(np.nan_to_num(outcome.derivatives / uncertainties[:, None]))
+    verdicts = fit_verdicts.verdicts(problem, evaluate.runs, outcome, known)
+    record = fit_results.record(problem, options.folder, evaluate.runs, outcome, known, verdicts)
     with batch.writable(options.folder):
         write_json(options.folder / "fit.json", record)
         write_text(options.folder / "fit.csv", fit_results.csv(record))
     log.info("\n%s", fit_results.text(record))
-    for verdict in recorded(record):
+    for verdict in verdicts:
         if verdict.severity is not Severity.ERROR:
             log.warning("note: %s", verdict.text)
     log.info("written in %s: fit.json, fit.csv", options.folder)

@@ -1,43 +1,33 @@
-"""Results of a fit: its runs, keys with uncertainties, verdicts, and tables."""
+"""Results of a fit: its runs, keys with uncertainties, and tables."""
 
 from __future__ import annotations
 
 import math
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
 import numpy as np
 
-from app.campaigns import identifiability
-from app.campaigns.batch import Options
-from app.campaigns.identifiability import KNOWN_RANGE, Identifiability, identify
+from app.campaigns.identifiability import KNOWN_RANGE, Identifiability
 from app.campaigns.runs import Result, reason
 from app.case import points, quantities
 from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation.arrays import Floats
-from app.foundation.errors import ConvergenceError, InputError, UnusableError, gravest
-from app.foundation.verdict import Severity, Verdict, recorded, texts_of
+from app.foundation.errors import InputError
+from app.foundation.verdict import Verdict
 from app.schema.yaml_file import Fault
 from app.system import identity, layout
 from app.system.folders import csv_text
 
-# Deviation of a number from its target [standard uncertainties] that is doubtful, and that is not
-# reached.
-DOUBTFUL = 2.0
-NOT_REACHED = 3.0
 # Half width of an interval of 95 % [standard uncertainties].
 INTERVAL = 1.96
 # Distance to a bound at which a key has reached it, as a fraction of its range.
 AT_BOUND = 2e-3
-# Change of a number over the range of a key that is rounding, relative to the number.
-ROUNDING = 1e-6
-# Uncertainty from which a key is not determined, as a fraction of its range.
-UNDETERMINED = KNOWN_RANGE
 
 
 @dataclass(frozen=True)
@@ -258,43 +248,48 @@ def violations(problem: FitProblem, run: FitRun) -> Floats:
 
 
 def record(
-    problem: FitProblem, options: Options, runs: Sequence[FitRun], outcome: Outcome
+    problem: FitProblem,
+    folder: Path,
+    runs: Sequence[FitRun],
+    outcome: Outcome,
+    known: Identifiability | None,
+    verdicts: Sequence[Verdict],
 ) -> FitRecord:
-    """Content of ``fit.json``."""
+    """Content of ``fit.json``.
+
+    Args:
+        problem: The fit.
+        folder: Its folder.
+        runs: All runs in their order.
+        outcome: Result of the search.
+        known: Knowledge of the keys from the targets; None without targets or derivatives.
+        verdicts: Verdicts on the result.
+    """
     fit, best = problem.fit, outcome.best
-    known = None
-    if fit.targets and outcome.derivatives is not None:
-        scale = np.array([t.uncertainty for t in fit.number_targets.values()])
-        known = identify(np.nan_to_num(outcome.derivatives / scale[:, None]))
-    verdicts = [*_of_runs(problem, runs, outcome), *_of_keys(problem, best)]
+    overrides = [*points.as_overrides(problem.changes(best.values)), *problem.overrides]
+    changes = " ".join(f"--set {shlex.quote(override)}" for override in overrides)
     if fit.targets:
-        verdicts += _of_targets(problem, best)
+        aim = "targets"
     else:
-        verdicts += _of_constraints(problem, best)
-    if known is not None:
-        verdicts += _of_knowledge(problem, known)
-    elif outcome.derivatives is not None:
-        verdicts += _of_influence(problem, outcome.derivatives, best)
-    changes = [f"--set {shlex.quote(o)}" for o in points.as_overrides(problem.changes(best.values))]
-    changes += [f"--set {shlex.quote(o)}" for o in problem.overrides]
+        aim = "minimise" if fit.minimise else "maximise"
     return {
         "title": problem.title,
         "file": str(problem.path),
         "overrides": list(problem.overrides),
         "program": identity.program(),
-        "aim": "targets" if fit.targets else "minimise" if fit.minimise else "maximise",
+        "aim": aim,
         "objective": fit.objective,
         "converged": outcome.converged,
         "best": best.name,
-        "command": f"mantle run {shlex.quote(str(problem.base))} {' '.join(changes)}",
+        "command": f"mantle run {shlex.quote(str(problem.base))} {changes}",
         "misfit": best.misfit if fit.targets else None,
         "keys": _key_rows(problem, best, known),
         "numbers": _number_rows(problem, best, outcome.derivatives),
         "correlation": [_plain(row) for row in known.correlation] if known else [],
         "covariance": [_floats(row) for row in known.covariance] if known else [],
         "singular_values": _floats(known.singular_values) if known else [],
-        "verdicts": [v.record() for v in verdicts],
-        "runs": [_run_row(problem, run, options.folder) for run in runs],
+        "verdicts": [verdict.record() for verdict in verdicts],
+        "runs": [_run_row(problem, run, folder) for run in runs],
     }
 
 
@@ -315,7 +310,7 @@ def _key_rows(
     for k, (key, bounds) in enumerate(problem.fit.keys.items()):
         share = float(best.shares[k])
         deviation = float(known.uncertainties[k]) if known else math.inf
-        determined = deviation < UNDETERMINED
+        determined = deviation < KNOWN_RANGE
         ends = (max(0.0, share - INTERVAL * deviation), min(1.0, share + INTERVAL * deviation))
         # The uncertainty on a logarithmic scale, too: half of the interval of one deviation.
         around = bounds.number(share + deviation) - bounds.number(share - deviation)
@@ -328,12 +323,12 @@ def _key_rows(
             "scale": bounds.scale,
             "uncertainty": 0.5 * around if determined else None,
             "interval": [bounds.number(end) for end in ends] if determined else [],
-            "at": _at_bound(share),
+            "at": at_bound(share),
         }
     return rows
 
 
-def _at_bound(share: float) -> str:
+def at_bound(share: float) -> str:
     """Bound that a key has reached: low, high, or none."""
     if share < AT_BOUND:
         return "low"
@@ -380,118 +375,6 @@ def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
         "seconds": round(run.seconds, 3),
         "folder": os.path.relpath(run.folder, folder) if run.folder else "",
     }
-
-
-# Verdicts
-
-
-def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> Iterator[Verdict]:
-    """Verdicts on the number of runs, and on those that failed."""
-    if not outcome.converged:
-        what = f"the search stopped after {len(runs)} runs, before it converged"
-        cure = f"set fit.runs above {problem.fit.runs}; the same command continues"
-        yield Verdict(what, "fit.runs", cure)
-    failed = [run for run in runs if not run.done]
-    if failed:
-        what = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: "
-        what += "; ".join(f"{run.name}: {run.message}" for run in failed)
-        yield Verdict(what, severity=Severity.WARNING)
-    if outcome.derivatives is not None:
-        for k, key in enumerate(problem.fit.keys):
-            if np.isnan(outcome.derivatives[:, k]).any():
-                what = "runs on both sides of the result failed, so that its influence is unknown"
-                yield Verdict(what, key, "choose other bounds", Severity.WARNING)
-
-
-def _of_keys(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
-    """Verdicts on keys at their bounds."""
-    fit = problem.fit
-    for (key, bounds), share in zip(fit.keys.items(), best.shares, strict=True):
-        at = _at_bound(float(share))
-        if at:
-            end, words = ("low", "lower") if at == "low" else ("high", "upper")
-            what = f"is at its {words} bound, {getattr(bounds, end)}"
-            cure = f"set another '{end}' if values beyond it are possible"
-            severity = Severity.WARNING if fit.targets else Severity.PLAIN
-            yield Verdict(what, key, cure, severity)
-
-
-def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
-    """Verdicts on targets that the best run does not reach."""
-    at_bound = any(_at_bound(float(share)) for share in best.shares)
-    cure = "widen the bounds" if at_bound else "check the target and its uncertainty"
-    cure += ", or add a key that changes this number"
-    for name, value in zip(problem.fit.numbers, best.array, strict=True):
-        target = problem.fit.number_targets[name]
-        away = abs(value - target.value) / target.uncertainty
-        if away > DOUBTFUL:
-            wanted = shown(name, target.value)
-            what = f"is {shown(name, float(value))} at best and cannot reach {wanted}: "
-            what += f"{away:.1f} uncertainties of {shown(name, target.uncertainty)} remain"
-            severity = Severity.ERROR if away > NOT_REACHED else Severity.WARNING
-            yield Verdict(what, name, cure, severity)
-
-
-def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdict]:
-    """Verdicts on keys that the targets do not determine, or do not tell apart."""
-    fit = problem.fit
-    names = [*short_keys(list(fit.keys)).values()]
-    full = [*fit.keys]
-    for direction in known.undetermined():
-        if len(direction) == 1:
-            (k,) = direction
-            low, high = fit.keys[full[k]].low, fit.keys[full[k]].high
-            what = "the targets do not determine it: from one bound to the other "
-            what += f"({low} to {high}) the numbers change by {known.influence[k]:.2g} of their "
-            yield Verdict(
-                what + "uncertainties",
-                full[k],
-                "leave this key out, or add a number that depends on it",
-            )
-            continue
-        what = "the targets cannot tell these keys apart: the numbers hardly change if "
-        what += f"{identifiability.in_words(direction, names)} change together"
-        cure = "fix one of them, or add a number on which they act in different ways"
-        if len(fit.targets) < len(fit.keys):
-            what = f"{len(fit.keys)} keys and {len(fit.targets)} targets: {what}"
-        yield Verdict(what, ", ".join(full[k] for k in direction), cure)
-
-
-def _of_influence(problem: FitProblem, derivatives: Floats, best: FitRun) -> Iterator[Verdict]:
-    """Verdicts on keys without influence on any number."""
-    changes = np.abs(np.nan_to_num(derivatives))
-    for k, key in enumerate(problem.fit.keys):
-        if key != problem.fit.objective and (changes[:, k] <= ROUNDING * abs(best.array)).all():
-            what = "has no influence on the numbers, so that its value is arbitrary"
-            yield Verdict(what, key, "leave this key out", Severity.WARNING)
-
-
-def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
-    """Verdicts on the constraints of the best run."""
-    fit = problem.fit
-    for name, (low, high) in fit.limits.items():
-        value = float(best.array[fit.numbers.index(name)])
-        for limit, words, beyond in (
-            (low, "at least", low - value),
-            (high, "at most", value - high),
-        ):
-            if beyond > 0:
-                what = "no run meets all constraints; in the closest one it is "
-                what += f"{shown(name, value)}, and it must be {words} {shown(name, limit)}"
-                yield Verdict(what, name, "widen the bounds of the keys, or relax this constraint")
-
-
-def raise_faults(of: FitRecord) -> None:
-    """Raise the errors among the verdicts of a fit.
-
-    Raises:
-        ConvergenceError: The search used all its runs.
-        UnusableError: The result must not be used.
-    """
-    errors = texts_of(recorded(of), Severity.ERROR)
-    if errors:
-        codes = [UnusableError.exit_code] if of["converged"] else [ConvergenceError.exit_code]
-        raise gravest(codes, "\n".join(errors))
 
 
 # Tables

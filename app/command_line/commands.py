@@ -211,14 +211,14 @@ def _campaign(options: argparse.Namespace) -> int:
 
 def _fit(options: argparse.Namespace) -> int:
     configure_log("info")
-    from app.campaigns import fit, fit_results
+    from app.campaigns import fit, fit_verdicts
     from app.report import fit_report
 
     many = _many(options, Path("out") / f"{options.fit.stem}-fit")
     record = fit.run(options.fit, options.overrides, many)
     if record is not None:
         print(fit_report.write(many.folder))
-        fit_results.raise_faults(record)
+        fit_verdicts.raise_faults(record)
     return 0
 
 

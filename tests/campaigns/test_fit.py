@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from app.campaigns import batch, fit, fit_results
+from app.campaigns import batch, fit, fit_verdicts
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case import fit as fit_file
@@ -117,7 +117,7 @@ def test_fit_recovers_friction_and_modulus_within_their_uncertainties(model: Ben
     assert record["misfit"] < 3.0
     best = next(run for run in record["runs"] if run["name"] == record["best"])
     assert best["values"] == {key: row["value"] for key, row in record["keys"].items()}
-    fit_results.raise_faults(record)
+    fit_verdicts.raise_faults(record)
 
 
 def test_fit_has_the_covariance_of_the_linear_problem(model: Bench) -> None:
@@ -151,7 +151,7 @@ def test_fit_names_a_key_without_influence(model: Bench) -> None:
     assert record["keys"]["regions.upper.poisson_ratio"]["uncertainty"] is None
     assert record["keys"][FRICTION]["uncertainty"] < 0.02
     with pytest.raises(UnusableError, match="poisson_ratio: the targets do not determine it"):
-        fit_results.raise_faults(record)
+        fit_verdicts.raise_faults(record)
 
 
 def test_fit_says_which_keys_its_targets_cannot_tell_apart(model: Bench) -> None:
@@ -173,7 +173,7 @@ def test_fit_says_that_a_target_cannot_be_reached_and_which_bound_stops_it(model
     assert "lower_upper.shear_mean: is 1.2" in said and "cannot reach 1.739 MPa" in said
     assert "uncertainties of 0.04 MPa remain" in said
     with pytest.raises(UnusableError, match="widen the bounds"):
-        fit_results.raise_faults(record)
+        fit_verdicts.raise_faults(record)
 
 
 FRICTION_BY_SLIP = f"""\
@@ -194,7 +194,7 @@ def test_fit_goes_around_failed_runs_and_names_them(bench: Bench) -> None:
     assert "start, +friction_coefficient" in verdict["what"]
     assert any(run["name"] == "start, -friction_coefficient" for run in record["runs"])
     assert record["keys"][FRICTION]["number"] == pytest.approx(0.3, abs=0.002)
-    fit_results.raise_faults(record)
+    fit_verdicts.raise_faults(record)
 
 
 def test_fit_whose_first_run_fails_asks_for_another_start(bench: Bench) -> None:
@@ -208,7 +208,7 @@ def test_fit_out_of_runs_has_its_best_run_and_continues(bench: Bench) -> None:
     assert len(record["runs"]) <= 3 and not record["converged"]
     assert record["misfit"] == min(run["misfit"] for run in record["runs"])
     with pytest.raises(ConvergenceError, match=r"fit.runs above 3; the same command continues"):
-        fit_results.raise_faults(record)
+        fit_verdicts.raise_faults(record)
     done = {p: p.stat().st_mtime_ns for p in bench.finished()}
     record = search(bench, FRICTION_BY_SLIP)
     assert record["converged"] and len(bench.finished()) == len(record["runs"])
@@ -247,7 +247,7 @@ def test_fit_minimises_a_key_under_a_constraint(model: Bench) -> None:
     assert record["keys"][FRICTION]["at"] == "high"
     assert record["numbers"]["lower_upper.pressure_mean"]["value"] >= 4.0
     assert record["misfit"] is None and len(record["runs"]) <= 40
-    fit_results.raise_faults(record)
+    fit_verdicts.raise_faults(record)
 
 
 def test_fit_maximises_a_number_between_bounds(model: Bench) -> None:
@@ -265,7 +265,7 @@ def test_fit_without_a_run_that_meets_the_constraints_names_the_closest(model: B
     record = search(model, text)
     words = r"no run meets all constraints; .* 7.6\d* MPa, and it must be at least 40 MPa"
     with pytest.raises(UnusableError, match=words):
-        fit_results.raise_faults(record)
+        fit_verdicts.raise_faults(record)
 
 
 def test_fit_of_a_minimum_out_of_runs_has_its_best_run(model: Bench) -> None:
@@ -275,7 +275,7 @@ def test_fit_of_a_minimum_out_of_runs_has_its_best_run(model: Bench) -> None:
     feasible = [r for r in record["runs"] if r["numbers"]["lower_upper.pressure_mean"] >= 4]
     assert record["best"] == min(feasible, key=lambda r: r["shares"][1])["name"]
     with pytest.raises(ConvergenceError, match=r"fit.runs above 6"):
-        fit_results.raise_faults(record)
+        fit_verdicts.raise_faults(record)
 
 
 def test_fit_of_a_key_without_constraints_goes_to_its_bound(model: Bench) -> None:

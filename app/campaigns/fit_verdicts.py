@@ -1,0 +1,148 @@
+"""Verdicts on the result of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from app.campaigns import identifiability
+from app.campaigns.fit_results import FitRecord, FitRun, Outcome, at_bound, shown
+from app.campaigns.identifiability import Identifiability
+from app.case.fit import FitProblem
+from app.case.points import short_keys
+from app.foundation.arrays import Floats
+from app.foundation.errors import ConvergenceError, UnusableError, gravest
+from app.foundation.verdict import Severity, Verdict, recorded, texts_of
+
+# Deviation from its target that makes a number doubtful [standard uncertainties].
+DOUBTFUL = 2.0
+# Deviation from its target at which a number does not reach it [standard uncertainties].
+NOT_REACHED = 3.0
+# Change of a number over the range of a key that is rounding, relative to the number.
+ROUNDING = 1e-6
+
+
+def verdicts(
+    problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome, known: Identifiability | None
+) -> list[Verdict]:
+    """Return the verdicts on runs, keys, targets or constraints, and on the knowledge of keys."""
+    listed = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best)]
+    if problem.fit.targets:
+        listed += _of_targets(problem, outcome.best)
+    else:
+        listed += _of_constraints(problem, outcome.best)
+    if known is not None:
+        listed += _of_knowledge(problem, known)
+    elif outcome.derivatives is not None:
+        listed += _of_influence(problem, outcome.derivatives, outcome.best)
+    return listed
+
+
+def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> Iterator[Verdict]:
+    """Verdicts on the number of runs, and on those that failed."""
+    if not outcome.converged:
+        what = f"the search stopped after {len(runs)} runs, before it converged"
+        cure = f"set fit.runs above {problem.fit.runs}; the same command continues"
+        yield Verdict(what, "fit.runs", cure)
+    failed = [run for run in runs if not run.done]
+    if failed:
+        what = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: "
+        what += "; ".join(f"{run.name}: {run.message}" for run in failed)
+        yield Verdict(what, severity=Severity.WARNING)
+    if outcome.derivatives is not None:
+        for k, key in enumerate(problem.fit.keys):
+            if np.isnan(outcome.derivatives[:, k]).any():
+                what = "runs on both sides of the result failed, so that its influence is unknown"
+                yield Verdict(what, key, "choose other bounds", Severity.WARNING)
+
+
+def _of_keys(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on keys at their bounds."""
+    fit = problem.fit
+    for (key, bounds), share in zip(fit.keys.items(), best.shares, strict=True):
+        at = at_bound(float(share))
+        if at:
+            end, words = ("low", "lower") if at == "low" else ("high", "upper")
+            what = f"is at its {words} bound, {getattr(bounds, end)}"
+            cure = f"set another '{end}' if values beyond it are possible"
+            severity = Severity.WARNING if fit.targets else Severity.PLAIN
+            yield Verdict(what, key, cure, severity)
+
+
+def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on targets that the best run does not reach."""
+    bounded = any(at_bound(float(share)) for share in best.shares)
+    cure = "widen the bounds" if bounded else "check the target and its uncertainty"
+    cure += ", or add a key that changes this number"
+    for name, value in zip(problem.fit.numbers, best.array, strict=True):
+        target = problem.fit.number_targets[name]
+        away = abs(value - target.value) / target.uncertainty
+        if away > DOUBTFUL:
+            wanted = shown(name, target.value)
+            what = f"is {shown(name, float(value))} at best and cannot reach {wanted}: "
+            what += f"{away:.1f} uncertainties of {shown(name, target.uncertainty)} remain"
+            severity = Severity.ERROR if away > NOT_REACHED else Severity.WARNING
+            yield Verdict(what, name, cure, severity)
+
+
+def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdict]:
+    """Verdicts on keys that the targets do not determine, or do not tell apart."""
+    fit = problem.fit
+    names = [*short_keys(list(fit.keys)).values()]
+    full = [*fit.keys]
+    for direction in known.undetermined():
+        if len(direction) == 1:
+            (k,) = direction
+            low, high = fit.keys[full[k]].low, fit.keys[full[k]].high
+            what = "the targets do not determine it: from one bound to the other "
+            what += f"({low} to {high}) the numbers change by {known.influence[k]:.2g} of their "
+            yield Verdict(
+                what + "uncertainties",
+                full[k],
+                "leave this key out, or add a number that depends on it",
+            )
+            continue
+        what = "the targets cannot tell these keys apart: the numbers hardly change if "
+        what += f"{identifiability.in_words(direction, names)} change together"
+        cure = "fix one of them, or add a number on which they act in different ways"
+        if len(fit.targets) < len(fit.keys):
+            what = f"{len(fit.keys)} keys and {len(fit.targets)} targets: {what}"
+        yield Verdict(what, ", ".join(full[k] for k in direction), cure)
+
+
+def _of_influence(problem: FitProblem, derivatives: Floats, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on keys without influence on any number."""
+    changes = np.abs(np.nan_to_num(derivatives))
+    for k, key in enumerate(problem.fit.keys):
+        if key != problem.fit.objective and (changes[:, k] <= ROUNDING * abs(best.array)).all():
+            what = "has no influence on the numbers, so that its value is arbitrary"
+            yield Verdict(what, key, "leave this key out", Severity.WARNING)
+
+
+def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+    """Verdicts on the constraints of the best run."""
+    fit = problem.fit
+    for name, (low, high) in fit.limits.items():
+        value = float(best.array[fit.numbers.index(name)])
+        for limit, words, beyond in (
+            (low, "at least", low - value),
+            (high, "at most", value - high),
+        ):
+            if beyond > 0:
+                what = "no run meets all constraints; in the closest one it is "
+                what += f"{shown(name, value)}, and it must be {words} {shown(name, limit)}"
+                yield Verdict(what, name, "widen the bounds of the keys, or relax this constraint")
+
+
+def raise_faults(of: FitRecord) -> None:
+    """Raise the errors among the verdicts of a fit.
+
+    Raises:
+        ConvergenceError: The search used all its runs.
+        UnusableError: The result must not be used.
+    """
+    errors = texts_of(recorded(of), Severity.ERROR)
+    if errors:
+        codes = [UnusableError.exit_code] if of["converged"] else [ConvergenceError.exit_code]
+        raise gravest(codes, "\n".join(errors))
