@@ -67,7 +67,7 @@ def tabled(text: str) -> str:
 
 
 def _output(line: str, folder: Path) -> str:
-    """What a command of a page prints, without its progress."""
+    """Output of a command of a page, without its progress."""
     words = shlex.split(line, comments=True)
     if words[0] == "./mantle":
         words = [sys.executable, "-m", "mantle", *words[1:]]

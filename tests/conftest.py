@@ -1,4 +1,4 @@
-"""What every test under MPI needs: destructors of PETSc and dolfinx objects are collective."""
+"""Fixtures for all tests. Under MPI destructors of PETSc and dolfinx objects are collective."""
 
 from __future__ import annotations
 

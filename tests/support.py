@@ -352,7 +352,7 @@ class Ranks:
 
     @property
     def alive(self) -> bool:
-        """Whether they can run another program."""
+        """Return True if they can run another program."""
         return self._process.poll() is None
 
     def end(self) -> None:

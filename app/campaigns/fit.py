@@ -26,10 +26,10 @@ function.
 If the optimum is at a bound, trf took 21 runs with an excess of 0.3, 7 and 90, and dogbox 13 runs
 with 0.02, 1.2 and 14.
 
-**Minimum and maximum.** COBYQA of scipy needs no derivatives and keeps bounds. Measured on 3
-functions of 2 keys with an active constraint, 10 fits each, with noise of 0, 0.2 and 1 %: it took
-11 to 22 runs (median), COBYLA 14 to 23, SLSQP with differences of 5 % 14 to 42 and at times more
-than 60. All came equally close. Failed runs are infeasible to it.
+**Minimum and maximum.** COBYQA of scipy needs no derivatives and keeps bounds. It was
+measured on 3 functions of 2 keys with an active constraint, 10 fits each, with noise of 0, 0.2 and
+1 %. It took 11 to 22 runs (median) and COBYLA 14 to 23. SLSQP with differences of 5 % took 14 to 42
+runs, at times more than 60. All came equally close. Failed runs are infeasible to it.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ moments are linear along the stem,
 
 .. math:: σ_{zz} = a + b x + c y + (z - z_0) (d + e x + f y) .
 
-The fit to the stress in a band above the resin, by volume, gives the stress of the section at z_0
-without the peak at the rim of the resin, which has no limit on finer meshes.
+It is fitted to the stress in a band above the resin, weighted by volume. The fit gives the stress
+of the section at z_0 without the peak at the rim of the resin, which has no limit on finer meshes.
 """
 
 from __future__ import annotations

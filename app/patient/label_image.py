@@ -20,7 +20,7 @@ NEARLY = 0.05  # largest difference of a label from a whole number
 MIXED = 5
 # on at least this part of its surface,
 MOSTLY = 0.5
-# and a voxel of them has fewer neighbours of its own number than this, on average.
+# and a voxel of them has fewer neighbours with its number than this, on average.
 SCATTERED = 1.5
 
 
@@ -84,21 +84,21 @@ class LabelImage:
         between = around & (values > 0) & (values < number)
         if between.sum() < MOSTLY * around.sum():
             return
-        found = values[between]
-        if len(np.unique(found)) < MIXED:
+        rim = values[between]
+        if len(np.unique(rim)) < MIXED:
             return
-        equal = np.zeros(len(found))
+        equal = np.zeros(len(rim))
         padded = np.pad(values, 1)
         place = np.argwhere(between) + 1
         for axis in range(3):
             for step in (-1, 1):
                 other = place.copy()
                 other[:, axis] += step
-                equal += padded[tuple(other.T)] == found
+                equal += padded[tuple(other.T)] == rim
         if equal.mean() < SCATTERED:
             raise InputError(
-                f"{self.path}: the label {number} is surrounded by numbers from {found.min():g} to"
-                f" {found.max():g} that differ from voxel to voxel: probabilities, or labels that"
+                f"{self.path}: the label {number} is surrounded by numbers from {rim.min():g} to"
+                f" {rim.max():g} that differ from voxel to voxel: probabilities, or labels that"
                 " were interpolated? Export labels, or resample them by nearest neighbour"
             )
 

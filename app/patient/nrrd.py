@@ -92,7 +92,7 @@ def read(path: Path) -> Voxels:
 def _segments(path: Path, keys: dict[str, str], layers: int) -> dict[str, LabelSegment] | None:
     """Return the segments of a file by their names; None without names.
 
-    Old files have no key for the layer: each segment has its own, in their order.
+    Old files have no key for the layer: each segment has one, in their order.
 
     Raises:
         InputError: A segment has a layer that is none of the file.
@@ -113,7 +113,7 @@ def _segments(path: Path, keys: dict[str, str], layers: int) -> dict[str, LabelS
 
 
 def data_files(path: Path) -> list[Path]:
-    """Return the files that have the numbers of a header; none: they follow it in its own file.
+    """Return the files that have the numbers of a header; none if they follow it in the same file.
 
     Raises:
         InputError: The header is damaged, or one of the files is missing.

@@ -67,8 +67,9 @@ def output_nodes(
         label: Number of the body, or of the region, of each of them (m,).
 
     Returns:
-        The nodes as each group sees them, with its bodies as groups of regions; rows of the nodes
-        of each cell in the order of the space (m, k); keys of the nodes, equal on all ranks (n,).
+        * The nodes as each group sees them, with its bodies as groups of regions.
+        * Rows of the nodes of each cell, in the order of the space (m, k).
+        * Keys of the nodes, equal on all ranks (n,).
     """
     space = groups[0].space
     dofs = space.dofmap.list[cells]

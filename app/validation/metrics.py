@@ -49,9 +49,9 @@ def standard_uncertainty(measured: MeasuredQuantity) -> float:
 def normalised_error(prediction: Prediction, measured: MeasuredQuantity) -> float:
     """Error over its expanded uncertainty: up to 1 in size, it is explained by uncertainty.
 
-    E_n = (S - D) / (2 sqrt(s^2 + d^2 + u^2)), with the mean S and the standard deviation s of the
-    samples, the discretization d, and the measured value D and its standard uncertainty u (ISO
-    13528; ASME V&V 20).
+    E_n = (S - D) / (2 sqrt(s^2 + d^2 + u^2)) (ISO 13528; ASME V&V 20). S and s are the mean and
+    standard deviation of the samples, and d is the discretization. D and u are the measured value
+    and its standard uncertainty.
     """
     deviation = float(np.std(prediction.samples, ddof=1))
     measurement = standard_uncertainty(measured)

@@ -45,7 +45,7 @@ class Prediction(Section):
     text: str
     """The quantity in words."""
     unit: str
-    """Its unit."""
+    """Unit of all its numbers."""
     value: float
     """Value with the middle of each range."""
     discretization: Annotated[float, Field(ge=0)]

@@ -89,7 +89,7 @@ Relation = Callable[[str, Series, str, str], Statement]
 
 
 def rises(label: str, values: Series, unit: str, over: str, up: bool = True) -> Statement:
-    """Whether a number is larger, or else smaller, at the largest value of the parameter."""
+    """Statement that a number is larger, or else smaller, at the largest value of the parameter."""
     if len(values) < 2:
         return _missing(f"{label} at two values or more")
     low, high = min(values), max(values)
@@ -101,7 +101,7 @@ def rises(label: str, values: Series, unit: str, over: str, up: bool = True) -> 
 def constant(
     label: str, values: Series, unit: str, over: str, tolerance: float, beyond: float = 0.0
 ) -> Statement:
-    """Whether numbers beyond a value of the parameter agree, up to a part of their mean."""
+    """Statement that numbers beyond a value of the parameter agree, up to a part of their mean."""
     values = {x: n for x, n in values.items() if not beyond or x > beyond}
     if len(values) < 2:
         return _missing(f"{label} at two values or more")
@@ -112,7 +112,7 @@ def constant(
 
 
 def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Statement:
-    """Whether a number at 2 mm is `MUCH` larger than at 3 to 5 mm."""
+    """Statement that a number at 2 mm is `MUCH` larger than at 3 to 5 mm."""
     thicker = {t: n for t, n in values.items() if 3 <= t <= 5}
     if 2.0 not in values or not thicker:
         return _missing(f"{label} at 2 mm and thicker")
@@ -122,7 +122,7 @@ def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Stat
 
 
 def above(label: str, pairs: Iterable[tuple[Number | None, Number | None]]) -> Statement:
-    """Whether the first number exceeds the second in every case that has both."""
+    """Statement that the first number exceeds the second in every case that has both."""
     exceeding = [exceeds(a, b) for a, b in pairs if a and b]
     text = f"{label}: in {exceeding.count(AGREES)} of {len(exceeding)} cases"
     return Statement(_all(exceeding), text) if exceeding else _missing(label)

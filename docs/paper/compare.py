@@ -61,7 +61,7 @@ class Fact:
     remark: str
 
     def matches(self, thickness: float) -> bool:
-        """Whether it is about a mantle of a thickness [mm]."""
+        """Return True if it is about a mantle of a thickness [mm]."""
         if self.thickness.startswith(">"):
             return thickness > float(self.thickness[1:])
         return thickness in {float(t) for t in self.thickness.split("-") if t}

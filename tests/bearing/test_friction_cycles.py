@@ -74,7 +74,7 @@ def test_friction_cycles_errors_cover_a_finer_mesh(tmp_path: Path) -> None:
 
 
 def test_friction_cycles_reports_the_share_facing_a_bore(tmp_path: Path) -> None:
-    """That within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
+    """Share within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
     cycle_table = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
     moved = (f"motions.ball.rotation.cycle_table={cycle_table}", "motions.ball.largest_step=45 deg")
     result = support.run(CASE, tmp_path, *moved, "stages=[{name: press}, {name: turn}]")

@@ -74,7 +74,7 @@ def test_case_defaults_are_filled_in(two_blocks: str) -> None:
 
 @pytest.mark.parametrize("change", ["={kind: rigid}", ".kind=rigid", ".rigid=true"])
 def test_case_region_is_rigid_by_its_kind(two_blocks: str, change: str) -> None:
-    """Its moduli go with its old kind; what tissue it is stays."""
+    """Moduli go with the old kind; the tissue stays."""
     text = two_blocks.replace("{rigid: true}", "{material: PMMA, tissue: cement}")
     region = support.case(text, f"regions.upper{change}").regions["upper"]
     assert isinstance(region, Rigid)

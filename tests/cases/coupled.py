@@ -71,7 +71,7 @@ class Coupled:
 
     @property
     def solver(self) -> Solver:
-        """What solves heat and mechanics, or the heat alone."""
+        """Solver of heat and mechanics, or of heat alone."""
         solver = self.model.thermal.heating.solver
         assert isinstance(solver, Solver)
         return solver

@@ -194,7 +194,7 @@ def trees(tmp_path: Path) -> list[Path]:
 
 
 def set_ups(tmp_path: Path) -> int:
-    """How often mmdebstrap was asked."""
+    """Number of calls of mmdebstrap."""
     return (tmp_path / "log").read_text().count("run")
 
 

@@ -223,7 +223,7 @@ def assert_stress(σ: np.ndarray, x: np.ndarray, u: np.ndarray, E: float, ν: fl
 def test_run_keeps_or_replaces_finished_results(
     done: tuple[Path, Path, str], tmp_path: Path
 ) -> None:
-    """What is of another configuration, or not complete, is run again where that is asked for."""
+    """Results of another configuration and incomplete ones are replaced on demand."""
     case, output = done[0], tmp_path / "out"
     shutil.copytree(done[1], output)
     same = support.sets("interfaces.cement_bone.friction_coefficient=0.80")

@@ -84,7 +84,7 @@ def test_fatigue_weibull_risk_of_a_volume() -> None:
 
 
 def test_fatigue_reentrant_edges() -> None:
-    """That of an L, in pieces; none of a bar, and none on the facets around a stem."""
+    """Edge of an L, in pieces; none of a bar, and none on the facets around a stem."""
     edges = turning_in(
         support.mesh(load(support.CONFIGS / "verification/corner.yaml").config), "corner"
     )

@@ -305,7 +305,7 @@ def conditions(p: Points, friction: bool, out: point_law.PointForces) -> Broken:
 
 
 def within_the_friction_cones(force: Floats, normals: Floats, μ: float) -> bool:
-    """Whether a force is a sum of forces within the friction cones of the faces, to 1 %."""
+    """Return True if a force is a sum of forces within the friction cones of the faces, to 1 %."""
     edges = []
     for n in normals:
         a = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))]))

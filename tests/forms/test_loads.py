@@ -101,7 +101,7 @@ def test_loads_pressure_compresses_one_face(box: Box) -> None:
 
 
 def test_loads_pressure_all_around_is_in_equilibrium(box: Box) -> None:
-    """Its work in v = x is -p times the growth of the volume, 3 V."""
+    """Work in v = x is -p times the growth of the volume, 3 V."""
     p = 1.7
     force, moment = box.resultants(
         lambda v: loads.pressure_work(box.constant(p), box.n, v) * box.surface

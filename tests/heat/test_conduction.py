@@ -223,7 +223,7 @@ def test_conduction_between_bodies_conserves_heat(h: float, dt: float) -> None:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("h", [300.0, PERFECT])
 def test_conduction_balance_closes_with_all_conditions(h: float, method: str) -> None:
-    """What the conditions bring in by the sums of the integrator is what is stored."""
+    """Heat from the conditions, by the sums of the integrator, equals the stored heat."""
     time_course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
     heat: list[HeatCondition] = [
         # Its time course multiplies kelvins.

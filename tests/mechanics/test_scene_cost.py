@@ -24,7 +24,7 @@ COMPILERS = ("form", "compile_form")
 
 @dataclass(frozen=True)
 class Bill:
-    """What a model cost to set up.
+    """Costs of setting up a model.
 
     Attributes:
         unknowns: By block.

@@ -207,7 +207,7 @@ def test_mesh_file_coincident_nodes_are_merged_unless_finite_sliding(
 
 
 def test_mesh_file_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
-    """Its XDMF has cells, tags of cells and tags of facets in separate grids."""
+    """XDMF of dolfinx has cells, tags of cells and tags of facets in separate grids."""
     tagged, path = distribute(rod, MPI.COMM_SELF), tmp_path / "rod.xdmf"
     tagged.cell_tags.name, tagged.facet_tags.name = "Cell tags", "wall"
     with io.XDMFFile(MPI.COMM_SELF, path, "w") as file:

@@ -165,7 +165,7 @@ def test_scripts_use_files_of_their_folder(tmp_path: Path) -> None:
 
 
 def test_scripts_with_changed_files_are_refused(tmp_path: Path) -> None:
-    """What is meshed is what the cache and the provenance name."""
+    """Meshes are of the files that cache and provenance name."""
     geometry = MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     assert geometry.content
     script(tmp_path, PIN.replace("5, 2}", "5, 3}"))

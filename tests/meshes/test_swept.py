@@ -343,7 +343,7 @@ def random_hip(rng: np.random.Generator) -> tuple[dict[str, float], float, bool]
     [(20, 20, 5.01), pytest.param(200, 200, 2.0, marks=pytest.mark.slow)],
 )
 def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_size: float) -> None:
-    """Those that anatomy forbids are refused in words; all others mesh, and well."""
+    """Hips that anatomy forbids are refused in words; all others mesh, and well."""
     rng = np.random.default_rng(seed)
     made = refused = 0
     while made < number:

@@ -141,7 +141,7 @@ def test_condensed_cycles_start_from_extrapolated_cycles() -> None:
 
 
 def test_condensed_singular_jacobian_names_the_floating_body() -> None:
-    """Its motions make the Jacobian in the jumps singular: no step leads anywhere."""
+    """Motions of the body make the Jacobian in the jumps singular: no step leads anywhere."""
     gaps = [f"interfaces.{name}.gap=0.1 mm" for name in ("stem_cement", "cement_bone")]
     lifted = "interfaces.cement_bone.friction_coefficient=0.4", "loads.hip.force=[0 N, 0 N, 1 N]"
     with pytest.raises(support.mantle.ConvergenceError, match="nothing holds body 'stem'"):

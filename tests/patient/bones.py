@@ -140,7 +140,7 @@ def part(data: Any, *tags: str) -> Any:
 
 
 def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:
-    """Whether places of a lattice are inside of a surface (x, y, z): along rows of x, by parity."""
+    """True at places of a lattice inside of a surface (x, y, z): along rows of x, by parity."""
     times = np.zeros((len(x) + 1, len(y), len(z)), dtype=np.int8)
     for a, b, c in surface.corners:
         low, high = np.minimum(a, np.minimum(b, c)), np.maximum(a, np.maximum(b, c))

@@ -146,7 +146,7 @@ def test_layering_class_names_are_unique() -> None:
 
 
 def test_layering_packages_are_installed_with_a_docstring() -> None:
-    """Its docstring is short; pyproject.toml lists it."""
+    """The docstring is short; pyproject.toml lists the package."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     packages = {name for name, path in MODULES.items() if path.name == "__init__.py"}
     assert set(settings["packages"]) == packages

@@ -37,7 +37,7 @@ def test_public_import_starts_neither_mpi_nor_petsc() -> None:
 
 
 def test_public_core_needs_no_cases() -> None:
-    """What `docs/demos` import first solves without case files, mesher, results and reports."""
+    """Modules that `docs/demos` import solve without case files, mesher, results and reports."""
     code = (
         "import sys, app.stepping.stages, app.scene.scene, meshes.distribute; print(*sys.modules)"
     )

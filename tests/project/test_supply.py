@@ -1,4 +1,4 @@
-"""What mantle is made of: dependencies that are complete and bounded, and the list of all parts."""
+"""Parts of mantle: dependencies that are complete and bounded, and the list of all parts."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_supply_dependencies_have_bounds(text: str) -> None:
 
 
 def test_supply_dolfinx_is_of_a_known_series() -> None:
-    """Its interface changes with every one: `app.foundation.dolfinx_features` knows these."""
+    """The interface changes with every series: `app.foundation.dolfinx_features` knows these."""
     (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
     known = [v for v in ("0.8.0", "0.9.5", "0.10.0", "0.11.0", "0.12.0") if v in dolfinx.specifier]
     assert known == ["0.9.5", "0.10.0", "0.11.0"]

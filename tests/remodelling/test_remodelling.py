@@ -119,7 +119,7 @@ def test_remodelling_bone_at_loads_and_supports_is_frozen(tmp_path: Path) -> Non
 
 
 def test_remodelling_long_filter_gives_uniform_stimulus(tmp_path: Path) -> None:
-    """That of the mean energy per mass: the density stays even where the load is not."""
+    """Stimulus of the mean energy per mass: the density stays even where the load is not."""
     plate = CASE.with_name("plate.yaml")
     shares = []
     for name, length in (("none", ""), ("long", "100 mm")):

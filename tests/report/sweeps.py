@@ -15,7 +15,7 @@ MODULI = {"titanium": 110, "CoCr": 200}
 
 
 def femur(stem: str = "titanium", thickness: float = 4.0, mu: float = 1.0) -> dict[str, Any]:
-    """What reports read of a case."""
+    """Keys of a case that reports read."""
     return {
         "geometry": {"kind": "femur", "cement_thickness": f"{thickness:g} mm"},
         "mesh": {"size": "4 mm"},

@@ -191,7 +191,7 @@ def test_gruen_mantles_are_compared_by_achieved_thickness(maker: Maker) -> None:
 def test_sweep_report_levels_have_one_unit(
     key: str, written: list[Any], words: str, numbers: list[float | None]
 ) -> None:
-    """That of the schema where the sweep has several."""
+    """The unit is that of the schema where the sweep has several."""
     key = key.replace(".T", ".temperature")
     cases = [rs.SweptCase(str(x), Path(), "converged", "", {key: x}) for x in written]
     assert sweep_figures.axes_in_words(cases) == [f"{words}."]

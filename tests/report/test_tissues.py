@@ -1,4 +1,4 @@
-"""What regions are: bone, cement, implant or other, whatever they are called."""
+"""Tissues of regions: bone, cement, implant or other, under any name."""
 
 from __future__ import annotations
 

@@ -249,7 +249,7 @@ def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> f
 
 
 def test_viewer_interfaces_are_drawn_on_the_inner_body(run: Run, tmp_path: Path) -> None:
-    """Its facets are those of the contact area, and the picture has colours."""
+    """Facets are those of the contact area, and the picture has colours."""
     figure = pictures.sides(run, tmp_path)[0]
     assert (tmp_path / "interfaces.pdf").stat().st_size > 10_000
     import matplotlib.image

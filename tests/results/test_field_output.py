@@ -78,7 +78,7 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
 
 
 def written(tagged: TaggedMesh, groups: tuple[FieldGroup, ...], path: Path) -> Run:
-    """What is read back of one step; the same on all ranks."""
+    """Fields read back from one step; the same on all ranks."""
     fields = Fields(tagged, groups, path)
     fields.open()
     fields.write(1.0, None)

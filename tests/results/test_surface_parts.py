@@ -166,7 +166,7 @@ def test_surface_parts_recovery_at_a_ridge() -> None:
 
 
 def test_surface_parts_recovery_of_a_rounded_punch() -> None:
-    """Its pressure rises like a root beside its edge and falls to zero there: no value grows.
+    """The pressure rises like a root beside its edge and falls to zero there: no value grows.
 
     p = sqrt(1 - x^2) within |x| < 1, as for a cylinder, and zero beyond (Hertz): the largest value
     and the 95th percentile converge.

@@ -1,4 +1,4 @@
-"""What is reported of temperatures and cure, against formulas, on any number of ranks."""
+"""Numbers of temperatures and cure, against formulas, on any number of ranks."""
 
 from __future__ import annotations
 

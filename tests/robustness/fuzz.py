@@ -232,7 +232,7 @@ def guard(allowed: Path) -> None:
 
 
 def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> str:
-    """What is wrong with the way that a call ends; nothing if nothing is."""
+    """Fault in the end of a call, in words; empty without one."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         call()

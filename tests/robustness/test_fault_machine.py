@@ -136,7 +136,7 @@ time.sleep(60)
 
 
 def test_fault_machine_waits_for_a_running_compilation(tmp_path: Path) -> None:
-    """What it had begun is removed once it is dead, and not before; other forms are free."""
+    """Files of a process are removed only once it is dead; other forms are free."""
     form, other = "libffcx_forms_" + "0" * 40, "libffcx_forms_" + "1" * 40
     existed: dict[str, bool] = {}
 

@@ -40,7 +40,7 @@ def ranks(output: Path) -> list[int]:
 
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, object]:
-    """How long the run takes where nothing happens, and its numbers."""
+    """Duration of an undisturbed run, and its numbers."""
     folder = tmp_path_factory.mktemp("usual")
     begin = time.monotonic()
     support.python(*arguments(folder / "out", *TWO))

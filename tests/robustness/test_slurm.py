@@ -187,7 +187,7 @@ def output_of(process: subprocess.Popen[str], seconds: float = PATIENCE) -> str:
 
 
 def calls(folder: Path) -> list[str]:
-    """How the calls of ``mantle run`` ended, without the case."""
+    """Ends of the calls of ``mantle run``, without the case."""
     path = folder / "calls"
     return path.read_text().splitlines() if path.exists() else []
 

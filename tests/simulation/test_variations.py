@@ -51,7 +51,7 @@ def test_variations_star_is_every_name(tmp_path: Path) -> None:
 
 
 def test_variations_equal_cases_with_set(tmp_path: Path) -> None:
-    """Its overrides, as options, on the case without variations."""
+    """Overrides of a variation, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
     variations = load(path, ["title=mine"]).variations
     assert [v.name for v in variations][:3] == ["as_is", "fit", "mu2_900"] and len(variations) == 8

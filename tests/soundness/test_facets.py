@@ -1,4 +1,4 @@
-"""What only the facets of a mesh hold is no answer."""
+"""Bodies that only the facets of a mesh hold have no solution."""
 
 from __future__ import annotations
 

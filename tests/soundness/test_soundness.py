@@ -1,4 +1,4 @@
-"""What is refused or asked about before anything is solved, and what is not."""
+"""Errors and notes before a case is solved; cases without any."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ motions:
 
 
 def judge(case: Case, data: MeshData) -> list[str]:
-    """What is noted of a case on a mesh."""
+    """Notes on a case on a mesh."""
     return [v.text for v in well_posedness.judge(case, well_posedness.look(case, data))]
 
 

@@ -148,7 +148,7 @@ def test_creep_law_alone_costs_nothing() -> None:
 def test_creep_near_zero_equals_elasticity(
     tmp_path: Path,
 ) -> None:
-    """Its stress is then history: of strains and temperatures, the same as the law's."""
+    """The stress then depends on the history of strains and temperatures, as in the law."""
     summaries = []
     cool = ("regions.upper.thermal.cure=null", "interfaces.lower_upper.friction_coefficient=0")
     stage = "stages[1]={name: load, increments: 2, creep_cycles: 1, adaptive: false}"

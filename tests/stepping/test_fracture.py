@@ -23,7 +23,7 @@ stages: [{name: pull, increments: 4}]
 
 
 def test_energy_control_follows_the_snap_back_of_a_bar(tmp_path: Path) -> None:
-    """Its end goes back by N L/E less the end of softening; two iterations a step follow it."""
+    """The end goes back by N L/E less the end of softening; two iterations a step follow it."""
     # With condensed bodies a step takes one iteration at least.
     support.run(BAR, tmp_path, "solver.linear=direct")
     run = Run(tmp_path / "out")

@@ -1,4 +1,4 @@
-"""What a run depends on beside its input, against what the packages say themselves."""
+"""Versions that a run depends on, compared with those that the packages report."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_identity_includes_the_kernel_of_the_blas() -> None:
 
 
 def test_identity_includes_sources_that_change_numbers() -> None:
-    """What only asks for runs, or tells of them, does not."""
+    """Sources that only plan runs or report them are left out."""
     assert not identity.OUTSIDE.fullmatch("app/numerics/newton.py")
     assert not identity.OUTSIDE.fullmatch("app/system/identity.py")
     assert identity.OUTSIDE.fullmatch("app/verification/problems/test_heat.py")

@@ -1,4 +1,4 @@
-"""What a run does not pay for: imports it has no use for, and units without pint."""
+"""Costs that a run does not have: imports it has no use for, and units without pint."""
 
 from __future__ import annotations
 

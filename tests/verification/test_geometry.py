@@ -118,7 +118,7 @@ def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
 
 
 def test_geometry_plug_fills_the_canal_below_the_tip() -> None:
-    """Its volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
+    """The volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
     geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
     tip, height = geometry.tip_z, geometry.implant.tip_rounding
     low, high = tip - geometry.plug_length, tip + height

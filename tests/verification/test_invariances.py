@@ -1,4 +1,4 @@
-"""What must not matter: the augmentation, the size of the load, the orientation of the model."""
+"""Inputs without influence: augmentation, size of the load, orientation of the model."""
 
 from __future__ import annotations
 

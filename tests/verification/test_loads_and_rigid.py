@@ -136,7 +136,7 @@ def test_rigid_region_has_the_prescribed_motion(
 
 
 def test_rigid_region_impossible_motion_is_refused() -> None:
-    """Its two ends cannot be pulled apart, and one end cannot bend."""
+    """The two ends cannot be pulled apart, and one end cannot bend."""
     stem = (CYLINDERS, "regions.stem={rigid: true}", "loads={}")
     up = "supports.up={kind: displacement, boundary: stem_top, z: 0.05 mm}"
     with pytest.raises(InputError, match=r"supports\.up, down: .*rigid motion"):
