@@ -113,7 +113,9 @@ def test_restart_from_a_checkpoint(tmp_path: Path, name: str) -> None:
     assert max(v for key, v in balance.items() if key != "heat_quadrature") < 1e-8
     if this.changing:
         names, *table = restarted.rows(tmp_path / "whole")
-        column = [float(row[names.index(this.changing)]) for row in table]
+        # Steps of heat alone have no value.
+        values = [row[names.index(this.changing)] for row in table]
+        column = [float(value) for value in values if value]
         assert all(column[0] != column[number] != column[-1] for number in this.after)
     for number in this.after:
         part = restarted.on(case, tmp_path, files[number], *this.overrides)
