@@ -163,7 +163,13 @@ SHIPPED = {
     "thermal_100C": COARSER,
     # At first order every line around the stem is an edge: Newton fails often, and rounding decides
     # which load steps are halved.
-    "residual": (*COARSER, "mesh.order=2"),
+    "residual": (
+        "mesh.size=8 mm",
+        "mesh.along=12 mm",
+        "mesh.around=16",
+        "mesh.order=2",
+        FIELDS,
+    ),
 }
 
 
