@@ -5,6 +5,7 @@ A surface may be open at an end of its long axis, where a scan ends.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,8 +23,15 @@ EXTENT = (65.0, 600.0)  # mm that a femur, or a proximal part of one, is long
 LEAST_CANAL = 20.0  # mm that a part of a canal is long
 MOST = 400_000  # number of triangles above which surfaces are thinned
 THIN = 0.7  # mm: edge of the boxes whose corners then become one
+# A corner is a spike if it stands out of its neighbours by more than this [mm],
+SPIKE = 3.0
+# and by more than this part of their distance from their middle.
+STEEP = 2.0
 RIM = 25.0  # mm: an open end is within this distance of the bone's
-FARTHEST = 1e9  # units: numbers beyond it are damaged
+DAMAGED = 1e9  # units: numbers beyond it are damaged
+# mm: places in a scanner are nearer to the origin. Beyond it corners of STL files, which have seven
+# digits, are rounded to more than 0.01 mm.
+FARTHEST = 2e5
 
 
 @dataclass(frozen=True)
@@ -89,7 +97,7 @@ def read(
         raise GeometryError(
             f"{path}: {text} numbers, the first is number {int(lost.argmax()) + 1:,}"
         )
-    if np.abs(corners).max() > FARTHEST:
+    if np.abs(corners).max() > DAMAGED:
         raise GeometryError(f"{path}: its coordinates reach {np.abs(corners).max():.0e}: damaged?")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fits = [u for u, mm in UNITS.items() if least <= extent * mm <= EXTENT[1]]
@@ -101,14 +109,21 @@ def read(
         )
     if unit is None:
         notes = [*notes, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]
-    surface = welding.weld(corners * UNITS[unit or fits[0]])
+    corners = corners * UNITS[unit or fits[0]]
+    farthest = float(np.abs(corners).max())
+    if farthest > FARTHEST:
+        text = f"its coordinates reach {farthest:.0e} mm, where their last digits are lost"
+        raise GeometryError(f"{path}: {text}: move it to the origin where it was made")
+    surface = welding.weld(corners)
     thinned = len(surface.triangles) > MOST
     if thinned:
         surface = welding.thin(surface, THIN)
     if len(surface.triangles) < 4:
         raise GeometryError(f"{path}: has {len(surface.triangles)} triangles with an area")
     checked = _checked(path, surface, [*notes, *surface.notes], thinned)
-    return replace(checked, borders=body.borders, doubts=body.doubts) if body else checked
+    if body is None:
+        return checked
+    return replace(checked, borders=body.borders, doubts=(*body.doubts, *checked.doubts))
 
 
 def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneSurface:
@@ -133,11 +148,14 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
         remedy = "merge close vertices where it was made"
         raise GeometryError(f"{path}: its triangles are not joined: {text}; {remedy}")
     if len(sizes) > 1 and not thin:
-        second = int(np.argsort(sizes)[-2])
-        raise GeometryError(
-            f"{path}: has {len(sizes)} bodies, of {sizes.max():,} and {sizes[second]:,} triangles,"
-            f" the second about {place(x[triangles[body == second]])}; expected one: keep the femur"
-        )
+        parts = np.argsort(sizes)[:-3:-1]
+        largest, second = (x[triangles[body == part]] for part in parts)
+        text = f"of {len(largest):,} and {len(second):,} triangles, the second about"
+        remedy = f"{place(second)}; expected one: keep the femur"
+        if _contains(largest, second) or _contains(second, largest):
+            text = f"one inside the other, as bone and canal are, {text}"
+            remedy += ", and give the canal as a file of its own (geometry.canal)"
+        raise GeometryError(f"{path}: has {len(sizes)} bodies, {text} {remedy}")
     lone = first[times % 2 == 1] if thin else first[times != 2]
     edges = x[ends[order[lone]]]
     axis = np.linalg.svd(x[:: 1 + n // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
@@ -162,7 +180,40 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
             notes.append(f"{less} triangles turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     rim = edges.mean(axis=1)
-    return BoneSurface(x, outward(x, triangles), tuple(notes), rim)
+    return BoneSurface(
+        x, outward(x, triangles), tuple(notes), rim, (), tuple(_spikes(x, ends, ends[order[lone]]))
+    )
+
+
+def _spikes(x: Floats, ends: Ints, lone: Ints) -> Iterator[str]:
+    """Doubts about corners that stand out of their neighbours, as a damaged number leaves them.
+
+    Args:
+        x: Corners (n, 3) [mm].
+        ends: Ends of the edges of all triangles (k, 2).
+        lone: Ends of open edges (l, 2), where neighbours are on one side only.
+    """
+    n = len(x)
+    one, other = ends.T
+    times = np.bincount(one, minlength=n)
+    sums = np.stack([np.bincount(one, x[other, i], n) for i in range(3)], axis=1)
+    middle: Floats = sums / np.maximum(times, 1)[:, None]
+    height = np.linalg.norm(x - middle, axis=1)
+    width = np.zeros(n)
+    np.maximum.at(width, one, np.linalg.norm(x[other] - middle[one], axis=1))
+    spikes = (times > 0) & (height > SPIKE) & (height > STEEP * width)
+    spikes[lone.ravel()] = False
+    if spikes.any():
+        worst = int(np.where(spikes, height, 0.0).argmax())
+        text = f"{int(spikes.sum()):,} corners stand out of their neighbours, the farthest by"
+        yield f"{text} {height[worst]:.0f} mm at {place(x[worst])}: are its numbers damaged?"
+
+
+def _contains(outer: Floats, inner: Floats) -> bool:
+    """Return True if the box of triangles (m, 3, 3) contains others that are as long as a canal."""
+    (low, high), (start, end) = ((x.min(axis=(0, 1)), x.max(axis=(0, 1))) for x in (outer, inner))
+    inside = (start > low).all() and (end < high).all()
+    return bool(inside and (end - start).max() > LEAST_CANAL)
 
 
 def outward(points: Floats, triangles: Ints) -> Ints:

@@ -50,6 +50,7 @@ SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
 SHORT_SHAFT = (0.5, 0.75)  # the same where the surface ends there, at least
 LEAST_SHAFT = 5.0  # mm of sections that have an axis
 SHORT_SPREAD = math.radians(6.5)  # that holds 90 % of the shaft's axis if it is 1 radius long
+AXIS_INSIDE = (1.0, 1.4, 1.8, 2.2, 2.6)  # below the lesser trochanter, levels of the shaft
 CONDYLES_BELOW = 4.0  # below the lesser trochanter, at least, condyles are
 TROCHANTER = (1.3, 3.4)  # below the head's centre, where the lesser trochanter is
 CONDYLES = 3.0  # above the distal end
@@ -196,6 +197,7 @@ class _Finder:
             self._find_trochanter()
         self.below = float(self.origin @ self.up) - shaft.end_level(surface, self.up)
         self._check_shaft()
+        self._check_solid()
         self.low = float((self.x @ self.up).min())
         levels = self.point @ self.up - self.low - 1.2 * self.radius, 0.0
         distal, middle = (centroid(self._section(self.point - z * self.up))[1] for z in levels)
@@ -307,6 +309,24 @@ class _Finder:
                 f"geometry.bone: {text} and ends {self.depth:.0f} mm below the head's centre; the"
                 f" direction of the shaft needs {least:.0f} mm: use a scan that ends"
                 f" {least - max(self.below, 0.0):.0f} mm lower, or give landmarks.shaft"
+            )
+
+    def _check_solid(self) -> None:
+        """Refuse a surface that has the wall of the canal, as one body with the outer surface."""
+        at = float((self.origin - self.point) @ self.up)
+        levels = [below for below in AXIS_INSIDE if below * self.radius < self.below]
+        times_around = []
+        for below in levels[-2:]:
+            lines = self._section(self.point + (at - below * self.radius) * self.up)
+            (x, y), (u, v) = lines[:, 0].T, lines[:, 1].T
+            angles = np.arctan2(x * v - y * u, x * u + y * v)
+            times_around.append(round(float(angles.sum()) / (2.0 * math.pi)))
+        # Once around the bone, and once back around the canal.
+        if times_around and not any(times_around):
+            raise GeometryError(
+                "geometry.bone: its shaft is hollow: the wall of the canal is a part of its"
+                " surface. Expected the outer surface alone: fill the canal where it was made, and"
+                " give it as a file of its own (geometry.canal)"
             )
 
     def _section(self, point: Floats) -> Floats:

@@ -43,6 +43,7 @@ OTHERS = {
     b"COFF": "is an OFF file",
     b"\x89HDF": "is an HDF5 file",
     b"ISO-10303": "is a STEP file",
+    bytes(128) + b"DICM": "is an image of DICOM: give it as `image`, with a `label`",
 }
 
 
@@ -63,7 +64,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     size = path.stat().st_size
     # The header of a binary STL may begin with any words.
     for content, words in OTHERS.items() if size != _stl_size(start) else ():
-        if start.startswith(content):
+        if start[: len(content)].lower() == content.lower():
             raise GeometryError(f"{path}: {words}; expected one of {expected}")
     kind = _format_of(start, size)
     if kind and kind != suffix:
@@ -184,6 +185,10 @@ def _binary_stl(path: Path, data: bytes) -> tuple[Floats, list[str]]:
     if count in UNKNOWN and not beyond:
         notes.append(f"its header does not give their number, {there:,} by its length")
         count = there
+    swapped = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "big")
+    if there and not beyond and swapped == there:
+        text = f"its {there:,} triangles are in big-endian order, and STL has little-endian numbers"
+        raise GeometryError(f"{path}: {text}; write it anew")
     if count > there:
         raise GeometryError(
             f"{path}: is no STL file, or is cut short: as a binary one it has {there:,} of the"

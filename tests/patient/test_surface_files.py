@@ -18,7 +18,7 @@ from app.foundation.errors import GeometryError, InputError
 from app.patient import bone_surface, landmarks, surface_files, welding
 from app.patient.bone_surface import BoneSurface
 from app.patient.geometry import Patient
-from tests.patient.bones import opened, parametric_femur, write
+from tests.patient.bones import opened, parametric_canal, parametric_femur, write
 from tests.patient.surface_text import (
     CORNERS,
     PLACE,
@@ -238,6 +238,17 @@ REFUSED: dict[str, tuple[str, str | bytes, str]] = {
     "word": ("a.stl", STL.replace("vertex 2 ", "vertex 2mm ", 1), "`2mm` is no number"),
     "binary cut": ("a.stl", BINARY[:-50], "has 11 of the 12 triangles that its header gives"),
     "binary of more": ("a.stl", BINARY + BINARY[-50:], "header gives 12 triangles, .* are 13"),
+    "big endian": (
+        "a.stl",
+        BINARY[:80] + struct.pack(">I", 12) + BINARY[84:],
+        "its 12 triangles are in big-endian order, .*; write it anew",
+    ),
+    "small letters": ("a.stl", "<!doctype html><html>", "page of HTML"),
+    "dicom": (
+        "a.stl",
+        bytes(128) + b"DICM" + bytes(99),
+        "is an image of DICOM: give it as `image`",
+    ),
     "two files": ("a.stl", BINARY + BINARY, "a second STL file follows its 12 triangles"),
 }
 
@@ -340,6 +351,43 @@ def test_welding_joins_a_bone_far_from_the_origin(tmp_path: Path) -> None:
     """At two metres numbers of four bytes have steps of 0.0001 mm."""
     surface = bone_surface.read(stl(tmp_path, parametric_femur().corners + FAR))
     assert len(surface.triangles) == len(parametric_femur().triangles) and not len(surface.rim)
+
+
+def test_bone_surface_refuses_places_where_digits_are_lost(tmp_path: Path) -> None:
+    """At ten kilometres numbers of four bytes have steps of 1 mm."""
+    path = stl(tmp_path, parametric_femur().corners + 1e7)
+    with pytest.raises(GeometryError, match=r"coordinates reach 1e\+07 mm, .* to the origin"):
+        bone_surface.read(path)
+
+
+def test_bone_surface_spike_has_a_note(tmp_path: Path) -> None:
+    """A corner with a damaged number, 60 mm beside its place."""
+    bone = parametric_femur()
+    points = bone.points.copy()
+    points[1200, 0] += 60.0
+    surface = bone_surface.read(stl(tmp_path, points[bone.triangles]))
+    (note,) = surface.doubts
+    assert note.startswith("1 corners stand out of their neighbours, the farthest by 60 mm at (")
+    assert bone_surface.read(stl(tmp_path, bone.corners)).doubts == ()
+
+
+def test_bone_surface_with_a_body_inside_says_so(tmp_path: Path) -> None:
+    corners = np.concatenate([parametric_femur().corners, parametric_canal().corners[:, ::-1]])
+    with pytest.raises(GeometryError, match="2 bodies, one inside the other, as bone and canal"):
+        bone_surface.read(stl(tmp_path, corners))
+
+
+def test_landmarks_refuse_the_wall_of_the_canal(tmp_path: Path) -> None:
+    """Bone and canal as one body, joined at the end of the shaft by a narrow passage."""
+    bone, canal = parametric_femur().corners, parametric_canal().corners[:, ::-1]
+    lowest = [int(c.mean(axis=1)[:, 2].argmin()) for c in (bone, canal)]
+    (a, b, c), (p, r, q) = bone[lowest[0]], canal[lowest[1]]
+    sides = [(a, b, q, p), (b, c, r, q), (c, a, p, r)]
+    passage = [t for i, j, k, m in sides for t in ((i, j, k), (i, k, m))]
+    parts = [np.delete(bone, lowest[0], 0), np.delete(canal, lowest[1], 0), np.array(passage)]
+    surface = bone_surface.read(stl(tmp_path, np.concatenate(parts)))
+    with pytest.raises(GeometryError, match="its shaft is hollow: the wall of the canal"):
+        landmarks.find(surface)
 
 
 def test_welding_refuses_loose_corners_with_their_distance(tmp_path: Path) -> None:
