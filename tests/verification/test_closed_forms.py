@@ -192,3 +192,15 @@ def test_closed_forms_reference_values(
     values: list[float], reference: list[float], rel: float
 ) -> None:
     assert values == pytest.approx(reference, rel=rel)
+
+
+def test_closed_forms_cantilever_bar_has_known_limits() -> None:
+    """Torsion of a square and a strip (Timoshenko and Goodier, section 109); bending by hand."""
+    square, strip = exact.CantileverBar(1.0, 2.0, 2.0, 10.0), exact.CantileverBar(1.0, 100, 1, 10)
+    assert square.torsion_constant() == pytest.approx(0.1406 * 2**4, rel=1e-3)
+    assert strip.torsion_constant() == pytest.approx(100 / 3, rel=1e-2)
+    # A force across the end: F L^3 / 3 E I and 6/5 F L / (G A); M / W = F L / (b h^2 / 6)
+    across = (3.0, 0.0, 0.0)
+    shear = 1.2 * 3.0 * 10 / (0.5 * 4)
+    assert square.deflection(across, (0, 0, 0)) == pytest.approx(3 * 10**3 / (16 / 4) + shear)
+    assert square.largest_stress(across, (0, 0, 0), 0.0) == pytest.approx(3 * 10 / (8 / 6))
