@@ -22,7 +22,7 @@
     make("p", root, { className: "quiet", textContent: "This browser does not draw in three dimensions: " + error.message });
     return;
   }
-  const first = views[0].head, size = first.size, last = first.stages[first.stages.length - 1];
+  const first = views[0].head, size = first.points.width, last = first.stages[first.stages.length - 1];
   const turns = first.turned.length > 0;
   const labels = new Map(views.flatMap(v => v.head.fields.map(f => [f.name, f.label]))), fields = [...labels.keys()];
   const opening = first.opening;
@@ -41,24 +41,46 @@
     return list;
   };
   const fieldSelect = select("field", [...labels.values()], k => show(fields[k], state.stage));
-  const stageSelect = select("at the end of", first.stages, k => show(state.field, first.stages[k]));
-  stageSelect.parentNode.hidden = first.stages.length < 2;
+  const stageSelect = select("at the end of", first.ends, k => { halt(); state.motion = false; show(state.field, first.ends[k]); });
+  stageSelect.parentNode.hidden = first.ends.length < 2;
   const slider = (title, start, change) => {
     const label = make("label", bar, { textContent: title + " " });
     const range = make("input", label, { type: "range", min: 0, max: 100, value: start });
     const text = make("span", label, {});
     range.oninput = () => { text.textContent = " " + change(range.value / 100); views.forEach(v => v.draw()); };
+    return range;
   };
-  slider("deformation", turns ? 100 : 0, part => {
+  const most = Math.max(...first.moves.map(m => m.most));
+  const deformation = slider("deformation", turns ? 100 : 0, part => {
     // At the end of the slider the largest displacement is a fifth of the model; a body that turns
     // is where it is.
-    state.scale = turns ? part : part ? Math.round(part * 0.2 * size / (views[0].moves.most || 1)) : 0;
+    state.scale = turns ? part : part ? Math.round(part * 0.2 * size / (most || 1)) : 0;
     views.forEach(v => v.deform());
     return "× " + state.scale;
   });
   const cutSelect = select("cut", ["nowhere", "across x", "across y", "across z"], k => { state.axis = k - 1; clip(); });
   cutSelect.value = state.axis + 1;
   slider("", 50, part => { state.cut = part; clip(); return ""; });
+  // Motion: the steps one after another. Colours then span the values of all steps.
+  const motionBar = make("div", controls, { className: "bar motion", hidden: first.stages.length < 2 });
+  const play = make("button", motionBar, { type: "button", textContent: "play" });
+  const stepRange = make("input", motionBar, { type: "range", min: 0, max: first.stages.length - 1, ariaLabel: "step" });
+  const stepText = make("span", motionBar, {});
+  stepRange.oninput = () => { halt(); go(+stepRange.value); };
+  let timer = 0;
+  function halt() { clearInterval(timer); timer = 0; play.textContent = "play"; }
+  function go(k) { state.motion = true; show(state.field, first.stages[k]); }
+  // The next step that has the field; after the last one the first.
+  function next() {
+    const steps = views[0].field ? views[0].field.steps : first.stages, n = steps.length;
+    for (let i = 1, k = first.stages.indexOf(state.stage); i <= n; i++) if (steps[(k + i) % n]) return go((k + i) % n);
+  }
+  play.onclick = () => {
+    if (timer) return halt();
+    if (!state.scale && +deformation.value === 0) { deformation.value = 30; deformation.oninput(); }
+    play.textContent = "pause";
+    timer = setInterval(next, Math.max(60, 4000 / first.stages.length));
+  };
   const bodyBar = make("div", controls, { className: "bar" });
   const names = [...new Set(views.flatMap(v => v.meshes.map(m => m.name)))];
   names.filter(n => !opening.bodies.includes(n)).forEach(n => state.hidden.add(n));
@@ -77,7 +99,9 @@
   function show(field, stage) {
     Object.assign(state, { field, stage });
     fieldSelect.value = fields.indexOf(field);
-    stageSelect.value = first.stages.indexOf(stage);
+    stageSelect.value = first.ends.indexOf(stage);
+    const k = stepRange.value = first.stages.indexOf(stage), n = first.stages.length, all = first.recorded;
+    stepText.textContent = "step " + (k + 1) + " of " + n + ": " + said(stage) + (n < all ? "; this page has " + n + " of " + all + " recorded steps" : "");
     views.forEach(v => v.choose());
     paint();
   }
@@ -123,7 +147,7 @@
     v.draw();
   });
   window.addEventListener("resize", () => views.forEach(v => v.resize()));
-  window.mantleView = { views, state, show, look, clip, checks };
+  window.mantleView = { views, state, show, look, clip, checks, go, next, play };
   show(state.field, state.stage);
   look(...(state.axis < 0 ? [0.6, 0.8, 0.25] : [0.3, 0.9, 0.15]));
   root.dataset.ready = "yes";
@@ -196,8 +220,19 @@
     };
     // Ends of the colours, then the least and the largest value. Without a unit values are states.
     v.range = () => {
-      const every = new Set(visible().flatMap(mesh => [...mesh.nodes]));
-      const known = Float64Array.from([...every].map(worth).filter(value => !isNaN(value))).sort();
+      const key = state.motion && v.field && v.field.name + [...state.hidden];
+      if (key && v.whole && v.whole.key === key) return v.whole.range;
+      const every = [...new Set(visible().flatMap(mesh => [...mesh.nodes]))], worths = [], now = [values, v.step];
+      for (const step of key ? v.field.steps.filter(s => s) : [v.step]) {
+        if (key) { values = words(data, step.at, n); v.step = step; }
+        for (const k of every) { const value = worth(k); if (!isNaN(value)) worths.push(value); }
+      }
+      [values, v.step] = now;
+      const range = spans(Float64Array.from(worths).sort());
+      if (key) v.whole = { key, range };
+      return range;
+    };
+    const spans = known => {
       if (!known.length) return [Infinity, -Infinity, 0, 0];
       const least = known[0], most = known[known.length - 1];
       if (!v.field.unit) return [least, most, least, most];
@@ -232,7 +267,7 @@
       const start = shown(smallest) !== shown(least) ? "least " + shown(smallest) + ", " : "";
       const values = start + "largest " + shown(largest);
       ends.textContent = beyond ? "colours end at the " + 100 * CLIP + "th percentile; " + values : "";
-      output.textContent = v.step ? "" : "not in this run";
+      output.textContent = v.step ? "" : v.field ? "in this page at the ends of stages" : "not in this run";
     };
     v.deform = () => {
       for (let k = 0; k < 3 * n; k++) position.array[k] = rest[k] + state.scale * (2 * v.moves.u[k] / LEVELS - 1) * v.moves.most;

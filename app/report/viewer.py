@@ -1,13 +1,14 @@
 """Interactive view of the bodies of a run in three dimensions, within a page.
 
 Surfaces of all regions and their fields at the end of every stage are packed into the page as
-16-bit numbers; `viewer.js` draws them with three.js (Debian's libjs-three), which has cameras,
-materials, clipping planes and mouse control. What is ours unpacks the numbers and has the controls:
-field, stage, deformation, cut, bodies, several runs under one camera.
+16-bit numbers, and displacement, slip and temperature at steps between them. `viewer.js` draws them
+with three.js (Debian's libjs-three), which has cameras, materials, clipping planes and mouse
+control. What is ours unpacks the numbers and has the controls:
+field, stage, motion, deformation, cut, bodies, several runs under one camera.
 
 vtk.js was measured (37.4, geometry, plane, cell picker and scalar bar, bundled by esbuild): 876 kB
 in place of three.js' 877 kB. Debian has no package of it, and a bundle needs Node. It would replace
-the colour map and its legend, some 40 of 315 lines; its cutter knows surfaces only, so that closed
+the colour map and its legend, some 40 of 375 lines; its cutter knows surfaces only, so that closed
 cuts through cells would stay ours.
 """
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +35,12 @@ THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
 # Bytes of values before they are compressed: about half of a page of 2 MB.
 MOST = 3_000_000
+# The same of the steps between the ends of stages: such a page stays below 10 MB.
+MOTION = 3_500_000
+# Most steps between the ends of stages.
+FRAMES = 60
+# Ends of the names of fields that these steps have, next to the displacement that deforms.
+MOVING = ("slip", "temperature", "displacement", "degree_of_cure")
 # Triangles of a facet with six nodes.
 QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
 # Largest value of a field that is zero to rounding, in the unit of its file.
@@ -52,6 +60,20 @@ NODAL = {
     "principal_min": ("smallest principal stress", "MPa", 1.0),
     "displacement": ("displacement", "mm", 1.0),
 }
+
+
+class Frame(NamedTuple):
+    """A written step that a view shows.
+
+    Attributes:
+        name: Its name on the page.
+        step: The step, as `Run` takes it.
+        whole: True if all fields are shown, False for those of `MOVING` alone.
+    """
+
+    name: str
+    step: int | str
+    whole: bool
 
 
 class ShownField(NamedTuple):
@@ -75,8 +97,9 @@ class ShownField(NamedTuple):
 def viewer(folders: Mapping[str, Path]) -> str:
     """Return the view as HTML; empty without fields or without three.js.
 
-    Several runs are shown side by side under one camera. The differences from the first run
-    follow, for runs on the same mesh. Folders without fields are left out.
+    Several runs are shown side by side under one camera, at the ends of stages. The differences
+    from the first run follow, for runs on the same mesh. Folders without fields are left out. A
+    single run has more of its written steps, to play them.
 
     Args:
         folders: Run directories by name.
@@ -90,7 +113,8 @@ def viewer(folders: Mapping[str, Path]) -> str:
     pairs += [(f"{name} − {first}", run, base) for name, run in others if same_mesh(run, base)]
     views = []
     for name, run, minus in pairs:
-        head, values = packed(run, minus, MOST // len(pairs))
+        between = MOTION if len(pairs) == 1 else 0
+        head, values = packed(run, minus, MOST // len(pairs), between)
         views.append((name, json.dumps(head), as_text(values)))
     texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
     return page.render("viewer.html", {"runs": views, "scripts": texts})
@@ -116,14 +140,15 @@ def same_mesh(a: Run, b: Run) -> bool:
 
 
 def packed(
-    run: Run, minus: Run | None = None, most_bytes: int = MOST
+    run: Run, minus: Run | None = None, most_bytes: int = MOST, motion_bytes: int = 0
 ) -> tuple[dict[str, object], bytes]:
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
     Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
     corners of triangles, and of cells that fill a cut, as 32-bit indices. Beyond ``most_bytes``
     only corners and the last stages are drawn, and cuts stay open. Fields of ``minus``, a run on
-    the same mesh, are subtracted at the end of the stage of the same name, or of the last.
+    the same mesh, are subtracted at the end of the stage of the same name, or of the last. Of the
+    steps between the ends of stages as many are added as ``motion_bytes`` hold.
     """
     at, kinds = _moments(run), _kinds(run)
     ends, others = [*at], {} if minus is None else _moments(minus)
@@ -133,6 +158,9 @@ def packed(
     # Three for the places, three for the displacement that deforms.
     fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
+    moving = sum(kind.name.endswith(MOVING) for kind in kinds)
+    room = min(FRAMES, motion_bytes // (2 * len(nodes) * (3 + moving)))
+    frames = _frames(run, {name: at[name] for name in ends}, room)
     numbers = PackedArrays()
     x = run.points[nodes]
     places, extent = points_in_range(x)
@@ -150,24 +178,29 @@ def packed(
             }
             for body, t in fine.items()
         ],
-        "stages": ends,
+        "stages": [frame.name for frame in frames],
+        "ends": ends,
+        "recorded": len(run.times),
         "signed": minus is not None,
         "turned": [motion["region"] for motion in run.case.get("motions", {}).values()],
         "moves": moves,
         "fields": fields,
         "opening": _opening(run, kinds, fine),
     }
-    for stage in ends:
-        u = run.displacement(at[stage])[nodes] if "displacement" in run.point_fields else 0 * x
+    for frame in frames:
+        u = run.displacement(frame.step)[nodes] if "displacement" in run.point_fields else 0 * x
         most = float(np.abs(u).max()) or 1.0
         moves.append({"at": numbers.add(fractions((u / most + 1) / 2)), "most": most})
     for name, contact, label, unit, factor in kinds:
         on = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
-        steps = []
-        for stage in ends:
-            other = -1 if stage == ends[-1] else others.get(stage, -1)
+        steps: list[dict[str, object] | None] = []
+        for frame in frames:
+            if not frame.whole and not name.endswith(MOVING):
+                steps.append(None)
+                continue
+            other = -1 if frame.name == ends[-1] else others.get(frame.name, -1)
             less = 0.0 if minus is None else lengths(minus, name, other)
-            v = factor * (lengths(run, name, at[stage]) - less)[nodes]
+            v = factor * (lengths(run, name, frame.step) - less)[nodes]
             parts, least, most = _scaled(v, np.isfinite(v) & (on | (v > 0)))
             steps.append({"at": numbers.add(parts), "min": least, "max": most})
         fields.append({"name": name, "label": label, "unit": unit, "steps": steps})
@@ -215,6 +248,31 @@ def _moments(run: Run) -> dict[str, int | str]:
     for k in within[:: 1 + len(within) // MOMENTS]:
         moments[f"{name}, {100 * part[k]:.0f} % of a cycle"] = int(k)
     return moments | {name: moments.pop(name)}
+
+
+def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[Frame]:
+    """Return the ends of stages, and at most so many steps between them, in order of time."""
+    frames = {run.number_of(step): Frame(name, step, True) for name, step in ends.items()}
+    others = [k for k in range(len(run.times)) if k not in frames]
+    every = -(-len(others) // room) if room else 0
+    names = [str(stage["name"]) for stage in run.case["stages"]]
+    seconds = _seconds(run)
+    for k in others[::every] if every else ():
+        time = float(run.times[k])
+        stage = max(ceil(time - 1e-9) - 1, 0)
+        moment = f"{seconds[k]:.4g} s" if k in seconds else f"{100 * (time - stage):.4g} %"
+        frames[k] = Frame(f"{names[stage]}, {moment} (step {k + 1})", k, False)
+    return [frames[k] for k in sorted(frames)]
+
+
+def _seconds(run: Run) -> dict[int, float]:
+    """Seconds at each written step; empty without heat."""
+    record = run.step_record
+    if "seconds [s]" not in record:
+        return {}
+    times = record["time [-]"]
+    rows = [int(np.abs(times - time).argmin()) for time in run.times]
+    return {k: float(record["seconds [s]"][row]) for k, row in enumerate(rows)}
 
 
 def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:

@@ -305,11 +305,19 @@ class Run(Results):
         if field_name not in there:
             place = "points" if group == "PointData" else "cells"
             raise self._unknown("field", field_name, there, f" on {place}")
-        k = self._last_of(step) if isinstance(step, str) else self._written(step)
+        k = self.number_of(step)
         with self._file() as file:
             field = file["VTKHDF"][name]
             k = 0 if len(field) == rows else k  # one for all steps
             return np.asarray(field[k * rows : (k + 1) * rows])
+
+    def number_of(self, step: int | str) -> int:
+        """Number of a written step, counted from 0.
+
+        Raises:
+            InputError: There is no such step.
+        """
+        return self._last_of(step) if isinstance(step, str) else self._written(step)
 
     def _written(self, step: int) -> int:
         """Number of a written step counted from 0; InputError if there is none."""

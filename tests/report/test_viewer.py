@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mantle
 from app.foundation.arrays import Floats
 from app.report import pictures, viewer
 from app.results.reading import Run
+from tests.support import STEM
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 NEEDED = all((viewer.THREE / name).exists() for name in viewer.SCRIPTS)
@@ -115,7 +117,7 @@ def test_viewer_has_no_external_references(run: Run, tmp_path: Path) -> None:
     assert text.count("<script") == text.count("</script>")
     assert len(text) < 2_000_000
     script = Path(viewer.__file__).with_name("viewer.js").read_text(encoding="utf-8")
-    assert len(script.splitlines()) < 360
+    assert len(script.splitlines()) < 400
     assert viewer.viewer({"": tmp_path}) == ""  # without fields
 
 
@@ -175,9 +177,43 @@ TRY = """
 """
 
 
-def tried(page: Path, text: str) -> dict[str, Any]:
+MOTION = """
+<pre id="found"></pre><script>
+(async () => {
+  while (!document.getElementById("view").dataset.ready) await new Promise(r => setTimeout(r, 20));
+  const w = window.mantleView, view = w.views[0], frames = [], stages = view.head.stages;
+  const [slider] = document.querySelectorAll(".bar label input[type=range]");
+  slider.value = 50;
+  slider.oninput();
+  const bar = document.querySelector(".motion"), range = bar.querySelector("input");
+  for (const field of ["stem_cement_slip", "von_mises"]) for (let k = 0; k < stages.length; k++) {
+    w.show(field, w.state.stage);
+    range.value = k;
+    range.oninput();
+    const text = document.querySelector("#view output").textContent;
+    const said = bar.querySelector("span").textContent;
+    for (const at of [[0, 0], [0, 0.2]])
+      frames.push({ field, k, span: view.span, hit: view.pick(...at), text, said });
+  }
+  w.show("stem_cement_slip", stages[0]);
+  const played = [];
+  w.play.onclick();
+  for (let i = 0; i < 6; i++) {
+    await new Promise(r => setTimeout(r, 700));
+    played.push(stages.indexOf(w.state.stage));
+  }
+  const label = w.play.textContent;
+  w.play.onclick();
+  const out = { frames, played, label, after: w.play.textContent, scale: w.state.scale };
+  document.getElementById("found").textContent = JSON.stringify(out);
+})();
+</script>
+"""
+
+
+def tried(page: Path, text: str, script: str = TRY) -> dict[str, Any]:
     """Values that a browser without a network shows in a view."""
-    page.write_text(f"<!DOCTYPE html><meta charset='utf-8'><body>{text}{TRY}</body>")
+    page.write_text(f"<!DOCTYPE html><meta charset='utf-8'><body>{text}{script}</body>")
     options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     options += ["--enable-logging=stderr", "--virtual-time-budget=20000", "--window-size=900,700"]
     options += ["--host-resolver-rules=MAP * ~NOTFOUND", "--dump-dom", page.as_uri()]
@@ -264,3 +300,61 @@ def test_viewer_interfaces_are_drawn_on_the_inner_body(run: Run, tmp_path: Path)
         x = run.points[side[1]]
         area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
         assert area == pytest.approx(run.areas(contact).sum(), rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A stem pushed down in eight steps of two stages."""
+    folder = tmp_path_factory.mktemp("moving")
+    text = STEM.replace("-900 N]", "-900 N], history: [0.5, 1]")
+    stages = "stages: [{name: half, increments: 5}, {name: whole, increments: 3}]\n"
+    (folder / "case.yaml").write_text(text + stages)
+    mantle.run(mantle.load(folder / "case.yaml", output__report=False), folder / "run")
+    return Run(folder / "run")
+
+
+def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
+    """In order, with displacement and slip alone; fewer where bytes are few."""
+    head, data = viewer.packed(moving, motion_bytes=viewer.MOTION)
+    assert head["ends"] == ["half", "whole"] and head["recorded"] == 8
+    assert head["stages"][4] == "half" and head["stages"][-1] == "whole"
+    assert head["stages"][:2] == ["half, 20 % (step 1)", "half, 40 % (step 2)"]
+    n = head["points"]["n"]
+    fields = {field["name"]: field["steps"] for field in head["fields"]}
+    for k, move in enumerate(head["moves"]):
+        u = (2 * unpacked(data, move["at"], 3 * n).reshape(-1, 3) - 1) * move["most"]
+        assert np.abs(u).max() == pytest.approx(np.abs(moving.displacement(k)).max(), rel=1e-4)
+        slip = fields["stem_cement_slip"][k]
+        largest = 1e3 * np.linalg.norm(moving.on_points("stem_cement_slip", k), axis=1).max()
+        assert slip["max"] == pytest.approx(largest)
+        assert (fields["von_mises"][k] is None) == (k not in (4, 7))
+    less = viewer.packed(moving, motion_bytes=2 * n * 6 * 2)[0]["stages"]
+    assert len(less) == 4
+    assert [stage for stage in less if "step" not in stage] == ["half", "whole"]
+    assert viewer.packed(moving)[0]["stages"] == ["half", "whole"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
+def test_viewer_browser_plays_the_steps(moving: Run, tmp_path: Path) -> None:
+    """Slider and button in headless Chromium: values of each step, colours of all steps."""
+    shown = tried(tmp_path / "page.html", viewer.viewer({"": moving.folder}), MOTION)
+    triangles = viewer.outsides(moving, True)
+    picked = 0
+    for frame in shown["frames"]:
+        k, hit = frame["k"], frame["hit"]
+        assert frame["said"].startswith(f"step {k + 1} of 8: ")
+        if frame["field"] == "von_mises":
+            assert (frame["text"] == "in this page at the ends of stages") == (k not in (4, 7))
+            continue
+        slip = 1e3 * np.linalg.norm(moving.on_points("stem_cement_slip", k), axis=1)
+        if hit and hit["value"] is not None:
+            picked += 1
+            near = value_near(moving.points, triangles[hit["body"]], slip, np.array(hit["place"]))
+            assert hit["value"] == pytest.approx(near, abs=3e-3 * np.ptp(slip) + 1e-9)
+    assert picked > 8
+    spans = {tuple(f["span"]) for f in shown["frames"] if f["field"] == "stem_cement_slip"}
+    assert len(spans) == 1
+    assert len(set(shown["played"])) > 2
+    assert (shown["label"], shown["after"]) == ("pause", "play")
+    assert shown["scale"] > 0
