@@ -60,6 +60,7 @@ cluster
 administrators
 restart
 evidence
+motion
 paths
 paraview
 python

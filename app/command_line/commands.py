@@ -261,12 +261,19 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
 def _report(options: argparse.Namespace) -> int:
     configure_log("info")
     with stack_needed():
-        from app.report import compare, evidence, fit_report, run_report, sweep_report
+        from app.report import compare, evidence, fit_report, motion, run_report, sweep_report
 
     folder, *others = options.folders
     many = others and not options.evidence
     if options.spread and (many or not (folder / "case.yaml").exists()):
         raise InputError("--spread: expected one DIR, the folder of a run")
+    if options.field and not options.gif:
+        raise InputError("--field: is the field of a film; expected --gif FILE with it")
+    if options.gif:
+        if others:
+            raise InputError("--gif: expected one DIR, the folder of a run")
+        print(motion.write(folder, options.gif, options.field or ""))
+        return 0
     if options.evidence or options.methods:
         files = evidence.write(options.folders, options.spread) if options.evidence else []
         files += [evidence.methods(folder)] if options.methods else []

@@ -83,7 +83,7 @@ COMMANDS = {
     ),
     "report": (
         "write the page of a run, sweep or fit again, or compare several runs",
-        "folders -o --spread --evidence --methods",
+        "folders -o --spread --evidence --methods --gif --field",
     ),
     "verify": ("solve problems with known answers and compare", SUITE),
     "stress": ("solve extreme cases: each is right, or refused with a reason", SUITE),
@@ -232,6 +232,15 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         type=Path,
         metavar="SWEEP",
         help="show the spread of a sweep over uncertain inputs next to the errors",
+    ),
+    "--gif": dict(
+        type=Path,
+        metavar="FILE",
+        help="write the recorded steps of a run as a film: FILE.gif, or FILE.mp4 with ffmpeg",
+    ),
+    "--field": dict(
+        metavar="NAME",
+        help="the field of --gif, such as stem_cement_slip or temperature; default: the page's",
     ),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }

@@ -150,7 +150,7 @@ def packed(
     the same mesh, are subtracted at the end of the stage of the same name, or of the last. Of the
     steps between the ends of stages as many are added as ``motion_bytes`` hold.
     """
-    at, kinds = _moments(run), _kinds(run)
+    at, kinds = _moments(run), kinds_of(run)
     ends, others = [*at], {} if minus is None else _moments(minus)
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in others]
@@ -185,7 +185,7 @@ def packed(
         "turned": [motion["region"] for motion in run.case.get("motions", {}).values()],
         "moves": moves,
         "fields": fields,
-        "opening": _opening(run, kinds, fine),
+        "opening": opening(run, kinds, fine),
     }
     for frame in frames:
         u = run.displacement(frame.step)[nodes] if "displacement" in run.point_fields else 0 * x
@@ -207,7 +207,7 @@ def packed(
     return head, numbers.content()
 
 
-def _opening(
+def opening(
     run: Run, kinds: Sequence[ShownField], surfaces: Mapping[str, Ints]
 ) -> dict[str, object]:
     """Return the field, the bodies and the axis of the cut that a view shows at first.
@@ -255,24 +255,26 @@ def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[Frame]:
     frames = {run.number_of(step): Frame(name, step, True) for name, step in ends.items()}
     others = [k for k in range(len(run.times)) if k not in frames]
     every = -(-len(others) // room) if room else 0
-    names = [str(stage["name"]) for stage in run.case["stages"]]
-    seconds = _seconds(run)
-    for k in others[::every] if every else ():
-        time = float(run.times[k])
-        stage = max(ceil(time - 1e-9) - 1, 0)
-        moment = f"{seconds[k]:.4g} s" if k in seconds else f"{100 * (time - stage):.4g} %"
-        frames[k] = Frame(f"{names[stage]}, {moment} (step {k + 1})", k, False)
+    if every:
+        moments = moments_of(run)
+        for k in others[::every]:
+            frames[k] = Frame(f"{moments[k]} (step {k + 1})", k, False)
     return [frames[k] for k in sorted(frames)]
 
 
-def _seconds(run: Run) -> dict[int, float]:
-    """Seconds at each written step; empty without heat."""
+def moments_of(run: Run) -> list[str]:
+    """Return the stage of each written step with its time: seconds, or the part of the stage."""
+    stages = [str(stage["name"]) for stage in run.case["stages"]]
     record = run.step_record
-    if "seconds [s]" not in record:
-        return {}
-    times = record["time [-]"]
-    rows = [int(np.abs(times - time).argmin()) for time in run.times]
-    return {k: float(record["seconds [s]"][row]) for k, row in enumerate(rows)}
+    moments = []
+    for time in run.times:
+        k = max(ceil(time - 1e-9) - 1, 0)
+        moment = f"{100 * (time - k):.4g} %"
+        if "seconds [s]" in record:
+            row = int(np.abs(record["time [-]"] - time).argmin())
+            moment = f"{record['seconds [s]'][row]:.4g} s"
+        moments.append(f"{stages[k]}, {moment}")
+    return moments
 
 
 def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:
@@ -307,7 +309,7 @@ def interface_fields() -> dict[str, tuple[str, str, float]]:
     return added | INTERFACE
 
 
-def _kinds(run: Run) -> list[ShownField]:
+def kinds_of(run: Run) -> list[ShownField]:
     """Return the fields to show, the most interesting first."""
     kinds = [
         ShownField(

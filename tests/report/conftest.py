@@ -24,6 +24,17 @@ def stems(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
     return Run(folder / "smooth"), Run(folder / "rough")
 
 
+@pytest.fixture(scope="session")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A stem pushed down in eight steps of two stages."""
+    folder = tmp_path_factory.mktemp("moving")
+    text = STEM.replace("-900 N]", "-900 N], history: [0.5, 1]")
+    stages = "stages: [{name: half, increments: 5}, {name: whole, increments: 3}]\n"
+    (folder / "case.yaml").write_text(text + stages)
+    mantle.run(mantle.load(folder / "case.yaml", output__report=False), folder / "run")
+    return Run(folder / "run")
+
+
 @pytest.fixture
 def maker(tmp_path: Path) -> Maker:
     return Maker(tmp_path)

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import mantle
 from app.foundation.arrays import Floats
 from app.report import pictures, viewer
 from app.results.reading import Run
-from tests.support import STEM
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 NEEDED = all((viewer.THREE / name).exists() for name in viewer.SCRIPTS)
@@ -300,17 +298,6 @@ def test_viewer_interfaces_are_drawn_on_the_inner_body(run: Run, tmp_path: Path)
         x = run.points[side[1]]
         area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
         assert area == pytest.approx(run.areas(contact).sum(), rel=0.01)
-
-
-@pytest.fixture(scope="module")
-def moving(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A stem pushed down in eight steps of two stages."""
-    folder = tmp_path_factory.mktemp("moving")
-    text = STEM.replace("-900 N]", "-900 N], history: [0.5, 1]")
-    stages = "stages: [{name: half, increments: 5}, {name: whole, increments: 3}]\n"
-    (folder / "case.yaml").write_text(text + stages)
-    mantle.run(mantle.load(folder / "case.yaml", output__report=False), folder / "run")
-    return Run(folder / "run")
 
 
 def test_viewer_motion_has_the_steps_between_stages(moving: Run) -> None:
