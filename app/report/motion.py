@@ -155,7 +155,8 @@ def _draw(
                 ax.set_ylim(rest[:, 2].min() - reach, rest[:, 2].max() + reach)
                 ax.set_title(f"from {view}", fontsize=9)
                 ax.set_axis_off()
-            figure.suptitle(f"{moments[k].replace("_", " ")}{deformed}", fontsize=10)
+            moment = moments[k].replace("_", " ")
+            figure.suptitle(f"{moment}{deformed}", fontsize=10)
             writer.grab_frame()
 
 

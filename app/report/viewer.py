@@ -62,7 +62,7 @@ NODAL = {
 }
 
 
-class Frame(NamedTuple):
+class ShownStep(NamedTuple):
     """A written step that a view shows.
 
     Attributes:
@@ -250,15 +250,15 @@ def _moments(run: Run) -> dict[str, int | str]:
     return moments | {name: moments.pop(name)}
 
 
-def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[Frame]:
+def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[ShownStep]:
     """Return the ends of stages, and at most so many steps between them, in order of time."""
-    frames = {run.number_of(step): Frame(name, step, True) for name, step in ends.items()}
+    frames = {run.number_of(step): ShownStep(name, step, True) for name, step in ends.items()}
     others = [k for k in range(len(run.times)) if k not in frames]
     every = -(-len(others) // room) if room else 0
     if every:
         moments = moments_of(run)
         for k in others[::every]:
-            frames[k] = Frame(f"{moments[k]} (step {k + 1})", k, False)
+            frames[k] = ShownStep(f"{moments[k]} (step {k + 1})", k, False)
     return [frames[k] for k in sorted(frames)]
 
 
