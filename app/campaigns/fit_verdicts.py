@@ -8,7 +8,7 @@ import numpy as np
 
 from app.campaigns import identifiability
 from app.campaigns.fit_results import FitRecord, FitRun, Outcome, at_bound, shown
-from app.campaigns.identifiability import Identifiability
+from app.campaigns.identifiability import KNOWN_RANGE, Identifiability
 from app.case.fit import FitProblem
 from app.case.points import short_keys
 from app.foundation.arrays import Floats
@@ -27,7 +27,7 @@ def verdicts(
     problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome, known: Identifiability | None
 ) -> list[Verdict]:
     """Return the verdicts on runs, keys, targets or constraints, and on the knowledge of keys."""
-    listed = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best)]
+    listed = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best, known)]
     if problem.fit.targets:
         listed += _of_targets(problem, outcome.best)
     else:
@@ -57,17 +57,18 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
                 yield Verdict(what, key, "choose other bounds", Severity.WARNING)
 
 
-def _of_keys(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
-    """Verdicts on keys at their bounds."""
+def _of_keys(problem: FitProblem, best: FitRun, known: Identifiability | None) -> Iterator[Verdict]:
+    """Verdicts on keys at their bounds; none on keys that the targets do not determine."""
     fit = problem.fit
-    for (key, bounds), share in zip(fit.keys.items(), best.shares, strict=True):
-        at = at_bound(float(share))
-        if at:
-            end, words = ("low", "lower") if at == "low" else ("high", "upper")
-            what = f"is at its {words} bound, {getattr(bounds, end)}"
-            cure = f"set another '{end}' if values beyond it are possible"
-            severity = Severity.WARNING if fit.targets else Severity.PLAIN
-            yield Verdict(what, key, cure, severity)
+    for k, (key, bounds) in enumerate(fit.keys.items()):
+        at = at_bound(float(best.shares[k]))
+        if not at or (known is not None and known.uncertainties[k] >= KNOWN_RANGE):
+            continue
+        words, end = ("lower", bounds.low) if at == "low" else ("upper", bounds.high)
+        what = f"is at its {words} bound, {end}"
+        cure = f"set another '{at}' if values beyond it are possible"
+        severity = Severity.WARNING if fit.targets else Severity.PLAIN
+        yield Verdict(what, key, cure, severity)
 
 
 def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:

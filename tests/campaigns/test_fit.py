@@ -185,6 +185,13 @@ fit:
 """
 
 
+def test_fit_says_nothing_on_the_bound_of_a_key_that_is_not_determined(model: Bench) -> None:
+    keys = KEYS + "    regions.upper.poisson_ratio: {low: 0.2, high: 0.4, start: 0.4}\n"
+    record = search(model, file(keys))
+    assert record["keys"]["regions.upper.poisson_ratio"]["at"] == "high"
+    assert "bound, 0.4" not in verdicts(record) and "do not determine it" in verdicts(record)
+
+
 def test_fit_goes_around_failed_runs_and_names_them(bench: Bench) -> None:
     """The slip is 0.04 * 0.99 / friction; the first difference fails and the other side is run."""
     bench.tell(broken="0.54", code="4")
