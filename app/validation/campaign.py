@@ -37,7 +37,6 @@ from app.validation.experiment import (
     Conditions,
     Experiment,
     PredictedQuantity,
-    of_part,
     place,
 )
 from app.validation.records import ExperimentRecord, MeasuredQuantity, Prediction, Predictions
@@ -87,7 +86,11 @@ def run(options: Options, *, record: bool) -> bool:
         MantleError: Runs of the conditions failed, or too many samples.
     """
     chosen = _chosen(options.pattern)
-    planned = {e.name: _planned(e, options.tier) for e in chosen}
+    known = {} if record else records.predictions()
+    if not record:
+        chosen = _predicted(chosen, known, named=bool(options.pattern))
+    parts = (NOMINAL,) if options.tier == "quick" else ()
+    planned = {e.name: e.plan(*parts) for e in chosen}
     every = [run for runs in planned.values() for run in runs]
     if options.dry_run:
         text = f"validate: {len(chosen)} experiments"
@@ -95,8 +98,6 @@ def run(options: Options, *, record: bool) -> bool:
         return True
     if record:
         return _record(chosen, planned, options)
-    known = records.predictions()
-    _check(chosen, known)
     measured = records.measurements(known)
     results = _results(planned, options)
     comparisons = [
@@ -128,19 +129,22 @@ def _chosen(pattern: str) -> list[Experiment]:
     return chosen
 
 
-def _planned(experiment: Experiment, tier: str) -> list[PlannedRun]:
-    """Runs of a tier: of "quick" the nominal ones alone."""
-    if tier == "quick":
-        return of_part(experiment.planned, NOMINAL)
-    return experiment.planned
+def _predicted(
+    chosen: Sequence[Experiment], known: Predictions, *, named: bool
+) -> list[Experiment]:
+    """Return the experiments with a prediction of their present inputs.
 
-
-def _check(chosen: Sequence[Experiment], known: Predictions) -> None:
-    """Check that the predictions of experiments are complete and of the present inputs.
+    Those without any prediction are left out with a note, unless they are ``named``.
 
     Raises:
-        InputError: One line for each experiment without such a prediction.
+        InputError: One line for each prediction that is missing, incomplete or of other inputs.
     """
+    if not named:
+        missing = [e.name for e in chosen if e.name not in known]
+        if missing:
+            advice = "mantle validate -k NAME --record predicts one"
+            log.warning("without a prediction: %s; %s", ", ".join(missing), advice)
+        chosen = [e for e in chosen if e.name in known]
     lines = []
     for experiment in chosen:
         name = experiment.name
@@ -152,6 +156,7 @@ def _check(chosen: Sequence[Experiment], known: Predictions) -> None:
             lines.append(f"{records.PREDICTIONS}: {text}; {advice} anew")
     if lines:
         raise InputError("\n".join(lines))
+    return list(chosen)
 
 
 def _results(

@@ -14,8 +14,8 @@ that the sweep varies is ``configs/validation/NAME.yaml``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -81,14 +81,19 @@ class Experiment:
         """Content of the sweep; its cases are not checked."""
         return sweep_file.content(yaml_file.read(self.sweep), Sweep)
 
-    @cached_property
-    def planned(self) -> list[PlannedRun]:
-        """All runs, in the order of the sweep.
+    def plan(self, *parts: str) -> list[PlannedRun]:
+        """Runs of some parts of the sweep, of all by default, in its order.
 
         Raises:
             InputError: The sweep or one of its cases is wrong.
         """
-        return sweep_file.read(self.sweep)[1]
+        points = [
+            point for point in self.content.points() if not parts or place(point.name).part in parts
+        ]
+        file = yaml_file.read(self.sweep)
+        runs, faults = sweep_file.plan(file, self.sweep.parent, points, ())
+        file.raise_all(faults)
+        return [replace(run, share=True) for run in runs]
 
     @cached_property
     def designs(self) -> list[LatinHypercube]:
@@ -121,8 +126,3 @@ def place(name: str) -> Place:
         label, _, number = label.rpartition(SAMPLE)
     words = (first, label.removesuffix("_"))
     return Place(part, "_".join(filter(None, words)), int(number))
-
-
-def of_part(runs: Sequence[PlannedRun], part: str) -> list[PlannedRun]:
-    """The runs of one part."""
-    return [run for run in runs if place(run.name).part == part]

@@ -186,6 +186,11 @@ def test_docs_generated_pages_are_up_to_date(name: str) -> None:
     assert committed == module.pages()[name], f"run: {module.COMMAND}"
 
 
+def test_docs_predictions_are_those_of_the_files() -> None:
+    module = script("predictions")
+    assert module.PAGE.read_text(encoding="utf-8") == module.page(), "run docs/predictions.py"
+
+
 def test_docs_readme_shows_the_output_of_a_run() -> None:
     outputs, page = script("outputs"), ROOT / "README.md"
     text = page.read_text(encoding="utf-8")
