@@ -20,6 +20,8 @@ PREDICTED = 0
 MEASURED = 1
 # Font size of names of quantities.
 WORDS = 8
+# Least end of a band over its value, on logarithmic axes.
+LEAST = 1 / 30
 # Height of a row [inch].
 ROW = 0.42
 
@@ -27,7 +29,7 @@ ROW = 0.42
 def draw_all(pairs: Sequence[Pair], path: Path) -> None:
     """Draw predicted against measured values, on logarithmic axes.
 
-    Numbers without a logarithm are left out, and counted.
+    Values without a logarithm are left out, and counted; bands end at `LEAST` of the value.
     """
     figure = figures.new(6.8, 6.4)
     axes = figure.add_subplot()
@@ -38,9 +40,11 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
             continue
         low, high = metrics.band(prediction)
         least, largest = metrics.measured_range(measured)
-        if min(measured.middle, prediction.value, low, least) <= 0:
+        if min(measured.middle, prediction.value) <= 0:
             left_out += 1
             continue
+        low = max(low, LEAST * prediction.value)
+        least = max(least, LEAST * measured.middle)
         colour = figures.colour(PREDICTED if metrics.inside(prediction, measured) else MEASURED)
         axes.plot([least, largest], [prediction.value] * 2, color=colour, linewidth=1.2)
         axes.plot([measured.middle] * 2, [low, high], color=colour, linewidth=1.2)
