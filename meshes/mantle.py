@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
 PARTS = 3  # into which the edges of facets are divided, to follow their curvature
 NEAREST = 12  # candidates for the nearest facet
+LARGE = 2.0  # of the median of longest edges: facets with longer ones have more candidates
 # Evenly spread points in a tetrahedron, for its fraction below a level (barycentric).
 LATTICE = np.array(
     [(i, j, k, 5 - i - j - k) for i in range(6) for j in range(6 - i) for k in range(6 - i - j)]
@@ -115,6 +116,27 @@ def triangles(points: Floats, facets: Ints, parts: int = PARTS) -> Floats:
     return fine[:, [[row[node] for node in corner] for corner in corners]].reshape(-1, 3, 3)
 
 
+def _samples(surface: Floats) -> tuple[Floats, Ints]:
+    """Points (k, 3) all over triangles (m, 3, 3) [mm], and the triangle of each (k,).
+
+    They are vertices, middles of edges and centres, and of triangles that are larger than most,
+    such as those of the flat sides of a stem from CAD, more points at about the same distance.
+    """
+    a, b, c = surface.transpose(1, 0, 2)
+    samples = [a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3]
+    of = [np.arange(len(surface))] * len(samples)
+    longest = np.sqrt(((surface - np.roll(surface, 1, axis=1)) ** 2).sum(axis=2)).max(axis=1)
+    parts = np.ceil(longest / (LARGE * np.median(longest))).astype(np.int64)
+    for n in np.unique(parts[parts > 1]):
+        # Corners and centres of the parts of a triangle that is divided n times along each side.
+        grid = [(i, j, 3 * n - i - j) for i in range(3 * n + 1) for j in range(3 * n + 1 - i)]
+        at = np.array([g for g in grid if len({k % 3 for k in g}) == 1]) / (3 * n)
+        large = np.flatnonzero(parts == n)
+        samples.append((at @ surface[large]).reshape(-1, 3))
+        of.append(np.repeat(large, len(at)))
+    return np.concatenate(samples), np.concatenate(of)
+
+
 def distance(points: Floats, surface: Floats) -> Floats:
     """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
     triangle, weights = nearest(points, surface)
@@ -125,13 +147,11 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
     """Nearest triangle (m, 3, 3) of each point (n, 3), and barycentric coordinates there (n, 3)."""
     from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
 
-    a, b, c = surface.transpose(1, 0, 2)
-    # Candidates by the distance to vertices, edge middles and centres.
-    samples = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])
-    _, candidates = cKDTree(samples).query(points, k=NEAREST)
+    samples, of = _samples(surface)
+    _, candidates = cKDTree(samples).query(points, k=min(NEAREST, len(samples)))
     best, least = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
     weights = np.zeros((len(points), 3))
-    for candidate in (candidates % len(surface)).T:
+    for candidate in of[candidates].T:
         at = foot(points, surface[candidate])
         off = np.linalg.norm(np.einsum("nk,nki->ni", at, surface[candidate]) - points, axis=1)
         nearer = off < least
