@@ -123,7 +123,7 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
 def _at_borders(
     solid: Bools, box: Sequence[slice], shape: Sequence[int], affine: Floats
 ) -> Iterator[Floats]:
-    """Places of the voxels of a body in each outermost layer of its image (n, 3) [mm].
+    """Places of the voxels of a body in each outermost layer that it reaches (n, 3) [mm].
 
     Args:
         solid: The body in its box with an empty layer around it (i, j, k).
@@ -136,7 +136,8 @@ def _at_borders(
         for end, layer in ((part.start == 0, 1), (part.stop == shape[axis], -2)):
             if end:
                 there = index[index[:, axis] == layer % solid.shape[axis]]
-                yield there @ affine[:3, :3].T + affine[:3, 3]
+                if len(there):  # another piece may have been in the layer
+                    yield there @ affine[:3, :3].T + affine[:3, 3]
 
 
 def _between_slices(solid: Bools, axis: int, times: int) -> NDArray[np.float32]:

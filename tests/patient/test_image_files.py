@@ -261,6 +261,10 @@ def test_label_surface_knows_where_the_image_cuts_the_body(tmp_path: Path) -> No
     side, top = label_surface.body(tmp_path / "cut.npz", 1).borders
     assert side == pytest.approx(np.argwhere(cut_off[:1]) * [1.0, 1.0, 1.0])
     assert (top[:, 2] == 15.0).all() and len(top) == cut_off[:, :, 15].sum()
+    # A voxel apart from the body is left out: it does not reach the border for it.
+    apart = LABELS > 0
+    apart[0, 0, 0] = True
+    assert label_surface.body(labelled(tmp_path, apart), 1).borders == ()
 
 
 # Folders of DICOM slices
