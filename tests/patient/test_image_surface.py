@@ -104,7 +104,7 @@ def test_label_surface_from_nifti(tmp_path: Path) -> None:
 def test_label_surface_from_slices_equals_nifti(tmp_path: Path) -> None:
     """Triangles and moduli of an oblique series; what is no even series of one is refused."""
     rng = np.random.default_rng(0)
-    numbers = 1.0 * rng.integers(0, 100, (24, 20, 18))
+    numbers = -1.0 * rng.integers(0, 100, (24, 20, 18))
     numbers[gaussian_filter(rng.normal(size=numbers.shape), 3) > 0.0] = 1200
     affine = np.array(
         [[0.3, -0.36, 0.8, 9], [0.4, 0.27, -0.6, 8], [0, 0.6, 0.75, -7], [0, 0, 0, 1]]

@@ -421,7 +421,8 @@ def test_patient_stem_too_deep_is_refused_with_remedy(tmp_path: Path) -> None:
     geometry = random_patient(tmp_path, 1012, *surfaces, 12.0)
     words = (
         r"layers cut through each other; the worst:\n  cortical_bone at \((.|\n)*"
-        r"\nChange geometry\.insertion or geometry\.resection: with mesh\.size from 4\.5 to 8 mm"
+        r"\nChange geometry\.insertion or geometry\.resection: elements are also inverted or"
+        r" nearly flat with mesh\.size from 4\.5 to 8 mm"
     )
     with pytest.raises(GeometryError, match=words):
         _make(geometry, options(size="5 mm", around=None))

@@ -59,8 +59,14 @@ def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("option", "why"),
     [
-        ("around=11 mm", "11 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
-        ("around=0.04 mm", "0.04 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
+        (
+            "around=11 mm",
+            "11 mm: the section of the stem has a perimeter of 43.2 mm; expected 0.043 to 10.8 mm",
+        ),
+        (
+            "around=0.04 mm",
+            "0.04 mm: the section of the stem has a perimeter of 43.2 mm; expected 0.043 to 10.8 mm",
+        ),
         ("along=21 mm", "21 mm: is longer than every part; expected at most 20 mm"),
         ("around=1.4", "1.4 is not a whole number; a distance needs a unit, e.g. '1.4 mm'"),
         ("around=3", "3 must be at least 4"),
