@@ -124,7 +124,7 @@ def _samples(surface: Floats) -> tuple[Floats, Ints]:
     """
     a, b, c = surface.transpose(1, 0, 2)
     samples = [a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3]
-    of = [np.arange(len(surface))] * len(samples)
+    of: list[Ints] = [np.arange(len(surface))] * len(samples)
     longest = np.sqrt(((surface - np.roll(surface, 1, axis=1)) ** 2).sum(axis=2)).max(axis=1)
     parts = np.ceil(longest / (LARGE * np.median(longest))).astype(np.int64)
     for n in np.unique(parts[parts > 1]):

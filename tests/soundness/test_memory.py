@@ -56,17 +56,14 @@ def test_memory_suggested_lines_and_steps_fit(option: str, monkeypatch: pytest.M
     assert 0.5 * 8e9 < memory.needed(load(path, [f"mesh.{key}={fits}"]).config) <= 8e9
 
 
+PERIMETER = "the section of the stem has a perimeter of 43.2 mm; expected 0.043 to 10.8 mm"
+
+
 @pytest.mark.parametrize(
     ("option", "why"),
     [
-        (
-            "around=11 mm",
-            "11 mm: the section of the stem has a perimeter of 43.2 mm; expected 0.043 to 10.8 mm",
-        ),
-        (
-            "around=0.04 mm",
-            "0.04 mm: the section of the stem has a perimeter of 43.2 mm; expected 0.043 to 10.8 mm",
-        ),
+        ("around=11 mm", f"11 mm: {PERIMETER}"),
+        ("around=0.04 mm", f"0.04 mm: {PERIMETER}"),
         ("along=21 mm", "21 mm: is longer than every part; expected at most 20 mm"),
         ("around=1.4", "1.4 is not a whole number; a distance needs a unit, e.g. '1.4 mm'"),
         ("around=3", "3 must be at least 4"),
