@@ -91,7 +91,8 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
             if not numeric and len(words) < number:
                 words = [f"{number} of {', '.join(words)}"]
             elif len(words) > MOST_LEVELS:
-                words = [f"{len(words)} levels from {words[0]} to {words[-1]}"]
+                ends = sorted(words, key=float) if numeric else words
+                words = [f"{len(words)} levels from {ends[0]} to {ends[-1]}"]
             elif len(words) < 2:
                 continue
             heading = f"{title(key)} ({unit})" if numeric and unit else title(key)

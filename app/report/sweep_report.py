@@ -36,7 +36,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
     try:
         drawings.mkdir(exist_ok=True)
         remove(old for pattern in OURS for old in drawings.glob(pattern))
-        curves, drawn = sweep_figures.multiples(sweep.cases, drawings)
+        curves, drawn = sweep_figures.multiples(sweep.on_axes, drawings)
         mapped, unmapped = pictures.maps(chosen, drawings)
         shields = gruen.shielding_picture(dict(chosen), gruen.intact(sweep.cases), drawings)
         notes = noted((c.name, c.notes) for c in sweep.cases)

@@ -159,6 +159,11 @@ class SweepResults:
     seconds: float = 0.0
     uncertainty: Json = field(default_factory=dict)
 
+    @property
+    def on_axes(self) -> list[SweptCase]:
+        """Cases that are no samples. Samples vary in all inputs at once: they make no curves."""
+        return [case for case in self.cases if case.part not in self.uncertainty]
+
 
 def read(folder: Path) -> SweepResults:
     """Read ``sweep.json``.

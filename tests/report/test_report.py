@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from app.cli import main
@@ -245,3 +246,17 @@ def test_sweep_report_refuses_other_folders(
     assert main(["report", str(tmp_path)]) == 2
     assert complaint in capsys.readouterr().err
     assert not (tmp_path / "report.html").exists()
+
+
+def test_report_of_samples_has_no_curves_and_sorted_levels(tmp_path: Path) -> None:
+    """Samples vary in all inputs; a curve over one of them would join two unrelated runs."""
+    levels = np.random.default_rng(4).permutation(np.arange(1, 41) / 8)
+    samples = [
+        rs.SweptCase(f"s{k}", tmp_path / f"s{k}", "converged", "samples", {"mesh.size": f"{x} mm"})
+        for k, x in enumerate(levels)
+    ]
+    grid = [rs.SweptCase("g", tmp_path / "g", "converged", "grid", {"mesh.size": "2 mm"})]
+    results = rs.SweepResults(tmp_path, "A sweep", [*samples, *grid], uncertainty={"samples": {}})
+    assert results.on_axes == grid
+    (sentence,) = sweep_figures.axes_in_words(samples)
+    assert "40 levels from 0.125 to 5" in sentence
