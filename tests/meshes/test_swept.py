@@ -359,7 +359,8 @@ def test_swept_random_hips_mesh_at_first_attempt(seed: int, number: int, least_s
             continue
         made += 1
         worst = quality.stubby(data.points, data.cells).min()
-        assert worst > 0.08, where
+        # Wedges where thin layers begin are short, for the sake of accuracy.
+        assert worst > 0.03, where
         assert Femur.estimate_cells(hip(**values), options) == pytest.approx(
             len(data.cells), rel=0.14
         ), where
