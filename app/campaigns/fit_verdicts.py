@@ -96,10 +96,12 @@ def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdi
         if len(direction) == 1:
             (k,) = direction
             low, high = fit.keys[full[k]].low, fit.keys[full[k]].high
-            what = "the targets do not determine it: from one bound to the other "
-            what += f"({low} to {high}) the numbers change by {known.influence[k]:.2g} of their "
+            what = (
+                f"the targets do not determine it: from one bound to the other ({low} to {high}) "
+                f"the numbers change by {known.influence[k]:.2g} of their uncertainties"
+            )
             yield Verdict(
-                what + "uncertainties",
+                what,
                 full[k],
                 "leave this key out, or add a number that depends on it",
             )

@@ -43,7 +43,8 @@ class PottedStem(Record):
         self._head = facet_surface(followed.problem, facets)
         loads = [load for load in case.loads.values() if load.place[1] == test.head]
         self._force = np.sum([getattr(load, "force", (0.0, 0.0, 0.0)) for load in loads], axis=0)
-        points = [at for load in loads if (at := getattr(load, "at", None)) is not None]
+        given = [getattr(load, "at", None) for load in loads]
+        points = [at for at in given if at is not None]
         centre = np.average(self._head.x, axis=0, weights=self._head.area)
         self._centre = np.asarray(points[0]) if points else centre
 
