@@ -152,17 +152,50 @@ def press_out_factor(μ: float, r: float, R: float, length: float, ν: float) ->
     r"""Force that pulls a rigid rod out of a ring r < R, over μ p A with Lamé's pressure p.
 
     Friction loads the ring along the axis: its axial stress changes by -2 μ p r / (R² - r²) per
-    length. By Poisson's effect this moves the inner surface. At a distance s from the free end of
-    the ring the pressure is
+    length. By Poisson's effect this moves the inner surface. The pressure p then changes along the
+    axis, and so does the shear stress in the ring,
 
-    .. math:: p = p_0 e^{b s}, \quad b = 2 μ r ν / ((R² - r²) k), \quad
-              k = (R² + r²) / (R² - r²) + ν .
+    .. math:: τ = μ p \frac{r}{R^2 - r^2} \left(\frac{R^2}{x} - x\right)
+
+    at a radius x. Its change along the axis is a radial force per volume, which moves the inner
+    surface too (`_under_changing_shear`). At a distance s from the free end of the ring
+
+    .. math:: p = \frac{p_0}{1 + ε} e^{b s / (1 + ε)}, \quad
+              b = \frac{2 μ r ν}{(R^2 - r^2) k}, \quad
+              k = \frac{R^2 + r^2}{R^2 - r^2} + ν, \quad ε = μ b m / k ,
+
+    with the displacement m of the inner surface by a unit change of shear.
 
     A negative μ is for pushing in a rod whose ring is held at its far end.
     """
     k = (R * R + r * r) / (R * R - r * r) + ν
-    bL = 2 * μ * r / (R * R - r * r) * ν / k * length
-    return math.expm1(bL) / bL
+    b = 2 * μ * r / (R * R - r * r) * ν / k
+    ε = μ * b * _under_changing_shear(r, R, ν) / k
+    bL = b / (1 + ε) * length
+    return math.expm1(bL) / bL / (1 + ε)
+
+
+def _under_changing_shear(r: float, R: float, ν: float) -> float:
+    """Displacement of the inner surface of a ring whose shear changes along its axis [mm].
+
+    The ring is free at both surfaces, in plane stress. The shear stress at the inner surface
+    changes by E / r per length, with the profile of `press_out_factor`: the displacement of a
+    pressure E k / r there would be k. Particular solutions of the radial force R²/x - x are
+    -(1 - ν²) R² x ln(x) / 2 and (1 - ν²) x³ / 8.
+    """
+    scale = r / (R * R - r * r)
+
+    def force_alone(x: float) -> tuple[float, float]:
+        """Displacement and radial stress of the particular solution at a radius."""
+        u = scale * (1 - ν * ν) * (x**3 / 8 - R * R * x * math.log(x) / 2)
+        slope = scale * (1 - ν * ν) * (3 * x * x / 8 - R * R * (math.log(x) + 1) / 2)
+        return u, (slope + ν * u / x) / (1 - ν * ν)
+
+    # Added is C x + B / x, whose radial stress is C / (1 - ν) - B / (x² (1 + ν)).
+    (u, inner), (_, outer) = force_alone(r), force_alone(R)
+    B = (1 + ν) * (inner - outer) / (1 / r**2 - 1 / R**2)
+    C = (1 - ν) * (B / (r * r * (1 + ν)) - inner)
+    return (u + C * r + B / r) / r
 
 
 def taper_force(

@@ -204,3 +204,29 @@ def test_closed_forms_cantilever_bar_has_known_limits() -> None:
     shear = 1.2 * 3.0 * 10 / (0.5 * 4)
     assert square.deflection(across, (0, 0, 0)) == pytest.approx(3 * 10**3 / (16 / 4) + shear)
     assert square.largest_stress(across, (0, 0, 0), 0.0) == pytest.approx(3 * 10 / (8 / 6))
+
+
+def test_press_out_moves_the_inner_surface_by_a_change_of_shear() -> None:
+    """The radial equation of a ring in plane stress, solved by finite differences."""
+    r, R, ν, n = 7.0, 17.0, 0.3, 1001
+    x = np.linspace(r, R, n)
+    h = x[1] - x[0]
+    # E u'' + E u'/x - E u/x² + (1 - ν²) f = 0 with f = E / r at the inner surface.
+    force = r / (R * R - r * r) * (R * R / x - x) / r
+    rows = np.zeros((n, n))
+    i = np.arange(1, n - 1)
+    rows[i, i - 1] = 1 / h**2 - 1 / (2 * h * x[i])
+    rows[i, i] = -2 / h**2 - 1 / x[i] ** 2
+    rows[i, i + 1] = 1 / h**2 + 1 / (2 * h * x[i])
+    rows[0, :3] = np.array([-3, 4, -1]) / (2 * h)
+    rows[-1, -3:] = np.array([1, -4, 3]) / (2 * h)
+    rows[0, 0] += ν / r
+    rows[-1, -1] += ν / R
+    right = -(1 - ν * ν) * force
+    right[[0, -1]] = 0.0
+    u = np.linalg.solve(rows, right)
+    assert exact._under_changing_shear(r, R, ν) == pytest.approx(u[0], rel=1e-4)
+
+
+def test_press_out_needs_no_more_force_than_lame_without_poissons_effect() -> None:
+    assert exact.press_out_factor(0.5, 7.0, 17.0, 40.0, 1e-9) == pytest.approx(1.0, abs=1e-6)

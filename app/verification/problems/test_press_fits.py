@@ -131,11 +131,15 @@ def fit_pressure() -> float:
     [pytest.param("into", -1, id="in", marks=quick), pytest.param("out of", 1, id="out")],
 )
 def test_press_fit_pushed(problem: KnownProblem, way: str, sign: int) -> None:
-    """All of the rod slides; the axial stress of the ring changes the pressure by a tenth."""
+    """All of the rod slides; the axial stress of the ring changes the pressure by a tenth.
+
+    With cells of 2.4, 1.6, 1.2 and 0.9 mm the errors of pushing in are -0.24, -0.07, 0.00 and
+    0.04 %, with Poisson's effect alone -1.2, -1.1, -1.0 and -0.95 %.
+    """
     problem.expects(
         f"force that moves a rod {way} its ring [N], relative",
-        tolerance=0.015,  # the axial stress is taken as uniform across the ring
-        source="Lamé with Poisson's effect of the axial stress",
+        tolerance=0.005,  # the axial stress is taken as uniform across the ring
+        source="Lamé with Poisson's effect of the axial stress, and the change of shear",
     )
     solved = problem.solve(ROD, f"supports.rod.z={sign * 0.2} mm")
     area = 2 * np.pi * RADIUS * ROD_LENGTH / 4
