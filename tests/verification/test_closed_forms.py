@@ -206,7 +206,7 @@ def test_closed_forms_cantilever_bar_has_known_limits() -> None:
     assert square.largest_stress(across, (0, 0, 0), 0.0) == pytest.approx(3 * 10 / (8 / 6))
 
 
-def test_press_out_moves_the_inner_surface_by_a_change_of_shear() -> None:
+def test_closed_forms_press_out_moves_the_inner_surface_by_a_change_of_shear() -> None:
     """The radial equation of a ring in plane stress, solved by finite differences."""
     r, R, ν, n = 7.0, 17.0, 0.3, 1001
     x = np.linspace(r, R, n)
@@ -228,5 +228,5 @@ def test_press_out_moves_the_inner_surface_by_a_change_of_shear() -> None:
     assert exact._under_changing_shear(r, R, ν) == pytest.approx(u[0], rel=1e-4)
 
 
-def test_press_out_needs_no_more_force_than_lame_without_poissons_effect() -> None:
+def test_closed_forms_press_out_needs_no_more_force_than_lame_without_poissons_effect() -> None:
     assert exact.press_out_factor(0.5, 7.0, 17.0, 40.0, 1e-9) == pytest.approx(1.0, abs=1e-6)
