@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.contact_facets import foot, shape_functions
 from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
+from meshes.facets import foot, shape_functions
 
 if TYPE_CHECKING:
     from meshes.gruen import Zones

@@ -13,7 +13,6 @@ from itertools import combinations
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes.contact_facets import NODES, nodal_normals, shape_functions, surface
 from meshes.data import (
     MeshData,
     cell_faces,
@@ -24,6 +23,7 @@ from meshes.data import (
     interface_nodes,
     same_triangles,
 )
+from meshes.facets import NODES, nodal_normals, shape_functions, surface
 
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7

@@ -103,8 +103,8 @@ class FixedTemperatures:
     """Given temperatures at owned nodes.
 
     Where several bodies have given temperatures at a node, the body of lowest number is the base
-    (`meshes.contact_points`). The continuous temperature is then the temperature of this body. If
-    two conditions apply to one body, the later one in the case counts.
+    (`app.interfaces.contact_points`). The continuous temperature is then the temperature of this
+    body. If two conditions apply to one body, the later one in the case counts.
 
     Attributes:
         conditions: The conditions.

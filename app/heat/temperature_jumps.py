@@ -8,7 +8,7 @@ interfaces excluded, and q the heat from master to slave per area,
 
 W the areas of the points. A large conductance makes jumps small and causes no cancellation; without
 any the two sides are decoupled. Where interfaces meet, or one or both sides have given
-temperatures, the rules of displacement hold (`meshes.contact_points`).
+temperatures, the rules of displacement hold (`app.interfaces.contact_points`).
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
+from app.interfaces.contact_points import contact_points
+from app.interfaces.corners import Holds
+from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.scene import Scene
 from forms import interface_heat
-from meshes.contact_facets import InterfaceFacets, gather
-from meshes.contact_points import Holds, contact_points
 from meshes.distribute import TaggedMesh
 
 

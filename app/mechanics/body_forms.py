@@ -41,8 +41,8 @@ from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinat
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import elasticity
-from meshes.contact_facets import shape_functions, surface
 from meshes.distribute import TaggedMesh
+from meshes.facets import shape_functions, surface
 
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]

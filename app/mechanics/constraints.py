@@ -16,6 +16,7 @@ from dolfinx import fem
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError, everywhere
+from app.interfaces.interface_facets import gather
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes
@@ -23,7 +24,6 @@ from app.numerics.sparse import from_rows
 from app.scene.bodies import boundary_facets, cell_tags, nodes_on, touched_nodes
 from app.scene.frames import Frames
 from app.scene.scene import Scene
-from meshes.contact_facets import gather
 
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
@@ -38,7 +38,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
     """Support that holds each owned component in a stage, -1 where none does (nodes, 3).
 
     Components are along the axes of the node. Where supports on several bodies hold a node, the
-    body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
+    body of lowest number wins: it is the base of that node (see `app.interfaces.contact_points`).
     """
     scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
     space, index_map = body_forms.space, body_forms.space.dofmap.index_map

@@ -28,10 +28,13 @@ from pydantic_core import PydanticCustomError
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
+from app.interfaces.contact_points import contact_points
+from app.interfaces.corners import RIGIDLY
+from app.interfaces.interface_facets import gather
 from app.laws.values import amplitude, gap_at, gap_settled
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
-from app.mechanics.contact_points import (
+from app.mechanics.contact_state import (
     ContactState,
     LocalPoints,
     prescribed_jump,
@@ -48,8 +51,6 @@ from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
-from meshes.contact_facets import gather
-from meshes.contact_points import RIGIDLY, contact_points
 
 # Rounding of times of a run.
 ROUNDING = 1e-9

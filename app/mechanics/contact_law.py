@@ -20,7 +20,7 @@ from ufl.core.expr import Expr
 from app.foundation.arrays import Bools, Floats, Ints
 from app.laws import interface_laws
 from app.laws.interface_laws import DEFAULT_AUGMENTATION, AtPoint, InterfaceLaw
-from app.mechanics.contact_points import ContactState, LocalPoints
+from app.mechanics.contact_state import ContactState, LocalPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing

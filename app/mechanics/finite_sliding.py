@@ -26,12 +26,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.interfaces.interface_facets import gather
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact_points import LocalPoints
+from app.mechanics.contact_state import LocalPoints
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.scene import Scene
-from meshes.contact_facets import gather
 
 # Points are paired anew if the pressure may be wrong by this part of the largest.
 ACCURACY = 1e-3

@@ -8,10 +8,10 @@ import numpy as np
 from dolfinx import fem
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.interfaces.corners import Entries
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, renew
-from meshes.contact_points import Entries
 
 
 class JumpCoupling:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.contact_facets import foot
+from meshes.facets import foot
 
 CANDIDATES = 16  # facets, by the distance of their centres, among which the closest is sought
 NEIGHBOURS = 13  # through which the quadric of a node is fitted

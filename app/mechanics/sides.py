@@ -9,11 +9,12 @@ import numpy as np
 from dolfinx import fem
 
 from app.foundation.arrays import Floats, Ints
+from app.interfaces.interface_facets import gather
 from app.mechanics.analytical_surfaces import AnalyticalSurface, fitted
 from app.mechanics.pairs import SmoothSurface, oriented
 from app.scene.bodies import boundary_facets, facet_nodes
-from meshes.contact_facets import bends, gather
 from meshes.distribute import TaggedMesh
+from meshes.facets import bends
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dolfinx import fem
 from dolfinx.common import IndexMap
 
 from app.foundation.arrays import Floats, Ints
+from app.interfaces.faces import projectors
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.followers import Followers
@@ -22,7 +23,6 @@ from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import renew
 from app.scene.bodies import facets_by_body
 from app.scene.frames import frames_of
-from meshes.contact_facets import projectors
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
 ROUNDING = 2.0

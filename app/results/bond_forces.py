@@ -21,6 +21,9 @@ from ufl.core.expr import Expr
 
 from app.case.summary import Numbers
 from app.foundation.arrays import Field, Floats, Ints
+from app.interfaces.contact_points import contact_points
+from app.interfaces.corners import ContactPoints, ContactSurface, Entries
+from app.interfaces.faces import projectors
 from app.laws.interface_laws import InterfaceStrength
 from app.laws.loads import Load
 from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assembled_vector
@@ -40,8 +43,6 @@ from app.scene.bodies import (
 )
 from app.scene.frames import held_at
 from app.scene.scene import Interface
-from meshes.contact_facets import projectors
-from meshes.contact_points import ContactPoints, ContactSurface, Entries, contact_points
 
 # Strength of the cement-bone interface: Mann, Werner & Ayers 1999, as quoted by the paper in its
 # section 4.5.

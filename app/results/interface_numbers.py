@@ -24,13 +24,14 @@ import numpy as np
 from app.case.quantities import TABLE, computed
 from app.case.summary import Numbers
 from app.foundation.arrays import Floats, Ints
+from app.interfaces.interface_facets import InterfaceFacets
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.results.cycles import OF_CYCLES
 from app.results.damage import BROKEN, zone
 from app.results.surface_parts import Surface
 from forms.contact import OPEN, SLIP, STICK
-from meshes.contact_facets import InterfaceFacets, shape_functions, surface
+from meshes.facets import shape_functions, surface
 
 Parts = Sequence[Surface]
 MICROMOTION = 0.030  # mm: where biology reacts

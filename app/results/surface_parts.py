@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.interfaces.corners import ContactSurface
 from app.results.percentiles import SurfaceField
-from meshes.contact_points import ContactSurface
 
 # Steps from means towards point values.
 STEPS = 2

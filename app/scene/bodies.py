@@ -1,8 +1,8 @@
 """Bodies of a scene on its mesh: regions that move together, and the facets between them.
 
 A body is a set of regions that no contact interface separates. The functions here read the
-distributed mesh (regions, boundaries, facets between regions); `meshes.contact_points` then works
-on the gathered facets.
+distributed mesh (regions, boundaries, facets between regions); `app.interfaces.contact_points` then
+works on the gathered facets.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from app.foundation.arrays import Bools, Ints
 from app.foundation.errors import InputError
+from app.interfaces.interface_facets import InterfaceFacets, gather, sorted_facets
 from app.laws.materials import Rigid
 from app.scene.scene import Interface
-from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
 from meshes.distribute import TaggedMesh
 
 # Nodes of each facet of a tetrahedron: vertices, then the middles of the edges opposite them.

@@ -15,20 +15,15 @@ from dolfinx.common import IndexMap
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
+from app.interfaces.corners import Holds
+from app.interfaces.faces import projectors
+from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
 from app.system.layout import point_text
-from meshes.contact_facets import (
-    NODES,
-    InterfaceFacets,
-    gather,
-    nodal_normals,
-    projectors,
-    shape_functions,
-)
-from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
+from meshes.facets import NODES, nodal_normals, shape_functions
 
 # Directions are equal within about a milliradian: squares of sines below this are zero.
 ONE = 1e-6

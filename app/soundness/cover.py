@@ -9,13 +9,13 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict
+from app.interfaces.interface_facets import gather
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from app.scene.bodies import cell_tags, touched_nodes
 from app.scene.scene import Interface
 from app.system.layout import point_text
-from meshes.contact_facets import gather
 
 # A point is beyond the rim of a surface by more than this part of an edge.
 OFF = 0.25

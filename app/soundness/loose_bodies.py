@@ -16,6 +16,8 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats
 from app.foundation.verdict import Reason, Severity, Verdict
+from app.interfaces.faces import spread_of_normals
+from app.interfaces.smooth_normals import LIKELY
 from app.numerics.rigid_motions import (
     DIRECTIONS,
     add_relative,
@@ -24,8 +26,6 @@ from app.numerics.rigid_motions import (
     without,
 )
 from forms.contact import OPEN
-from meshes.contact_facets import spread_of_normals
-from meshes.smooth_normals import LIKELY
 
 if TYPE_CHECKING:  # dolfinx, which checks of a case do without
     from app.mechanics.contact import ContactInterfaces, TrialState

@@ -20,11 +20,11 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError, StoppedError
+from app.interfaces.corners import ContactPoints
 from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.stepping.load_steps import LoadStepper
-from meshes.contact_points import ContactPoints
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -12,7 +12,7 @@ import pytest
 from app.foundation.arrays import Floats
 from app.laws.interface_laws import Cohesive
 from app.mechanics.contact_law import PointForces, PointLaw
-from app.mechanics.contact_points import ContactState, LocalPoints
+from app.mechanics.contact_state import ContactState, LocalPoints
 from app.system.timing import Timing
 
 K = 1e4  # stiffness [MPa/mm]

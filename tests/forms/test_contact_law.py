@@ -25,7 +25,7 @@ from app.foundation.arrays import Floats
 from app.laws.interface_laws import Coulomb
 from app.mechanics import contact_law as point_law
 from app.mechanics.contact_law import PointLaw, gap_vectors
-from app.mechanics.contact_points import ContactState, LocalPoints
+from app.mechanics.contact_state import ContactState, LocalPoints
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK, contact_law

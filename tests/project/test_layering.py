@@ -32,7 +32,7 @@ ROWS = (
     ("foundation",),
     ("mesh_files",),
     ("configs", "forms", "meshes", "system"),
-    ("schema", "numerics", "plots"),
+    ("schema", "interfaces", "numerics", "plots"),
     ("laws",),
     ("case",),
     ("scene",),

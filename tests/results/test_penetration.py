@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Floats, Ints
+from app.interfaces.interface_facets import InterfaceFacets
 from app.results.interface_numbers import LATTICE, gaps
-from meshes.contact_facets import InterfaceFacets, shape_functions, surface
+from meshes.facets import shape_functions, surface
 from tests.support import STEM, Solved, solve
 
 MIDDLES = ((1, 2), (0, 2), (0, 1))

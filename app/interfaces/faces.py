@@ -1,193 +1,27 @@
-"""Facets of contact interfaces, and the faces that they form around contact points.
-
-Facets are on every rank in the same order for any partition. A face is a set of facets that meet
-smoothly; it has one normal and one area.
-"""
+"""Faces around contact points: sets of facets that meet smoothly, with one normal and one area."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.foundation.arrays import Bools, Floats, Ints
-from meshes.data import connected, tangents
-from meshes.smooth_normals import slid_along, smooth_normals, unit_sums
+from app.interfaces.interface_facets import InterfaceFacets
+from app.interfaces.smooth_normals import slid_along, smooth_normals, unit_sums
+from meshes.data import connected
 
-if TYPE_CHECKING:
-    from mpi4py import MPI
-
+# Facets that meet at less than this angle are one face.
 FACE_ANGLE = np.deg2rad(30.0)
 # Straight facets that meet at up to this angle are one face if their nodes lie on one quadric, as
 # in a coarse mesh of a cylinder or cone with nine facets around.
 COARSE_ANGLE = np.deg2rad(44.0)
 # Nodes lie on the fitted surface if the doubt about its normal is below this [rad].
 EXACT = 1e-4
-# Edges are straight if their middles are this close to the chord, as a part of its length.
-STRAIGHT = 1e-9
+# Most faces of a point.
 MAX_FACES = 3
 # Faces are independent while the Gram determinant of their normals stays above this.
 INDEPENDENT = 0.05
-
-# Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
-QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
-# The vertices of a triangle, and the middles of the edges opposite them.
-NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
-
-
-@dataclass(frozen=True)
-class InterfaceFacets:
-    """Facets of the contact interfaces, replicated on all ranks in canonical order.
-
-    Attributes:
-        interface: Index of the interface (f,).
-        vertices: Vertex numbers of the mesh file, rising (f, 3).
-        bodies: Bodies on the master and on the slave side (f, 2).
-        dofs: Global blocked dofs at the vertices, then at the edges opposite them (f, 3 or 6).
-        nodes: Coordinates of the vertices, then of the middles of curved edges (f, 3 or 6, 3) [mm].
-        normal: Unit normal from master to slave at each vertex (f, 3, 3).
-        area: Integral of the linear shape function of each vertex (f, 3) [mm2].
-        stiffness: Moduli of the master and the slave cell (f, 2) [MPa].
-    """
-
-    interface: Ints
-    vertices: Ints
-    bodies: Ints
-    dofs: Ints
-    nodes: Floats
-    normal: Floats
-    area: Floats
-    stiffness: Floats
-
-    @property
-    def x(self) -> Floats:
-        """Coordinates of the vertices (f, 3, 3) [mm]."""
-        return self.nodes[:, :3]
-
-    @cached_property
-    def straight(self) -> Bools:
-        """Mask of the facets of interfaces whose facets are all straight (f,)."""
-        if self.nodes.shape[1] == 3:
-            return np.ones(len(self.area), dtype=bool)
-        start, end = self.nodes[:, [1, 2, 0]], self.nodes[:, [2, 0, 1]]
-        off = np.linalg.norm(self.nodes[:, 3:] - (start + end) / 2, axis=2)
-        bent = (off > STRAIGHT * np.linalg.norm(end - start, axis=2)).any(axis=1)
-        return ~np.isin(self.interface, self.interface[bent])
-
-
-def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
-    """Concatenate each array over the ranks, on every rank."""
-    pieces = comm.allgather(arrays)
-    return [np.concatenate([p[k] for p in pieces]) for k in range(len(arrays))]
-
-
-def sorted_facets(
-    interface: Ints,
-    vertices: Ints,
-    bodies: Ints,
-    dofs: Ints,
-    nodes: Floats,
-    inside_slave: Floats,
-    stiffness: Floats,
-) -> InterfaceFacets:
-    """Put the facets of all ranks in canonical order.
-
-    Arguments are those of `InterfaceFacets` in any order of the facets and of the vertices in them,
-    and a point inside each slave cell (f, 3) [mm].
-    """
-    # The three vertices of a facet in rising order, then the facets by interface and vertices.
-    order = np.argsort(vertices, axis=1)
-    vertices = np.take_along_axis(vertices, order, axis=1)
-    rows = np.lexsort((*vertices.T[::-1], interface))
-    order, vertices = np.concatenate([order, order + 3], axis=1)[rows], vertices[rows]
-    dofs = np.take_along_axis(dofs[rows], order[:, : dofs.shape[1]], axis=1)
-    x = np.take_along_axis(nodes[rows], order[:, : nodes.shape[1], None], axis=1)
-    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave[rows] - x[:, 0]))
-    _, area = surface(x, QUADRATURE)
-    return InterfaceFacets(
-        interface=interface[rows],
-        vertices=vertices,
-        bodies=bodies[rows],
-        dofs=dofs,
-        nodes=x,
-        normal=surface(x, np.eye(3))[0] * towards[:, None, None],
-        area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
-        stiffness=stiffness[rows],
-    )
-
-
-def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
-    if x.shape[1] == 6:
-        a, b = tangents(x, at, ((1, 2), (2, 0), (0, 1)))
-    else:
-        flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
-        a, b = np.broadcast_to(flat, (*flat.shape[:3], len(at)))
-    normal = np.moveaxis(np.ascontiguousarray(np.cross(a, b, axis=0)), 0, -1)
-    size = np.linalg.norm(normal, axis=2)
-    return normal / size[:, :, None], size
-
-
-def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:
-    """Outward normals (f, q, 3) at barycentric points (q, 3), as long as the facet areas [mm2].
-
-    ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
-    """
-    normals, size = surface(x, at)
-    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    away = np.sign(np.einsum("fi,fi->f", flat, x[:, 0] - inside))
-    return normals * (away * size.mean(axis=1) / 2)[:, None, None]
-
-
-def shape_functions(at: Floats, nodes: int) -> Floats:
-    """Shape functions of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
-
-    Node 3 + k of six is the middle of the edge opposite vertex k.
-    """
-    if nodes == 3:
-        return at
-    middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
-    return np.concatenate([at * (2 * at - 1), middles], axis=1)
-
-
-def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
-    r"""Part of the difference of its ends in the displacement of the middle of a curved edge.
-
-    The middle is off the chord by σ, along which linear displacements change too. With t the unit
-    vector from end a to end b and L their distance,
-
-    .. math:: u_m = (u_a + u_b) / 2 + (σ ⊗ t - t ⊗ σ) (u_b - u_a) / L
-
-    is exact for translations, for rotations and for a widening in the plane of the edge. Returned
-    are the factors (e, 3, 3) of the difference.
-    """
-    off, chord = middle - (start + end) / 2, end - start
-    both = np.einsum("ei,ej->eij", off, chord)
-    length2 = np.einsum("ei,ei->e", chord, chord)
-    return (both - both.transpose(0, 2, 1)) / length2[:, None, None]
-
-
-def foot(x: Floats, corners: Floats) -> Floats:
-    """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
-    edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
-    along = np.einsum("nki,nki->nk", off, edges) / np.einsum("nki,nki->nk", edges, edges)
-    # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
-    a, b, d = edges[:, 0], -edges[:, 2], off[:, 0]
-    aa, ab, bb, da, db = (
-        np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))
-    )
-    v, w = bb * da - ab * db, aa * db - ab * da
-    inner = np.stack([aa * bb - ab**2 - v - w, v, w], axis=1) / (aa * bb - ab**2)[:, None]
-    s = np.clip(along, 0.0, 1.0)[:, :, None]
-    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
-    away = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
-    edge = on_edges[np.arange(len(x)), away.argmin(axis=1)]
-    return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)
 
 
 def faces_around(

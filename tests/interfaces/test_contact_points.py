@@ -1,4 +1,4 @@
-"""Rules of ``meshes.contact_points``: normals, edges, bodies that meet on a line, held parts."""
+"""Rules of ``contact_points``: normals, edges, bodies that meet on a line, held parts."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 import meshes
 from app.campaigns.work_precision import fitted_order
 from app.foundation.arrays import Floats
+from app.interfaces.contact_points import contact_points
+from app.interfaces.corners import ContactPoints, Entries, Holds
+from app.interfaces.interface_facets import InterfaceFacets, sorted_facets
+from app.interfaces.smooth_normals import slid_along
 from app.verification.changed_meshes import ROTATION
-from meshes.contact_facets import InterfaceFacets, sorted_facets
-from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from meshes.distribute import distribute
-from meshes.smooth_normals import slid_along
 from tests import support
 
 NONE = np.zeros(0, np.int64)

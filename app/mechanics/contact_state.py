@@ -9,13 +9,14 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
+from app.interfaces.corners import RIGIDLY, ContactPoints, Holds
+from app.interfaces.faces import projectors
+from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.laws.supports import Support
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
 from app.scene.bodies import Bodies, cell_tags, touched_nodes
 from app.scene.scene import Scene
-from meshes.contact_facets import InterfaceFacets, gather, projectors
-from meshes.contact_points import RIGIDLY, ContactPoints, Holds
 
 
 @dataclass(frozen=True)

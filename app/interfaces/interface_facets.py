@@ -1,0 +1,103 @@
+"""Facets of interfaces, on every rank in the same order for any partition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.foundation.arrays import Bools, Floats, Ints
+from meshes.facets import surface
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+# Edges are straight if their middles are this close to the chord, as a part of its length.
+STRAIGHT = 1e-9
+# Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
+QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
+
+
+@dataclass(frozen=True)
+class InterfaceFacets:
+    """Facets of the contact interfaces, replicated on all ranks in canonical order.
+
+    Attributes:
+        interface: Index of the interface (f,).
+        vertices: Vertex numbers of the mesh file, rising (f, 3).
+        bodies: Bodies on the master and on the slave side (f, 2).
+        dofs: Global blocked dofs at the vertices, then at the edges opposite them (f, 3 or 6).
+        nodes: Coordinates of the vertices, then of the middles of curved edges (f, 3 or 6, 3) [mm].
+        normal: Unit normal from master to slave at each vertex (f, 3, 3).
+        area: Integral of the linear shape function of each vertex (f, 3) [mm2].
+        stiffness: Moduli of the master and the slave cell (f, 2) [MPa].
+    """
+
+    interface: Ints
+    vertices: Ints
+    bodies: Ints
+    dofs: Ints
+    nodes: Floats
+    normal: Floats
+    area: Floats
+    stiffness: Floats
+
+    @property
+    def x(self) -> Floats:
+        """Coordinates of the vertices (f, 3, 3) [mm]."""
+        return self.nodes[:, :3]
+
+    @cached_property
+    def straight(self) -> Bools:
+        """Mask of the facets of interfaces whose facets are all straight (f,)."""
+        if self.nodes.shape[1] == 3:
+            return np.ones(len(self.area), dtype=bool)
+        start, end = self.nodes[:, [1, 2, 0]], self.nodes[:, [2, 0, 1]]
+        off = np.linalg.norm(self.nodes[:, 3:] - (start + end) / 2, axis=2)
+        bent = (off > STRAIGHT * np.linalg.norm(end - start, axis=2)).any(axis=1)
+        return ~np.isin(self.interface, self.interface[bent])
+
+
+def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
+    """Concatenate each array over the ranks, on every rank."""
+    pieces = comm.allgather(arrays)
+    return [np.concatenate([p[k] for p in pieces]) for k in range(len(arrays))]
+
+
+def sorted_facets(
+    interface: Ints,
+    vertices: Ints,
+    bodies: Ints,
+    dofs: Ints,
+    nodes: Floats,
+    inside_slave: Floats,
+    stiffness: Floats,
+) -> InterfaceFacets:
+    """Put the facets of all ranks in canonical order.
+
+    Arguments are those of `InterfaceFacets` in any order of the facets and of the vertices in them,
+    and a point inside each slave cell (f, 3) [mm].
+    """
+    # The three vertices of a facet in rising order, then the facets by interface and vertices.
+    order = np.argsort(vertices, axis=1)
+    vertices = np.take_along_axis(vertices, order, axis=1)
+    rows = np.lexsort((*vertices.T[::-1], interface))
+    order, vertices = np.concatenate([order, order + 3], axis=1)[rows], vertices[rows]
+    dofs = np.take_along_axis(dofs[rows], order[:, : dofs.shape[1]], axis=1)
+    x = np.take_along_axis(nodes[rows], order[:, : nodes.shape[1], None], axis=1)
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave[rows] - x[:, 0]))
+    _, area = surface(x, QUADRATURE)
+    return InterfaceFacets(
+        interface=interface[rows],
+        vertices=vertices,
+        bodies=bodies[rows],
+        dofs=dofs,
+        nodes=x,
+        normal=surface(x, np.eye(3))[0] * towards[:, None, None],
+        area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
+        stiffness=stiffness[rows],
+    )

@@ -1,0 +1,80 @@
+"""Geometry of triangular facets by their nodes: normals, areas, shape functions, feet of points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.foundation.arrays import Floats
+from meshes.data import tangents
+
+# The vertices of a triangle, and the middles of the edges opposite them.
+NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
+
+
+def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
+    """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
+    if x.shape[1] == 6:
+        a, b = tangents(x, at, ((1, 2), (2, 0), (0, 1)))
+    else:
+        flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
+        a, b = np.broadcast_to(flat, (*flat.shape[:3], len(at)))
+    normal = np.moveaxis(np.ascontiguousarray(np.cross(a, b, axis=0)), 0, -1)
+    size = np.linalg.norm(normal, axis=2)
+    return normal / size[:, :, None], size
+
+
+def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:
+    """Outward normals (f, q, 3) at barycentric points (q, 3), as long as the facet areas [mm2].
+
+    ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
+    """
+    normals, size = surface(x, at)
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    away = np.sign(np.einsum("fi,fi->f", flat, x[:, 0] - inside))
+    return normals * (away * size.mean(axis=1) / 2)[:, None, None]
+
+
+def shape_functions(at: Floats, nodes: int) -> Floats:
+    """Shape functions of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
+
+    Node 3 + k of six is the middle of the edge opposite vertex k.
+    """
+    if nodes == 3:
+        return at
+    middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
+    return np.concatenate([at * (2 * at - 1), middles], axis=1)
+
+
+def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
+    r"""Part of the difference of its ends in the displacement of the middle of a curved edge.
+
+    The middle is off the chord by σ, along which linear displacements change too. With t the unit
+    vector from end a to end b and L their distance,
+
+    .. math:: u_m = (u_a + u_b) / 2 + (σ ⊗ t - t ⊗ σ) (u_b - u_a) / L
+
+    is exact for translations, for rotations and for a widening in the plane of the edge. Returned
+    are the factors (e, 3, 3) of the difference.
+    """
+    off, chord = middle - (start + end) / 2, end - start
+    both = np.einsum("ei,ej->eij", off, chord)
+    length2 = np.einsum("ei,ei->e", chord, chord)
+    return (both - both.transpose(0, 2, 1)) / length2[:, None, None]
+
+
+def foot(x: Floats, corners: Floats) -> Floats:
+    """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
+    edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
+    along = np.einsum("nki,nki->nk", off, edges) / np.einsum("nki,nki->nk", edges, edges)
+    # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
+    a, b, d = edges[:, 0], -edges[:, 2], off[:, 0]
+    aa, ab, bb, da, db = (
+        np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))
+    )
+    v, w = bb * da - ab * db, aa * db - ab * da
+    inner = np.stack([aa * bb - ab**2 - v - w, v, w], axis=1) / (aa * bb - ab**2)[:, None]
+    s = np.clip(along, 0.0, 1.0)[:, :, None]
+    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
+    away = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
+    edge = on_edges[np.arange(len(x)), away.argmin(axis=1)]
+    return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)
