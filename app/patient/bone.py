@@ -129,7 +129,7 @@ class PatientBone:
         """
         edge = float(exits(self.surface.level(height), np.array([azimuth]))[0][0])
         if not edge > 0:
-            text = f"{height:g} mm above the trochanter the shaft's axis is outside of the bone"
+            text = f"the axis of the shaft is outside the bone {height:g} mm above the trochanter"
             raise GeometryError(f"geometry.resection.height: {text}; cut lower")
         return edge
 

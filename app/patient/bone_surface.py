@@ -93,33 +93,34 @@ def read(
         raise GeometryError(f"{path}: has no triangles")
     lost = ~np.isfinite(corners).all(axis=(1, 2))
     if lost.any():
-        text = f"{int(lost.sum()):,} of its {len(corners):,} triangles have corners that are no"
+        text = f"{int(lost.sum()):,} of its {len(corners):,} triangles have corners that are not"
         raise GeometryError(
-            f"{path}: {text} numbers, the first is number {int(lost.argmax()) + 1:,}"
+            f"{path}: {text} numbers; the first is triangle {int(lost.argmax()) + 1:,}"
         )
     if np.abs(corners).max() > DAMAGED:
-        raise GeometryError(f"{path}: its coordinates reach {np.abs(corners).max():.0e}: damaged?")
+        reach = f"{np.abs(corners).max():.0e}"
+        raise GeometryError(f"{path}: its coordinates reach {reach}; is the file damaged?")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fits = [u for u, mm in UNITS.items() if least <= extent * mm <= EXTENT[1]]
     if unit not in (None, *fits) or not (unit or len(fits) == 1):
         raise GeometryError(
-            f"{path}: is {extent:.4g} {unit or 'units'} long, and a femur's proximal part"
-            f" {least:g} to {EXTENT[1]:g} mm; which unit is it in? Expected"
-            f" {' or '.join(fits or UNITS)}"
+            f"{path}: is {extent:.4g} {unit or 'units'} long, but a proximal femur is {least:g} to"
+            f" {EXTENT[1]:g} mm long; set its unit to {' or '.join(fits or UNITS)}"
         )
     if unit is None:
         notes = [*notes, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]
     corners = corners * UNITS[unit or fits[0]]
     farthest = float(np.abs(corners).max())
     if farthest > FARTHEST:
-        text = f"its coordinates reach {farthest:.0e} mm, where their last digits are lost"
-        raise GeometryError(f"{path}: {text}: move it to the origin where it was made")
+        text = f"its coordinates reach {farthest:.0e} mm, where single precision is too coarse"
+        raise GeometryError(f"{path}: {text}; move it to the origin in the program that wrote it")
     surface = welding.weld(corners)
     thinned = len(surface.triangles) > MOST
     if thinned:
         surface = welding.thin(surface, THIN)
     if len(surface.triangles) < 4:
-        raise GeometryError(f"{path}: has {len(surface.triangles)} triangles with an area")
+        count = len(surface.triangles)
+        raise GeometryError(f"{path}: only {count} of its triangles have an area; expected a body")
     checked = _checked(path, surface, [*notes, *surface.notes], thinned)
     if body is None:
         return checked
@@ -145,17 +146,18 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
     if 2 * int((times == 1).sum()) > len(times):
         text = f"{int((times == 1).sum()):,} of {len(times):,} edges belong to one triangle only"
         text += f", and their corners are {welding.apart(surface):.2g} mm from the next"
-        remedy = "merge close vertices where it was made"
+        remedy = "merge close vertices in the program that wrote it"
         raise GeometryError(f"{path}: its triangles are not joined: {text}; {remedy}")
     if len(sizes) > 1 and not thin:
         parts = np.argsort(sizes)[:-3:-1]
         largest, second = (x[triangles[body == part]] for part in parts)
-        text = f"of {len(largest):,} and {len(second):,} triangles, the second about"
-        remedy = f"{place(second)}; expected one: keep the femur"
-        if _contains(largest, second) or _contains(second, largest):
-            text = f"one inside the other, as bone and canal are, {text}"
-            remedy += ", and give the canal as a file of its own (geometry.canal)"
-        raise GeometryError(f"{path}: has {len(sizes)} bodies, {text} {remedy}")
+        nested = _contains(largest, second) or _contains(second, largest)
+        text = ", one inside the other, like bone and canal" if nested else ""
+        text += f"; the largest have {len(largest):,} and {len(second):,} triangles, the second is"
+        remedy = "keep the femur alone"
+        if nested:
+            remedy = "keep the bone, and give the canal as a separate file (geometry.canal)"
+        raise GeometryError(f"{path}: has {len(sizes)} bodies{text} at {place(second)}; {remedy}")
     lone = first[times % 2 == 1] if thin else first[times != 2]
     edges = x[ends[order[lone]]]
     axis = np.linalg.svd(x[:: 1 + n // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
@@ -165,7 +167,7 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
         most = int(times[times != 2].max())
         what = "is open" if most == 1 else f"has edges of up to {most} triangles"
         where = f"{place(edges[aside])} ({int(aside.sum())} edges), not at an end"
-        raise GeometryError(f"{path}: {what} at {where}; close it where it was made")
+        raise GeometryError(f"{path}: {what} at {where}; repair it in the program that wrote it")
     if len(lone):
         notes.append(f"open at an end: {len(lone)} edges")
     if not thin:
@@ -177,7 +179,7 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
         flipped = sheet[:m] != sheet[0]
         less = min(int(flipped.sum()), m - int(flipped.sum()))
         if less:
-            notes.append(f"{less} triangles turned over")
+            notes.append(f"{less} triangles with the wrong orientation turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     rim = edges.mean(axis=1)
     return BoneSurface(
@@ -205,8 +207,8 @@ def _spikes(x: Floats, ends: Ints, lone: Ints) -> Iterator[str]:
     spikes[lone.ravel()] = False
     if spikes.any():
         worst = int(np.where(spikes, height, 0.0).argmax())
-        text = f"{int(spikes.sum()):,} corners stand out of their neighbours, the farthest by"
-        yield f"{text} {height[worst]:.0f} mm at {place(x[worst])}: are its numbers damaged?"
+        text = f"{int(spikes.sum()):,} corners stick out from their neighbours, the farthest by"
+        yield f"{text} {height[worst]:.0f} mm at {place(x[worst])}; is the file damaged?"
 
 
 def _contains(outer: Floats, inner: Floats) -> bool:
@@ -225,4 +227,4 @@ def outward(points: Floats, triangles: Ints) -> Ints:
 
 def place(x: Floats) -> str:
     """Mean of points (..., 3) in words."""
-    return "({:.0f}, {:.0f}, {:.0f}) mm of the file".format(*x.reshape(-1, 3).mean(axis=0))
+    return "({:.0f}, {:.0f}, {:.0f}) mm in the file".format(*x.reshape(-1, 3).mean(axis=0))

@@ -66,8 +66,8 @@ def read(
         numbers[tuple(inner.T)] = ct.at(body.places(inner))
     except InputError as error:
         raise InputError(
-            f"{path}: {error}. The CT does not contain the femur of the labels: are both of one"
-            " scan?"
+            f"{path}: {error}. The CT does not contain the labelled femur; are CT and labels from"
+            " the same scan?"
         ) from error
     height = frame.to_model(body.places(inner))[:, 2]
     top = -BELOW_TROCHANTER * frame.radius
@@ -75,8 +75,8 @@ def read(
     if not contains_canal(frame):
         raise GeometryError(
             f"geometry.canal.ct: the scan ends {-frame.end:.0f} mm below the lesser trochanter;"
-            f" the canal needs {SHORTEST - top:.0f} mm. Leave out canal.ct: the canal is then that"
-            " of the parametric femur"
+            f" its canal needs {SHORTEST - top:.0f} mm. Leave out canal.ct: the canal then has the"
+            " ratios of the parametric femur"
         )
     known = inner[height < top + 2.0 * WALL]
     box = tuple(
@@ -117,8 +117,8 @@ def _canal(numbers: Floats, depth: Floats, part: LabelBody, threshold: float) ->
     pieces, count = ndimage.label(level > 0)
     if not count:
         raise GeometryError(
-            f"geometry.canal.threshold: no CT number inside of the bone is below {threshold:g}; is"
-            " it a CT? Cortical bone has 600 and more, marrow -100 to 100"
+            f"geometry.canal.threshold: no CT number inside the bone is below {threshold:g}; is the"
+            " image a CT? Cortical bone has 600 HU or more, marrow -100 to 100 HU"
         )
     largest = pieces == np.bincount(pieces.ravel())[1:].argmax() + 1
     solid = ndimage.binary_fill_holes(largest)

@@ -42,8 +42,8 @@ def read(path: Path, header: Any, left_out: Sequence[str]) -> Voxels:
     """
     if str(header.get("SegmentationType", "BINARY")) != "BINARY":
         raise InputError(
-            f"{path}: its masks are fractions (SegmentationType {header.SegmentationType}): export"
-            " binary masks, or a labelmap"
+            f"{path}: its masks are fractional (SegmentationType {header.SegmentationType});"
+            " export binary masks or a labelmap"
         )
     frames = dicom_series.frames_of(header)
     dicom_series.check_equal(path, frames)
@@ -64,7 +64,7 @@ def read(path: Path, header: Any, left_out: Sequence[str]) -> Voxels:
     named = {segment.value for segment in segments.values()}
     unnamed = sum(int(frame.get("ReferencedSegmentNumber", 0)) not in named for frame in frames)
     if unnamed or not segments:
-        raise InputError(f"{path}: {unnamed} of its frames are of no segment: is it damaged?")
+        raise InputError(f"{path}: {unnamed} frames belong to no segment; is the file damaged?")
     kind = f"{len(frames)} DICOM frames of {len(segments)} segments (SEG)"
     values = np.stack(layers, axis=-1)
     return Voxels(values, affine, kind, tuple(left_out), segments=segments)
@@ -94,7 +94,8 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     gaps = np.diff(levels)
     gaps = gaps[gaps > dicom_series.SAME_PLACE]
     if not len(gaps):
-        raise InputError(f"{path}: has one slice only, {dicom_series.name_of(frames[0])}")
+        text = f"has only one slice, {dicom_series.name_of(frames[0])}"
+        raise InputError(f"{path}: {text}; expected several")
     first = places[heights.argmin()]
     # The mean step: rounding of each gap has no effect on it.
     step = float(gaps.min())
@@ -105,7 +106,7 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     if off.max() > OFF_PLANE * step:
         worst = dicom_series.name_of(frames[int(off.argmax())])
         text = f"its planes are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
-        raise InputError(f"{path}: {text}, and {worst} is at no multiple of one step")
+        raise InputError(f"{path}: {text}; {worst} is not at a multiple of one step. Resample it")
     spacing = np.array(frames[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
     columns = across * spacing[1], down * spacing[0], step * normal, first

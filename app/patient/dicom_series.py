@@ -25,6 +25,8 @@ TURNED = 2e-3  # largest difference of the cosines of a slice's axes from those 
 APART = 1.5  # slices farther apart than this part of their thickness have a note
 # First bytes of a file without preamble: a group of its first element, little-endian.
 FIRST_GROUPS = (b"\x02\x00", b"\x08\x00")
+# What to do with a file that mantle cannot read.
+CONVERT = "convert it to NIfTI, for example with dcm2niix"
 PREAMBLE = 128  # bytes before the letters DICM
 NAMED = 3  # most files that a message names
 PLACED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
@@ -68,14 +70,14 @@ def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
     slices, numbers = _without_copies(path, slices, notes)
     at = np.array([s.ImagePositionPatient for s in slices], dtype=float)
     if len(slices) < 2:
-        raise InputError(f"{path}: has one slice only, {name_of(slices[0])}")
+        raise InputError(f"{path}: has only one slice, {name_of(slices[0])}; expected several")
     step = (at[-1] - at[0]) / (len(at) - 1)
     gaps = np.linalg.norm(np.diff(at, axis=0), axis=1)
     off = np.linalg.norm(at - at[0] - np.outer(range(len(at)), step), axis=1)
     if not off.max() < UNEVEN * np.linalg.norm(step):
         text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
         after = name_of(slices[int(gaps.argmax())])
-        raise InputError(f"{text}; is one missing after {after}? Resample them evenly")
+        raise InputError(f"{text}; is one missing after {after}? If not, resample them evenly")
     spacing = np.array(slices[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
     affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
@@ -91,17 +93,17 @@ def _doubts(slices: Sequence[Any], step: float) -> Iterator[str]:
     """Doubts about a series whose slices are `step` [mm] apart."""
     thick = max(float(s.get("SliceThickness") or 0.0) for s in slices)
     if 0.0 < APART * thick < step:
-        yield f"its slices are {step:.3g} mm apart and {thick:.3g} mm thick: are slices missing?"
+        yield f"its slices are {step:.3g} mm apart and {thick:.3g} mm thick; are slices missing?"
     frames = {str(s.get("FrameOfReferenceUID") or "") for s in slices}
     if len(frames) > 1:
-        yield f"its slices are in {len(frames)} frames of reference: was the patient moved?"
+        yield f"its slices are in {len(frames)} frames of reference; was the patient moved?"
     numbers = Counter(str(s.get("InstanceNumber") or "") for s in slices)
     twice = sum(count for count in numbers.values() if count > 1)
     if twice and len(numbers) > 1:
         text = f"{twice} of its {len(slices)} slices share their instance number with another"
-        yield f"{text}: two acquisitions or reconstructions in one series?"
+        yield f"{text}; are there two acquisitions or reconstructions in one series?"
     if any(str(s.get("LossyImageCompression") or "") == "01" for s in slices):
-        yield "its slices were compressed with a loss: CT numbers are not those of the scanner"
+        yield "its slices have lossy compression, so CT numbers differ from those of the scanner"
 
 
 def is_dicom(start: bytes) -> bool:
@@ -132,9 +134,9 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
             below[str(folder.relative_to(path))] = count
     full = [f"{name} ({count} files)" for name, count in below.items()]
     if not headers and full:
-        raise InputError(f"{path}: has no slices; look in its folder {_names(full)}")
+        raise InputError(f"{path}: has no slices; its folders have: {_names(full)}. Give one")
     if not headers:
-        text = f"has no slices: none of its {len(others)} files is DICOM"
+        text = f"has no slices: none of its {len(others)} files is a DICOM file"
         raise InputError(f"{path}: {text}")
     notes = [f"its folder {text} is not read" for text in full]
     if others:
@@ -152,9 +154,9 @@ def _of_file(path: Path) -> Any:
     if "Rows" not in header:
         kind = header.get("SOPClassUID", "")
         text = f"has no voxels ({getattr(kind, 'name', kind)})"
-        raise InputError(f"{path}: {text}: export its structures as a labelmap")
+        raise InputError(f"{path}: {text}; export its structures as a labelmap")
     if int(header.get("NumberOfFrames") or 1) < 2:
-        raise InputError(f"{path}: is one file of DICOM: give the folder of its series")
+        raise InputError(f"{path}: is a single DICOM slice; give the folder of its series")
     return header
 
 
@@ -165,13 +167,13 @@ def frames_of(header: Any) -> list[Any]:
     count = int(header.get("NumberOfFrames") or 1)
     groups = header.get("PerFrameFunctionalGroupsSequence")
     if groups is None and count > 1 and _is_placed(header):
-        text = f"has {count} frames and one place; convert it to NIfTI, as dcm2niix does"
-        raise InputError(f"{header.filename}: {text}")
+        text = f"has {count} frames but only one position"
+        raise InputError(f"{header.filename}: {text}; {CONVERT}")
     if groups is None:
         return [header]
     if len(groups) != count:
-        text = f"has {count} frames, and places of {len(groups)}"
-        raise InputError(f"{header.filename}: {text}: is it damaged?")
+        text = f"has {count} frames but the positions of {len(groups)}"
+        raise InputError(f"{header.filename}: {text}; is the file damaged?")
     shared = header.get("SharedFunctionalGroupsSequence") or [pydicom.Dataset()]
     common = {tag: header[tag] for tag in COMMON if tag in header}
     frames = []
@@ -209,7 +211,7 @@ def _header(file: Path) -> Any:
     except Exception as error:  # damaged files let pydicom fail in any way
         if not is_dicom(start):
             return None
-        raise InputError(f"{file}: is no slice that can be read: {error}") from None
+        raise InputError(f"{file}: cannot be read as a DICOM slice: {error}") from None
 
 
 def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list[Any]:
@@ -231,8 +233,8 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     if slices and not any(map(_is_placed, slices)):
         kind = slices[0].get("SOPClassUID", "")
         raise InputError(
-            f"{path}: {name_of(slices[0])} and {len(slices) - 1} more have no position in the"
-            f" patient ({getattr(kind, 'name', kind)}): export the original series"
+            f"{path}: {name_of(slices[0])} and {len(slices) - 1} other slices have no position in"
+            f" the patient ({getattr(kind, 'name', kind)}); export the original series"
         )
     slices = drop(slices, "images without position", lambda s: not _is_placed(s))
     slices = drop(slices, "localizers", lambda s: "LOCALIZER" in (s.get("ImageType") or ()))
@@ -243,15 +245,13 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
         key = f"{one.get('SeriesInstanceUID', '')} {one.get('StackID', '')}"
         series.setdefault(key, []).append(one)
     if len(series) > 1:
-        counts = ", ".join(str(len(those)) for those in series.values())
         each = "; ".join(
-            f"{len(those)} of {_described(those[0])}, as {name_of(those[0])}"
-            for those in series.values()
+            f"{len(members)} slices of {_described(members[0])}, such as {name_of(members[0])}"
+            for members in series.values()
         )
-        text = f"has {counts} slices; expected those of one series, in one plane: {each}"
         one_file = len({one.filename for one in slices}) == 1
-        remedy = "Convert one to NIfTI, as dcm2niix does" if one_file else "Put one into a folder"
-        raise InputError(f"{path}: {text}. {remedy}")
+        remedy = CONVERT if one_file else "put one of them into a separate folder"
+        raise InputError(f"{path}: has {len(series)} series or orientations; {remedy}: {each}")
     return slices
 
 
@@ -263,19 +263,20 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
         if others:
             odd = [name_of(s) for s, value in zip(slices, values, strict=True) if value != most]
             first = next(value for value in values if value != most)
-            text = f"{_names(odd)} has {what} {_by(first)}, the other slices {_by(most)}"
-            raise InputError(f"{path}: {text}: leave it out")
+            text = f"{_names(odd)} has {_by(first)} {what}, the other slices {_by(most)}"
+            raise InputError(f"{path}: {text}; leave it out")
 
-    differ("pixels of", [(int(s.Rows), int(s.Columns)) for s in slices])
-    differ("samples of a pixel:", [(int(s.get("SamplesPerPixel") or 1),) for s in slices])
+    differ("pixels", [(int(s.Rows), int(s.Columns)) for s in slices])
+    differ("samples per pixel", [(int(s.get("SamplesPerPixel") or 1),) for s in slices])
     if int(slices[0].get("SamplesPerPixel") or 1) > 1:
         raise InputError(f"{path}: its slices are in colour; expected CT numbers")
-    differ("spacing", [tuple(np.round(np.array(s.PixelSpacing, float), 4)) for s in slices])
+    spacings = [tuple(np.round(np.array(s.PixelSpacing, float), 4)) for s in slices]
+    differ("mm between pixels", spacings)
     axes = np.array([s.ImageOrientationPatient for s in slices], dtype=float)
     off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > TURNED
     if off.any():
         odd = [name_of(s) for s, turned in zip(slices, off, strict=True) if turned]
-        raise InputError(f"{path}: {_names(odd)} is in another plane than the rest: leave it out")
+        raise InputError(f"{path}: {_names(odd)} is not parallel to the other slices; leave it out")
 
 
 def _without_copies(
@@ -306,10 +307,10 @@ def _without_copies(
         elif np.array_equal(values, numbers[-1]):
             copies.append(name_of(one))
         else:
-            text = f"{name_of(kept[-1])} and {name_of(one)} are at one place and differ"
-            raise InputError(f"{path}: {text}: two series, phases or energies? Keep one")
+            text = f"{name_of(kept[-1])} and {name_of(one)} differ, but have the same position"
+            raise InputError(f"{path}: {text}; are they two series, phases or energies? Keep one")
     if copies:
-        notes.append(f"{len(copies)} slices that stand twice taken once: {_names(copies)}")
+        notes.append(f"{len(copies)} copies of slices left out: {_names(copies)}")
     return kept, numbers
 
 
@@ -329,7 +330,7 @@ def pixels(header: Any) -> Any:
             -1, int(header.Rows), int(header.Columns)
         )
     except Exception as error:  # damaged files let pydicom fail in any way
-        raise InputError(f"{header.filename}: has no pixels that can be read: {error}") from None
+        raise InputError(f"{header.filename}: its pixels cannot be read: {error}") from None
 
 
 def _stored_bits(data: Any, values: Any) -> Any:
@@ -353,8 +354,8 @@ def _numbers(header: Any, pixels: Any) -> Any:
         InputError: Its numbers are by a table.
     """
     if header.get("ModalityLUTSequence") and header.get("RescaleSlope") is None:
-        text = "has its CT numbers by a table (Modality LUT), which is not read"
-        raise InputError(f"{header.filename}: {text}; convert it to NIfTI, as dcm2niix does")
+        text = "gives CT numbers by a table (Modality LUT), which mantle does not support"
+        raise InputError(f"{header.filename}: {text}; {CONVERT}")
     slope, intercept = header.get("RescaleSlope"), header.get("RescaleIntercept")
     slope = np.float32(1 if slope is None else slope)
     stored = pixels[_frame(header) or 0]

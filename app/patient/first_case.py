@@ -136,9 +136,9 @@ def _proposed(folder: Path, bone: Structure, canal: Structure | None, ct: Path |
             else:
                 return Proposal(keys, geometry)
     raise InputError(
-        f"{bone.path}: no stem of {STEMS[-1][0]:g} to {STEMS[0][0]:g} mm fits into this femur. The"
-        f" smallest, {reasons[len(STEMS) - 1]}. Write a case with a stem of yours: see"
-        " docs/howto/patient.md"
+        f"{bone.path}: no stem of {STEMS[-1][0]:g} to {STEMS[0][0]:g} mm fits into this femur."
+        f" Problem of the smallest, {reasons[len(STEMS) - 1]}. Write a case with your own stem:"
+        " see docs/howto/patient.md"
     )
 
 
@@ -187,8 +187,8 @@ def _assumed(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[s
     cut = f"neck cut {HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
     room = f"in the position with the most room ({geometry.room_details()})"
     yield f"operation: {cut}; {_size(implant)} with {CEMENT:g} mm of cement, {room}"
-    medial = "the condyles" if femur.has_condyles else "the neck, as the scan has no condyles"
-    yield f"loads: one leg, body weight 600 N; x is along {medial}; bone and cement of `stance`"
+    medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
+    yield f"loads: one leg, body weight 600 N; x is along {medial}; materials of `stance`"
     for doubt in femur.notes:
         yield f"note: {doubt}"
 
@@ -201,7 +201,7 @@ def _against_axes(femur: PatientBone) -> str:
     to_right = float(femur.frame.axes[0, 0]) > 0.0
     if to_right == (femur.frame.side == "left"):
         return ", and the axes of the image agree"
-    return ". By the axes of the image it is the other side: is the image mirrored or turned?"
+    return ". By the axes of the image it is the other side; is the image mirrored or rotated?"
 
 
 def _canal(geometry: Patient, ct: Path | None) -> str:
@@ -211,10 +211,10 @@ def _canal(geometry: Patient, ct: Path | None) -> str:
         return f"{canal.notes[0]}; above, the cortex thins to 2 mm"
     if geometry.canal.image:
         return f"label {geometry.canal.label} of {geometry.canal.image.name}"
-    reason = "as no label has it; --ct FILE takes it from a CT"
+    reason = "since no label contains it; --ct FILE takes it from a CT"
     if ct:
-        reason = "as the scan has too little of the shaft"
-    return f"by the ratios of the parametric femur, {reason}"
+        reason = "since the scan contains too little of the shaft"
+    return f"with the ratios of the parametric femur, {reason}"
 
 
 def _size(implant: Implant) -> str:

@@ -146,7 +146,7 @@ class Patient(OperatedHip):
     @model_validator(mode="after")
     def _placed(self) -> Patient:
         if self.canal.ct and (self.canal.path or not self.bone.image):
-            fail("needs a bone by `image` and `label`, and no other canal", at=("canal", "ct"))
+            fail("needs a bone with `image` and `label`, and no second canal", at=("canal", "ct"))
         self.check_end()
         implant = self.implant
         for field, text in implant.faults(spread(self.cement_thickness)[0]):
@@ -167,10 +167,10 @@ class Patient(OperatedHip):
         if level is None:
             if plug < low + 5.0:
                 text = (
-                    f"puts {self.plug_end} to z = {plug:.0f} mm, and the bone ends at {low:.0f} mm"
+                    f"puts {self.plug_end} at z = {plug:.0f} mm, but the bone ends at {low:.0f} mm"
                 )
                 missing = f"{low + 5.0 - plug:.0f} mm of bone are missing"
-                remedy = "set geometry.bone.extend: true, or take a shorter stem"
+                remedy = "set geometry.bone.extend: true, or use a shorter stem"
                 fail(f"{text}: {missing}; {remedy}", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
         if not low + 2.0 < level < plug - 2.0:
@@ -178,8 +178,8 @@ class Patient(OperatedHip):
             fail(f"{text} {self.plug_end}, {plug:.0f} mm", at=("distal_cut_z",))
         least, inside = max(INSIDE * implant.length, SHORTEST), implant.length + placed.top
         if inside < least:
-            text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
-            fail(text, at=("insertion", "depth"))
+            text = f"leaves {inside:.0f} mm of the stem below the cut"
+            fail(f"{text}; expected at least {least:.0f} mm", at=("insertion", "depth"))
         return self
 
     @property
@@ -239,7 +239,7 @@ class Patient(OperatedHip):
     @property
     def more_room(self) -> tuple[str, str]:
         """The key that says where the stem is, and what to change where it has no room."""
-        text = "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and"
+        text = "ream (canal.ream: broach), use a smaller or shorter stem, or change varus and"
         return "geometry.insertion", f"{text} offsets (insertion: best, or mantle place)"
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:

@@ -69,14 +69,14 @@ class ImageModulus(ModulusField):
         except InputError as error:
             fail(str(error), at=("density",))
         if self.sha256 not in (None, image.sha256):
-            fail(f"{self.density}: is not the image of this hash", at=("sha256",))
+            fail(f"{self.density}: has another hash; is it another image?", at=("sha256",))
         self.__dict__["sha256"] = image.sha256
         if not self.modulus_of(-1e9) > 0.0:
-            fail(f"is not positive at {LEAST} g/cm3", at=("law",))
+            fail(f"gives no positive modulus at {LEAST} g/cm3", at=("law",))
         if not SOFTEST < self.largest < STIFFEST:
-            text = f"{image.dense:g}, the densest, is {self.largest / 1e3:.2g} GPa; expected"
-            text += f" {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g}: another unit, metal, or labels?"
-            fail(f"the CT number {text}", at=("calibration", "slope"))
+            text = f"the largest CT number, {image.dense:g}, gives E = {self.largest / 1e3:.2g} GPa"
+            text += f"; expected {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g} GPa. Is the unit wrong, or"
+            fail(f"{text} does the image show metal or labels?", at=("calibration", "slope"))
         return self
 
     @property
@@ -140,17 +140,17 @@ class ImageModulus(ModulusField):
         image, name = self.image, self.density.name
         notes = list(image.notes)
         if image.lost:
-            notes.append(f"{name}: {image.lost:,} voxels are no numbers")
+            notes.append(f"{name}: {image.lost:,} voxels are not numbers")
         if image.least > AIR:
-            text = f"{name}: its least CT number is {image.least:g}; air has -1000: without air, or"
-            notes.append(f"{text} is 1024 added to all of them?")
+            text = f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
+            notes.append(f"{text} no air, or was 1024 added to all numbers?")
         if isinstance(geometry, Patient):
             median = float(np.median(self.below_surface(geometry)))
             if median > STIFF_CORTEX:
                 text = f"{name}: the median of E {INSIDE:g} mm below the bone's surface is"
-                expected = f"expected less than {STIFF_CORTEX / 1e3:g}"
+                expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
                 notes.append(
-                    f"{text} {median / 1e3:.1f} GPa; {expected}: is 1024 added to its CT numbers,"
-                    " or is the calibration another's?"
+                    f"{text} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"
+                    " or is the calibration that of another scanner?"
                 )
         return notes

@@ -113,11 +113,11 @@ class Image:
             last = np.array(self.values.shape) - 1
             outside = lost & ((index < 0) | (index > last)).any(axis=1)
             those = outside if outside.any() else lost
-            where = "outside of the image" if outside.any() else "in voxels that are no numbers"
-            text = f"{int(those.sum()):,} of {len(x):,} points are {where}, as "
+            where = "outside the image" if outside.any() else "in voxels that are not numbers"
+            text = f"{int(those.sum()):,} of {len(x):,} points are {where}, such as "
             text += "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[those][0])
-            remedy = ": is it in other axes? See the key `axes`"
-            raise InputError(text + (remedy if outside.any() else ": fill them"))
+            remedy = "; is it in other axes? See the key `axes`"
+            raise InputError(text + (remedy if outside.any() else "; fill these voxels"))
         return np.asarray(values)
 
 
@@ -130,8 +130,8 @@ def read(path: Path) -> Image:
     image = read_layers(path)
     if image.values.ndim > 3:
         count = image.values.shape[3]
-        what = "layers, as its segments overlap" if image.segments else "numbers in each voxel"
-        raise InputError(f"{path}: has {count} {what}; expected one number in each voxel")
+        what = "layers, since its segments overlap" if image.segments else "numbers per voxel"
+        raise InputError(f"{path}: has {count} {what}; expected one number per voxel")
     return image
 
 
@@ -167,7 +167,7 @@ def _read(path: Path, _changed: int) -> Image:
     except ModuleNotFoundError as error:
         raise missing(path, error) from None
     except Exception as error:  # damaged files let readers fail in any way
-        raise InputError(f"{path}: is no image that can be read: {error}") from error
+        raise InputError(f"{path}: cannot be read as an image: {error}") from error
     if values.dtype == bool:
         values = values.astype(np.uint8)
     # Axes of one entry after the three of space have no content.
@@ -175,30 +175,33 @@ def _read(path: Path, _changed: int) -> Image:
         values = values.reshape(values.shape[:3])
     layered = values.ndim == 4 and voxels.segments is not None
     if values.ndim == 4 and not layered:
-        text = f"has {values.shape[3]} numbers in each voxel, as colours or times"
+        text = f"has {values.shape[3]} numbers per voxel, such as colours or times"
         raise InputError(f"{path}: {text}; expected one")
     if not (values.ndim == 3 or layered) or values.dtype.kind not in "iuf" or not values.size:
-        raise InputError(f"{path}: is {values.dtype} in {values.ndim} dimensions, not numbers in 3")
+        text = f"is an array of type {values.dtype} in {values.ndim} dimensions"
+        raise InputError(f"{path}: {text}; expected numbers in 3 dimensions")
     if min(values.shape[:3]) < 2:
         text = " x ".join(str(n) for n in values.shape[:3])
-        raise InputError(f"{path}: is one slice, of {text} voxels; expected an image of a body")
+        raise InputError(f"{path}: is a single slice of {text} voxels; expected a volume")
     if not np.isfinite(affine).all():
-        raise InputError(f"{path}: has no places of its voxels: its affine is no numbers")
+        raise InputError(f"{path}: its affine contains values that are not numbers")
     edges = np.linalg.norm(affine[:3, :3], axis=0)
     if not (np.isfinite(edges).all() and edges.all()):
-        raise InputError(f"{path}: has no spacing of its voxels: {edges} mm")
+        raise InputError(f"{path}: the spacing of its voxels is {_by(edges)} mm; expected above 0")
     u = affine[:3, :3] / edges
     if np.abs(u.T @ u - np.eye(3)).max() > TILT:
-        raise InputError(f"{path}: its axes are not square, of a tilted gantry? Resample it")
+        raise InputError(
+            f"{path}: its axes are not perpendicular; was the gantry tilted? Resample it"
+        )
     if not np.isfinite(values).any():
-        raise InputError(f"{path}: has no voxel that is a number")
+        raise InputError(f"{path}: none of its voxels is a number")
     lattice, size = (" x ".join(f"{n:.4g}" for n in row) for row in (values.shape[:3], edges))
     layers = f" in {values.shape[3]} layers" if layered else ""
     taken = f"{voxels.kind}: {lattice} voxels of {size} mm{layers}, {values.dtype}"
     summary = (taken, *voxels.left_out)
     image = Image(values, affine, summary, voxels.doubts, voxels.segments)
     if image.lost:
-        return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are no numbers"))
+        return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are not numbers"))
     return image
 
 
@@ -239,7 +242,7 @@ def _dicom(path: Path) -> Voxels:
 
 def missing(path: Path, error: ModuleNotFoundError) -> InputError:
     """Return the error on a missing package that reading an image needs."""
-    return InputError(f"{path}: needs {error.name}, of packages.txt: `mantle setup` installs it")
+    return InputError(f"{path}: needs the package {error.name}; `mantle setup` installs it")
 
 
 def _npz(path: Path) -> Voxels:
@@ -273,14 +276,17 @@ def _nifti(path: Path) -> Voxels:
         image = nibabel.load(path)
     if not isinstance(image, nibabel.Nifti1Pair):
         kind = type(image).__name__.removesuffix("Image")
-        raise InputError(f"{path}: is no NIfTI but {kind}: convert it, as `mri_convert` does")
+        text = f"is not a NIfTI file but {kind}"
+        raise InputError(f"{path}: {text}; convert it, for example with `mri_convert`")
     header = image.header
     sform, qform = int(header["sform_code"]), int(header["qform_code"])
     if not (sform or qform):
-        raise InputError(f"{path}: its header has neither qform nor sform: no spacing, no axes")
+        raise InputError(
+            f"{path}: its header has neither qform nor sform, so its spacing and axes are unknown"
+        )
     unit = header.get_xyzt_units()[0]
     if unit not in ("mm", "unknown"):
-        raise InputError(f"{path}: its unit is {unit}; expected mm: it is in {unit}")
+        raise InputError(f"{path}: its unit is {unit}; expected mm")
     doubts = []
     if sform:
         by_sform = header.get_sform()
@@ -288,15 +294,15 @@ def _nifti(path: Path) -> Voxels:
         sizes = np.abs(np.asarray(header["pixdim"][1:4], float))
         if not np.allclose(edges, sizes, rtol=SIZE_OFF):
             raise InputError(
-                f"{path}: by its sform voxels have {_by(edges)} mm, by its pixdim {_by(sizes)} mm:"
-                " which is right? Correct the header, or write the image anew"
+                f"{path}: its voxels have {_by(edges)} mm by sform but {_by(sizes)} mm by pixdim;"
+                " correct the header, or write the image again"
             )
         if qform:
             doubts += _against_qform(path, image.shape, by_sform, header.get_qform())
     if sform in TEMPLATES and not qform:
         space = SPACES.get(sform, f"code {sform}")
         doubts.append(
-            f"{path.name}: its sform is in {space} space: is it still the patient's size?"
+            f"{path.name}: its sform is in {space} space; is it still the patient's size?"
         )
     name, code = ("sform", sform) if sform else ("qform", qform)
     space = SPACES.get(code, f"code {code}")
@@ -312,15 +318,15 @@ def _against_qform(path: Path, shape: tuple[int, ...], sform: Floats, qform: Flo
     """
     if np.linalg.det(sform[:3, :3]) * np.linalg.det(qform[:3, :3]) < 0:
         raise InputError(
-            f"{path}: its sform is the mirror image of its qform: which is right? Left and right"
-            " depend on it. Correct the header, or write the image anew"
+            f"{path}: its sform is the mirror image of its qform, so left and right are unknown;"
+            " correct the header, or write the image again"
         )
     corners = np.array([*np.ndindex(2, 2, 2)]) * (np.array(shape[:3]) - 1)
     apart = (sform - qform)[:3, :3] @ corners.T + (sform - qform)[:3, 3:]
     far = float(np.linalg.norm(apart, axis=0).max())
     if far <= APART * float(np.linalg.norm(sform[:3, :3], axis=0).min()):
         return []
-    return [f"{path.name}: its sform and qform differ by up to {far:.3g} mm; sform is taken"]
+    return [f"{path.name}: its sform and qform differ by up to {far:.3g} mm; sform is used"]
 
 
 def _by(edges: Floats) -> str:

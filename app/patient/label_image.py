@@ -98,8 +98,8 @@ class LabelImage:
         if equal.mean() < SCATTERED:
             raise InputError(
                 f"{self.path}: the label {number} is surrounded by numbers from {rim.min():g} to"
-                f" {rim.max():g} that differ from voxel to voxel: probabilities, or labels that"
-                " were interpolated? Export labels, or resample them by nearest neighbour"
+                f" {rim.max():g} that differ from voxel to voxel; are they probabilities or"
+                " interpolated labels? Export labels, or resample them by nearest neighbour"
             )
 
 
@@ -148,13 +148,13 @@ def whole(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:
     between = off > NEARLY
     if between.any():
         raise InputError(
-            f"{path}: {int(between.sum()):,} voxels have values between whole numbers, as"
-            f" {known[between][0]:.4g}: no labels; resample the segmentation by nearest neighbour"
+            f"{path}: {int(between.sum()):,} voxels have values that are not whole numbers, such as"
+            f" {known[between][0]:.4g}; resample the segmentation by nearest neighbour"
         )
     notes = []
     if off.any():
         notes.append(f"labels rounded by up to {off.max():.2g}")
     lost = int((~finite).sum())
     if lost:
-        notes.append(f"{lost:,} voxels are no numbers: taken as 0")
+        notes.append(f"{lost:,} voxels are not numbers; they count as 0")
     return rounded, notes

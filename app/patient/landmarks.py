@@ -141,28 +141,28 @@ class Frame:
         notes = list(surface.doubts)
         low, high = USUAL_RADII
         if not low <= self.radius <= high:
-            text = f"the head's radius is {self.radius:.1f} mm; expected {low:g} to {high:g}"
-            notes.append(f"{text}: another unit or scale?")
+            text = f"the head's radius is {self.radius:.1f} mm; expected {low:g} to {high:g} mm"
+            notes.append(f"{text}. Is the unit or scale wrong?")
         angle = math.degrees(math.acos(-float(self.axes[2] @ self.neck)))
         low, high = USUAL_NECKS
         if not low <= angle <= high:
-            text = f"the neck-shaft angle is {angle:.0f} deg; expected {low:g} to {high:g}"
-            notes.append(f"{text}: stretched along an axis?")
+            text = f"the neck-shaft angle is {angle:.0f} deg; expected {low:g} to {high:g} deg"
+            notes.append(f"{text}. Is the bone stretched along an axis?")
         low, high = (ratio * self.radius for ratio in USUAL_LENGTHS)
         if self.version is not None and not low <= self.length <= high:
             text = f"it is {self.length:.0f} mm long with its condyles; expected {low:.0f} to"
-            notes.append(f"{text} {high:.0f} for its head: stretched along an axis?")
+            notes.append(f"{text} {high:.0f} mm for its head. Is it stretched along an axis?")
         if len(surface.rim):
             proximal = self.to_model(surface.rim)[:, 2] > 0
             if proximal.any():
                 text = f"its surface is open at the proximal end, at {place(surface.rim[proximal])}"
-                notes.append(f"{text} ({int(proximal.sum())} edges): are triangles missing there?")
+                notes.append(f"{text} ({int(proximal.sum())} edges); are triangles missing there?")
         heights = [float(self.to_model(border)[:, 2].mean()) for border in surface.borders]
         for border, height in zip(surface.borders, heights, strict=True):
             # The lowest one is the end of the scan, in the shaft.
             if height > min(0.0, min(heights)):
                 text = f"the bone is cut by the border of the image at {place(border)}"
-                notes.append(f"{text} ({len(border):,} voxels): is a part of it missing?")
+                notes.append(f"{text} ({len(border):,} voxels); is a part of it missing?")
         return notes
 
 
@@ -259,9 +259,10 @@ class _Finder:
             spheres.append((*_sphere(x[end], normal[end], area[end]), up))
         covered, centre, radius, self.up = max(spheres, key=lambda f: f[0])
         if covered < COVERED:
-            text = f"no sphere covers more than {100 * covered:.0f} % of itself at either end, the"
-            text += f" best at {place(centre)}; expected a femur with its head, in the right unit"
-            raise GeometryError(f"geometry.bone: {text}")
+            text = "has no head at either end: its surface covers at most"
+            text += f" {100 * covered:.0f} % of a sphere, at {place(centre)}"
+            remedy = "expected a femur with its head, in the right unit"
+            raise GeometryError(f"geometry.bone: {text}; {remedy}")
         for _ in range(4):
             out = x - centre
             far = _far(out)
@@ -304,11 +305,12 @@ class _Finder:
         """Refuse a surface that ends so high that the direction of the shaft is not known."""
         least = SHORT_SHAFT[1] * self.radius
         if self.below < least and "shaft" not in self.given:
-            text = f"has {max(self.below, 0.0):.0f} mm of whole shaft below the lesser trochanter"
+            below = max(self.below, 0.0)
             raise GeometryError(
-                f"geometry.bone: {text} and ends {self.depth:.0f} mm below the head's centre; the"
-                f" direction of the shaft needs {least:.0f} mm: use a scan that ends"
-                f" {least - max(self.below, 0.0):.0f} mm lower, or give landmarks.shaft"
+                f"geometry.bone: has {below:.0f} mm of complete shaft below the lesser trochanter,"
+                f" and ends {self.depth:.0f} mm below the head's centre. The direction of the shaft"
+                f" needs {least:.0f} mm: use a scan that ends {least - below:.0f} mm lower, or give"
+                " landmarks.shaft"
             )
 
     def _check_solid(self) -> None:
@@ -324,9 +326,8 @@ class _Finder:
         # Once around the bone, and once back around the canal.
         if times_around and not any(times_around):
             raise GeometryError(
-                "geometry.bone: its shaft is hollow: the wall of the canal is a part of its"
-                " surface. Expected the outer surface alone: fill the canal where it was made, and"
-                " give it as a file of its own (geometry.canal)"
+                "geometry.bone: its shaft is hollow: the surface includes the wall of the canal."
+                " Give the outer surface alone, and the canal as a separate file (geometry.canal)"
             )
 
     def _section(self, point: Floats) -> Floats:
@@ -356,10 +357,10 @@ class _Finder:
             low, high = (part * radius for part in TROCHANTER)
             peaks[:, (depths < low) | (depths > high)] = 0.0
             if not peaks.any():
-                text = f"no lesser trochanter stands out below the head at {place(self.head)}"
-                text += f", and the surface ends {self.depth:.0f} mm below that; expected a femur's"
-                text += " proximal part, or landmarks.lesser_trochanter"
-                raise GeometryError(f"geometry.bone: {text}")
+                text = f"no lesser trochanter was detected below the head at {place(self.head)}"
+                text += f", and the surface ends {self.depth:.0f} mm below it"
+                remedy = "expected a proximal femur, or landmarks.lesser_trochanter"
+                raise GeometryError(f"geometry.bone: {text}; {remedy}")
             # It stands out in several directions, a false peak beside the neck in one.
             shared = np.where(peaks > 0, uniform_filter(peaks, 5, mode="constant"), 0.0)
             best, at = np.unravel_index(shared.argmax(), peaks.shape)

@@ -112,18 +112,18 @@ class MeasuredLayers:
         missed = np.isnan(radii).any(axis=1)
         if missed.any():
             raise GeometryError(
-                "geometry: the stem's axis is outside of the bone at"
-                f" {self._at_axis(zeta[missed].max())}; move or turn the stem (insertion: offsets,"
-                " varus), cut lower or flatter (resection), or repair the surface, if it crosses"
-                " itself there"
+                "geometry: the stem's axis is outside the bone at"
+                f" {self._at_axis(zeta[missed].max())}; move or rotate the stem (insertion:"
+                " offsets, varus), cut lower or flatter (resection), or repair the surface if it"
+                " crosses itself there"
             )
         twice = (times > 2).mean()
         if twice > TWICE:
             where = self._at_axis(zeta[int(np.median(np.nonzero(times > 2)[0]))])
             raise GeometryError(
                 f"geometry.bone: {100 * twice:.0f} % of rays across the bone meet its surface more"
-                f" than once, about {where}: it crosses itself or has cavities; repair it where it"
-                " was made"
+                f" than once, near {where}: it crosses itself or has cavities; repair it in the"
+                " program that wrote it"
             )
         self._bone = Radii(zeta, _limited(radii))
         canal_radii = self._table() if canal is None else self._measured(canal)
@@ -168,7 +168,7 @@ class MeasuredLayers:
         x = self._places(self._bone.radii)
         theta = np.arctan2(x[..., 1], x[..., 0])
         z = np.asarray(x[..., 2] / self._size)
-        self.notes.append("canal: by the ratios of the parametric femur")
+        self.notes.append("canal: with the ratios of the parametric femur")
         table = FemurBone()
         return np.asarray(self._bone.radii * table.endosteum(theta, z) / table.periosteum(theta, z))
 
@@ -179,8 +179,8 @@ class MeasuredLayers:
         rows = np.flatnonzero((times > 0).all(axis=1) & (zeta < self._lid(canal)))
         if not len(rows) or zeta[rows[-1]] < self._implant.tip_z:
             aside = float(np.hypot(*canal.points.mean(axis=0)[:2]))
-            text = f"does not surround the stem, and its middle is {aside:.0f} mm beside its axis;"
-            raise GeometryError(f"geometry.canal.surface: {text} is it in the axes of the bone?")
+            text = f"does not surround the stem: its centre is {aside:.0f} mm from the stem's axis."
+            raise GeometryError(f"geometry.canal.surface: {text} Is it in the axes of the bone?")
         first, last = rows[[0, -1]]
         if zeta[first] > self._sections.plug - CORE_OVER:
             raise GeometryError(
@@ -194,9 +194,9 @@ class MeasuredLayers:
         if wall.min() < 0:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
             raise GeometryError(
-                f"geometry.canal.surface: is {-wall.min():.1f} mm outside of the bone at"
-                f" {self._placed.where(self._places(bone)[first + i, j])}; expected within it, in"
-                " the same axes"
+                f"geometry.canal.surface: is {-wall.min():.1f} mm outside the bone at"
+                f" {self._placed.where(self._places(bone)[first + i, j])}; expected a canal inside"
+                " the bone, in the same axes"
             )
         below = bone[:first] * (canal_radii[0] / bone[first])
         part = np.clip((zeta[last + 1 :, None] - zeta[last]) / THINNING, 0.0, 1.0)
@@ -204,7 +204,7 @@ class MeasuredLayers:
         above = bone[last + 1 :] - (wall[-1] + part * (thin - wall[-1]))
         top = self._placed.to_model([0.0, 0.0, zeta[last]])[2]
         self.notes.append(
-            f"canal: measured up to z = {top:.0f} mm; above, cortex thins to {THIN:g}"
+            f"canal: measured up to z = {top:.0f} mm; above, the cortex thins to {THIN:g} mm"
         )
         return np.concatenate([below, canal_radii, above])
 

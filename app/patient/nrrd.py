@@ -65,7 +65,7 @@ def read(path: Path) -> Voxels:
     space = header.get("space", "").lower()
     if kind is None or space not in SPACES:
         what = f"type `{header['type']}`" if kind is None else f"space `{space}`"
-        raise InputError(f"{path}: its {what} is not read; save it as NIfTI in 3D Slicer")
+        raise InputError(f"{path}: its {what} is not supported; save it as NIfTI in 3D Slicer")
     units = {*re.findall(r'"([^"]*)"', header.get("spaceunits", ""))} - {"", "mm", "none"}
     if units:
         raise InputError(f"{path}: its unit is {', '.join(sorted(units))}; expected mm")
@@ -74,7 +74,7 @@ def read(path: Path) -> Voxels:
     if len(ways) != len(sizes) or len(ways) - len(across) != 3 or len(across) > 1:
         raise InputError(
             f"{path}: has {len(sizes)} axes, {len(ways) - len(across)} of them with a direction in"
-            " space; expected 3, and one of layers at most"
+            " space; expected 3, and at most one axis of layers"
         )
     dtype = np.dtype((">" if header.get("endian") == "big" else "<") + kind)
     flat, left_out = _numbers(path, header, contents, dtype, int(np.prod(sizes)))
@@ -104,8 +104,8 @@ def _segments(path: Path, keys: dict[str, str], layers: int) -> dict[str, LabelS
         value = int(keys.get(f"Segment{number}_LabelValue", "1"))
         layer = int(keys.get(f"Segment{number}_Layer", f"{place if layers > 1 else 0}"))
         if not 0 <= layer < layers:
-            text = f"its segment {name} is in layer {layer}, and it has {layers}"
-            raise InputError(f"{path}: {text}: is it damaged?")
+            text = f"its segment {name} is in layer {layer} (from 0) of {layers}"
+            raise InputError(f"{path}: {text}; is the file damaged?")
         if name in segments:
             name = f"{name} ({number})"
         segments[name] = LabelSegment(value, layer)
@@ -133,7 +133,7 @@ def data_files(path: Path) -> list[Path]:
     lost = [file.name for file in files if not file.is_file()]
     if lost or not files:
         text = f"{len(lost)} of the {len(files)} files of its voxels are missing"
-        raise InputError(f"{path}: {text}, as {', '.join(lost[:3])}: copy them to its folder")
+        raise InputError(f"{path}: {text}, such as {', '.join(lost[:3])}; copy them to its folder")
     return files
 
 
@@ -152,7 +152,7 @@ def _header(path: Path) -> tuple[dict[str, str], dict[str, str], list[str], int]
             start += chunk
             end = re.search(rb"\r?\n\r?\n", start) if chunk else re.search(rb"\Z", start)
     if not start.startswith(MAGIC) or end is None:
-        raise InputError(f"{path}: is no NRRD file, or its header is incomplete")
+        raise InputError(f"{path}: is not an NRRD file, or its header is incomplete")
     fields = dict[str, str]()
     keys = dict[str, str]()
     listed = list[str]()
@@ -196,7 +196,7 @@ def _numbers(
     expected = number * dtype.itemsize
     if len(raw) < expected or (len(parts) > 1 and any(len(part) != size for part in parts)):
         raise InputError(
-            f"{path}: has {len(raw):,} of {expected:,} bytes of its voxels: was it copied whole?"
+            f"{path}: has only {len(raw):,} of the {expected:,} bytes of its voxels; copy it again"
         )
     beyond = len(raw) - expected
     left_out = (f"{beyond:,} bytes after its voxels left out",) if beyond else ()
@@ -221,7 +221,7 @@ def _unpacked(path: Path, encoding: str, content: bytes) -> bytes:
                 return bytes.fromhex(content.decode("ascii"))
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(f"{path}: its voxels are damaged: {error}") from error
-    raise InputError(f"{path}: its encoding `{encoding}` is not read; save it with gzip")
+    raise InputError(f"{path}: its encoding `{encoding}` is not supported; save it with gzip")
 
 
 def _vector(text: str) -> list[float]:

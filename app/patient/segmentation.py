@@ -71,13 +71,13 @@ def segments(path: Path) -> list[Structure]:
         named = [file for file in files if FEMUR.search(file.name)]
         if not files:
             raise InputError(
-                f"{path}: has no segmentation; expected files {', '.join(ENDINGS)}, such as"
-                " femur_left.nii.gz"
+                f"{path}: contains no segmentation; expected files that end in"
+                f" {', '.join(ENDINGS)}, such as femur_left.nii.gz"
             )
         if not named:
             names = ", ".join(file.name for file in files[:6])
             raise InputError(
-                f"{path}: has no file of a femur, as femur_left.nii.gz; it has {names}"
+                f"{path}: has no file of a femur, such as femur_left.nii.gz; it has {names}"
             )
         return [segment for file in named for segment in segments(file)]
     if not path.is_file():
@@ -142,15 +142,17 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
         femora = there
     if not femora:
         raise InputError(
-            f"{path}: no label is named femur; it has {_list(there)}. Which is the femur? Give"
-            " --label with its name or number"
+            f"{path}: no label is named femur; its labels are {_list(there)}. Give --label with the"
+            " name or number of the femur"
         )
     if len(femora) > 1 and side:
         femora = [s for s in femora if s.side == side] or femora
     if len(femora) > 1:
         sides = {s.side for s in femora}
         remedy = "--side left or --side right" if sides == {*SIDES} else "--label NAME or NUMBER"
-        raise InputError(f"{path}: has {len(femora)} femora: {_list(femora)}; choose by {remedy}")
+        raise InputError(
+            f"{path}: has {len(femora)} femora: {_list(femora)}; choose one with {remedy}"
+        )
     return femora[0]
 
 

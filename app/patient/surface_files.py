@@ -56,7 +56,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     suffix = path.suffix.lower()
     expected = ", ".join(SUFFIXES)
     if suffix not in SUFFIXES:
-        raise GeometryError(f"{path}: `{path.suffix}` is none of {expected}")
+        raise GeometryError(f"{path}: has the ending `{path.suffix}`; expected one of {expected}")
     with path.open("rb") as file:
         start = file.read(100_000)
     if not start:
@@ -69,7 +69,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     kind = _format_of(start, size)
     if kind and kind != suffix:
         name = {".stl": "an STL", ".obj": "an OBJ", ".ply": "a PLY"}[kind]
-        raise GeometryError(f"{path}: is {name} file by its content: rename it")
+        raise GeometryError(f"{path}: is {name} file by its content; rename it to *{kind}")
     match suffix:
         case ".stl":
             return _read_stl(path)
@@ -179,29 +179,29 @@ def _count(data: bytes) -> int:
 def _binary_stl(path: Path, data: bytes) -> tuple[Floats, list[str]]:
     """Read the triangles of a binary file; their number has to agree with its length."""
     if len(data) < STL_HEADER:
-        raise GeometryError(f"{path}: is no STL file, of {len(data):,} bytes")
+        raise GeometryError(f"{path}: is not an STL file: it has only {len(data):,} bytes")
     count, notes = _count(data), []
     there, beyond = divmod(len(data) - STL_HEADER, FACET_SIZE)
     if count in UNKNOWN and not beyond:
-        notes.append(f"its header does not give their number, {there:,} by its length")
+        notes.append("their number follows from the length of the file, not from its header")
         count = there
     swapped = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "big")
     if there and not beyond and swapped == there:
-        text = f"its {there:,} triangles are in big-endian order, and STL has little-endian numbers"
-        raise GeometryError(f"{path}: {text}; write it anew")
+        text = f"its {there:,} triangles are in big-endian order; STL files are little-endian"
+        raise GeometryError(f"{path}: {text}. Write it again")
     if count > there:
         raise GeometryError(
-            f"{path}: is no STL file, or is cut short: as a binary one it has {there:,} of the"
-            f" {count:,} triangles that its header gives"
+            f"{path}: is not an STL file, or is cut short: read as binary STL, it has {there:,} of"
+            f" the {count:,} triangles in its header"
         )
     rest = data[STL_HEADER + FACET_SIZE * count :]
     second = _stl_size(rest)
     if second is not None and len(rest) >= second:
         text = f"a second STL file follows its {count:,} triangles"
-        raise GeometryError(f"{path}: {text}; merge them into one, or keep the femur")
+        raise GeometryError(f"{path}: {text}; merge both into one, or keep the femur alone")
     if rest.strip(b"\0") and not beyond:
-        text = f"its header gives {count:,} triangles, and there are {there:,}"
-        raise GeometryError(f"{path}: {text}; write it anew")
+        text = f"its header gives {count:,} triangles, but it contains {there:,}"
+        raise GeometryError(f"{path}: {text}; write it again")
     if rest:
         notes.append(f"{len(rest):,} bytes after its end are left out")
     rows = np.frombuffer(data, FACET_TYPE, count, STL_HEADER)
@@ -232,28 +232,28 @@ def _text_stl(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str
             read = f"after {len(corners):,} facets"
             if not rest or SOLID_BEGIN.match(rest):
                 raise GeometryError(
-                    f"{path}: its solid of line {_line_of(text, first)} has no `endsolid`, {read}:"
-                    " is it cut short? If not, add that line"
+                    f"{path}: the solid that begins in line {_line_of(text, first)} has no"
+                    f" `endsolid` {read}; is the file cut short? If not, add that line"
                 )
             if FACET_END.search(rest):
                 raise _unread(path, text, at, "a facet of three vertices, or `endsolid`")
             where = _line_of(text, len(text) - len(rest))
             raise GeometryError(
-                f"{path}: line {where}: ends or is damaged in a facet, {read}; is it cut short?"
+                f"{path}: line {where}: the file is cut short or damaged in a facet, {read}"
             )
         at = end.end()
     facets = len(FACET_END.findall(text))
     if facets > len(corners):
         raise GeometryError(
-            f"{path}: {facets:,} facets end in it, and {len(corners):,} could be read: names of"
-            " solids must end with their line"
+            f"{path}: only {len(corners):,} of its {facets:,} facets could be read; the name of a"
+            " solid must end with its line"
         )
     try:
         values = np.array([[float(word) for word in facet] for facet in corners])
     except ValueError:
         word = next(w for facet in corners for w in facet if not _is_number(w))
         where = _line_of(text, text.index(word))
-        raise GeometryError(f"{path}: line {where}: `{word[:40]}` is no number") from None
+        raise GeometryError(f"{path}: line {where}: `{word[:40]}` is not a number") from None
     several = f" in {solids} solids" if solids > 1 else ""
     return values.reshape(-1, 3, 3), [
         f"{len(corners):,} triangles of a text STL file{several}",
@@ -266,7 +266,7 @@ def _unread(path: Path, text: str, at: int, expected: str) -> GeometryError:
     rest = text[at:].lstrip()
     words = " ".join(rest.split()[:6])[:60]
     where = _line_of(text, len(text) - len(rest))
-    return GeometryError(f"{path}: line {where}: expected {expected}; it has `{words}`")
+    return GeometryError(f"{path}: line {where}: expected {expected}, but it has `{words}`")
 
 
 def _is_number(word: str) -> bool:
@@ -436,7 +436,7 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
     """Return the byte order (empty for text), the elements, and the byte at which rows begin."""
     end = HEADER_END.search(data[:1_000_000])
     if not data.lstrip(b"\xef\xbb\xbf").startswith(b"ply") or not end:
-        raise _Damaged("is no PLY file, or is cut short: it has no header up to `end_header`")
+        raise _Damaged("is not a PLY file, or is cut short: it has no line `end_header`")
     order, elements = None, []
 
     def known(*types: str) -> bool:
@@ -450,9 +450,9 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                 elements.append(Element(name, int(count), ()))
             case ["property", "list", count, kind, name] if elements and known(count, kind):
                 if PLY_TYPES[count][0] == "f":
-                    raise _Damaged(f"header: `{line.strip()[:60]}`: a list is counted in integers")
+                    raise _Damaged(f"header: `{line.strip()[:60]}`: lengths of lists are integers")
                 if name in AXES:
-                    raise _Damaged(f"header: `{line.strip()[:60]}`: a coordinate is one number")
+                    raise _Damaged(f"header: `{line.strip()[:60]}`: a coordinate is not a list")
                 _add(elements, Property(name, PLY_TYPES[kind], PLY_TYPES[count]))
             case ["property", kind, name] if elements and known(kind):
                 _add(elements, Property(name, PLY_TYPES[kind]))
@@ -462,7 +462,7 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
         raise _Damaged("header: it has no line `format`")
     names = [element.name for element in elements]
     if len(set(names)) < len(names):
-        raise _Damaged("header: an element is there twice")
+        raise _Damaged("header: an element is declared twice")
     return order, elements, end.end()
 
 
@@ -479,7 +479,7 @@ Reader = Callable[[Element | None], Columns]
 def _short(element: Element, rows: int) -> _Damaged:
     """Return the error on an element with fewer rows than its header says."""
     text = f"element {element.name} has {element.rows:,} rows in the header"
-    return _Damaged(f"is cut short or damaged: {text}, and {rows:,} are there")
+    return _Damaged(f"is cut short or damaged: {text}, but only {rows:,} in the file")
 
 
 def _text_ply(data: bytes, start: int) -> Reader:
@@ -506,7 +506,7 @@ def _text_ply(data: bytes, start: int) -> Reader:
                     raise _short(element, row) from None
                 except ValueError:
                     text = f"row {row + 1:,} of element {element.name}"
-                    raise _Damaged(f"{text}: a corner or count is no whole number") from None
+                    raise _Damaged(f"{text}: a corner or count is not a whole number") from None
         return columns
 
     def numbers(element: Element) -> Columns:
@@ -656,12 +656,13 @@ def _corners_of(
     lost = ~np.isfinite(points[used]).all(axis=1)
     if lost.any():
         number = int(used[lost][0]) + 1
-        text = f"{int(lost.sum()):,} of its vertices are no numbers, the first is number {number:,}"
+        text = f"{int(lost.sum()):,} of its vertices are not numbers"
+        text += f"; the first is vertex {number:,}"
         raise GeometryError(f"{path}: {text}")
     notes = []
     more = int((sizes > 3).sum())
     if more:
-        notes.append(f"{more:,} faces of more than three corners divided")
+        notes.append(f"{more:,} faces with more than three corners divided")
     unused = len(points) - len(used)
     if unused:
         notes.append(f"{unused:,} vertices without a face left out")

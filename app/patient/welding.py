@@ -69,8 +69,8 @@ def thin(surface: Welded, size: float) -> Welded:
         np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True
     )
     kept = triangles[np.sort(first[times % 2 == 1])]
-    note = f"{len(surface.triangles):,} triangles: corners within {size} mm made one,"
-    notes = [*surface.notes, f"{note} {len(kept):,} are left"]
+    note = f"{len(kept):,} of {len(surface.triangles):,} triangles left after merging corners"
+    notes = [*surface.notes, f"{note} within {size} mm"]
     return _used(Welded(points, kept, notes))
 
 
@@ -181,8 +181,8 @@ def _welded_wider(surface: Welded, size: float) -> Welded:
     points = _means(surface.points, label)
     moved = float(np.linalg.norm(points[label] - surface.points, axis=1).max())
     joined = int((of[rim] != rim).sum())
-    text = f"{joined:,} corners within {wider:.2g} mm of another made one, moved by {moved:.1g} mm"
-    notes = [*surface.notes, f"{text} at most"]
+    text = f"{joined:,} corners within {wider:.2g} mm of another merged with it"
+    notes = [*surface.notes, f"{text}, moved by at most {moved:.1g} mm"]
     return _without_repeats(Welded(points, label[surface.triangles], notes))
 
 

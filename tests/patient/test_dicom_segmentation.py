@@ -122,9 +122,12 @@ def unknown(data: Any) -> None:
 
 
 REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
-    "fractions": (fractions, "its masks are fractions .* export binary masks"),
-    "uneven planes": (uneven, r"planes are 0\.5 to 1\.75 mm apart|is at no multiple of one step"),
-    "unknown segment": (unknown, "17 of its frames are of no segment"),
+    "fractions": (fractions, "its masks are fractional .* export binary masks"),
+    "uneven planes": (
+        uneven,
+        r"planes are 0\.5 to 1\.75 mm apart|is not at a multiple of one step",
+    ),
+    "unknown segment": (unknown, "17 frames belong to no segment"),
 }
 
 

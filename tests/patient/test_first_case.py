@@ -73,7 +73,7 @@ def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
     affine = image.affine.copy()
     affine[2, 3] += 100.0
     nibabel.Nifti1Image(np.asarray(image.dataobj), affine).to_filename(folder / "other.nii.gz")
-    with pytest.raises(InputError, match="CT does not contain the femur of the labels"):
+    with pytest.raises(InputError, match="CT does not contain the labelled femur"):
         first_case.write(
             folder / "hip", folder / "labels.nii.gz", folder / "other.nii.gz", None, None
         )

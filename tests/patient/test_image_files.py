@@ -46,11 +46,11 @@ def nifti(
 
 UNIT = PLACES @ np.diag([*(1 / SPACING), 1])
 LYING: dict[str, tuple[dict[str, Any], str]] = {
-    "unit voxels": ({"sform": UNIT}, r"by its sform voxels have 1 x 1 x 1 mm, by its pixdim 0\.7"),
-    "z stretched": ({"sform": PLACES @ np.diag([1, 1, 1.25, 1])}, r"0\.7 x 0\.8 x 1\.562 mm, by"),
+    "unit voxels": ({"sform": UNIT}, r"its voxels have 1 x 1 x 1 mm by sform but 0\.7"),
+    "z stretched": ({"sform": PLACES @ np.diag([1, 1, 1.25, 1])}, r"0\.7 x 0\.8 x 1\.562 mm by"),
     "x mirrored": ({"sform": np.diag([-1, 1, 1, 1]) @ PLACES}, "sform is the mirror image of its"),
-    "pixdim alone": ({"codes": (1, 0), "pixdim": (1, 1, 1)}, "by its pixdim 1 x 1 x 1 mm"),
-    "template": ({"codes": (4, 1), "sform": PLACES * 1.1}, r"by its sform voxels have 0\.77"),
+    "pixdim alone": ({"codes": (1, 0), "pixdim": (1, 1, 1)}, "1 x 1 x 1 mm by pixdim"),
+    "template": ({"codes": (4, 1), "sform": PLACES * 1.1}, r"its voxels have 0\.77"),
     "no codes": ({"codes": (0, 0)}, "has neither qform nor sform"),
 }
 
@@ -83,7 +83,7 @@ def test_images_nifti_shifted_sform_has_a_note(tmp_path: Path) -> None:
     moved[:3, 3] += [3, 0, 4]
     image = images.read(nifti(tmp_path / "ct.nii", sform=moved))
     assert image.affine == pytest.approx(moved, abs=1e-5)
-    assert "sform and qform differ by up to 5 mm; sform is taken" in image.notes[0]
+    assert "sform and qform differ by up to 5 mm; sform is used" in image.notes[0]
 
 
 @pytest.mark.parametrize(("code", "notes"), [(2, 0), (3, 1), (4, 1)])
@@ -95,10 +95,10 @@ def test_images_nifti_template_sform_has_a_note(code: int, notes: int, tmp_path:
 
 def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
     nibabel.MGHImage(VALUES, PLACES).to_filename(tmp_path / "ct.mgz")
-    with pytest.raises(InputError, match="is no NIfTI but MGH: convert it"):
+    with pytest.raises(InputError, match="is not a NIfTI file but MGH; convert it"):
         images.read(tmp_path / "ct.mgz")
     folder = slices(tmp_path / "ct", VALUES / 1.0, PLACES)
-    with pytest.raises(InputError, match="is one file of DICOM: give the folder"):
+    with pytest.raises(InputError, match="is a single DICOM slice; give the folder"):
         images.read(folder / "1.2.0")
 
 
@@ -116,9 +116,9 @@ def test_images_nifti_may_be_unpacked_under_its_name(
 
 
 SHAPES: dict[str, tuple[Any, str]] = {
-    "one slice at eight times": (VALUES[:, :, None, :], "has 8 numbers in each voxel, as colours"),
-    "two volumes": (np.stack([VALUES, VALUES], axis=-1), "has 2 numbers in each voxel"),
-    "one slice": (VALUES[:, :, :1], "is one slice, of 12 x 10 x 1 voxels"),
+    "one slice at eight times": (VALUES[:, :, None, :], "has 8 numbers per voxel, such as colours"),
+    "two volumes": (np.stack([VALUES, VALUES], axis=-1), "has 2 numbers per voxel"),
+    "one slice": (VALUES[:, :, :1], "is a single slice of 12 x 10 x 1 voxels"),
 }
 
 
@@ -192,13 +192,13 @@ def test_images_nan_voxels_matter_only_where_needed(
     values[3, 3, 3] = np.inf
     image = images.read(nifti(tmp_path / "ct.nii.gz", values=values))
     lost = 2 * 10 * 8 + 1
-    assert image.summary[1] == f"{lost} voxels are no numbers"
+    assert image.summary[1] == f"{lost} voxels are not numbers"
     assert image.dense == np.percentile(values[np.isfinite(values)], 99.9)
     inside = (PLACES @ [6.5, 2.5, 4.5, 1])[:3]
     assert np.isfinite(image.at(inside[None])).all()
     for index, message in (
-        (0, "are in voxels that are no numbers"),
-        (-2, "are outside of the image"),
+        (0, "are in voxels that are not numbers"),
+        (-2, "are outside the image"),
     ):
         x = (PLACES @ [index + 0.5, 2, 4, 1])[:3]
         with pytest.raises(InputError, match=f"1 of 2 points {message}"):
@@ -235,7 +235,7 @@ def test_label_surface_interpolated_labels_are_refused(tmp_path: Path) -> None:
     values = 0.5 * (LABELS + np.roll(LABELS, 1, axis=0))
     between = int((values % 1 > 0).sum())
     with pytest.raises(
-        InputError, match=f"{between:,} voxels have values between whole .* nearest"
+        InputError, match=f"{between:,} voxels have values that are not whole .* nearest"
     ):
         label_surface.read(labelled(tmp_path, values), 1)
 
@@ -248,7 +248,7 @@ def test_label_surface_mask_has_label_1(tmp_path: Path) -> None:
 def test_label_surface_nan_labels_are_background(tmp_path: Path) -> None:
     values = np.where(LABELS > 0, LABELS, np.nan)
     corners, body = label_surface.read(labelled(tmp_path, values), 2)
-    assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in body.notes
+    assert f"{int((LABELS == 0).sum()):,} voxels are not numbers; they count as 0" in body.notes
     assert corners == pytest.approx(label_surface.read(labelled(tmp_path, LABELS), 2)[0])
 
 
@@ -426,10 +426,10 @@ def lossy(folder: Path) -> None:
 
 
 DOUBTFUL: dict[str, tuple[Callable[[Path], None], str]] = {
-    "gaps": (few_of_many, "slices are 1.25 mm apart and 0.6 mm thick: are slices missing?"),
-    "moved": (moved, "its slices are in 2 frames of reference: was the patient moved?"),
+    "gaps": (few_of_many, "slices are 1.25 mm apart and 0.6 mm thick; are slices missing?"),
+    "moved": (moved, "its slices are in 2 frames of reference; was the patient moved?"),
     "two in one": (repeated_numbers, "8 of its 8 slices share their instance number with another"),
-    "lossy": (lossy, "its slices were compressed with a loss"),
+    "lossy": (lossy, "its slices have lossy compression"),
 }
 
 
@@ -448,8 +448,8 @@ READ: dict[str, tuple[Callable[[Path], None], str]] = {
     "junk": (junk, "3 other files left out: empty, notes.txt, thumbs.db"),
     "localizer": (localizer, "1 localizers left out: scout"),
     "secondary capture": (captured, "1 images without position left out: shot"),
-    "all twice": (twice, "8 slices that stand twice taken once: "),
-    "one twice": (once_more, "1 slices that stand twice taken once: "),
+    "all twice": (twice, "8 copies of slices left out: "),
+    "one twice": (once_more, "1 copies of slices left out: "),
     "no preamble": (without_preamble, ""),
     "no preamble, no syntax": (without_meta, ""),
     "turned by rounding": (turned, ""),
@@ -549,19 +549,31 @@ def spacing(folder: Path) -> None:
 
 
 DICOM_REFUSED: dict[str, tuple[Callable[[Path], None], str]] = {
-    "other rows": (fewer_rows, r"1\.2\.3 has pixels of 5 x 12, the other slices 10 x 12: leave"),
-    "other spacing": (spacing, r"1\.2\.3 has spacing 0\.8 x 0\.9, the other slices 0\.8 x 0\.7"),
-    "two series": (other_series, "has 8, 3 slices; .* 3 of 'Thin B70', as b1"),
-    "other plane": (other_plane, r"1\.2\.3 is in another plane than the rest"),
-    "two phases": (other_values, r"1\.2\.3 and phase2 are at one place and differ|phase2 and 1"),
-    "subfolder alone": (in_folders, r"has no slices; look in its folder S1 \(8 files\)"),
-    "subfolder of a subfolder": (in_folders_of_folders, r"look in its folder A/S1 \(8 files\)"),
-    "table": (table_of_numbers, r"1\.2\.3: has its CT numbers by a table .Modality LUT."),
-    "nothing": (emptied, "has no slices: none of its 1 files is DICOM"),
+    "other rows": (fewer_rows, r"1\.2\.3 has 5 x 12 pixels, the other slices 10 x 12; leave"),
+    "other spacing": (
+        spacing,
+        r"1\.2\.3 has 0\.8 x 0\.9 mm between pixels, the other slices 0\.8 x 0\.7",
+    ),
+    "two series": (
+        other_series,
+        "has 2 series or orientations; .* 3 slices of 'Thin B70', such as b1",
+    ),
+    "other plane": (other_plane, r"1\.2\.3 is not parallel to the other slices"),
+    "two phases": (
+        other_values,
+        r"1\.2\.3 and phase2 differ, but have the same position|phase2 and 1",
+    ),
+    "subfolder alone": (in_folders, r"has no slices; its folders have: S1 \(8 files\)"),
+    "subfolder of a subfolder": (in_folders_of_folders, r"its folders have: A/S1 \(8 files\)"),
+    "table": (table_of_numbers, r"1\.2\.3: gives CT numbers by a table .Modality LUT."),
+    "nothing": (emptied, "has no slices: none of its 1 files is a DICOM file"),
     "no position": (no_positions, "no position in the patient .Secondary Capture Image Storage"),
-    "many frames at one place": (frames, r"1\.2\.3: has 8 frames and one place; convert it"),
-    "one slice": (alone, r"has one slice only, 1\.2\.3"),
-    "cut": (cut, r"1\.2\.3: has no pixels that can be read"),
+    "many frames at one place": (
+        frames,
+        r"1\.2\.3: has 8 frames but only one position; convert it",
+    ),
+    "one slice": (alone, r"has only one slice, 1\.2\.3"),
+    "cut": (cut, r"1\.2\.3: its pixels cannot be read"),
 }
 
 
@@ -579,7 +591,7 @@ def test_dicom_series_file_without_voxels_says_its_kind(folder: Path) -> None:
     del data.Rows, data.Columns
     data.SOPClassUID = "1.2.840.10008.5.1.4.1.1.481.3"
     data.save_as(path)
-    with pytest.raises(InputError, match=r"has no voxels \(RT Structure Set Storage\): export its"):
+    with pytest.raises(InputError, match=r"has no voxels \(RT Structure Set Storage\); export its"):
         images.read(path)
 
 
@@ -671,14 +683,17 @@ FRAMES_REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
     "missing": (without_frame, r"2\.5 mm apart; is one missing after ct\.dcm \(frame \d\)\?"),
     "two stacks": (
         frames_of_two_stacks,
-        r"has 3, 5 slices; .* as ct\.dcm \(frame 1\); .* as ct\.dcm \(frame 4\)\. Convert one",
+        r"series or orientations; convert it .* as ct\.dcm \(frame 1\); .* as ct\.dcm \(frame 4\)",
     ),
-    "two phases": (frames_at_one_place, r"ct\.dcm \(frame .\) are at one place and differ"),
+    "two phases": (frames_at_one_place, r"ct\.dcm \(frame .\) differ, but have the same position"),
     "no place": (frames_without_place, "have no position in the patient .Enhanced CT Image"),
-    "fewer places": (fewer_places, r"ct\.dcm: has 8 frames, and places of 5: is it damaged"),
-    "other plane": (frames_of_other_plane, r"ct\.dcm \(frame 3\) is in another plane"),
-    "cut": (fewer_pixels, r"ct\.dcm: has no pixels that can be read"),
-    "one frame": (one_frame, r"ct\.dcm: is one file of DICOM: give the folder of its series"),
+    "fewer places": (
+        fewer_places,
+        r"ct\.dcm: has 8 frames but the positions of 5; is the file damaged",
+    ),
+    "other plane": (frames_of_other_plane, r"ct\.dcm \(frame 3\) is not parallel"),
+    "cut": (fewer_pixels, r"ct\.dcm: its pixels cannot be read"),
+    "one frame": (one_frame, r"ct\.dcm: is a single DICOM slice; give the folder of its series"),
 }
 
 

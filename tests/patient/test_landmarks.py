@@ -159,7 +159,7 @@ def test_bone_surface_unit_is_found_and_reported(tmp_path: Path) -> None:
     assert read == "5,056 triangles of a binary STL file"
     assert unit == "unit: m, as the surface is 0.337 long"
     with pytest.raises(
-        GeometryError, match=r"0\.337 mm long, and a femur's proximal part 65 to 600 mm"
+        GeometryError, match=r"0\.337 mm long, but a proximal femur is 65 to 600 mm"
     ):
         bone_surface.read(path, "mm")
 
@@ -171,7 +171,7 @@ def test_bone_surface_flipped_triangles_are_reversed_with_note(tmp_path: Path) -
         return BoneSurface(s.points, triangles)
 
     surface = bone_surface.read(bytes_of(tmp_path, flip))
-    assert "30 triangles turned over" in surface.notes
+    assert "30 triangles with the wrong orientation turned over" in surface.notes
     a, b, c = surface.corners.transpose(1, 0, 2)
     x, y, z = parametric_femur().corners.transpose(1, 0, 2)
     assert (np.cross(a, b) * c).sum() == pytest.approx((np.cross(x, y) * z).sum(), rel=1e-5)
@@ -203,4 +203,4 @@ def test_bone_surface_many_triangles_are_thinned(
     monkeypatch.setattr(bone_surface, "THIN", 6.0)
     surface = bone_surface.read(bytes_of(tmp_path, lambda s: s))
     assert len(surface.triangles) < 0.7 * len(parametric_femur().triangles)
-    assert "5,056 triangles: corners within 6.0 mm made one" in " ".join(surface.notes)
+    assert "of 5,056 triangles left after merging corners within 6.0 mm" in " ".join(surface.notes)

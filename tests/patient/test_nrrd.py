@@ -102,23 +102,32 @@ def test_nrrd_other_file_is_read_again_when_it_changes(tmp_path: Path) -> None:
 
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "unit": (one_file(RAW, *lines(space_units='"cm" "cm" "cm"')), "its unit is cm; expected mm"),
-    "space": (one_file(RAW, *lines(space="scanner-xyz")), "space `scanner-xyz` is not read"),
-    "type": (one_file(RAW, "NRRD0004", "type: block", *lines()[2:]), "type `block` is not read"),
-    "encoding": (one_file(RAW, *lines("zrl")), "its encoding `zrl` is not read; save it with gzip"),
+    "space": (one_file(RAW, *lines(space="scanner-xyz")), "space `scanner-xyz` is not supported"),
+    "type": (
+        one_file(RAW, "NRRD0004", "type: block", *lines()[2:]),
+        "type `block` is not supported",
+    ),
+    "encoding": (
+        one_file(RAW, *lines("zrl")),
+        "its encoding `zrl` is not supported; save it with gzip",
+    ),
     "no axes": (one_file(RAW, *lines(space_directions=None)), "header has no space directions"),
-    "short": (one_file(RAW[:-2], *lines()), "has 118 of 120 bytes"),
+    "short": (one_file(RAW[:-2], *lines()), "has only 118 of the 120 bytes"),
     "damaged": (one_file(gzip.compress(RAW)[:-9], *lines("gzip")), "its voxels are damaged"),
-    "lost file": (detached("b.raw", {}), "1 of the 1 files of its voxels are missing, as b.raw"),
+    "lost file": (
+        detached("b.raw", {}),
+        "1 of the 1 files of its voxels are missing, such as b.raw",
+    ),
     "lost slice": (
         detached("s%d.raw 0 5 1", SLICES),
-        "1 of the 6 files of its voxels are missing, as s5.raw",
+        "1 of the 6 files of its voxels are missing, such as s5.raw",
     ),
-    "short file": (detached("a.raw", {"a.raw": RAW[:-2]}), "has 118 of 120 bytes"),
+    "short file": (detached("a.raw", {"a.raw": RAW[:-2]}), "has only 118 of the 120 bytes"),
     "colours": (
         one_file(
             3 * RAW, *header((3, *SHAPE), "short", encoding="raw", space_directions=f"none {WAYS}")
         ),
-        "has 3 numbers in each voxel, as colours or times; expected one",
+        "has 3 numbers per voxel, such as colours or times; expected one",
     ),
     "times": (
         one_file(2 * RAW, *header((*SHAPE, 2), "short", encoding="raw")),
@@ -128,11 +137,11 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda folder: segmentation(
             folder / "a.seg.nrrd", [VALUES > 0, VALUES > 9], [("a", 0, 1), ("b", 1, 1)]
         ),
-        "has 2 layers, as its segments overlap; expected one number in each voxel",
+        "has 2 layers, since its segments overlap; expected one number per voxel",
     ),
     "layer beyond": (
         lambda folder: segmentation(folder / "a.seg.nrrd", [VALUES > 0] * 2, [("a", 2, 1)]),
-        "its segment a is in layer 2, and it has 2",
+        "its segment a is in layer 2 .from 0. of 2",
     ),
 }
 

@@ -59,8 +59,8 @@ def test_segmentation_femur_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("numbers", "side", "label", "message"),
     [
-        ((51, 77), None, None, "no label is named femur; it has .*Give --label"),
-        ((75, 76), None, None, "has 2 femora: .*choose by --side left or --side right"),
+        ((51, 77), None, None, "no label is named femur; its labels are .*Give --label"),
+        ((75, 76), None, None, "has 2 femora: .*choose one with --side left or --side right"),
         ((1, 2), None, "3", "--label 3: .* has no such label; it has"),
     ],
 )
@@ -74,7 +74,7 @@ def test_segmentation_refuses_no_femur_and_two(
 
 
 def test_segmentation_refuses_folders_without_a_femur(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has no segmentation; expected files"):
+    with pytest.raises(InputError, match="contains no segmentation; expected files"):
         segmentation.femur(tmp_path, None, None)
     nifti(tmp_path / "liver.nii.gz", 1)
     with pytest.raises(InputError, match="has no file of a femur"):

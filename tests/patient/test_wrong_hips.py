@@ -89,52 +89,52 @@ def change(**keys: str) -> dict[str, dict[str, str]]:
 BONES: dict[str, tuple[BoneSurface | bytes, str]] = {
     "hole": (
         without(parametric_femur(), (15.0, 0.0, -60.0), 8.0),
-        f"open at {PLACE} .*, not at an end; close",
+        f"open at {PLACE} .*, not at an end; repair",
     ),
     "fin": (
         finned(parametric_femur()),
-        f"2 bodies, of 5,056 and 1 triangles, the second about {PLACE}",
+        f"2 bodies; the largest have 5,056 and 1 triangles, the second is at {PLACE}",
     ),
     "two": (
         twice(parametric_femur()),
-        f"2 bodies, of .* about {PLACE} of the file; expected one: keep the femur",
+        f"2 bodies; .* at {PLACE} in the file; keep the femur",
     ),
     "inch": (
         moved(parametric_femur(), EYE / 25.4, ZERO),
-        "13.27 units long, .* which unit .* cm or inch",
+        "13.27 units long, .* set its unit to cm or inch",
     ),
-    "tibia": (tibia(), f"no sphere covers more than .* best at {PLACE} .* femur with its head"),
+    "tibia": (tibia(), f"no head at either end: .* sphere, at {PLACE} .* femur with its head"),
     "distal half": (
         opened(moved(parametric_femur(), -EYE, ZERO), 70.0),
         f"no lesser .* {PLACE}.* proximal",
     ),
-    "headless": (headless(), f"no lesser trochanter .* {PLACE} .*; expected a femur's proximal"),
+    "headless": (headless(), f"no lesser trochanter .* {PLACE} .*; expected a proximal femur"),
     "dented": (bent(0, 60.0, (-14, 0, -70), 9.0), f"bone at {PLACE}.* crosses itself"),
-    "folded": (bent(2, 25.0, (0, 0, -70), (9e9, 9e9, 10.0)), f"than once, about {PLACE}"),
+    "folded": (bent(2, 25.0, (0, 0, -70), (9e9, 9e9, 10.0)), f"than once, near {PLACE}"),
     "empty": (b"", "empty.stl: is empty"),
     "cut off": (
         b"\0" * 80 + b"\x10\0\0\0" + b"\0" * 99,
-        "has 1 of the 16 triangles that its header gives",
+        "has 1 of the 16 triangles in its header",
     ),
     "text cut off": (
         b"solid x facet outer loop vertex 0 0",
-        "no `endsolid`, after 0 facets: is it cut short",
+        "no `endsolid` after 0 facets; is the file cut short",
     ),
     "no triangles": (b"solid x\nendsolid x", "has no triangles"),
     "nan": (
         b"solid x\nfacet normal 0 0 1 outer loop vertex 0 0 nan vertex 1 0 0 vertex 0 1 0"
         b" endloop endfacet\nendsolid",
-        "corners that are no numbers",
+        "corners that are not numbers",
     ),
 }
 CANALS = {
     "outside": (
         moved(parametric_canal(), np.diag([2.3, 2.3, 1]), ZERO),
-        f"outside of the bone at {PLACE}",
+        f"outside the bone at {PLACE}",
     ),
     "elsewhere": (
         moved(parametric_canal(), EYE, np.array([90.0, 0, 0])),
-        "90 mm beside .* axes of the bone",
+        "90 mm from .* axes of the bone",
     ),
     "short": (
         moved(parametric_canal(), np.diag([1, 1, 0.5]), np.array([0, 0, -20.0])),
@@ -145,19 +145,19 @@ CANALS = {
 KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
     "no bone": ({"bone": {"image": "bone.stl"}}, "expected `surface`, or `image` and `label`"),
-    "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "no image that can be read|needs"),
-    "gantry": ({"bone": {"image": "tilted", "label": 1}}, "tilted: .* of a tilted gantry|needs"),
-    "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* Expected mm"),
+    "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "cannot be read as an image|needs"),
+    "gantry": ({"bone": {"image": "tilted", "label": 1}}, "tilted: .* gantry tilted|needs"),
+    "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* set its unit to mm"),
     "side": ({"bone": {"surface": "bone.stl", "side": "right"}}, "14 mm behind the axis of a left"),
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
     "no condyles": ({"insertion": {"version": {"relative_to": "condyles"}}}, "relative_to: neck"),
     "too long": (
         {"stem": {"length": "300 mm"}, "bone": {"surface": "bone.stl", "extend": False}},
-        "plug's end to z = -277 mm, and the bone ends at -26. mm: .* mm of bone are missing",
+        "plug's end at z = -277 mm, but the bone ends at -26. mm: .* mm of bone are missing",
     ),
     "too short": (
         {"stem": {"length": "50 mm", "corner_radius": "4 mm", "tip_corner_radius": "2 mm"}},
-        "leaves 42 mm of the stem below the cut; expected 50",
+        "leaves 42 mm of the stem below the cut; expected at least 50",
     ),
     "too wide": (
         {"stem": {"half_width": "16 mm", "neck_diameter": "12 mm"}},
@@ -180,9 +180,9 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
         f"for cement .least: 1 mm. laterally at {PLACE}, 0 mm below the cut",
     ),
     "steep": ({"resection": {"angle": "60 deg", "height": "20 mm"}}, f"outside .* at {PLACE}"),
-    "high": ({"resection": {"height": "120 mm"}}, "120 mm above .* outside of the bone; cut lower"),
+    "high": ({"resection": {"height": "120 mm"}}, "outside the bone 120 mm above .*; cut lower"),
     "varus": ({"insertion": {"varus": "4 deg"}}, rf"into the cortex \w*-?laterally at {PLACE}"),
-    "more varus": ({"insertion": {"varus": "6 deg"}}, f"outside of the bone at {PLACE}, 139 mm"),
+    "more varus": ({"insertion": {"varus": "6 deg"}}, f"outside the bone at {PLACE}, 139 mm"),
     "most varus": ({"insertion": {"varus": "20 deg"}}, "at most"),
 }
 
