@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.optimize import linprog
@@ -24,7 +25,8 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from meshes import cache, femur_stem, room
 from meshes.femur_stem import Thickness
-from meshes.placement import Placement, Position, position
+from meshes.geometry import HipKeys
+from meshes.placement import InsertionKeys, Placement, Position, VersionKeys, position
 from meshes.room import StemSurface, WidestCanal
 
 SEARCH_VERSION = 1  # raise it whenever the same input gives another position
@@ -46,6 +48,59 @@ ANGLE_DIGITS = 1  # decimals of a position's angles [deg]
 LENGTH_DIGITS = 1  # decimals of a position's lengths [mm]
 
 
+class SearchKeys(Protocol):
+    """Largest changes of a position in a search, in rad and mm."""
+
+    @property
+    def varus(self) -> float:
+        """Largest change of varus."""
+
+    @property
+    def flexion(self) -> float:
+        """Largest change of flexion."""
+
+    @property
+    def version(self) -> float:
+        """Largest change of the angle of version."""
+
+    @property
+    def offset(self) -> float:
+        """Largest change of both offsets."""
+
+
+class CopiedVersion(VersionKeys, Protocol):
+    """Rotation of the stem, whose keys can be changed."""
+
+    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
+        """The rotation with some keys changed."""
+
+
+class SearchedInsertion(InsertionKeys, Protocol):
+    """Position of a stem that is searched."""
+
+    @property
+    def version(self) -> CopiedVersion:
+        """Rotation about the shaft's axis."""
+
+    @property
+    def best(self) -> SearchKeys | None:
+        """Limits of the search; None: no search."""
+
+    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
+        """The position with some keys changed."""
+
+
+class SearchedHip(HipKeys, Protocol):
+    """A hip whose stem is put where there is most room."""
+
+    @property
+    def least_room(self) -> float:
+        """Room that the stem must have everywhere [mm]."""
+
+
+InsertionT = TypeVar("InsertionT", bound=SearchedInsertion)
+
+
 @dataclass(frozen=True)
 class Limits:
     """Largest changes of a position, in rad and mm."""
@@ -57,7 +112,7 @@ class Limits:
     anterior: float
 
     @classmethod
-    def of(cls, keys: Any) -> Limits:
+    def of(cls, keys: SearchKeys) -> Limits:
         """Return the limits that the keys of a search give."""
         return cls(keys.varus, keys.flexion, keys.version, keys.offset, keys.offset)
 
@@ -121,13 +176,15 @@ def best(
     return changed(u)
 
 
-def wanted_thickness(geometry: Any, placed: Placement) -> Thickness:
+def wanted_thickness(geometry: HipKeys, placed: Placement) -> Thickness:
     """Thickness of the mantle that a geometry asks for; without cement `UNCEMENTED`."""
     thickness = geometry.cement_thickness or UNCEMENTED
     return femur_stem.thickness(thickness, geometry.implant.tip_z, placed.top)
 
 
-def searched(geometry: Any, insertion: Any, folder: Path | None) -> tuple[Any, str]:
+def searched(
+    geometry: SearchedHip, insertion: InsertionT, folder: Path | None
+) -> tuple[InsertionT, str]:
     """Keys of the best position of a stem, and its gain of room, in words.
 
     A search takes 4 s of a core. Its result is kept, because each rank and each case of a sweep
@@ -157,8 +214,13 @@ def searched(geometry: Any, insertion: Any, folder: Path | None) -> tuple[Any, s
 
 
 def _with_numbers(
-    insertion: Any, varus: float, flexion: float, angle: float, medial: float, anterior: float
-) -> Any:
+    insertion: InsertionT,
+    varus: float,
+    flexion: float,
+    angle: float,
+    medial: float,
+    anterior: float,
+) -> InsertionT:
     """Keys of an insertion at a position, in rad and mm, without a search."""
     keys = {
         "varus": varus,
@@ -171,9 +233,10 @@ def _with_numbers(
     return insertion.model_copy(update=keys)
 
 
-def _search(geometry: Any, insertion: Any) -> tuple[list[float], str]:
+def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[float], str]:
     """Numbers of the best position, in the order of `_with_numbers`, and its gain in words."""
     start, limits = position(geometry), insertion.best
+    assert limits is not None  # the position is to be searched
     canal, neck = room.canal(geometry), geometry.femur.neck
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
     given = cut.put(implant, start, mirrored)

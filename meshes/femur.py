@@ -7,19 +7,33 @@ surface elsewhere. Both surfaces, and those of stem and bone, are functions on o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import swept
-from meshes.data import MeshData, MeshKeys, assemble, facet_areas, number
+from meshes.data import MeshData, MeshKeys, Sides, assemble, facet_areas, number
+from meshes.geometry import HipKeys
+from meshes.layered_surfaces import LayeredSurfaces
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 
 
-def build(geometry: Any, mesh: MeshKeys) -> MeshData:
+class OperatedHipKeys(HipKeys, Protocol):
+    """A proximal femur with a stem."""
+
+    @property
+    def details(self) -> Mapping[str, str]:
+        """Lines about it, by their captions."""
+
+    def surfaces(self, mesh: MeshKeys) -> LayeredSurfaces:
+        """The nested surfaces that are meshed."""
+
+
+def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
     """Mesh the femur with the regions and interfaces of the geometry.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
@@ -47,11 +61,11 @@ def build(geometry: Any, mesh: MeshKeys) -> MeshData:
 
 
 def assembled(
-    geometry: Any,
+    geometry: HipKeys,
     made: swept.Swept,
     x: Floats,
     regions: tuple[str, ...],
-    interfaces: dict[str, tuple[tuple[str, ...], tuple[str, ...]]],
+    interfaces: Mapping[str, Sides],
     masks: dict[str, Bools],
 ) -> MeshData:
     """The mesh of nodes x with tags, patches and notes; masks are over its exterior facets."""
@@ -64,7 +78,7 @@ def assembled(
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 
 
-def _patches(geometry: Any, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:
+def _patches(geometry: HipKeys, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:
     """Masks over exterior facets of the bone, for each muscle attachment.
 
     A patch is the facets nearest to the insertion with the total area of a disc of `PATCH_RADIUS`,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeGuard
 from app.mesh_files import Pick
 from meshes.data import Sides
 from meshes.femur_stem import Graded
-from meshes.placement import Placement, StemInBone
+from meshes.placement import PlacedStem
 
 if TYPE_CHECKING:
     from meshes.bone_layers import LayeredBone, RadialBone  # scipy at run time
@@ -182,7 +182,7 @@ class FileKeys(GeometryKeys, Protocol):
         """Copy the file and those that it names to a folder; return the hash of their content."""
 
 
-class HipKeys(GeometryKeys, StemInBone, Protocol):
+class HipKeys(GeometryKeys, PlacedStem, Protocol):
     """A proximal femur with a stem, or with a planned one."""
 
     @property
@@ -198,11 +198,7 @@ class HipKeys(GeometryKeys, StemInBone, Protocol):
         """True if there is cement between stem and bone."""
 
     @property
-    def placement(self) -> Placement:
-        """Cut and stem in the model's axes."""
-
-    @property
-    def distal_cut_z(self) -> float:
+    def level(self) -> float:
         """Level at which the shaft is cut."""
 
     @property
@@ -222,11 +218,18 @@ class HipKeys(GeometryKeys, StemInBone, Protocol):
         """Centre of the head and the muscles' insertions."""
 
 
+class PlannedStemKeys(Protocol):
+    """A planned stem by its numbers."""
+
+    def model_copy(self, *, update: Mapping[str, Any]) -> Self:
+        """The stem with some keys changed."""
+
+
 class IntactHipKeys(HipKeys, Protocol):
     """A proximal femur before the operation."""
 
     @property
-    def stem(self) -> Any:
+    def stem(self) -> PlannedStemKeys:
         """The planned stem, by the keys of the case."""
 
     @property

@@ -171,7 +171,7 @@ class LayeredSurfaces:
         through = mesh.cells_through(geometry.cement_thickness)
         self.through: tuple[int, ...] = through if self.stem.is_cemented else through[1:]
         self.cement = mesh.along_cement(geometry.cement_thickness)
-        zeta = self._divided(geometry.implant, self._placed.along(geometry.distal_cut_z))
+        zeta = self._divided(geometry.implant, self._placed.along(geometry.level))
         self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
         self.bone: BoneLayers = geometry.femur.layers(geometry, self.sections, self.stem)
         self._refuse()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -194,6 +194,14 @@ class StemInBone(Protocol):
         """Depth of the stem's shoulder below the cut [mm]; None: the implant has its level."""
 
 
+class PlacedStem(StemInBone, Protocol):
+    """Bone, cut and stem of a geometry, with its placement."""
+
+    @property
+    def placement(self) -> Placement:
+        """Cut and stem in the model's axes."""
+
+
 @dataclass(frozen=True)
 class Position:
     """Position of a stem in a bone. Lengths are in mm, angles in rad.
@@ -231,7 +239,7 @@ class CutPlane:
     way: Floats
 
     @classmethod
-    def of(cls, geometry: Any) -> CutPlane:
+    def of(cls, geometry: StemInBone) -> CutPlane:
         """The cut of a bone.
 
         Raises:
@@ -267,7 +275,7 @@ def _turned(position: Position) -> Floats:
     return version @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]] @ [[1, 0, 0], [0, cf, sf], [0, -sf, cf]]
 
 
-def position(geometry: Any) -> Position:
+def position(geometry: StemInBone) -> Position:
     """Position of the stem of a geometry.
 
     Without ``insertion`` the stem is along the shaft's axis, turned to the neck. Without
@@ -301,7 +309,7 @@ def place(geometry: StemInBone) -> Placement:
     return CutPlane.of(geometry).put(geometry.implant, position(geometry), geometry.femur.mirrored)
 
 
-def head_in_words(geometry: Any) -> str:
+def head_in_words(geometry: PlacedStem) -> str:
     """Offset, leg length and version of the stem's head, with their changes by the operation.
 
     The offset is the distance of the head's centre from the shaft's axis, the leg length its height

@@ -13,7 +13,6 @@ may reach into the cortex: its canal is then what leaves the least cortex.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,6 +22,7 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.cad_stem import CadStem
+from meshes.geometry import HipKeys
 from meshes.layered_surfaces import DEEP, LEAST_CORTEX, SIDES
 from meshes.layers import Sections
 from meshes.placement import CutPlane, Placement, Position
@@ -76,7 +76,7 @@ class WidestCanal:
         return np.asarray(UNIT * room - beyond)
 
 
-def canal(geometry: Any) -> WidestCanal:
+def canal(geometry: HipKeys) -> WidestCanal:
     """The widest possible canal of a geometry.
 
     Raises:
@@ -254,7 +254,7 @@ def fit(canal: WidestCanal, stem: StemSurface, placed: Placement) -> Fit:
     return Fit(float(room[worst]), x[worst], side)
 
 
-def room_in_words(geometry: Any) -> str:
+def room_in_words(geometry: HipKeys) -> str:
     """Least room around the stem of a geometry, with its place.
 
     Raises:

@@ -165,8 +165,7 @@ def _begun(folder: Path) -> dict[str, Path]:
 
 def _digest(text: str, run: PlannedRun) -> str:
     """Hexadecimal digest of a case as text and of all else that its result depends on."""
-    mesh = getattr(run.case.geometry, "content", "")  # of geometries that are files
-    parts = [text, str(run.ranks), identity.text(), mesh]
+    parts = [text, str(run.ranks), identity.text(), run.case.geometry.content]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 

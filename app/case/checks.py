@@ -283,8 +283,9 @@ def _stages(case: CaseParts) -> Iterable[Fault]:
             wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
             yield Fault(path, f"has {len(load_history)} values; expected {wanted}")
     used: list[tuple[Path, str]] = []
-    for name, support in _valid(case.supports):
-        stages = enumerate(getattr(support, "stages", None) or ())
+    supports: Iterable[tuple[str, AnySupport]] = _valid(case.supports)
+    for name, support in supports:
+        stages = enumerate(support.stages or ())
         used += [(("supports", name, "stages", i), stage) for i, stage in stages]
     for path, used_stage in used:
         if used_stage not in names:
@@ -330,13 +331,13 @@ def _held(case: CaseParts) -> Iterable[Fault]:
         return
     if case.regions and all(r and r.only_conducts for r in case.regions.values()):
         return
-    limited = any(getattr(support, "stages", None) for support in supports)
+    limited = any(support.stages for support in supports)
     for stage in [s.name for s in case.stages or ()] if limited else [""]:
         held = {
             axis
             for support in supports
-            for axis in getattr(support, "felt_axes", support.held_axes)
-            if not (stages := getattr(support, "stages", None)) or stage in stages
+            for axis in support.felt_axes
+            if support.stages is None or stage in support.stages
         }
         when = f" in stage '{stage}'" if stage else ""
         free = [axis for axis in "xyz" if axis not in held]
@@ -364,7 +365,7 @@ def _creep(case: CaseParts) -> Iterable[Fault]:
     regions = list(_valid(case.regions))
     if not case.regions or len(regions) < len(case.regions):
         return
-    every = {name: getattr(region, "creep", None) for name, region in regions}
+    every = {name: region.creep for name, region in regions}
     laws = {name: law for name, law in every.items() if law is not None}
     for i, stage in enumerate(case.stages or ()):
         key = ("stages", i, stage.creep_key)

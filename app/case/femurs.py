@@ -190,8 +190,13 @@ class _Femur(Hip):
         return self.resection.height + MEDIAL * math.tan(self.resection.angle)
 
     @property
+    def level(self) -> float:
+        """Level at which the shaft is cut (mm)."""
+        return self.distal_cut_z
+
+    @property
     def distal_height(self) -> float:
-        """Height at which the shaft is cut (mm)."""
+        """The same in the stem's axes, which have the model's levels (mm)."""
         return self.distal_cut_z
 
     @property

@@ -30,6 +30,7 @@ from app.system import folders
 # `meshes` is imported where it is used: scipy takes 0.15 s, which cases without a hip save.
 if TYPE_CHECKING:
     from app.case.stems import Stem, StemFile
+    from meshes.bone_layers import LayeredBone
     from meshes.placement import InsertionKeys, Placement, ResectionKeys
 
 BONE = ("cortical_bone", "cancellous_bone")
@@ -63,7 +64,7 @@ INSIDE = 2.0 / 3.0  # least fraction of the stem in the bone
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
 
-def point(x: Any) -> Point3:
+def point(x: Floats) -> Point3:
     """Numbers of a vector."""
     return float(x[0]), float(x[1]), float(x[2])
 
@@ -98,7 +99,7 @@ class Version(Section):
     """The turn, the head to anterior (rad)."""
 
 
-def _tilt(most: float) -> Any:
+def _tilt(most: float) -> Dimension:
     """Largest change of a tilt or turn (rad)."""
     return Dimension("rad", "an angle", "3 deg", at_least=0.0, at_most=most)
 
@@ -197,7 +198,7 @@ class Hip(Shape):
             """Position of the stem; None: along the shaft's axis."""
 
     @property
-    def femur(self) -> Any:
+    def femur(self) -> LayeredBone:
         """The bone before the operation, as `meshes.placement` describes it."""
         raise NotImplementedError
 
@@ -227,6 +228,11 @@ class Hip(Shape):
     def cut_height(self) -> float:
         """Height at which the cut meets the stem's axis, in the stem's axes (mm)."""
         return float(self.placement.top)
+
+    @property
+    def level(self) -> float:
+        """Level at which the shaft is cut, in the model's axes (mm)."""
+        raise NotImplementedError
 
     @property
     def distal_height(self) -> float:

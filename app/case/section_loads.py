@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from app.case.case import Case
+from app.case.hips import Hip
 from app.laws.values import amplitude
 from app.system import layout
 
@@ -41,14 +41,18 @@ class SectionLoad:
 
 def section_loads(case: Case, time: float) -> list[SectionLoad]:
     """Section loads at ten levels and at the knee, where all loads act; none without such loads."""
-    geometry: Any = case.geometry
-    loads: list[Any] = [load for load in case.loads.values() if load.point]
-    if not (geometry.has_gruen_zones and loads):
+    geometry = case.geometry
+    loads = [
+        (load.history, load.resultant, load.point)
+        for load in case.loads.values()
+        if load.point and load.resultant
+    ]
+    if not (isinstance(geometry, Hip) and loads):
         return []
-    F = np.array([np.multiply(load.resultant, amplitude(load.history, time)) for load in loads])
-    x = np.array([load.point for load in loads])
+    F = np.array([np.multiply(force, amplitude(history, time)) for history, force, _ in loads])
+    x = np.array([point for *_, point in loads])
     sections = []
-    for z in [*map(float, np.linspace(TOP, geometry.distal_cut_z, LEVELS)), KNEE]:
+    for z in [*map(float, np.linspace(TOP, geometry.level, LEVELS)), KNEE]:
         above = x[:, 2] > z
         force = F[above].sum(axis=0).tolist()
         moment = np.cross(x[above] - [0.0, 0.0, z], F[above]).sum(axis=0).tolist()

@@ -98,6 +98,8 @@ class Material(OfRegion):
     if TYPE_CHECKING:
         # Fibre direction; None without one.
         fibre: Fibre | None
+        # None without creep.
+        creep: Creep | None
 
     material: Text | None = None
     """Material of the library (`mantle explain materials`); other keys change it."""
@@ -110,6 +112,20 @@ class Material(OfRegion):
     """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
     """Where its values are from. A change of one of them removes status and source below it."""
+
+    @property
+    def moduli(self) -> tuple[float, ...]:
+        """Young's moduli, the axial one first [MPa]; none unless it deforms.
+
+        If the stiffness varies in space, these are the largest values. The largest modulus decides
+        which side of an interface is stiffer.
+        """
+        return ()
+
+    @property
+    def nearly_incompressible(self) -> bool:
+        """True if linear tetrahedra of this material lock."""
+        return False
 
     @model_validator(mode="after")
     def _deforms(self) -> Self:
@@ -130,9 +146,6 @@ class Elastic(Material):
 
     deforms: ClassVar[Literal[True]] = True
     moves_rigidly: ClassVar[Literal[False]] = False
-    if TYPE_CHECKING:
-        # None without creep.
-        creep: Creep | None
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; their sum acts."""
@@ -142,17 +155,11 @@ class Elastic(Material):
     _density: ChangingDensity | None = None
 
     @property
-    def moduli(self) -> tuple[float, ...]:
-        """Young's moduli, the axial one first [MPa].
-
-        If the stiffness varies in space, these and `coefficients` are the largest values. The
-        largest modulus decides which side of an interface is stiffer.
-        """
-        raise NotImplementedError
-
-    @property
     def coefficients(self) -> tuple[float, ...]:
-        """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five."""
+        """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five.
+
+        If the stiffness varies in space, these are the largest values.
+        """
         raise NotImplementedError
 
     @property
@@ -340,6 +347,7 @@ class Rigid(Material):
     moves_rigidly: ClassVar[Literal[True]] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion", "cure")
     fibre: ClassVar[None] = None  # type: ignore[misc]
+    creep: ClassVar[None] = None  # type: ignore[misc]
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Marks the region as rigid; must be true."""
@@ -353,6 +361,7 @@ class Conductor(Material):
     only_conducts: ClassVar[bool] = True
     refused: ClassVar[tuple[str, ...]] = ("thermal_expansion",)
     fibre: ClassVar[None] = None  # type: ignore[misc]
+    creep: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal

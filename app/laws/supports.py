@@ -57,6 +57,11 @@ class Support(Named):
         """Axes along which it constrains the model."""
         return "xyz"
 
+    @property
+    def felt_axes(self) -> str:
+        """Axes along which it resists motion, at least in part."""
+        return self.held_axes
+
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
         return 0.0 * x
@@ -145,6 +150,9 @@ class Foundation(Named):
 
     is_spring: ClassVar[Literal[True]] = True
     clamps: ClassVar[bool] = False
+    normal: ClassVar[None] = None
+    # It acts in all stages.
+    stages: ClassVar[None] = None
 
     kind: Literal["foundation"] = "foundation"
     boundary: Name
@@ -165,6 +173,11 @@ class Foundation(Named):
     def held_axes(self) -> str:
         """Axes along which it constrains the model."""
         return "".join(axis for axis, k in zip("xyz", self.stiffness, strict=True) if k > 0.0)
+
+    @property
+    def felt_axes(self) -> str:
+        """Axes along which it resists motion."""
+        return self.held_axes
 
     def energy(self, v: Expr, k: Expr) -> Expr:
         """Energy per area in a displacement v (3,) [N/mm]; the stiffness k is a UFL constant."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 
@@ -20,6 +19,7 @@ from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene import bodies
+from meshes.geometry import is_hip
 from meshes.gruen import Zones
 
 # Nodes at an end of the stem are within this part of its length [-].
@@ -153,10 +153,10 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
     ``strain_lateral_10`` and others [-] are on the outside of the bone, at the levels of `GAUGES`
     where there is bone: linear fits to the strain nearby.
     """
-    geometry: Any = case.geometry
+    geometry = case.geometry
     elastic = {e.region for e in problem.scene.elastic}
     bone = elastic.intersection(case.of_tissue("bone"))
-    if not geometry.has_gruen_zones or "cortical_bone" not in bone:
+    if not is_hip(geometry) or "cortical_bone" not in bone:
         return {}
     end = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
     head = facet_surface(problem, bodies.boundary_facets(problem.tagged, end))
@@ -169,7 +169,7 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
         for name, z in GAUGES.items():
             x, y, up = (outside.x - [0.0, 0.0, z]).T
             weight = outside.area * np.exp(-(up**2 + y**2) / (2 * GAUGE**2)) * (sign * x > 0)
-            if z - 2 * GAUGE > geometry.distal_cut_z:
+            if z - 2 * GAUGE > geometry.level:
                 fit = np.sqrt(weight)[:, None] * np.stack([np.ones(len(x)), up, y, y * y], axis=1)
                 part = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]
                 numbers[f"strain_{side}_{name}"] = float(part)

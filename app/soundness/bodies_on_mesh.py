@@ -69,13 +69,12 @@ def load_history_of(case: Case, values: Sequence[float] | None) -> tuple[float, 
 
 def holds(support: AnySupport, stage: str) -> bool:
     """Return True if a support holds in a stage."""
-    stages = getattr(support, "stages", None)
-    return stages is None or stage in stages
+    return support.stages is None or stage in support.stages
 
 
 def directions(support: AnySupport, parts: Parts, nodes: Ints) -> Floats:
     """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
-    normal = getattr(support, "normal", None)
+    normal = support.normal
     if normal == "face":
         return parts.normals[support.boundary][nodes][:, None]
     rows = np.eye(3)[["xyz".index(a) for a in support.held_axes]] if normal is None else [normal]
@@ -248,5 +247,5 @@ class BodiesOnMesh:
         return f"{text} (the piece of {cells} cells at {point_text(centre)})"
 
     def _when(self, k: int) -> str:
-        limited = any(getattr(s, "stages", None) for s in self._case.supports.values())
+        limited = any(s.stages for s in self._case.supports.values())
         return f" in stage '{self._case.stages[k].name}'" if limited else ""

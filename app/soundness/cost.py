@@ -239,7 +239,7 @@ def contact_solves(case: Case) -> int:
 def _proportional(case: Case) -> bool:
     """Return True if the solution of the first stage is proportional to the loads."""
     load_histories = [load.history for load in case.loads.values()]
-    gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
+    gaps = [law.has_gap for law in case.interfaces.values()]
     changes = any(load_histories) or any(gaps) or case.motions
     return not case.stages[0].duration and not changes
 

@@ -29,7 +29,7 @@ def doubts(case: Case, numbers: Summary) -> list[Verdict]:
     """Return notes on results: strains that are not small, laws beyond their stresses."""
     notes = [verdict for doubt in _DOUBTERS for verdict in doubt(case, numbers)]
     for name, q in numbers["regions"].items():
-        creep = getattr(case.regions[name], "creep", None)
+        creep = case.regions[name].creep
         if "creep_strain_max" in q and case.mesh.order == 1:
             notes.append(note("creep keeps the volume, and linear cells lock", f"region '{name}'"))
         low, high = (creep and creep.stresses) or (0.0, math.inf)
@@ -53,4 +53,4 @@ def doubts(case: Case, numbers: Summary) -> list[Verdict]:
 
 def modulus(region: Material) -> float:
     """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
-    return float(min(getattr(region, "moduli", (0.0,))))
+    return float(min(region.moduli, default=0.0))

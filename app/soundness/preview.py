@@ -233,14 +233,14 @@ def warnings(case: Case) -> list[Verdict]:
     """Return notes on allowed but doubtful input, for `mantle check` and the log."""
     notes = case.geometry.former_keys
     acts = [
-        *(getattr(law, "gap", None) for law in case.interfaces.values()),
+        *(law.has_gap for law in case.interfaces.values()),
         *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),
         *(getattr(region, "eigenstrains", ()) for region in case.regions.values()),
     ]
     if not (case.conducts or case.loads or any(acts)):
         notes.append(note("nothing acts on the model: the result will be zero"))
     for name, region in case.regions.items():
-        if case.mesh.order == 1 and getattr(region, "nearly_incompressible", False):
+        if case.mesh.order == 1 and region.nearly_incompressible:
             text = (
                 f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far "
                 "too stiff)"
@@ -298,13 +298,12 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
     for name, load in case.loads.items():
         for boundary in load.boundaries:
             support = held.get(boundary)
-            if support and not getattr(case.supports[support], "stages", None):
+            if support and not case.supports[support].stages:
                 text = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
                 yield note(text, f"loads.{name}")
     for name, law in case.interfaces.items():
-        friction = getattr(law, "friction_coefficient", 0.0)
-        if friction > MOST_FRICTION:
-            text = f"is {friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
+        if law.friction > MOST_FRICTION:
+            text = f"is {law.friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
             yield note(f"interfaces.{name}.friction_coefficient {text}")
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ CLOSE = 1e-6
 
 def look(case: Case, data: MeshData) -> Parts:
     """Parts of a mesh that `judge` examines."""
-    faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
+    faces = {s.boundary for s in case.supports.values() if s.normal == "face"}
     return parts_of(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
@@ -105,7 +105,8 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
 
 def _given(case: Case, name: str, x: Floats) -> Floats:
     """Displacement prescribed by a support at points, at the ends of stages (stages, n, 3) [mm]."""
-    support: Any = case.supports[name]
+    support = case.supports[name]
+    assert not support.is_spring
     return np.multiply.outer(load_history_of(case, support.history), support.named(name).values(x))
 
 
@@ -403,13 +404,13 @@ def _strained(case: Case, parts: Parts) -> list[Verdict]:
     """Loads that strain the material under them by more than `STRAIN`."""
     notes, areas = [], boundary_areas(parts.data)
     for name, load in case.loads.items():
-        boundary = getattr(load, "boundary", "")
+        boundary = next(iter(load.boundaries), "")
         area = areas.get(boundary, 0.0)
         under = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
         softest = min((m for r in under if (m := modulus(case.regions[r]))), default=0.0)
         if not area or not softest:
             continue
-        stress = math.hypot(*(load.resultant or ())) / area + abs(getattr(load, "pressure", 0.0))
+        stress = math.hypot(*(load.resultant or ())) / area + abs(load.normal_pressure or 0.0)
         stress *= max(map(abs, load_history_of(case, load.history)), default=1.0)
         if stress > STRAIN * softest:
             text = (

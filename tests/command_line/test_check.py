@@ -271,6 +271,20 @@ def test_check_accepts_a_press_fit_by_penalty() -> None:
 
 
 @pytest.mark.parametrize(
+    "press_fit", ["interference: 0.01 mm", "zones: {low: {below: 5 mm, interference: 0.01 mm}}"]
+)
+def test_check_finds_that_a_press_fit_alone_acts_on_the_model(press_fit: str) -> None:
+    law = f"{{kind: contact, friction_coefficient: 0.3, {press_fit}}}"
+    changes = [
+        "interfaces.cement_bone={kind: bonded}",
+        "supports.push={kind: roller, boundary: stem_top, axis: z}",
+        f"interfaces.stem_cement={law}",
+    ]
+    case = load(CONFIGS / "cylinders.yaml", changes).config
+    assert not any("nothing acts" in note.text for note in preview.warnings(case))
+
+
+@pytest.mark.parametrize(
     ("command", "reader", "read"),
     [
         ("explain --schema", "head -n 1", "{\n"),

@@ -58,7 +58,14 @@ HIDDEN = {
 # Modules of `meshes` that `case` sees: the bone of a femur, and the place of a stem in it.
 SEEN_BY_CASE = {
     f"meshes.{name}"
-    for name in ("best_position", "femur_bone", "layered_surfaces", "placement", "room")
+    for name in (
+        "best_position",
+        "bone_layers",
+        "femur_bone",
+        "layered_surfaces",
+        "placement",
+        "room",
+    )
 }
 STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"}
 
