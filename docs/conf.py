@@ -62,6 +62,7 @@ restart
 evidence
 motion
 paths
+gauges
 paraview
 python
 trouble

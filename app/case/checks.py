@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
+from app.case.probes import StrainGauge
 from app.case.quantities import ADDED, of_run
 from app.case.run_options import STAGE_KINDS, OutputOptions, Stage, TimeOptions
 from app.case.shapes import COMPANION, MOST_LINES, MeshOptions, Shape
@@ -163,8 +164,9 @@ def _names(case: CaseParts) -> Iterable[Fault]:
     left_out = case.geometry.left_out
     used = [entry for entry in used if entry[2] not in left_out.get(str(entry[0][0]), ())]
     if case.output is not None:
-        probes = (case.output.probes or {}).items()
-        used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
+        for name, probe in (case.output.probes or {}).items():
+            for key in ("region", "boundary"):
+                used.append((("output", "probes", name, key), key, getattr(probe, key, None)))
         for name, along in (case.output.paths or {}).items():
             for key in ("region", "interface"):
                 used.append((("output", "paths", name, key), key, getattr(along, key, None)))
@@ -491,6 +493,10 @@ def _conductors(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fa
             yield Fault(
                 (section, name), "every region is a conductor, which cannot move; leave it out"
             )
+    for name, probe in _valid(case.output.probes if case.output else None):
+        if isinstance(probe, StrainGauge):
+            text = "every region is a conductor, which is not strained; expected kind: point"
+            yield Fault(("output", "probes", name), text)
     for name, law in case.interfaces.items():
         if law is not None and law.can_part:
             text = "every region is a conductor, which cannot separate; expected kind: bonded"

@@ -235,7 +235,7 @@ def add_quantity(*quantities: Quantity) -> None:
 
 @dataclass(frozen=True)
 class NumberSection:
-    """A section of ``summary.json`` that another package publishes: numbers by owner.
+    """A section of ``summary.json`` with numbers by owner, such as one of another package.
 
     Attributes:
         name: Key of the section.
@@ -252,7 +252,7 @@ class NumberSection:
     leads: bool = False
 
 
-# Sections of other packages, by name.
+# Sections that are shown by their columns, by name.
 ADDED: dict[str, NumberSection] = {}
 
 
@@ -570,6 +570,23 @@ add_quantity(
 add_quantity(
     _timing("solve", "s", exact=True),
     _timing("total", "s", exact=True),
+)
+
+
+def _probed(case: Any) -> Iterable[str]:
+    """Names of the probes of a case."""
+    return case.output.probes or () if case.output else ()
+
+
+add_section(
+    NumberSection(
+        name="probes",
+        title="Probes and strain gauges",
+        columns={"gauge": "", "strain": "strain"},
+        owners=_probed,
+    ),
+    Quantity("probes", "strain", "-", "um/m", 0, order=STRESS, step_record=True, headline=True),
+    Quantity("probes", "displacement", "mm", order=MOTION, vector=True, step_record=True),
 )
 
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from app.case.paths import AnyPath
+from app.case.probes import AnyProbe
 from app.laws.interface_laws import DEFAULT_AUGMENTATION
-from app.laws.loads import Point
 from app.schema import units
 from app.schema.section import MAPPING, Name, Section, Truth, add_key, fail, show
 
@@ -220,22 +220,6 @@ class TimeOptions(Section):
     temperature that it releases."""
 
 
-class Probe(Section):
-    """A point whose displacement and temperature are recorded."""
-
-    model_config = ConfigDict(json_schema_extra={"type": ["object", "array", "string"]})
-
-    at: Point
-    """Position."""
-    region: Name | None = None
-    """Region of the point, if it is where two meet."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_point(cls, value: object) -> object:
-        return value if isinstance(value, dict | Probe) else {"at": value}
-
-
 class CheckpointOptions(Section):
     """Times at which the state of a run is saved; at a signal and at `--walltime` it always is."""
 
@@ -264,7 +248,7 @@ class OutputOptions(Section):
     """Write `report.html` at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()
     """Times at which the state is saved for `--restart`."""
-    probes: Annotated[dict[Name, Probe], MAPPING] = Field(default_factory=dict)
-    """Points whose displacement and temperature are recorded over time."""
+    probes: Annotated[dict[Name, AnyProbe], MAPPING] = Field(default_factory=dict)
+    """Points whose displacement and temperature are recorded over time, and strain gauges."""
     paths: Annotated[dict[Name, AnyPath], MAPPING] = Field(default_factory=dict)
     """Paths along which fields are written, at the steps of the fields (`every`)."""

@@ -197,7 +197,8 @@ class Summary(TypedDict, total=False):
         stem_test: Stress, deflection and life of a stem in its bench test.
         remodelling: Mass of the bone, if it remodels.
         section_loads: Loads above cuts of the femur (`case.section_loads.SectionLoad`).
-        probes: ``displacement`` (3,) [mm] of each probe.
+        probes: ``displacement`` (3,) [mm] of each probe; of a strain gauge its mean, the ``strain``
+            [-], the ``centre`` (3,) [mm] and the unit vector ``direction`` (3,) of the grid.
         balance: Relative defects of force, moment, energy and heat [-].
         solver: Size and effort.
         timing: Wall time by phase [s].
@@ -230,7 +231,7 @@ class Summary(TypedDict, total=False):
     stem_test: dict[str, Numbers]
     remodelling: RemodellingNumbers
     section_loads: list[Numbers]
-    probes: dict[str, dict[str, list[float]]]
+    probes: dict[str, Numbers]
     balance: dict[str, float]
     solver: SolverNumbers
     timing: dict[str, float]

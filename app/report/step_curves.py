@@ -29,6 +29,7 @@ AFTER = {
     "subsidence": ("subsidence", "um"),
     "retroversion": ("retroversion", "deg"),
     **{f"displacement.{axis}": (f"displacement in {axis} at probes", "um") for axis in "xyz"},
+    "strain": ("strain of gauges", "um/m"),
 }
 # Columns of time in history.csv.
 SECONDS = "seconds [s]"
@@ -36,7 +37,7 @@ TIME = "time [-]"
 # Beginnings of the columns that belong to the solver.
 SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
 # Units of quantities that vanish without loads.
-VANISHING = ("um", "mm", "deg", "N", "N mm", "MPa")
+VANISHING = ("um", "um/m", "mm", "deg", "N", "N mm", "MPa")
 # Values below which a quantity is zero, in its unit for people.
 ROUNDING = 1e-9
 StepRecord = Mapping[str, Floats]

@@ -225,8 +225,9 @@ def _table(section: str, rows: Rows) -> list[str]:
         return filled.replace(NOT_RESOLVED, STAR)
 
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
+    cells = [row for row in cells if set(row[1:]) != {"-"}]
     units = ["", *(known[c.split()[0]].shown for c in templates)]
-    return layout.table(list(columns), cells, units).splitlines() if rows else []
+    return layout.table(list(columns), cells, units).splitlines() if cells else []
 
 
 def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:

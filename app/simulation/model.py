@@ -23,6 +23,7 @@ from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.bond_forces import BondForces
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
+from app.results.gauges import ProbedMechanics
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples
 from app.results.records import Followed, Record, records
@@ -128,6 +129,7 @@ class Model:
         mechanics: Mechanics with its published numbers, if a region deforms.
         thermal: Heat with its published numbers, if regions conduct.
         records: Records that other packages add to the mechanics, by name.
+        probes: Displacements of points and numbers of strain gauges, if a region deforms.
         mesh_hash: Digest of the mesh.
         parts: Connected pieces of the mesh, on rank 0.
         notes: Warnings about the case on its mesh.
@@ -162,8 +164,10 @@ class Model:
             self.scene: Scene = build_scene(case)
             self.analysis, self.mechanical_path = self._assemble()
             self.records: dict[str, Record] = {}
+            self.probes: ProbedMechanics | None = None
             heating, m = self.analysis.heating, self.mechanical_path
             if m:
+                self.probes = ProbedMechanics(case, m.problem)
                 heat = heating.step if heating else None
                 self.records = records(case, Followed(m.problem, m.stresses, m.zones, heat))
             self.thermal: ThermalModel | None = None
@@ -321,7 +325,7 @@ class Model:
 
     def numbers(self, samples: ContactSamples | None) -> Summary:
         """All published numbers; collective."""
-        numbers: Summary = {"interfaces": {}, "regions": {}, "stem": {}}
+        numbers: Summary = {"interfaces": {}, "regions": {}, "stem": {}, "probes": {}}
         m = self.mechanical_path
         if m:
             elastic = m.problem.scene.elastic
@@ -338,6 +342,8 @@ class Model:
             femur = of_femur(m.problem, self.case)
             if femur:
                 numbers["femur"] = femur
+            if self.probes:
+                numbers["probes"] = self.probes.numbers()
         t = self.thermal
         if t:
             numbers["thermal"] = {**t.record.summary(), "flows": t.flows}

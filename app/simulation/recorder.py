@@ -17,7 +17,6 @@ from app.case.summary import Numbers, Summary, merge
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import StoppedError
 from app.foundation.verdict import Verdict
-from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
@@ -103,7 +102,6 @@ class Recorder:
         about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self.balance: Balance | None = None
         self._critical: dict[str, float] = {}
-        self._probes: Probes | None = None
         m = model.mechanical_path
         if m:
             with timing.phase("assemble"):
@@ -111,9 +109,6 @@ class Recorder:
                 self._critical, beyond = failure.beyond_critical(m.problem)
             for warning in beyond:
                 log.warning("%s", warning)
-            probes = {name: (p.at, p.region) for name, p in case.output.probes.items()}
-            p = m.problem
-            self._probes = Probes(model.tagged, p.space, p.bodies.of_region, probes)
         self.samples: ContactSamples | None = None
         self.contact_state: dict[str, Floats | Ints] = {}
         self.time = 0.0
@@ -228,8 +223,8 @@ class Recorder:
         if creep:
             row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
             row["creep dissipation [N mm]"] = creep.dissipated
-        for name, u in self._displacements().items():
-            row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
+        probes = self._model.probes
+        row |= probes.step_record() if probes else {}
         columns = [c for c in TABLE["interfaces"].values() if c.step_record]
         for name, q in (self.samples.step_numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
@@ -254,14 +249,6 @@ class Recorder:
                 self._fields()
         end, folder = float(len(self._case.stages)), self.writer.folder
         self._progress(AcceptedStep(folder, self.step_count, step.stage, step.time, end, wall, row))
-
-    def _displacements(self) -> dict[str, list[float]]:
-        """Displacement of each probe [mm]; collective."""
-        m = self._model.mechanical_path
-        if self._probes is None or m is None:
-            return {}
-        values = self._probes.values(m.problem.displacements())
-        return {name: values[k].tolist() for k, name in enumerate(self._probes.names)}
 
     def _fraction(self, status: int) -> float:
         s = self.samples
@@ -288,7 +275,7 @@ class Recorder:
         b, t = self.balance, model.thermal
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
         balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
-        numbers: Summary = {"interfaces": {}, "regions": {}}
+        numbers: Summary = {"interfaces": {}, "regions": {}, "probes": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples)
             cycles = self.cycles.summary()
@@ -303,7 +290,6 @@ class Recorder:
             "units": UNITS,
             "time": self.time,
             **numbers,
-            "probes": {n: {"displacement": u} for n, u in self._displacements().items()},
             "balance": balance,
             "solver": {
                 "dofs": sum(sizes.values()),

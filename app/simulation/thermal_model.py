@@ -5,6 +5,7 @@ from __future__ import annotations
 from dolfinx import fem
 
 from app.case.case import Case
+from app.case.probes import Probe
 from app.heat.operators import InitialJump
 from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
@@ -39,7 +40,7 @@ class ThermalModel:
             operators.bodies.of_region,
             case.geometry.interface_sides,
             case.of_tissue("bone"),
-            {name: (p.at, p.region) for name, p in case.output.probes.items()},
+            {n: (p.at, p.region) for n, p in case.output.probes.items() if isinstance(p, Probe)},
             {
                 name: (nodes_on(tagged, space, first), nodes_on(tagged, space, second))
                 for name, (first, second) in case.faces.items()

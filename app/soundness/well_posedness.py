@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from app.case.case import Case
 from app.case.geometries import MeshFile
+from app.case.probes import StrainGauge
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.foundation.verdict import Verdict, note
@@ -32,7 +33,8 @@ from app.soundness.bodies_on_mesh import (
 from app.soundness.doubts import STRAIN, modulus
 from app.system.layout import point_text
 from meshes import location
-from meshes.data import boundary_areas, interface_facets
+from meshes.data import boundary_areas, boundary_facets, interface_facets
+from meshes.gauge_points import GaugeFault, gauge_points
 from meshes.pieces import Parts, lying
 from meshes.pieces import parts as parts_of
 
@@ -243,15 +245,35 @@ def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
 
 
 def _outside(case: Case, parts: Parts) -> list[Verdict]:
-    """Probes that are not in their regions."""
+    """Probes that are not in their regions, gauges that do not fit their surfaces."""
     data, errors = parts.data, []
     for name, probe in case.output.probes.items():
+        if isinstance(probe, StrainGauge):
+            errors += _misplaced(data, f"output.probes.{name}", probe)
+            continue
         cells = data.cells
         if probe.region:
             cells = cells[data.cell_tags == data.regions[probe.region]]
         if location.place(data.points, cells, np.array([probe.at])).cell[0] < 0:
             errors.append(Verdict(outside_text(name, (probe.at, probe.region))))
     return errors
+
+
+def _misplaced(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
+    """Error on a strain gauge that does not fit its surface."""
+    x = data.points[boundary_facets(data, gauge.boundary)]
+    if not len(x):
+        return [Verdict("has no facet on this mesh", f"{key}.boundary", "expected another surface")]
+    try:
+        placed = gauge_points(x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)
+    except GaugeFault as fault:
+        return [Verdict(str(fault), f"{key}.{fault.key}", fault.cure)]
+    if placed.distance <= gauge.diameter:
+        return []
+    text = f"is {placed.distance:.3g} mm from {gauge.boundary}"
+    cure = f"expected at most a diameter, {gauge.diameter:g} mm; the nearest point is "
+    cure += f"{point_text(placed.centre)}. `towards` finds a point in a direction"
+    return [Verdict(text, f"{key}.at", cure)]
 
 
 def _followers(case: Case, parts: Parts) -> list[Verdict]:

@@ -75,7 +75,7 @@ HEAT = """
   stance: 2 increments, adaptive
   method: sdirk4  [default]
   first_step: 0.001 s  (1 ms)
-  tip: at [0, 0, -130] mm
+  tip: point, at [0, 0, -130] mm
 """
 
 

@@ -1,0 +1,345 @@
+r"""Points of a strain gauge on the facets of a surface.
+
+A gauge is a disc in the tangent plane at its centre, projected along the normal onto the surface.
+Its points are Gauss points of rings, equally spaced around: with radius r and area
+:math:`A = π R^2`,
+
+.. math:: \frac1A \int_A f \, dA ≈ \sum_k w_k f(x_k), \qquad \sum_k w_k = 1 .
+
+The normal is the mean of the normals of the facets at these points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.foundation.arrays import Bools, Floats, Ints
+from meshes.data import tangents
+
+# Rings of points, and points on each ring.
+RINGS = 8
+AROUND = 32
+# Largest angle between the normal of the gauge and that of the surface below it [deg].
+BEND = 60.0
+# Largest angle between the direction of the grid and the tangent plane [deg].
+STEEP = 60.0
+# Rounding of barycentric coordinates.
+ROUNDING = 1e-9
+# Points this far outside the flat triangle of a curved facet may lie in the facet.
+OUTSIDE = 0.5
+# Iterations of Newton's method in a curved facet.
+ITERATIONS = 10
+# Improvements of the normal by the facets below the disc.
+IMPROVEMENTS = 2
+# Edges of a curved facet with a node in the middle.
+EDGES = ((0, 1), (1, 2), (2, 0))
+
+
+@dataclass(frozen=True)
+class GaugePoints:
+    """Points of a gauge.
+
+    Attributes:
+        centre: Its centre (3,) [mm].
+        normal: Unit normal of its tangent plane (3,).
+        direction: Unit vector of its grid in the tangent plane (3,).
+        distance: Distance of its centre from the point that was given [mm].
+        facet: Facet of each point (n,).
+        share: Barycentric coordinates in the facet (n, 3).
+        weight: Weights, whose sum is 1 (n,).
+    """
+
+    centre: Floats
+    normal: Floats
+    direction: Floats
+    distance: float
+    facet: Ints
+    share: Floats
+    weight: Floats
+
+
+class GaugeFault(ValueError):
+    """A gauge that does not fit its surface.
+
+    Attributes:
+        key: Key of the gauge that is wrong.
+        cure: Values that are allowed.
+    """
+
+    def __init__(self, key: str, text: str, cure: str) -> None:
+        super().__init__(text)
+        self.key, self.cure = key, cure
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """Points of a surface on parallel lines, one for each line; facet -1 where there is none.
+
+    Attributes:
+        facet: Facet of each (n,).
+        share: Barycentric coordinates in it (n, 3).
+        height: Position along the line [mm] (n,).
+    """
+
+    facet: Ints
+    share: Floats
+    height: Floats
+
+
+def gauge_points(
+    x: Floats,
+    at: Sequence[float],
+    towards: Sequence[float] | None,
+    direction: Sequence[float],
+    diameter: float,
+) -> GaugePoints:
+    """Place a gauge on facets.
+
+    Args:
+        x: Nodes of the facets in gmsh's order (f, 3 or 6, 3) [mm].
+        at: Point near the surface, or on the line of sight (3,) [mm].
+        towards: Direction of the line of sight (3,); None for the nearest point of the surface.
+        direction: Direction of the grid (3,).
+        diameter: Diameter of the disc [mm].
+
+    Raises:
+        GaugeFault: The line of sight misses the surface, the direction is along the normal, or the
+            circle leaves the surface.
+    """
+    given = np.asarray(at, dtype=float)
+    if towards is None:
+        facet, share = _nearest(x, given)
+    else:
+        facet, share = _seen(x, given, np.asarray(towards, dtype=float))
+    centre = _places(x[facet], share)
+    normal = _normals(x[[facet]], share[None])[0]
+    radius, around, weight = _disc(diameter / 2)
+    for _ in range(IMPROVEMENTS + 1):
+        grid = _grid(direction, normal)
+        across = np.cross(normal, grid)
+        plane = radius * np.cos(around), radius * np.sin(around)
+        points = centre + np.outer(plane[0], grid) + np.outer(plane[1], across)
+        hits = _projected(x, points, normal, diameter)
+        covered = hits.facet >= 0
+        normals = np.zeros((len(points), 3))
+        normals[covered] = _normals(x[hits.facet[covered]], hits.share[covered])
+        slope = normals @ normal
+        normals *= np.sign(slope)[:, None]
+        mean = weight @ normals
+        good = covered & (np.abs(slope) >= np.cos(np.radians(BEND)))
+        if not good.all():
+            raise _leaves(radius, covered, good, centre)
+        normal = mean / np.linalg.norm(mean)
+    distance = float(np.linalg.norm(centre - given)) if towards is None else 0.0
+    return GaugePoints(centre, normal, grid, distance, hits.facet, hits.share, weight)
+
+
+def _grid(direction: Sequence[float], normal: Floats) -> Floats:
+    """Unit vector of a direction in the plane across a normal.
+
+    Raises:
+        GaugeFault: It is about the normal.
+    """
+    unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+    along = unit - (unit @ normal) * normal
+    size = float(np.linalg.norm(along))
+    if size < np.cos(np.radians(STEEP)):
+        angle = np.degrees(np.arccos(min(size, 1.0)))
+        nx, ny, nz = normal + 0.0
+        text = f"is {angle:.0f} degrees out of the surface, whose normal is "
+        text += f"[{nx:.2f}, {ny:.2f}, {nz:.2f}]"
+        raise GaugeFault("direction", text, f"expected at most {STEEP:g} degrees")
+    return np.asarray(along / size)
+
+
+def _disc(largest: float) -> tuple[Floats, Floats, Floats]:
+    """Radius [mm], angle [rad] and weight of the points of a disc (n,)."""
+    # Rings of equal area have equal steps of the radius squared.
+    points, weights = np.polynomial.legendre.leggauss(RINGS)
+    radius = largest * np.sqrt((points + 1) / 2)
+    angle = 2 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
+    return (
+        np.repeat(radius, AROUND),
+        np.tile(angle, RINGS),
+        np.repeat(weights / (2 * AROUND), AROUND),
+    )
+
+
+def _leaves(radius: Floats, covered: Bools, good: Bools, centre: Floats) -> GaugeFault:
+    """Error on a circle that is not on the surface, with the largest that is."""
+    place = ", ".join(f"{c:.4g}" for c in centre + 0.0)
+    if covered.all():
+        text = f"the surface bends by more than {BEND:g} degrees below a circle at [{place}] mm"
+    else:
+        missing = 100 * (1 - covered.mean())
+        text = f"{missing:.0f} % of the circle at [{place}] mm is beyond the edge of the surface"
+    rings = np.unique(radius)
+    inside = rings[rings < radius[~good].min() * (1 - ROUNDING)]
+    if len(inside):
+        cure = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
+    else:
+        cure = "expected another place"
+    return GaugeFault("diameter", text, cure)
+
+
+def _places(x: Floats, share: Floats) -> Floats:
+    """Position of a point in a facet (3 or 6, 3) [mm]."""
+    return np.asarray(_shape(share[None], len(x))[0] @ x)
+
+
+def _shape(share: Floats, nodes: int) -> Floats:
+    """Shape functions (n, nodes) of facets."""
+    if nodes == 3:
+        return share
+    i, j = np.array(EDGES).T
+    return np.concatenate([share * (2 * share - 1), 4 * share[:, i] * share[:, j]], axis=1)
+
+
+def _tangents(x: Floats, share: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of the position with respect to the second and third coordinate (n, 3)."""
+    if x.shape[1] == 3:
+        return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    # Each facet has a point of its own.
+    pairs = [tangents(x[[k]], share[[k]], EDGES)[:, :, 0, 0] for k in range(len(x))]
+    both = np.array(pairs).reshape(-1, 2, 3)
+    return both[:, 0], both[:, 1]
+
+
+def _normals(x: Floats, share: Floats) -> Floats:
+    """Unit normals (n, 3) of facets (n, 3 or 6, 3) at points."""
+    normal = np.cross(*_tangents(x, share))
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _projected(x: Floats, points: Floats, normal: Floats, diameter: float) -> _Hits:
+    """Nearest points of the surface on the lines through points (n, 3) along a normal."""
+    middle = x[:, :3].mean(axis=1)
+    size = np.linalg.norm(x[:, :3] - middle[:, None], axis=2).max(axis=1)
+    off = np.linalg.norm(middle - points.mean(axis=0), axis=1)
+    rows = np.flatnonzero(off <= size + 1.5 * diameter)
+    hits = _on_lines(x[rows], points, normal)
+    facet = np.full(len(points), -1, dtype=np.int64)
+    share = np.zeros((len(points), 3))
+    height = np.full(len(points), np.inf)
+    for line, row, s, h in hits:
+        # A point on the edge of two facets belongs to the first of them.
+        if abs(h) <= diameter and abs(h) < abs(height[line]) - ROUNDING * diameter:
+            facet[line], share[line], height[line] = rows[row], s, h
+    return _Hits(facet, share, height)
+
+
+def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, Floats, float]]:
+    """All points of facets on lines through points (n, 3) along an axis.
+
+    Returns:
+        Line, facet, barycentric coordinates (3,) and height along the axis [mm] of each.
+    """
+    plane = np.linalg.svd(axis[None])[2][1:]
+    flat = x @ plane.T
+    wanted = points @ plane.T
+    a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
+    edge = np.stack([b - a, c - a], axis=2)
+    # Facets seen from the edge have no points on a line.
+    area = np.abs(np.linalg.det(edge))
+    longest = np.linalg.norm(x[:, 1:3] - x[:, :1], axis=2).max(axis=1)
+    seen = np.flatnonzero(area > ROUNDING * longest**2)
+    inverse = np.linalg.inv(edge[seen])
+    part = np.einsum("fij,nfj->nfi", inverse, wanted[:, None] - a[seen])
+    shares = np.concatenate([1 - part.sum(axis=2, keepdims=True), part], axis=2)
+    margin = ROUNDING if x.shape[1] == 3 else OUTSIDE
+    line, facet = np.nonzero(shares.min(axis=2) >= -margin)
+    share = shares[line, facet]
+    facet = seen[facet]
+    if x.shape[1] == 6:
+        share = _in_curved(flat[facet], wanted[line], share)
+        inside = np.flatnonzero(share.min(axis=1) >= -ROUNDING)
+        line, facet, share = line[inside], facet[inside], share[inside]
+    share = np.maximum(share, 0.0)
+    share /= share.sum(axis=1, keepdims=True)
+    place = np.einsum("nk,nkc->nc", _shape(share, x.shape[1]), x[facet])
+    height = (place - points[line]) @ axis
+    return [
+        (int(n), int(f), s, float(h)) for n, f, s, h in zip(line, facet, share, height, strict=True)
+    ]
+
+
+def _in_curved(flat: Floats, wanted: Floats, share: Floats) -> Floats:
+    """Coordinates (n, 3) in curved facets, seen in a plane (n, 6, 2), of points there (n, 2)."""
+    i, j = np.array(EDGES).T
+    one = np.eye(3)
+    for _ in range(ITERATIONS if len(share) else 0):
+        residual = wanted - np.einsum("nk,nkc->nc", _shape(share, 6), flat)
+        corners = (4 * share - 1)[:, :, None] * one
+        middles = 4 * (share[:, i, None] * one[j] + share[:, j, None] * one[i])
+        slopes = np.concatenate([corners, middles], axis=1)
+        slopes = slopes[:, :, 1:] - slopes[:, :, :1]
+        jacobian = np.einsum("nkc,nkd->ncd", flat, slopes)
+        regular = np.abs(np.linalg.det(jacobian)) > 0
+        step = np.zeros_like(residual)
+        step[regular] = np.linalg.solve(jacobian[regular], residual[regular][:, :, None])[:, :, 0]
+        share = share + np.column_stack([-step.sum(axis=1), step])
+        # A line that misses the facet may have no solution: its iterates stay near the facet.
+        share = np.clip(share, -1.0, 2.0)
+    residual = wanted - np.einsum("nk,nkc->nc", _shape(share, 6), flat)
+    size = np.abs(flat - flat[:, :1]).max(axis=(1, 2))
+    missed = np.abs(residual).max(axis=1, initial=0.0) > 1e-8 * size
+    share[missed] = -1.0
+    return share
+
+
+def _nearest(x: Floats, point: Floats) -> tuple[int, Floats]:
+    """Facet with the nearest point of its flat triangle to a point, and its coordinates (3,)."""
+    corners = x[:, :3]
+    best = np.full(len(x), np.inf)
+    shares = np.zeros((len(x), 3))
+    for i, j in EDGES:
+        edge = corners[:, j] - corners[:, i]
+        part = np.einsum("fc,fc->f", point - corners[:, i], edge) / (edge**2).sum(axis=1)
+        part = np.clip(part, 0.0, 1.0)
+        share = np.zeros((len(x), 3))
+        share[:, i], share[:, j] = 1 - part, part
+        _take_nearer(best, shares, corners, point, share)
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(a, b)
+    off = point - corners[:, 0]
+    square = (normal**2).sum(axis=1)
+    second = np.einsum("fc,fc->f", np.cross(off, b), normal) / square
+    third = np.einsum("fc,fc->f", np.cross(a, off), normal) / square
+    share = np.column_stack([1 - second - third, second, third])
+    within = share.min(axis=1) >= 0
+    share[~within] = np.eye(3)[0]
+    _take_nearer(best, shares, corners, point, share)
+    facet = int(np.argmin(np.round(best, 9)))
+    return facet, shares[facet]
+
+
+def _take_nearer(
+    best: Floats, shares: Floats, corners: Floats, point: Floats, share: Floats
+) -> None:
+    """Put points of flat triangles where they are nearer than the best ones so far."""
+    distance = np.linalg.norm(np.einsum("fk,fkc->fc", share, corners) - point, axis=1)
+    nearer = distance < best
+    best[nearer], shares[nearer] = distance[nearer], share[nearer]
+
+
+def _seen(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:
+    """Facet and coordinates (3,) at which a line of sight leaves a surface for the last time.
+
+    Raises:
+        GaugeFault: It does not meet the surface.
+    """
+    axis = towards / np.linalg.norm(towards)
+    ahead = [hit for hit in _on_lines(x, point[None], axis) if hit[3] >= 0]
+    if not ahead:
+        low, high = (
+            ", ".join(f"{c:.4g}" for c in end(x.reshape(-1, 3), axis=0) + 0.0)
+            for end in (np.min, np.max)
+        )
+        text = "the line of sight from `at` does not meet the surface"
+        raise GaugeFault("towards", text, f"the surface fills [{low}] to [{high}] mm")
+    last = max(hit[3] for hit in ahead)
+    _, facet, share, _ = next(hit for hit in ahead if hit[3] >= last - ROUNDING * (1 + last))
+    return facet, share
