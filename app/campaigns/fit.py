@@ -35,6 +35,7 @@ runs, at times more than 60. All came equally close. Failed runs are infeasible 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -81,7 +82,7 @@ class Evaluations:
         self.runs: list[FitRun] = []
         self._options = options
         self._by_values: dict[tuple[object, ...], FitRun] = {}
-        self._short = short_keys(list(problem.fit.keys))
+        self._short = [*short_keys(list(problem.fit.keys)).values()]
 
     def step(self, shares: Floats) -> FitRun:
         """Make the run of a step of the search, or return it if it is known."""
@@ -130,33 +131,28 @@ class Evaluations:
         A run that fails is replaced by one on the other side; nan if this fails, too.
         """
         step = self.problem.fit.step
-        steps = [step if share + step <= 1.0 else -step for share in run.shares]
-        beside = self(self._beside(run, steps))
-        other = {
+        steps = {k: step if share + step <= 1.0 else -step for k, share in enumerate(run.shares)}
+        changed = self._changed(run, steps)
+        other_side = {
             k: -steps[k]
-            for k, each in enumerate(beside)
+            for k, each in changed.items()
             if not each.done and 0.0 <= run.shares[k] - steps[k] <= 1.0
         }
-        for k, each in zip(other, self(self._beside(run, other)), strict=True):
-            beside[k] = each
-        columns = [(each.array - run.array) / self._moved(each, run) for each in beside]
+        changed |= self._changed(run, other_side)
+        columns = [
+            (each.array - run.array) / (each.shares[k] - run.shares[k])
+            for k, each in changed.items()
+        ]
         return np.array(columns).T
 
-    def _beside(self, run: FitRun, steps: Mapping[int, float] | list[float]) -> dict[str, Floats]:
-        """Fractions of the ranges with one key changed by a step, by name of the run."""
-        numbered = steps if isinstance(steps, Mapping) else dict(enumerate(steps))
-        shares = {}
-        for k, step in numbered.items():
-            changed = run.shares.copy()
-            changed[k] += step
+    def _changed(self, run: FitRun, steps: Mapping[int, float]) -> dict[int, FitRun]:
+        """Runs in each of which one key is changed by a step, by number of the key."""
+        wanted = {}
+        for k, step in steps.items():
             sign = "+" if step > 0 else "-"
-            shares[f"{run.name}, {sign}{[*self._short.values()][k]}"] = changed
-        return shares
-
-    @staticmethod
-    def _moved(one: FitRun, other: FitRun) -> float:
-        """Difference of the one key in which two runs differ."""
-        return float((one.shares - other.shares).sum())
+            unit = np.eye(len(run.shares))[k]
+            wanted[f"{run.name}, {sign}{self._short[k]}"] = run.shares + step * unit
+        return dict(zip(steps, self(wanted), strict=True))
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | None:
@@ -236,18 +232,41 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     return Outcome(evaluate.step(result.x), derivatives, result.status > 0)
 
 
+def _cost(problem: FitProblem, run: FitRun) -> float:
+    """Objective of a run, with the other sign if it is maximised; nan if the run failed."""
+    fit = problem.fit
+    sign = 1.0 if fit.minimise else -1.0
+    if fit.objective in fit.keys:
+        share = float(run.shares[[*fit.keys].index(fit.objective)])
+        return sign * share if run.done else math.nan
+    return sign * float(run.array[fit.numbers.index(fit.objective)])
+
+
+def _violations(problem: FitProblem, run: FitRun) -> Floats:
+    """Violation of each bound of a number, relative to the bound; negative if it is met."""
+    fit = problem.fit
+    missing = []
+    for name, (low, high) in fit.limits.items():
+        value = float(run.array[fit.numbers.index(name)])
+        if math.isfinite(low):
+            missing.append((low - value) / (abs(low) or 1.0))
+        if math.isfinite(high):
+            missing.append((value - high) / (abs(high) or 1.0))
+    return np.array(missing)
+
+
 def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
     """Search the smallest or largest objective under the constraints."""
     from scipy.optimize import NonlinearConstraint, minimize
 
     problem = evaluate.problem
-    scale = abs(fit_results.cost(problem, start)) or 1.0
+    scale = abs(_cost(problem, start)) or 1.0
 
     def cost(shares: Floats) -> float:
-        return fit_results.cost(problem, evaluate.step(shares)) / scale
+        return _cost(problem, evaluate.step(shares)) / scale
 
     def violations(shares: Floats) -> Floats:
-        return fit_results.violations(problem, evaluate.step(shares))
+        return _violations(problem, evaluate.step(shares))
 
     constraints = [NonlinearConstraint(violations, -np.inf, 0.0)] if problem.fit.limits else []
     options = {
@@ -269,11 +288,11 @@ def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
         )
     except _RunsUsed:
         converged = False
-    feasible = [r for r in evaluate.done if (fit_results.violations(problem, r) <= 0.0).all()]
+    feasible = [run for run in evaluate.done if (_violations(problem, run) <= 0.0).all()]
     if feasible:
-        best = min(feasible, key=lambda r: fit_results.cost(problem, r))
+        best = min(feasible, key=lambda run: _cost(problem, run))
     else:
-        best = min(evaluate.done, key=lambda r: float(fit_results.violations(problem, r).max()))
+        best = min(evaluate.done, key=lambda run: float(_violations(problem, run).max()))
     try:
         derivatives = evaluate.derivatives(best)
     except _RunsUsed:

@@ -224,29 +224,6 @@ def fit_run(
     )
 
 
-def cost(problem: FitProblem, run: FitRun) -> float:
-    """Objective of a run, with the other sign if it is maximised; nan if the run failed."""
-    fit = problem.fit
-    sign = 1.0 if fit.minimise else -1.0
-    if fit.objective in fit.keys:
-        share = float(run.shares[[*fit.keys].index(fit.objective)])
-        return sign * share if run.done else math.nan
-    return sign * float(run.array[fit.numbers.index(fit.objective)])
-
-
-def violations(problem: FitProblem, run: FitRun) -> Floats:
-    """Violation of each bound of a number, relative to the bound; negative if it is met."""
-    fit = problem.fit
-    missing = []
-    for name, (low, high) in fit.limits.items():
-        value = float(run.array[fit.numbers.index(name)])
-        if math.isfinite(low):
-            missing.append((low - value) / (abs(low) or 1.0))
-        if math.isfinite(high):
-            missing.append((value - high) / (abs(high) or 1.0))
-    return np.array(missing)
-
-
 def record(
     problem: FitProblem,
     folder: Path,

@@ -47,8 +47,8 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
         yield Verdict(what, "fit.runs", cure)
     failed = [run for run in runs if not run.done]
     if failed:
-        what = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: "
-        what += "; ".join(f"{run.name}: {run.message}" for run in failed)
+        reasons = "; ".join(f"{run.name}: {run.message}" for run in failed)
+        what = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: {reasons}"
         yield Verdict(what, severity=Severity.WARNING)
     if outcome.derivatives is not None:
         for k, key in enumerate(problem.fit.keys):
@@ -74,15 +74,17 @@ def _of_keys(problem: FitProblem, best: FitRun, known: Identifiability | None) -
 def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
     """Verdicts on targets that the best run does not reach."""
     bounded = any(at_bound(float(share)) for share in best.shares)
-    cure = "widen the bounds" if bounded else "check the target and its uncertainty"
-    cure += ", or add a key that changes this number"
+    first = "widen the bounds" if bounded else "check the target and its uncertainty"
+    cure = f"{first}, or add a key that changes this number"
     for name, value in zip(problem.fit.numbers, best.array, strict=True):
         target = problem.fit.number_targets[name]
         away = abs(value - target.value) / target.uncertainty
         if away > DOUBTFUL:
-            wanted = shown(name, target.value)
-            what = f"is {shown(name, float(value))} at best and cannot reach {wanted}: "
-            what += f"{away:.1f} uncertainties of {shown(name, target.uncertainty)} remain"
+            what = (
+                f"is {shown(name, float(value))} at best and cannot reach"
+                f" {shown(name, target.value)}: {away:.1f} uncertainties of"
+                f" {shown(name, target.uncertainty)} remain"
+            )
             severity = Severity.ERROR if away > NOT_REACHED else Severity.WARNING
             yield Verdict(what, name, cure, severity)
 
@@ -106,11 +108,15 @@ def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdi
                 "leave this key out, or add a number that depends on it",
             )
             continue
-        what = "the targets cannot tell these keys apart: the numbers hardly change if "
-        what += f"{identifiability.in_words(direction, names)} change together"
-        cure = "fix one of them, or add a number on which they act in different ways"
+        together = identifiability.in_words(direction, names)
+        counts = ""
         if len(fit.targets) < len(fit.keys):
-            what = f"{len(fit.keys)} keys and {len(fit.targets)} targets: {what}"
+            counts = f"{len(fit.keys)} keys and {len(fit.targets)} targets: "
+        what = (
+            f"{counts}the targets cannot tell these keys apart: the numbers hardly change if"
+            f" {together} change together"
+        )
+        cure = "fix one of them, or add a number on which they act in different ways"
         yield Verdict(what, ", ".join(full[k] for k in direction), cure)
 
 
@@ -133,8 +139,10 @@ def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
             (high, "at most", value - high),
         ):
             if beyond > 0:
-                what = "no run meets all constraints; in the closest one it is "
-                what += f"{shown(name, value)}, and it must be {words} {shown(name, limit)}"
+                what = (
+                    "no run meets all constraints; in the closest one it is"
+                    f" {shown(name, value)}, and it must be {words} {shown(name, limit)}"
+                )
                 yield Verdict(what, name, "widen the bounds of the keys, or relax this constraint")
 
 

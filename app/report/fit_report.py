@@ -13,7 +13,6 @@ from app.campaigns import fit_results
 from app.campaigns.fit_results import FitRecord, FitRow
 from app.case import quantities
 from app.case.points import short_keys
-from app.foundation.arrays import Floats
 from app.foundation.errors import InputError, StoppedError
 from app.foundation.verdict import Severity, recorded, texts_of
 from app.plots import curves, figures
@@ -276,12 +275,6 @@ def _draw_plane(axes: Axes, record: FitRecord) -> None:
         covariance = np.array(record["covariance"])[:2, :2]
         angles = np.linspace(0.0, 2.0 * math.pi, DIRECTIONS)
         circle = math.sqrt(CHI_SQUARE) * np.array([np.cos(angles), np.sin(angles)])
-        around = np.array(best["shares"][:2]) + (_root(covariance) @ circle).T
+        around = np.array(best["shares"][:2]) + (np.linalg.cholesky(covariance) @ circle).T
         inside = [[float(v) for v in place] for place in np.clip(around, 0.0, 1.0)]
         axes.plot(*places(inside), color="0.3", lw=1, ls=(0, (5, 3)), label="95 %")
-
-
-def _root(covariance: Floats) -> Floats:
-    """Return a matrix whose product with its transpose is a covariance (2, 2)."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

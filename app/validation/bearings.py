@@ -25,16 +25,17 @@ WEAR_SIZE = Experiment(
     title="Wear of polyethylene cups by head size",
     blind=True,
     quantities={
-        "rate22": PredictedQuantity(
-            "wear under heads of 22 mm", "mm^3/million", lambda runs: wear(runs["head22"]), RATE
+        "rate22": PredictedQuantity.of_run(
+            "wear under heads of 22 mm", "mm^3/million", wear, "head22", RATE
         ),
-        "rate28": PredictedQuantity(
-            "wear under heads of 28 mm", "mm^3/million", lambda runs: wear(runs["head28"]), RATE
+        "rate28": PredictedQuantity.of_run(
+            "wear under heads of 28 mm", "mm^3/million", wear, "head28", RATE
         ),
-        "ratio": PredictedQuantity(
+        "ratio": PredictedQuantity.ratio(
             "wear under heads of 28 mm over that of 22 mm",
-            "-",
-            lambda runs: wear(runs["head28"]) / wear(runs["head22"]),
+            wear,
+            "head28",
+            "head22",
             "Outside of the band wear depends on pressure or on the directions of sliding, not "
             "only on force times sliding distance.",
         ),
@@ -85,10 +86,11 @@ ROCKING_TORQUE = Experiment(
     blind=True,
     quantities={
         **{
-            f"torque{size}": PredictedQuantity(
+            f"torque{size}": PredictedQuantity.of_run(
                 f"mean friction torque of a head of {size} mm at 2,450 N",
                 "N m",
-                lambda runs, size=size: mean_torque(runs[f"size{size}"]),  # type: ignore[misc]
+                mean_torque,
+                f"size{size}",
                 COULOMB,
             )
             for size in SIZES
@@ -109,10 +111,11 @@ ROCKING_TORQUE = Experiment(
             ),
             "Below the band the friction factor falls with the load, as in mixed lubrication.",
         ),
-        "offset": PredictedQuantity(
+        "offset": PredictedQuantity.of_run(
             "angle by which friction moves the middle of the contact off the load, head of 44 mm",
             "deg",
-            lambda runs: offset(runs["size44"]),
+            offset,
+            "size44",
             COULOMB,
         ),
     },
@@ -148,10 +151,11 @@ SIMULATOR_TORQUE = Experiment(
     blind=True,
     quantities={
         **{
-            f"{name}{size}": PredictedQuantity(
+            f"{name}{size}": PredictedQuantity.of_run(
                 f"largest {words} of a head of {size} mm",
                 "N m",
-                lambda runs, number=number, size=size: number(runs[f"size{size}"]),  # type: ignore[misc]
+                number,
+                f"size{size}",
                 COULOMB,
             )
             for name, words, number in (
@@ -160,16 +164,18 @@ SIMULATOR_TORQUE = Experiment(
             )
             for size in (28, 40)
         },
-        "ratio": PredictedQuantity(
+        "ratio": PredictedQuantity.ratio(
             "largest friction torque of a head of 40 mm over that of 28 mm",
-            "-",
-            lambda runs: largest_torque(runs["size40"]) / largest_torque(runs["size28"]),
+            largest_torque,
+            "size40",
+            "size28",
             "Outside of the band the friction factor depends on the size of the head: lubrication.",
         ),
-        "time": PredictedQuantity(
+        "time": PredictedQuantity.of_run(
             "part of the cycle at which the friction torque of a head of 28 mm is largest",
             "%",
-            lambda runs: time_of_largest(runs["size28"]),
+            time_of_largest,
+            "size28",
             "Outside of the band friction follows speed or film thickness, not the force. The two "
             "peaks of the force, at 12 and 50 %, have nearly the same friction here.",
         ),

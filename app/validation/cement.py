@@ -126,10 +126,11 @@ BENDING_CREEP = Experiment(
             lambda runs: float(_deflection(runs[""])[-1]),
             CREEP_FAILURE,
         ),
-        "crept": PredictedQuantity(
+        "crept": PredictedQuantity.of_run(
             "deflection of the middle after 72 h, from the first reading at 8 min",
             "mm",
-            lambda runs: _crept(runs[""]),
+            _crept,
+            "",
             CREEP_FAILURE,
         ),
         "crept_inner": PredictedQuantity(
@@ -168,11 +169,12 @@ RESURFACING = Experiment(
     blind=True,
     quantities={
         **{
-            f"{bone}_{mantle}": PredictedQuantity(
+            f"{bone}_{mantle}": PredictedQuantity.of_run(
                 f"highest temperature of bone at its surface, mantle of {thickness} mm, bone at "
                 f"{start} degC at the start",
                 "degC",
-                lambda runs, key=f"{bone}_{mantle}": interface_peak(runs[key]),  # type: ignore[misc]
+                interface_peak,
+                f"{bone}_{mantle}",
                 HEAT,
             )
             for bone, start in (("cold", "20 to 25"), ("warm", "32 to 37"))

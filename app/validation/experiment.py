@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 
 import configs
 from app.case import sweep as sweep_file
@@ -36,6 +37,8 @@ SAMPLE = "sample"
 
 # Results of a run for each condition, by its name; the name is empty if there is only one.
 Conditions = Mapping[str, Results]
+# A number of a run.
+Measure = Callable[[Results], float]
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,16 @@ class PredictedQuantity:
     unit: str
     number: Callable[[Conditions], float]
     failure: str
+
+    @classmethod
+    def of_run(cls, text: str, unit: str, measure: Measure, run: str, failure: str) -> Self:
+        """Quantity that is measured on one run, by the name of its condition."""
+        return cls(text, unit, lambda runs: measure(runs[run]), failure)
+
+    @classmethod
+    def ratio(cls, text: str, measure: Measure, over: str, under: str, failure: str) -> Self:
+        """Quantity of one run over that of another."""
+        return cls(text, "-", lambda runs: measure(runs[over]) / measure(runs[under]), failure)
 
 
 @dataclass(frozen=True)

@@ -17,30 +17,34 @@ PUSH_OUT = Experiment(
     title="Push-out of titanium dowels from cement",
     blind=True,
     quantities={
-        "clean": PredictedQuantity(
+        "clean": PredictedQuantity.of_run(
             "apparent shear strength of the smooth clean dowel by shrinkage and friction alone",
             "MPa",
-            lambda runs: shear_strength(runs["clean"]),
+            shear_strength,
+            "clean",
             "Above the band adhesion or interlock adds to friction; below it the cement swells or "
             "lies against the tube, and does not grip.",
         ),
-        "lubricated": PredictedQuantity(
+        "lubricated": PredictedQuantity.ratio(
             "strength of a lubricated smooth dowel over that of a clean one",
-            "-",
-            lambda runs: shear_strength(runs["lubricated"]) / shear_strength(runs["clean"]),
+            shear_strength,
+            "lubricated",
+            "clean",
             "Below the band a lubricant also prevents that cement wets the metal; above it no film "
             "is left between them.",
         ),
-        "rough": PredictedQuantity(
+        "rough": PredictedQuantity.of_run(
             "strength of the rough dowel by friction alone, without interlock",
             "MPa",
-            lambda runs: shear_strength(runs["rough"]),
+            shear_strength,
+            "rough",
             "A measured strength inside the band means that interlock adds nothing.",
         ),
-        "smooth_over_rough": PredictedQuantity(
+        "smooth_over_rough": PredictedQuantity.ratio(
             "strength of the smooth clean dowel over that of the rough one, both by friction",
-            "-",
-            lambda runs: shear_strength(runs["clean"]) / shear_strength(runs["rough"]),
+            shear_strength,
+            "clean",
+            "rough",
             "Below the band the rough dowel holds by interlock, which is not modelled.",
         ),
     },
@@ -57,16 +61,18 @@ RODS = Experiment(
     title="Polished rods of cobalt-chromium pushed out of cement",
     blind=False,
     quantities={
-        "strength": PredictedQuantity(
+        "strength": PredictedQuantity.of_run(
             "mean shear strength of a polished rod",
             "MPa",
-            lambda runs: shear_strength(runs["tight"]),
+            shear_strength,
+            "tight",
             GRIP,
         ),
-        "strength_gap": PredictedQuantity(
+        "strength_gap": PredictedQuantity.of_run(
             "mean shear strength of a polished rod with an even gap before the cement cools",
             "MPa",
-            lambda runs: shear_strength(runs["gap"]),
+            shear_strength,
+            "gap",
             GRIP,
         ),
     },
@@ -86,16 +92,18 @@ SLAB = Experiment(
     title="Motion of stems in slabs of femora under torsion",
     blind=False,
     quantities={
-        "fixed": PredictedQuantity(
+        "fixed": PredictedQuantity.of_run(
             "largest motion of a well fixed stem",
             "um",
-            lambda runs: motion(runs["fixed"]),
+            motion,
+            "fixed",
             SLAB_FAILURE,
         ),
-        "retrieved": PredictedQuantity(
+        "retrieved": PredictedQuantity.of_run(
             "largest motion of a retrieved stem with contact at 11.5 % of the angles",
             "um",
-            lambda runs: motion(runs["retrieved"]),
+            motion,
+            "retrieved",
             SLAB_FAILURE,
         ),
     },
@@ -118,12 +126,11 @@ SECTIONS = Experiment(
     title="Torsion of three stem sections in a square tube",
     blind=True,
     quantities={
-        f"sharp_over_{section}": PredictedQuantity(
+        f"sharp_over_{section}": PredictedQuantity.ratio(
             f"torque at first failure of a rectangle with sharp corners over that of {words}",
-            "-",
-            lambda runs, section=section: (  # type: ignore[misc]
-                torque_at_failure(runs["sharp"]) / torque_at_failure(runs[section])
-            ),
+            torque_at_failure,
+            "sharp",
+            section,
             "Above the band a bond that fails at the corners is not yet seen as first failure; "
             "cracks in the mantle may also come first.",
         )
@@ -162,33 +169,30 @@ def plug_load(run: Results) -> float:
     return QUARTERS * PLUG_FORCE / 1e3 / max(failure_shares(run).values())
 
 
-def _load_ratio(text: str, over: str, under: str, failure: str) -> PredictedQuantity:
-    return PredictedQuantity(
-        text, "-", lambda runs: plug_load(runs[over]) / plug_load(runs[under]), failure
-    )
-
-
 PLUGS = Experiment(
     name="plugs",
     title="Tapered plugs pressed into cement in aluminium shells",
     blind=True,
     quantities={
-        "smooth_over_bonded": _load_ratio(
+        "smooth_over_bonded": PredictedQuantity.ratio(
             "load at failure of a smooth plug over that of a bonded one, taper 7.5, straight shell",
+            plug_load,
             "smooth7",
             "bonded",
             "Outside of the band parts fail one after another, or the hoop stress of a wedge "
             "breaks the cement.",
         ),
-        "taper_effect": _load_ratio(
+        "taper_effect": PredictedQuantity.ratio(
             "load at failure of a smooth plug of taper 10 over that of taper 7.5, straight shell",
+            plug_load,
             "smooth10",
             "smooth7",
             "Outside of the band the pressure of the wedge, which these criteria do not count, "
             "holds or breaks the cement.",
         ),
-        "smooth_tapered_over_straight": _load_ratio(
+        "smooth_tapered_over_straight": PredictedQuantity.ratio(
             "load at failure in a tapered shell over that in a straight one, smooth plug",
+            plug_load,
             "tapered_smooth",
             "smooth7",
             "Below the band a tapered shell gives no support after its bond has failed.",

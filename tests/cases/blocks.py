@@ -32,6 +32,25 @@ loads:
   push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}
   press: {kind: pressure, boundary: top, pressure: 2 MPa}
 """
+# A wall of two layers between a stove and air: 60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2.
+WALL = """
+geometry: {kind: blocks, blocks: [{name: hot, size: [4 mm, 4 mm, 5 mm]},
+                                  {name: cold, size: [4 mm, 4 mm, 3 mm]}]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+regions:
+  hot:
+    kind: conductor
+    tissue: other
+    thermal: &heat
+      {conductivity: 2 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K),
+       initial_temperature: 37 degC}
+  cold: {kind: conductor, tissue: other, thermal: {<<: *heat, conductivity: 0.5 W/(m K)}}
+interfaces: {hot_cold: {kind: bonded, conductance: 400 W/(m^2 K)}}
+heat:
+  stove: {kind: temperature, boundary: bottom, temperature: 80 degC}
+  air: {kind: convection, boundary: top, coefficient: 200 W/(m^2 K), ambient: 20 degC}
+stages: [{name: rest, steady: true}]
+"""
 STACK = """
 geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
                                   {name: upper, size: [4 mm, 4 mm, 2 mm]}]}

@@ -12,6 +12,7 @@ from app.foundation.errors import InputError
 from app.results.reading import PathTable, Results
 from app.system.folders import saved
 from tests import support
+from tests.cases.blocks import WALL
 
 # Bent about y: u = (-(z^2 + nu (x^2 - y^2)) / 2, -nu x y, x z) / R, and sigma_zz = E x / R alone.
 BENT = """
@@ -69,29 +70,16 @@ output:
     up: {kind: line, start: "[1.3, 1.2, 0] mm", end: "[1.3, 1.2, 6] mm", points: 13,
       fields: [stress.zz, stress.xx]}
 """
-# 60 K over L1/k1 + 1/h + L2/k2 + 1/a of a wall of two layers.
-WALL = """
-geometry: {kind: blocks, blocks: [{name: hot, size: [4 mm, 4 mm, 5 mm]},
-                                  {name: cold, size: [4 mm, 4 mm, 3 mm]}]}
-mesh: {order: 1, size: 2 mm, far_size: 2 mm}
-regions:
-  hot:
-    kind: conductor
-    tissue: other
-    thermal: &heat
-      {conductivity: 2 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K),
-       initial_temperature: 37 degC}
-  cold: {kind: conductor, tissue: other, thermal: {<<: *heat, conductivity: 0.5 W/(m K)}}
-interfaces: {hot_cold: {kind: bonded, conductance: 400 W/(m^2 K)}}
-heat:
-  stove: {kind: temperature, boundary: bottom, temperature: 80 degC}
-  air: {kind: convection, boundary: top, coefficient: 200 W/(m^2 K), ambient: 20 degC}
-stages: [{name: rest, steady: true}]
+# The wall with paths through its layers.
+WALL_WITH_PATHS = (
+    WALL
+    + """\
 output:
   paths:
     warm: {kind: line, start: "[1.1, 2.3, 0] mm", end: "[1.1, 2.3, 5] mm", region: hot}
     cool: {kind: line, start: "[1.1, 2.3, 5] mm", end: "[1.1, 2.3, 8] mm", region: cold}
 """
+)
 # A stem 5 um too thick in its cement and bone, in plane strain: Lame's shrink fit.
 FIT = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
@@ -193,7 +181,7 @@ def test_paths_stress_jumps_between_bonded_regions(tmp_path: Path) -> None:
 
 def test_paths_temperature_through_a_wall_is_exact(tmp_path: Path) -> None:
     """Linear in each layer; each region has its side of the temperature jump."""
-    results = support.run(WALL, tmp_path)
+    results = support.run(WALL_WITH_PATHS, tmp_path)
     flux = 60.0 / (5 / 2.0 + 1 / 0.4 + 3 / 0.5 + 1 / 0.2)  # mW/mm2
     warm, cool = at_end(results, "warm"), at_end(results, "cool")
     assert [*warm][-1] == "temperature [degC]"
@@ -247,7 +235,7 @@ def test_paths_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
 @pytest.mark.parallel
 def test_paths_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
     """Of contact, bodies and heat: every point of every kind of path."""
-    for name, text in (("fit", FIT), ("bar", BAR), ("wall", WALL)):
+    for name, text in (("fit", FIT), ("bar", BAR), ("wall", WALL_WITH_PATHS)):
         case = tmp_path / f"{name}.yaml"
         case.write_text(text)
         tables = []

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests import support
+from tests.cases.blocks import WALL
 
 # Pressed without Poisson's effect: u_z = -p z / E, 1 MPa on 100 MPa, half of it in the first step.
 BAR = """
@@ -28,26 +29,6 @@ def test_probes_record_displacements(order: int, tmp_path: Path) -> None:
         assert end == pytest.approx([0, 0, -0.01 * z], abs=1e-12)
         course = results.step_record[f"{name} displacement.z [mm]"]
         assert course == pytest.approx([-0.005 * z, -0.01 * z], abs=1e-12)
-
-
-WALL = """
-geometry: {kind: blocks, blocks: [{name: hot, size: [4 mm, 4 mm, 5 mm]},
-                                  {name: cold, size: [4 mm, 4 mm, 3 mm]}]}
-mesh: {order: 1, size: 2 mm, far_size: 2 mm}
-regions:
-  hot:
-    kind: conductor
-    tissue: other
-    thermal: &heat
-      {conductivity: 2 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K),
-       initial_temperature: 37 degC}
-  cold: {kind: conductor, tissue: other, thermal: {<<: *heat, conductivity: 0.5 W/(m K)}}
-interfaces: {hot_cold: {kind: bonded, conductance: 400 W/(m^2 K)}}
-heat:
-  stove: {kind: temperature, boundary: bottom, temperature: 80 degC}
-  air: {kind: convection, boundary: top, coefficient: 200 W/(m^2 K), ambient: 20 degC}
-stages: [{name: rest, steady: true}]
-"""
 
 
 @pytest.mark.parametrize("moduli", [None, (1, 2), (2, 1)])
