@@ -1,0 +1,203 @@
+"""Keywords of ``.inp`` files of Abaqus and CalculiX, with their options and data."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import difflib
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from app.foundation.arrays import Floats, Ints
+
+# Keywords that make or move nodes and cells, or take them from another file.
+MOVING = {"INCLUDE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "IMPORT"}
+MOVING |= {"IMPERFECTION", "ADJUST", "SYMMETRICMODELGENERATION"}
+READ = {"NODE", "ELEMENT", "ELSET", "NSET", "SURFACE", "SOLIDSECTION", "HEADING", "PREPRINT"}
+READ |= {"PART", "INSTANCE", "ASSEMBLY", "ENDPART", "ENDINSTANCE", "ENDASSEMBLY", "ENDSTEP"}
+READ |= {"SYSTEM"}
+# Options without a value, which may stand alone in the second line of a keyword.
+FLAGS = {"GENERATE", "INTERNAL", "UNSORTED", "NOPRINT"}
+# Options that name or place something. Another option with a similar name is a misspelt one.
+KNOWN = {"ELSET", "NSET", "TYPE", "NAME", "SYSTEM", "COMBINE", "GENERATE", "INSTANCE", "PART"}
+KNOWN |= {"MATERIAL", "ORIENTATION", "INTERNAL", "UNSORTED", "LIBRARY", "CONTROLS", "COMPOSITE"}
+# Least similarity of such names, as `difflib` measures it.
+SIMILAR = 0.75
+# Exponents as Fortran writes them.
+EXPONENT = re.compile(r"(?<=[\d.])(?:[dD]|(?=[+-]))(?=[+-]?\d)")
+# Values in the line of a node: number and three coordinates; the same with a normal.
+LEAST_OF_NODE = 4
+MOST_OF_NODE = 7
+
+T = TypeVar("T", int, float)
+
+
+@dataclass(frozen=True)
+class Keyword:
+    """A keyword with its options and data.
+
+    Attributes:
+        at: Its place in the file, for messages.
+        key: The keyword in capitals, without blanks.
+        options: Its options by name.
+        lines: Its lines of data with their numbers.
+        scope: The part or instance that contains it, "" if none does.
+    """
+
+    at: str
+    key: str
+    options: dict[str, str]
+    lines: list[tuple[int, str]]
+    scope: str
+
+    def option(self, name: str) -> str:
+        """Return the value of a required option.
+
+        Raises:
+            ValueError: It is missing.
+        """
+        if self.options.get(name):
+            return self.options[name]
+        there = ", ".join(self.options) or "none"
+        raise ValueError(f"{self.at}: has no option {name}=; its options: {there}")
+
+    def fields(self, line: str) -> list[str]:
+        """Return the fields of a line, separated by commas, or by blanks if it has no comma."""
+        if "," not in line:
+            return line.split() if '"' not in line else [line.strip().strip('"')]
+        if '"' in line:
+            (row,) = csv.reader([line], skipinitialspace=True)
+            return [word.strip() for word in row]
+        return [word.strip() for word in line.split(",")]
+
+    def number(self, at: int, text: str, kind: Callable[[str], T]) -> T:
+        """Return the number in a field of a line, 0 if the field is empty."""
+        try:
+            return kind(EXPONENT.sub("e", text) if kind is float else text) if text else kind("0")
+        except ValueError:
+            what = "number" if kind is float else "whole number"
+            raise ValueError(f"{self.at}: line {at}: {text!r} is not a {what}") from None
+
+    def coordinates(self) -> tuple[Floats, int]:
+        """Return the number and coordinates of each node (n, 4), and the count of empty fields."""
+        rows, empty = [], 0
+        for at, line in self.lines:
+            words = [*self.fields(line), "", "", ""][:4]
+            if len(self.fields(line)) < 2 or not words[0]:
+                raise ValueError(
+                    f"{self.at}: line {at}: expected a node number and coordinates; is the "
+                    "file cut short?"
+                )
+            self._check_commas(at, line)
+            empty += words.count("")
+            rows.append([self.number(at, w, float) for w in words])
+        return np.array(rows, dtype=float).reshape(-1, 4), empty
+
+    def _check_commas(self, at: int, line: str) -> None:
+        """Refuse commas in place of decimal points.
+
+        A node may have its normal after its coordinates. Abaqus writes these with points.
+        """
+        words = [word for word in self.fields(line) if word]
+        whole = all(word.lstrip("+-").isdigit() for word in words)
+        if len(words) > MOST_OF_NODE or (len(words) > LEAST_OF_NODE and whole):
+            text = f"line {at}: {len(words)} numbers for a node and three coordinates"
+            raise ValueError(f"{self.at}: {text}; write decimal points, not commas")
+
+    def table(self, width: int) -> Ints:
+        """Return the whole numbers of records, each on one line or several (n, width)."""
+        rows: list[list[int]] = []
+        record: list[int] = []
+        at = 0
+        for at, line in self.lines:
+            words = self.fields(line.rstrip(", \t"))
+            if "" in words:
+                raise ValueError(f"{self.at}: line {at}: a node is missing")
+            record += [self.number(at, w, int) for w in words]
+            if len(record) > width:
+                raise ValueError(f"{self.at}: line {at}: {len(record)} numbers instead of {width}")
+            if len(record) == width:
+                rows.append(record)
+                record = []
+        if record:
+            text = f"{len(record)} numbers instead of {width}; is the file cut short?"
+            raise ValueError(f"{self.at}: line {at}: {text}")
+        return np.array(rows, dtype=np.int64).reshape(-1, width)
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file in UTF-8, UTF-16 with a byte-order mark, or Latin-1."""
+    raw = path.read_bytes()
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return raw.decode("utf-16")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _options(at: str, words: list[str]) -> dict[str, str]:
+    pairs = (word.partition("=") for word in words if word.strip())
+    named = {a.strip().upper(): b.strip().strip('"').strip() for a, _, b in pairs}
+    if "INPUT" in named or "OFFSET" in named:
+        raise ValueError(
+            f"{at}: takes numbers from another file or with an offset; export the mesh as one file"
+        )
+    for name in named.keys() - KNOWN:
+        close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, SIMILAR)
+        if close:
+            raise ValueError(f"{at}: has no option {name}; did you mean {close[0]}?")
+    return named
+
+
+def _has_options(line: str) -> bool:
+    """Return True if a line that follows a keyword has more of its options."""
+    first = line.split(",")[0]
+    return "=" in first or first.strip().upper() in FLAGS
+
+
+def keywords(path: Path) -> Iterator[Keyword]:
+    """Return the keywords of a file in their order.
+
+    Raises:
+        ValueError: It is no such file, or a keyword makes or moves nodes.
+    """
+    rows = enumerate(text_of(path).splitlines(), 1)
+    lines = [(n, text.strip()) for n, text in rows if text.strip() and text.strip()[:2] != "**"]
+    if not lines or lines[0][1][0] != "*":
+        raise ValueError(
+            "is not an .inp file of Abaqus or CalculiX: it does not begin with a keyword (*)"
+        )
+    heads = [k for k, (_, text) in enumerate(lines) if text[0] == "*"]
+    scope = ""
+    for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
+        number, text = lines[head]
+        first = head + 1
+        while text.endswith(",") and first < end and _has_options(lines[first][1]):
+            text += lines[first][1]
+            first += 1
+        (words,) = (
+            csv.reader([text[1:]], quoting=csv.QUOTE_NONE)
+            if '"' not in text
+            else [re.findall(r'(?:[^,"]|"[^"]*")+', text[1:])]
+        )
+        name = " ".join(words[0].split()) if words else ""
+        at, key = f"*{name} in line {number}", name.upper().replace(" ", "")
+        block = Keyword(at, key, {}, lines[first:end], scope)
+        if key in READ:
+            block = Keyword(at, key, _options(at, words[1:]), lines[first:end], scope)
+        if key in MOVING or (key == "INSTANCE" and (block.lines or "LIBRARY" in block.options)):
+            raise ValueError(
+                f"{at}: makes, moves or includes nodes; export the model flat, in one file "
+                "without this keyword"
+            )
+        if key in ("PART", "INSTANCE"):
+            scope = block.option("NAME").upper()
+        elif key in ("ENDPART", "ENDINSTANCE"):
+            scope = ""
+        yield block
