@@ -402,7 +402,7 @@ METHOD = (
 
 def _finished(folder: Path) -> Results:
     if not (folder / "DONE").exists() or not (folder / "summary.json").exists():
-        raise InputError(f"{folder}: holds no finished run; evidence begins with one")
+        raise InputError(f"{folder}: contains no finished run; give the folder of one first")
     return Results(folder)
 
 
@@ -410,7 +410,7 @@ def _checks(folder: Path) -> list[Check]:
     files = sorted([*folder.glob("verify*.json"), *folder.glob("validate.json")])
     if not files:
         text = f"mantle verify or mantle validate with -o {folder} writes one"
-        raise InputError(f"{folder}: holds no verify.json or validate.json; {text}")
+        raise InputError(f"{folder}: contains no verify.json or validate.json; {text}")
     checks: list[Check] = [check for file in files for check in read_json(file)]
     return [check for check in checks if check["outcome"] != NOT_MEASURED]
 

@@ -133,12 +133,12 @@ def _end(record: FitRecord) -> str:
 def _lead(record: FitRecord) -> str:
     """Return the result in a sentence."""
     if texts_of(recorded(record), Severity.ERROR):
-        return "Do not use these values: the first lines below say why."
+        return "Do not use these values; the first lines below give the reason."
     if record["aim"] == "targets":
         largest = max(abs(row["deviation"]) for row in record["numbers"].values())
         return f"The keys reach all targets within {largest:.1f} of their uncertainties."
     words = "smallest" if record["aim"] == "minimise" else "largest"
-    return f"{record['objective']} is the {words} that was found under the constraints."
+    return f"{record['objective']} is the {words} of all runs that meet the constraints."
 
 
 def _large(record: FitRecord) -> list[LargeNumber]:

@@ -67,14 +67,16 @@ class InputSpread:
         del causes[""]
         most = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
         if not ratios:
-            return f"No ± of main numbers was estimated, to set against the inputs{most}."
+            return f"The ± of main numbers was not estimated, so the two are not compared{most}."
         larger, middle = sum(ratio > 1.0 for ratio in ratios), statistics.median(ratios)
-        first = "Inputs dominate the mesh" if middle > 1.0 else "The mesh dominates the inputs"
-        of = f"{len(self.samples)} of {self.drawn} samples, meshes of "
+        first = "Inputs matter more than the mesh"
+        if middle <= 1.0:
+            first = "The mesh matters more than the inputs"
+        size = self.samples[0].data["mesh"]["size"]
         return (
-            f"{first}: half the range from 5 to 95 % over {len(self.inputs)} inputs ({of}"
-            f"{self.samples[0].data['mesh']['size']}) exceeds the ± for {larger} of {len(ratios)} "
-            f"main numbers, {middle:.2g} times it in the median{most}."
+            f"{first}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds the ± "
+            f"for {larger} of {len(ratios)} main numbers; the median ratio is {middle:.2g}{most}. "
+            f"The range is from {len(self.samples)} of {self.drawn} samples on meshes of {size}."
         )
 
 

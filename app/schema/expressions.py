@@ -51,7 +51,9 @@ def calculate(expression: str, names: Mapping[str, Value]) -> Value:
         ValueError: It is no valid expression; the argument names the error and what is allowed.
     """
     if len(expression) > LONGEST:
-        raise ValueError(f"expression of {len(expression)} characters; at most {LONGEST}")
+        raise ValueError(
+            f"the expression has {len(expression)} characters; at most {LONGEST} are allowed"
+        )
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # about code that is refused below

@@ -113,7 +113,7 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
                 text = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
                 return path, text
             if not kinds:
-                return path, f"{value} is of no known kind; is a package missing?"
+                return path, f"{value} has no known kind; is a package missing?"
             missing = f"is missing; expected one of {', '.join(kinds)}"
             text = not_one_of(given["kind"], kinds) if "kind" in given else missing
             return (*path, "kind"), text

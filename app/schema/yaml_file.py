@@ -357,10 +357,13 @@ def _text(node: ScalarNode) -> str:
     """Text of a scalar, of bounded length and without surrogates."""
     text = str(node.value)
     if len(text) > LONGEST:
-        raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", _start(node))
+        raise BadYaml(
+            f"the text has {len(text)} characters; at most {LONGEST} are allowed", _start(node)
+        )
     if any("\ud800" <= c <= "\udfff" for c in text):
         raise BadYaml(
-            "it contains a surrogate, which is no character; save the file as UTF-8", _start(node)
+            "the text contains half a character (a surrogate); save the file as UTF-8",
+            _start(node),
         )
     return text
 

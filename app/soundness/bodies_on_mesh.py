@@ -128,8 +128,8 @@ class BodiesOnMesh:
             by = f"contact on {' and '.join(slippery)} has no friction"
             if steepest > 1e-2:
                 by += (
-                    f" and resists only by a mean slope of {steepest:.2g} degrees, which may come "
-                    "from the facets of the mesh"
+                    f" and resists only because the surface slopes by {steepest:.2g} degrees on "
+                    "average, which may come from the facets of the mesh"
                 )
             cure = "the displacement may be arbitrary; add friction or a support"
             for text in self._words(free):
@@ -142,8 +142,8 @@ class BodiesOnMesh:
             cure = "hold the body by a support or a weak foundation, or start in contact"
             for text in self._words(free):
                 what = (
-                    f"{text}{self._when(k)} until {names} closes, which starts open: there is an "
-                    "equilibrium only under loads that close it"
+                    f"{text}{self._when(k)} until {names} closes; an equilibrium exists only under "
+                    "loads that close it"
                 )
                 notes.append(note(what, cure=cure))
         return list(dict.fromkeys(notes))

@@ -48,7 +48,7 @@ class Cover:
                     f"its bodies overlap by {depth:.3g} mm at {where}, more than a facet "
                     f"({facet:.3g} mm)"
                 )
-                cure = "expected bodies that touch or are apart, and `gap` for an interference"
+                cure = "move them apart; for an interference use `gap`"
                 raise InputError(Verdict(text, f"interfaces.{c.name}", cure))
 
     def _fit(self, nodes: Ints) -> tuple[Ints, Floats]:
@@ -79,8 +79,8 @@ class Cover:
             if furthest > 0:
                 master, slave = c.between or ("", "")
                 text = (
-                    f"on interface '{c.name}' the point {where} of '{slave}' has left '{master}' "
-                    f"and presses on nothing, {furthest:.3g} mm beyond its rim"
+                    f"on interface '{c.name}' the point {where} of '{slave}' has slid off "
+                    f"'{master}', {furthest:.3g} mm beyond its rim"
                 )
                 cure = f"use a larger '{master}', a smaller '{slave}', or less sliding"
                 return Verdict(text, cure=cure)

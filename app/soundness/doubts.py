@@ -31,7 +31,8 @@ def doubts(case: Case, numbers: Summary) -> list[Verdict]:
     for name, q in numbers["regions"].items():
         creep = case.regions[name].creep
         if "creep_strain_max" in q and case.mesh.order == 1:
-            notes.append(note("creep keeps the volume, and linear cells lock", f"region '{name}'"))
+            text = "creep does not change the volume, and linear cells are then too stiff"
+            notes.append(note(text, f"region '{name}'", "use mesh.order: 2"))
         low, high = (creep and creep.stresses) or (0.0, math.inf)
         if "creep_strain_max" in q and not low <= q["von_mises_p99"] <= high:
             text = (

@@ -130,16 +130,16 @@ SHOWN = 3
 SAME = 1e-9
 # Residual over the forces below which a failed state far away is one in balance.
 BALANCED = 2e-2
-# Remedies: in general; of a failure from rest without gaps; of a bond that breaks; of displacements
-# that are not small.
+# Remedies: in general; of a failure from rest without gaps; of a cohesive interface that breaks; of
+# displacements that are not small.
 SMALLER = "use more increments, a finer mesh at the interface, or a smaller load"
 AT_REST = (
     "check the supports and the direction of the loads, or refine the mesh at the interface; "
     "without gaps a smaller first load fails in the same way"
 )
 BREAKS = (
-    "use `fracture_step` in the stage, or prescribe a displacement instead of the load; a bond "
-    "breaks, and past the peak of the load only smaller loads are in equilibrium"
+    "use `fracture_step` in the stage, or prescribe a displacement instead of the load; a cohesive "
+    "interface breaks, and past the peak load only smaller loads are in equilibrium"
 )
 FAR = "use stiffer foundations, add a support, or reduce the load"
 
@@ -246,7 +246,7 @@ def _residuals(outcome: NewtonResult) -> str:
     if outcome.linear_failed:
         return "the linear solver failed"
     if sum(outcome.changes[-5:]) > 0:
-        again = f", the same every {outcome.period} iterations" if outcome.period else ""
+        again = f", repeated every {outcome.period} iterations" if outcome.period else ""
         return f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
     return f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
 

@@ -151,7 +151,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
         return []
     centres = np.tile(contact.frame[0], (len(names), 1))
     texts = describe(motion[:, None], [f"'{name}'" for name in names], centres, *contact.frame)
-    return [f"{text}, and the loads pull there" for text in texts]
+    return [f"{text}, and the loads act in this direction" for text in texts]
 
 
 def _gathered(problem: Problem, resistance: Floats) -> Floats:
@@ -184,8 +184,8 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
         if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
             text = (
-                f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
-                f"on interface '{term.name}' slips in the last converged state"
+                f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of the contact "
+                f"area of interface '{term.name}' slips in the last converged state"
             )
             verdicts.append(Verdict(text, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
     return verdicts
@@ -219,7 +219,7 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
             f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
             "of the interface's size"
             if largest < size
-            else "left each other for good"
+            else "separated completely"
         )
         text = f"the sides of interface '{term.name}' {how}"
         if largest > LOOSE * forces / (term.modulus * size):

@@ -27,7 +27,13 @@ PER_CELL = 3e2
 # wait for ever.
 UNUSED = 6e8
 # Messages of libraries out of memory: C++, the system, CHOLMOD, MUMPS by PETSc.
-SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "INFOG(1)=-13")
+MEMORY_ERRORS = (
+    "bad_alloc",
+    "Cannot allocate memory",
+    "Out of memory",
+    "status -2",
+    "INFOG(1)=-13",
+)
 # PETSc's code of an error without memory.
 OUT_OF_MEMORY = 55
 # Part of the memory that a process may have from which on it is used up.
@@ -95,8 +101,8 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
         return None
     lines = filter(None, map(str.strip, str(cause).splitlines()))
     return EnvironmentProblem(
-        f"there is not enough memory: {next(lines, type(cause).__name__)}\n{_limits()}; a larger "
-        "mesh.size, solver.linear: multigrid or ranks on more machines need less of it"
+        f"there is not enough memory: {next(lines, type(cause).__name__)}\n{_limits()}; use a "
+        "larger mesh.size, solver.linear: multigrid, or ranks on more machines"
     )
 
 
@@ -105,7 +111,7 @@ def _lacks_memory(error: BaseException) -> bool:
         isinstance(error, MemoryError)
         or getattr(error, "errno", None) == errno.ENOMEM
         or getattr(error, "ierr", None) == OUT_OF_MEMORY
-        or any(text in str(error) for text in SAID)
+        or any(text in str(error) for text in MEMORY_ERRORS)
     )
 
 
@@ -118,7 +124,7 @@ def _limits() -> str:
     limit = _addresses()
     if math.isinf(limit):
         return f"a process may use {available({}) / GIGABYTE:.1f} GB"
-    return f"a process may use {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
+    return f"a process may use {limit / GIGABYTE:.1f} GB of address space (ulimit -v)"
 
 
 def check(file: CaseFile, case: Case) -> None:
@@ -131,8 +137,8 @@ def check(file: CaseFile, case: Case) -> None:
     memory = available()
     if memory < BASE:
         raise EnvironmentProblem(
-            f"not enough memory for any case: {_limits()}; mantle alone takes "
-            f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of addresses"
+            f"not enough memory for any case: {_limits()}; mantle itself needs "
+            f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of address space"
         )
     least = needed(case)
     if least <= memory:
@@ -179,4 +185,6 @@ def _fitting(case: Case, key: str, memory: float) -> str:
     if larger > min(case.geometry.coarsest_size, ABSURD):
         return ""
     others = [k for k in ("around", "along") if key == "size" and getattr(case.mesh, k) is not None]
-    return f"{larger:g} mm" + (f", with {' and '.join(others)} as much coarser," if others else "")
+    if not others:
+        return f"{larger:g} mm"
+    return f"{larger:g} mm, with {' and '.join(others)} coarser by the same factor,"

@@ -55,7 +55,7 @@ def _contradiction(case: Case, path: AnyPath) -> str:
         regions = [name for side in sides for name in side]
         if region not in regions:
             return (
-                f"region '{region}' is on no side of {interface}; expected {' or '.join(regions)}"
+                f"region '{region}' is not a side of {interface}; expected {' or '.join(regions)}"
             )
     return ""
 

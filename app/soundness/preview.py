@@ -259,9 +259,10 @@ def warnings(case: Case) -> list[Verdict]:
         if expands and feeds:
             text = (
                 "thermal expansion and a conductance that grows with pressure reinforce each "
-                "other: there may be several states, some of them unstable"
+                "other: several steady states may exist, some of them unstable"
             )
-            notes.append(note(text, f"interfaces.{name}", "the initial temperatures decide"))
+            remedy = "vary the initial temperatures, which select one of them"
+            notes.append(note(text, f"interfaces.{name}", remedy))
     loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
     force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
     if case.geometry.has_gruen_zones and force:
@@ -270,8 +271,8 @@ def warnings(case: Case) -> list[Verdict]:
             notes.append(note(text))
     tables = [name for name, load in case.loads.items() if load.cycle is not None]
     if tables and sum(not stage.takes_time for stage in case.stages) == 1:
-        text = "the cycle begins in the first stage, with all of its loads at the first step"
-        remedy = "put a stage before it, in which they grow: stages: [{name: rise}, ...]"
+        text = "the cycle begins in the first stage, so that all loads act in the first step"
+        remedy = "put a stage before it in which the loads grow: stages: [{name: rise}, ...]"
         notes.append(note(text, f"loads.{tables[0]}.cycle_table", remedy))
     for name, motion in case.motions.items():
         columns = motion.cycle.columns if motion.cycle else {}

@@ -210,8 +210,8 @@ def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
             if met.any():
                 middle = parts.x[cells[np.argmax(met)]].mean(axis=0)
                 text = (
-                    f"its axis meets the region, e.g. at {point_text(middle)}, and fibres have no "
-                    "direction there"
+                    f"its axis meets the region, e.g. at {point_text(middle)}, where fibres have "
+                    "no direction"
                 )
                 cure = "expected an axis outside the region"
                 errors.append(Verdict(text, f"{key}.fibre", cure))
@@ -352,8 +352,8 @@ def _meeting(case: Case, parts: Parts) -> list[Verdict]:
     names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
     text = (
         f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
-        f"{point_text(parts.x[rows[0]])}: there the law of one of them holds in the mean over the "
-        "points next to it"
+        f"{point_text(parts.x[rows[0]])}: there the law of one interface holds only as a mean over "
+        "the neighbouring points"
     )
     return [note(text)]
 
@@ -389,7 +389,7 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
             text = (
                 f"an interference of {interference:.3g} mm is "
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
-                f"({thickness:.3g} mm): they cannot make room for it within small strains"
+                f"({thickness:.3g} mm), so that strains are not small"
             )
             errors.append(Verdict(text, where, "use a smaller interference; is the unit wrong?"))
         elif thickness and interference > SMALL * thickness:
@@ -400,10 +400,11 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
             notes.append(note(text, where, WRONG_UNIT))
         if apart > SMALL * size:
             text = (
-                f"the sides are {apart:.3g} mm apart everywhere, on an interface of {size:.3g} mm: "
-                f"where loads close it, the body has moved by {100 * apart / size:.0f} % of that"
+                f"the sides are {apart:.3g} mm apart everywhere, {100 * apart / size:.0f} % of the "
+                f"size of the interface ({size:.3g} mm)"
             )
-            notes.append(note(text, where, "results assume small displacements"))
+            remedy = "use a smaller gap, since results assume small displacements"
+            notes.append(note(text, where, remedy))
     return errors, notes
 
 
@@ -471,8 +472,8 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
             continue
         where = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
         text = (
-            f"{where} lie on each other on {area:.3g} mm2, e.g. at {point_text(place)}, but share "
-            "no node: neither force nor heat passes between them"
+            f"{where} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no node: "
+            "neither force nor heat passes between them"
         )
         cure = (
             "if they are to be joined, mesh them together (in gmsh BooleanFragments), or let them "
@@ -509,8 +510,8 @@ def _too_stiff(case: Case, parts: Parts) -> list[Verdict]:
         if excess > TOO_STIFF:
             percent = float(f"{100 * excess:.2g}")
             text = (
-                f"region '{name}' is {thickness:.3g} mm thick, of linear cells of {edge:.3g} mm: "
-                f"where it bends it is about {percent:.0f} % too stiff"
+                f"region '{name}' is {thickness:.3g} mm thick with linear cells of {edge:.3g} mm: "
+                f"in bending it is about {percent:.0f} % too stiff"
             )
             notes.append(note(text, cure="use mesh.order: 2"))
     return notes

@@ -312,7 +312,7 @@ def test_fit_page_of_a_minimum_names_its_objective(model: Bench) -> None:
     text = file(targets="", more=f"  minimise: {MODULUS}\n  constraints:\n")
     search(model, text + "    lower_upper.pressure_mean: {at_least: 4 MPa}\n")
     html = fit_report.write(model.out).read_text()
-    assert f"{MODULUS} is the smallest that was found under the constraints." in html
+    assert f"{MODULUS} is the smallest of all runs that meet the constraints." in html
 
 
 def test_fit_dry_run_lists_the_first_run(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:

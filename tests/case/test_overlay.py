@@ -504,7 +504,7 @@ def test_library_cycle_in_the_first_stage_has_a_note(tmp_path: Path) -> None:
     text = "base: stance\nloads: {library: gait, cycle_table: walking_cycle}\n"
     case = mantle.load(write(tmp_path, case=text))
     notes = [str(n) for n in mantle.check(case).notes]
-    assert "the cycle begins in the first stage, with all of its loads" in notes[0]
+    assert "the cycle begins in the first stage, so that all loads" in notes[0]
     later = mantle.load(case.path, stages=[{"name": "rise"}, {"name": "gait"}])
     assert mantle.check(later).notes == ()
 

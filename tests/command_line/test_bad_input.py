@@ -306,7 +306,7 @@ BLOCKS = CONFIGS / "blocks.yaml"
 def test_bad_input_endless_texts(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(f"title: {'x' * 10_001}\n")
-    assert complaints(path) == ["1:8: a text of 10001 characters; at most 10000"]
+    assert complaints(path) == ["1:8: the text has 10001 characters; at most 10000 are allowed"]
     (long,) = complaints(BLOCKS, f"mesh.size=1{' ' * LONGEST_VALUE}mm")
     assert long.startswith("--set mesh.size: '1   ") and len(long) < 200
 

@@ -676,8 +676,8 @@ def test_run_covers_every_shipped_case() -> None:
 
 # Notes that are right. Coarsened, some cases are one linear cell thick.
 TRUE_NOTES = (
-    "of linear cells",
-    "linear cells lock",
+    "linear cells of",
+    "linear cells are then too stiff",
     "from memory",
     "creeps a",
     "the stem takes",

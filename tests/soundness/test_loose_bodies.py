@@ -134,7 +134,7 @@ def test_loose_bodies_are_free_ones_and_no_others_drawn(seed: int) -> None:
 # Small loads along free motions, beside large ones that contact bears
 
 SMOOTH = "interfaces.stem_cement.friction_coefficient=0"
-ALONG = "'stem': it is free to rotate about z, and the loads pull there"
+ALONG = "'stem': it is free to rotate about z, and the loads act in this direction"
 
 
 def torque(moment: float, history: str = "[1]") -> tuple[str, ...]:

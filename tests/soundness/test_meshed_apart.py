@@ -142,7 +142,7 @@ def test_finite_sliding_of_a_block(plate: float, step: float) -> None:
 
 
 def test_finite_sliding_refuses_a_block_off_its_plate() -> None:
-    left = r"at 100 %.* \(10, .* of 'block_top' has left 'plate_bottom' .* (6|5.99) mm beyond"
+    left = r"at 100 %.* \(10, .* of 'block_top' has slid off 'plate_bottom', (6|5.99) mm beyond"
     with pytest.raises(ConvergenceError, match=left):
         drawn("supports.floor.x=40 mm")
     with pytest.raises(InputError, match=r"^interfaces.b: its bodies overlap by 6 mm at .* more"):

@@ -44,7 +44,7 @@ def test_bending_note_on_linear_cells_has_the_stiffness_of_a_beam(
     text = BEAM.format(L=L, b=b, h=h, size=size, order=1)
     (note,) = noted(text)
     said = re.fullmatch(
-        r"region 'beam' is ([\d.]+) mm thick, of linear cells of [\d.]+ mm: where it bends it is "
+        r"region 'beam' is ([\d.]+) mm thick with linear cells of [\d.]+ mm: in bending it is "
         r"about (\d+) % too stiff; use mesh.order: 2",
         note,
     )
@@ -79,7 +79,7 @@ def test_bending_note_is_in_summary_table_and_page(
     assert main(["sweep", str(tmp_path / "sweep.yaml"), "-o", str(folder), "--cores", "1"]) == 0
     linear, quadratic = json.loads((folder / "sweep.json").read_text())["cases"]
     (note,) = linear["notes"]
-    assert "of linear cells" in note and quadratic["notes"] == []
+    assert "with linear cells of" in note and quadratic["notes"] == []
     summary = json.loads((folder / linear["folder"] / "summary.json").read_text())
     assert notes_of(summary) == [note]
     assert f"note: {note} ({linear['name']})" in "".join(capsys.readouterr())

@@ -132,7 +132,7 @@ def test_creep_time_in_any_unit(tmp_path: Path) -> None:
             "dissipation": pytest.approx(10 * expected * 6 * 4 * 4, rel=1e-3),
         }
         assert not any("measured" in note for note in notes_of(s))
-        assert any("linear cells lock" in note for note in notes_of(s)) == (k < 2)
+        assert any("linear cells are then too stiff" in note for note in notes_of(s)) == (k < 2)
 
 
 def test_creep_law_alone_costs_nothing() -> None:

@@ -83,4 +83,4 @@ def test_heat_steps_note_unstable_steady_states(start: float, state: int, tmp_pa
     summary = mantle.run(case, tmp_path).summary
     pressure = summary["interfaces"]["metal_cement"]["pressure_mean"]
     assert pressure == pytest.approx(WALLS.states()[state].pressure, rel=1e-6, abs=1e-9)
-    assert "there may be several states, some of them unstable" in "; ".join(notes_of(summary))
+    assert "several steady states may exist, some of them unstable" in "; ".join(notes_of(summary))
