@@ -77,6 +77,8 @@ push_out
 plugs
 sections
 resurfacing
+composite_strain
+composite_bond
 disc
 rods
 mantle

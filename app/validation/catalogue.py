@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.validation import bearings, cement, interfaces
+from app.validation import bearings, cement, femora, interfaces
 
 EXPERIMENTS = {
     experiment.name: experiment
@@ -15,6 +15,8 @@ EXPERIMENTS = {
         interfaces.PLUGS,
         interfaces.SECTIONS,
         cement.RESURFACING,
+        femora.COMPOSITE_STRAIN,
+        femora.COMPOSITE_BOND,
         interfaces.RODS,
         cement.DISC,
         cement.MANTLE,

@@ -40,6 +40,14 @@ COARSE: dict[str, list[str]] = {
         "stages.0.increments=1",
         "output.error=false",
     ],
+    "composite_intact.yaml": [
+        "mesh.size=12 mm",
+        "output.error=false",
+    ],
+    "composite_stem.yaml": [
+        "mesh.size=12 mm",
+        "output.error=false",
+    ],
     "intact.yaml": [
         "mesh.size=6 mm",
         "output.error=false",

@@ -641,6 +641,16 @@ def check_press_fit(s: dict[str, Any]) -> None:
     assert "mantle" not in s
 
 
+def check_gauges(s: dict[str, Any]) -> None:
+    """Gauges agree with linear fits to the strain nearby; the shaft bends to medial."""
+    for side, sign in (("medial", -1), ("lateral", 1)):
+        for level in (40, 80):
+            strain = s["probes"][f"{side}_{level}"]["strain"]
+            assert strain * sign > 0
+            assert strain == pytest.approx(s["femur"][f"strain_{side}_{level}"], rel=0.05)
+    assert s["femur"]["head_displacement"][2] < 0
+
+
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "iso_7206_4.yaml": check_bench,
     "iso_7206_6.yaml": check_neck,
@@ -648,6 +658,8 @@ CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "stance_cocr.yaml": check_stance,
     "pressed.yaml": check_press_fit,
     "thin_femur.yaml": check_stance,
+    "composite_intact.yaml": check_gauges,
+    "composite_stem.yaml": check_gauges,
     "intact.yaml": check_intact,
     "variations.yaml": check_variations,
     "thermal_100C.yaml": check_hot,

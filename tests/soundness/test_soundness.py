@@ -111,6 +111,7 @@ EXPECTED = {
     "verification/pressed_rod": {"is the unit wrong?"},
     "verification/plate": {"strains are not small"},
     **{key: {"from memory: check"} for key in ("day", "fatigue", "creep_taper")},
+    **{key: {"from memory: check"} for key in ("composite_intact", "composite_stem")},
     "life": {"from memory: check", STAYS},
     "verification/creep_taper": {"slopes by 1.5 degrees"},
     "verification/layer": {"1e+09 MPa; is the unit wrong?"},

@@ -1,0 +1,187 @@
+"""Experiments on synthetic femora with strain gauges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from app.foundation.arrays import Floats
+from app.results.reading import Results
+from app.validation.experiment import Conditions, Experiment, PredictedQuantity
+
+# Force on the head, whose vertical part is the same in all runs [N].
+VERTICAL = 1963.3
+# Time at which a stem without cement is in its place, before the force.
+INSERTED = 1.0
+# Length of a gauge in the cement [mm].
+GAUGE = 3.0
+# Strain in microstrain.
+MICRO = 1e6
+
+
+def strain(run: Results, gauge: str) -> float:
+    """Strain of a gauge by the force alone: zeroed after the insertion of the stem [um/m]."""
+    record = run.step_record
+    column = record[f"{gauge} strain [-]"]
+    before = column[record["time [-]"] <= INSERTED] if _inserted(run) else np.zeros(1)
+    return float(MICRO * (column[-1] - before[-1]))
+
+
+def _inserted(run: Results) -> bool:
+    """Return True if a stage of the run inserts the stem."""
+    return "stem_bone" in run.summary["interfaces"]
+
+
+def stiffness(run: Results) -> float:
+    """Vertical force over the displacement of the head along the shaft [N/mm]."""
+    return float(-VERTICAL / run.summary["femur"]["head_displacement"][2])
+
+
+def _of(
+    text: str, unit: str, number: Callable[[Results], float], condition: str, failure: str
+) -> PredictedQuantity:
+    """A number of one condition."""
+    return PredictedQuantity(text, unit, lambda runs: number(runs[condition]), failure)
+
+
+def _ratio(
+    text: str, number: Callable[[Results], float], over: str, under: str, failure: str
+) -> PredictedQuantity:
+    """Ratio of a number of two conditions."""
+
+    def ratio(runs: Conditions) -> float:
+        return number(runs[over]) / number(runs[under])
+
+    return PredictedQuantity(text, "-", ratio, failure)
+
+
+# A stem without cement, four sides
+
+SIDES = ("medial", "lateral", "anterior", "posterior")
+SHAPE = (
+    "Outside of the band the outline or the cortex of the femur that was tested differs from this "
+    "one, or its potting and force differ from the ranges."
+)
+SHIELDED = (
+    "Above the band the stem carries less in its proximal part than one that fills the canal; "
+    "below it the stem is bonded or stiffer."
+)
+COMPOSITE_STRAIN = Experiment(
+    name="composite_strain",
+    title="Stem without cement in a synthetic femur",
+    blind=True,
+    quantities={
+        "stiffness": _of(
+            "vertical force over vertical displacement of the head, intact femur",
+            "N/mm",
+            stiffness,
+            "intact",
+            SHAPE,
+        ),
+        "stiffness_ratio": _ratio(
+            "this stiffness with the stem over that of the intact femur",
+            stiffness,
+            "stem",
+            "intact",
+            SHAPE,
+        ),
+        "medial": _of(
+            "strain along the shaft for 2000 N, medial, 40 mm below mid lesser trochanter, intact",
+            "um/m",
+            lambda run: strain(run, "medial_40"),
+            "intact",
+            SHAPE,
+        ),
+        "lateral": _of(
+            "the same, lateral",
+            "um/m",
+            lambda run: strain(run, "lateral_40"),
+            "intact",
+            SHAPE,
+        ),
+        **{
+            f"{side}_share": _ratio(
+                f"strain along the shaft with the stem over that of the intact femur, {side}, 5 to "
+                "20 mm below mid lesser trochanter",
+                lambda run, side=side: strain(run, f"{side}_10"),  # type: ignore[misc]
+                "stem",
+                "intact",
+                SHIELDED,
+            )
+            for side in SIDES
+        },
+        "distal_share": _ratio(
+            "strain along the shaft with the stem over that of the intact femur, medial, 80 mm "
+            "below mid lesser trochanter",
+            lambda run: strain(run, "medial_80"),
+            "stem",
+            "intact",
+            SHIELDED,
+        ),
+    },
+)
+
+# A cemented stem that loses its bond
+
+# Levels of the gauges in the medial cement by name [mm].
+LEVELS = {"proximal": -10.0, "middle": -50.0, "distal": -100.0}
+
+
+def cement_strain(run: Results, z: float) -> float:
+    """Strain along the shaft of the medial cement at the stem, mean of a gauge [um/m].
+
+    By Hooke's law from the stress on the path along the stem.
+    """
+    table = run.paths["medial_cement"]
+    last = table["step"] == table["step"].max()
+    near = last & (np.abs(table["z [mm]"] - z) <= GAUGE / 2)
+    xx, yy, zz = (_mean(table[f"stress.{axis} [MPa]"][near]) for axis in ("xx", "yy", "zz"))
+    cement = run.case["regions"]["cement"]
+    E, ν = (float(str(cement[key]).split()[0]) for key in ("youngs_modulus", "poisson_ratio"))
+    return MICRO * (zz - ν * (xx + yy)) / E
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean())
+
+
+BOND = (
+    "Outside of the band the bond was not lost everywhere, or wear and creep of a million cycles "
+    "change how the stem sits in its cement."
+)
+COMPOSITE_BOND = Experiment(
+    name="composite_bond",
+    title="Cemented stem in a synthetic femur, bond lost",
+    blind=True,
+    quantities={
+        **{
+            f"cement_{name}": _ratio(
+                f"strain along the shaft of the medial cement, debonded over bonded, {name}",
+                lambda run, z=z: cement_strain(run, z),  # type: ignore[misc]
+                "debonded",
+                "bonded",
+                BOND,
+            )
+            for name, z in LEVELS.items()
+        },
+        **{
+            f"bone_{level}": _ratio(
+                "strain along the shaft of the medial bone, debonded over bonded, "
+                f"{level} mm below mid lesser trochanter",
+                lambda run, level=level: strain(run, f"medial_{level}"),  # type: ignore[misc]
+                "debonded",
+                "bonded",
+                BOND,
+            )
+            for level in (10, 40, 80)
+        },
+        "head": _ratio(
+            "stiffness at the head, debonded over bonded",
+            stiffness,
+            "debonded",
+            "bonded",
+            BOND,
+        ),
+    },
+)
