@@ -38,6 +38,7 @@ from meshes.data import (
     region_volumes,
 )
 from meshes.geometry import FileKeys, GeometryKeys, is_file, is_hip
+from meshes.imported import build as build_imported
 from meshes.imported import write as write_msh
 from meshes.pieces import coincident
 
@@ -212,7 +213,5 @@ def _between(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
 
 def meeting(geometry: FileKeys, mesh: MeshKeys) -> tuple[list[tuple[str, str]], list[str]]:
     """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
-    from meshes import imported
-
-    data = canonical(imported.build(geometry, mesh))
+    data = canonical(build_imported(geometry, mesh))
     return [(a, b) for a, b, _ in _between(data)], data.notes["interior_surfaces"]

@@ -40,6 +40,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
 from app.campaigns import batch, fit_results, fit_verdicts
 from app.campaigns.batch import Options
@@ -198,8 +199,6 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
 
 def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     """Fit the keys to the targets by least squares."""
-    from scipy.optimize import least_squares
-
     fit = evaluate.problem.fit
     values = np.array([target.value for target in fit.number_targets.values()])
     uncertainties = np.array([target.uncertainty for target in fit.number_targets.values()])
@@ -257,8 +256,6 @@ def _violations(problem: FitProblem, run: FitRun) -> Floats:
 
 def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
     """Search the smallest or largest objective under the constraints."""
-    from scipy.optimize import NonlinearConstraint, minimize
-
     problem = evaluate.problem
     scale = abs(_cost(problem, start)) or 1.0
 

@@ -26,12 +26,12 @@ from app.laws.values import ROUNDING
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 from app.system import folders
+from meshes.placement import InsertionKeys, Placement, ResectionKeys, head_in_words, place
 
-# `meshes` is imported where it is used: scipy takes 0.15 s, which cases without a hip save.
+# `best_position` and `room` are imported where they are used: scipy takes 0.15 s.
 if TYPE_CHECKING:
     from app.case.stems import Stem, StemFile
     from meshes.bone_layers import LayeredBone
-    from meshes.placement import InsertionKeys, Placement, ResectionKeys
 
 BONE = ("cortical_bone", "cancellous_bone")
 OF_BONE = dict.fromkeys(BONE, "bone")
@@ -220,8 +220,6 @@ class Hip(Shape):
     @property
     def placement(self) -> Placement:
         """Cut and stem in the model's axes."""
-        from meshes.placement import place
-
         return place(self)
 
     @property
@@ -406,8 +404,6 @@ class OperatedHip(Hip):
     @property
     def placement_details(self) -> dict[str, str]:
         """Head of the stem against the intact one, and the gain of a search, in words."""
-        from meshes.placement import head_in_words
-
         details = {"head of the stem": head_in_words(self)}
         return details | ({"best position": self._gain} if self._gain else {})
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from app.foundation.arrays import Floats
@@ -187,7 +188,6 @@ class LatinHypercube(SampledInputs):
 
         The least correlated of `DESIGNS` random designs is taken.
         """
-        import numpy as np
         from scipy.stats import qmc
 
         sampler = qmc.LatinHypercube(len(self.inputs), seed=self.seed)

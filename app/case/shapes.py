@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+import numpy as np
 from pydantic import (
     BaseModel,
     Discriminator,
@@ -269,8 +270,6 @@ class Shape(Extensible):
 
     def on_flanks(self, x: Floats) -> Bools:
         """True at points (n, 3) that are neither on a stem's end nor on its shoulder (n,)."""
-        import numpy as np
-
         return np.ones(len(x), dtype=bool)
 
     @property

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Annotated, Any, NoReturn
 
+import numpy as np
 from pydantic import ConfigDict, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -79,8 +80,6 @@ class CycleTable(Section):
 
     def at(self, names: Sequence[str], s: float) -> list[float]:
         """Values of columns at a part of a cycle from 0 to 1 [rad, N, -]; 0 of a missing one."""
-        import numpy as np
-
         time = self.times[0] + s * (self.times[-1] - self.times[0])
         columns = (self.columns.get(name) for name in names)
         return [float(np.interp(time, self.times, values)) if values else 0.0 for values in columns]

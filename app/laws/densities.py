@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Discriminator, Tag
 
 from app.schema.section import ITEMS, TAG, Extensible, Four, Section, Truth
@@ -58,8 +59,6 @@ def table_of(law: str | DensityLaw) -> tuple[str, Table]:
 
 def modulus(law: str | DensityLaw, density: ArrayLike) -> Floats:
     """Young's modulus [MPa] for densities [g/cm3] of the law's kind."""
-    import numpy as np
-
     rho = np.maximum(density, LEAST)
     start, a, b, c = np.transpose(table_of(law)[1])
     k = np.maximum(np.searchsorted(start, rho) - 1, 0)
@@ -68,8 +67,6 @@ def modulus(law: str | DensityLaw, density: ArrayLike) -> Floats:
 
 def density(law: str | DensityLaw, modulus: ArrayLike) -> Floats:
     """Density [g/cm3] for Young's moduli [MPa]; the law must increase."""
-    import numpy as np
-
     start, a, b, c = np.transpose(table_of(law)[1])
     k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST) ** c, modulus) - 1, 0)
     return np.asarray(((np.asarray(modulus) - a[k]) / b[k]) ** (1 / c[k]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, Discriminator, PlainSerializer, Tag
 
 from app.schema.section import TAG, Kinds, Section, Triple
@@ -62,8 +63,6 @@ class Circumferential(Section):
 
     def frames(self, x: Floats) -> Floats:
         """Rotations (n, 3, 3) whose third column is the direction at points (n, 3)."""
-        import numpy as np
-
         a = np.broadcast_to(self.axis, x.shape)
         r = x - self.through
         r = r - (r @ np.array(self.axis))[:, None] * a

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import model_validator
 
 from app.foundation.errors import InputError
@@ -56,8 +57,6 @@ class FixedTemperature(Named):
 
     def values(self, x: Floats) -> Floats:
         """Prescribed temperature at points (n,) [K]; 1 if it follows a time course."""
-        import numpy as np
-
         if self.temperature is None:
             return np.ones(len(x))
         key = f"heat.{self.name}.temperature"

@@ -16,6 +16,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
+import numpy as np
 from pydantic import model_validator
 
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
@@ -369,8 +370,6 @@ class SurfaceZone(Section):
 
 def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Floats) -> Floats:
     """Interference of a key at points (n, 3): shape (n,) [mm]; 0 beside the flanks of a stem."""
-    import numpy as np
-
     if isinstance(value, tuple):
         heights, lengths = zip(*value, strict=True)
         interference = np.interp(stem.height_on_stem(x), heights, lengths)
@@ -476,8 +475,6 @@ class Unilateral(Frictional):
             return {}
 
         def friction(x: Floats) -> Floats:
-            import numpy as np
-
             coefficients = np.full(len(x), self.friction_coefficient)
             for zone in (self.zones or {}).values():
                 if zone.friction_coefficient is not None:
@@ -768,8 +765,6 @@ class Cohesive(Frictional, Traction):
 
     @model_validator(mode="after")
     def _softens(self) -> Cohesive:
-        import numpy as np
-
         numbers = {n: v for n, v in self.values.items() if not isinstance(v, str)}
         self.check({name: np.array([v]) for name, v in numbers.items()})
         return self

@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
+import numpy as np
 from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
 from app.laws.cycle_tables import FACTOR, FORCES, CycleTable
@@ -249,8 +250,6 @@ class Force(Load):
 
     def work(self, v: Expr, on: LoadedBody) -> Work:
         """Work of a traction that varies linearly over the boundary."""
-        import numpy as np
-
         from forms import loads
 
         # Collective, and may raise: on every rank, even without facets.
@@ -308,8 +307,6 @@ class BodyForce(Load):
 
     def density_at(self, x: Floats) -> Floats:
         """Force per volume at points (n, 3) [N/mm3]."""
-        import numpy as np
-
         key = f"loads.{self.name}.density"
         columns = [field(f"{key}[{i}]", value)(x) for i, value in enumerate(self.density)]
         return np.stack(columns, axis=1)

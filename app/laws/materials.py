@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from app.laws.creep import Creep
@@ -174,8 +175,6 @@ class Elastic(Material):
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """Stiffness at points (n, 3) [mm] over the stiffness of `coefficients` (n,) [-]."""
-        import numpy as np
-
         return np.ones(len(x))
 
     def energy(self, ε: Expr, coefficients: Sequence[Expr], fibre: Expr | None) -> Expr:
@@ -255,8 +254,6 @@ class Isotropic(Elastic):
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""
-        import numpy as np
-
         if self.modulus_field:
             return np.asarray(self.modulus_field.at(x, self._geometry) / self.moduli[0])
         if isinstance(self.youngs_modulus, float):

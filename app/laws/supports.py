@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from app.laws.values import LengthField, LoadHistory, Named, field
@@ -138,8 +139,6 @@ class Displacement(Support):
 
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
-        import numpy as np
-
         given = {axis: getattr(self, axis) or 0.0 for axis in "xyz"}
         columns = [field(f"supports.{self.name}.{axis}", v)(x) for axis, v in given.items()]
         return np.stack(columns, axis=1)

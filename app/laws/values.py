@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, Discriminator, PrivateAttr, Tag
 from pydantic_core import PydanticCustomError
 
@@ -15,7 +16,6 @@ from app.schema.section import ITEMS, TAG, Pair, Section, Text, fail
 from app.schema.units import Dimension, Length, NonNegativeInteger, Number, Part, PositiveLength
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from app.foundation.arrays import Bools, Field, Floats
@@ -57,8 +57,6 @@ class Patches(Section):
 
     def __call__(self, x: Floats) -> Floats:
         """1 in patches, 0 elsewhere, at points (n, 3) [mm]: shape (n,)."""
-        import numpy as np
-
         # Cubes of space, cut by the surface; the shift keeps their faces off planes of meshes.
         shift = (0.6180339887, 0.7548776662, 0.5698402910)
         cubes = np.floor(x / self.patch + shift).astype(np.int64).astype(np.uint64)
@@ -173,8 +171,6 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
         return value
 
     def at(x: Floats) -> Floats:
-        import numpy as np
-
         if not isinstance(value, str):
             return np.full(len(x), value)
         try:
@@ -198,8 +194,6 @@ def in_zone(above: float, below: float, heights: Floats) -> Bools:
 
 def amplitude(load_history: Sequence[float] | None, time: float) -> float:
     """Multiplier at a time. Stage k runs from k to k + 1 and ends with ``load_history[k]`` or 1."""
-    import numpy as np
-
     values = [0.0, *((1.0,) if load_history is None else load_history)]
     return float(np.interp(time, np.arange(len(values)), values))
 
@@ -213,8 +207,6 @@ def gap_at(gap: Floats, gap_history: Sequence[float], time: float) -> Floats:
             interference grows through the first stage.
         time: Stage k runs from k to k + 1.
     """
-    import numpy as np
-
     if gap_history:
         return amplitude(gap_history, time) * gap
     return np.maximum(gap, 0.0) + amplitude((1.0,), time) * np.minimum(gap, 0.0)
@@ -232,8 +224,6 @@ def gap_settled(gap: Floats, gap_history: Sequence[float]) -> float:
 
 def multiplier(time_course: TimeCourse | None, seconds: float) -> float:
     """Multiplier of a heat condition at a time [s], linear between pairs; 1 without any."""
-    import numpy as np
-
     if not time_course:
         return 1.0
     return float(np.interp(seconds, [t for t, _ in time_course], [m for _, m in time_course]))

@@ -26,11 +26,11 @@ from app.foundation.implant import Implant
 from app.schema.paths import file
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Length, Number, Plain, PositiveLength
+from meshes.placement import Placement, place
 
 if TYPE_CHECKING:
     from app.patient.bone import PatientBone
     from meshes.layered_surfaces import LayeredSurfaces
-    from meshes.placement import Placement
 
 SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
@@ -216,8 +216,6 @@ class Patient(OperatedHip):
     @cached_property
     def placement(self) -> Placement:
         """Cut and stem in the model's axes."""
-        from meshes.placement import place  # other cases do without
-
         return place(self)
 
     @property

@@ -8,11 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from app.case.case import Case
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.soundness import mesh_notes
 from app.system.layout import count, duration
+from meshes.data import EDGES, interface_nodes
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -251,10 +254,6 @@ def solid(case: Case) -> bool:
 
 def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     """Cells, unknowns, solver and memory of a mesh, and notes of the mesher."""
-    import numpy as np
-
-    from meshes.data import EDGES, interface_nodes
-
     rigid = [data.regions[n] for n, r in case.regions.items() if r.moves_rigidly]
     elastic = data.cells[~np.isin(data.cell_tags, rigid), :4]
     nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
