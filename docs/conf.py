@@ -83,6 +83,7 @@ disc
 rods
 mantle
 slab
+cementless
 """,
     "reference/README": """
 case

@@ -15,7 +15,15 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import swept
-from meshes.data import MeshData, MeshKeys, Sides, assemble, facet_areas, number
+from meshes.data import (
+    MeshData,
+    MeshKeys,
+    Sides,
+    assemble,
+    facet_areas,
+    interface_facets,
+    number,
+)
 from meshes.geometry import HipKeys
 from meshes.layered_surfaces import LayeredSurfaces
 
@@ -49,15 +57,27 @@ def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
     masks = {
         "distal_cut": made.on(facets, s=0),
-        "bone_surface": made.on(facets, rho=4),
-        "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
+        "bone_surface": bone & made.on(facets, rho=4),
+        "stem_trunnion": made.on(facets, s=surfaces.collar[1] + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
     x = geometry.placement.to_model(made.nodes.x)
     data = assembled(geometry, made, x, geometry.region_names, geometry.interface_sides, masks)
     details = (f"{k}: {v}" for k, v in geometry.details.items())
     messages = [*details, *surfaces.bone.notes, *surfaces.notes]
+    if "collar_bone" in data.interfaces:
+        messages.append(_collar(data, surfaces))
     return replace(data, notes={**data.notes, "messages": messages}) if messages else data
+
+
+def _collar(data: MeshData, surfaces: LayeredSurfaces) -> str:
+    """Angle and areas on which a collar rests, in words."""
+    facets, _, under = interface_facets(data, "collar_bone")
+    area = facet_areas(data.points, facets)
+    on_cortex = area[data.cell_tags[under] == data.regions["cortical_bone"]].sum()
+    angle = 360.0 * len(surfaces.spans) / surfaces.around
+    text = f"collar: rests on {area.sum():.0f} mm2 over {angle:.0f} deg around medial"
+    return f"{text}, {on_cortex:.0f} mm2 of them on cortical bone"
 
 
 def assembled(
@@ -72,7 +92,7 @@ def assembled(
     tag_of = number(regions)
     tags = np.array([tag_of.get(name, 0) for name in made.names])[made.region]
     facets, _ = made.facets
-    masks |= _patches(geometry, x, facets, made.on(facets, rho=4))
+    masks |= _patches(geometry, x, facets, masks["bone_surface"])
     data = assemble(x, made.cells, tags, tag_of, interfaces, masks, facets)
     notes = {"head_centre": list(geometry.head_centre), "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)

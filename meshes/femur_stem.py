@@ -1,4 +1,4 @@
-"""The implant of the parametric femur: a straight, tapered, collarless stem, its offset, its neck.
+"""The implant of the parametric femur: a straight, tapered stem, its offset, its neck.
 
 A section of the body is a rectangle with rounded corners whose half-widths and corner radius are
 linear in z, so that the body is a ruled loft between two sections. Above the neck cut the body goes

@@ -5,7 +5,7 @@ a point of the stem's outline to the periosteum; along it lie the outer side of 
 endosteum. Cement is what is inside the lesser of the two. A stem without cement has no mantle: it
 is exact, and where it reaches into the cortex the endosteum is its surface. Above the cut the stem
 goes on alone: its body where it stands out, then a blend to the round neck and a cone to the
-trunnion.
+trunnion. A collar lies on the cut, around medial: there the lines of the bone go on through it.
 
 Three parts answer: the stem in its mantle (`StemWithMantle`), the bone (`bone_layers`), and the
 sections in which both are.
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
@@ -37,6 +37,8 @@ SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the 
 CAD_COARSER = 1.4  # as `COARSER`, of stems from CAD, whose shoulders are not convex
 CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges are sharp
 VOID = "void"  # where no cells are
+COLLAR = "collar"
+NEAR = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
 DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 NOTHING = 0.05  # mm of cortex that a stem may take unreported
@@ -154,6 +156,7 @@ class LayeredSurfaces:
         spared: Part of the largest bend of a bad curved cell up to which edges keep theirs.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
+        collar: Stations of the neck cut and of the collar's top; the same without a collar.
     """
 
     coarser, spared = COARSER, 0.0
@@ -217,7 +220,9 @@ class LayeredSurfaces:
     def _continue(self, implant: Implant) -> None:
         """Divide the stem above the cut."""
         bone = ("cancellous_bone", "cortical_bone")
-        upper = Segment(self.stem.upper.ends[-1], ("stem",))
+        steps = self._above(implant)
+        on_cut = Segment(self.collar[1] - self.cut, ("stem", *[COLLAR] * len(self.through)))
+        upper = Segment(steps, ("stem",))
         segments: tuple[Segment, ...]
         if self.stem.is_cemented:
             segments = (
@@ -225,6 +230,7 @@ class LayeredSurfaces:
                 Segment(self._floor - self.mantle[0], ("cement", "cement", *bone)),
                 Segment(self.tip - self._floor, (VOID, "cement", *bone)),
                 Segment(self.cut - self.tip, ("stem", "cement", *bone)),
+                on_cut,
                 upper,
             )
         else:
@@ -232,9 +238,59 @@ class LayeredSurfaces:
                 Segment(self._floor, ("cancellous_bone", *bone)),
                 Segment(self.tip - self._floor, (VOID, *bone)),
                 Segment(self.cut - self.tip, ("stem", *bone)),
+                on_cut,
                 upper,
             )
         self.segments = tuple(segment for segment in segments if segment.steps)
+
+    def _above(self, implant: Implant) -> int:
+        """Find the stations above the cut; number of steps above the collar.
+
+        Raises:
+            GeometryError: The stem has no room for its collar.
+        """
+        last = self.stem.upper.ends[-1]
+        self.collar = (self.cut, self.cut)
+        self._stations = np.arange(last + 1.0)
+        thickness = implant.collar_thickness
+        if not thickness:
+            return last
+        steps = self.mesh.steps(thickness)
+        # The station of the stem alone that is as high above the cut, around medial in the mean.
+        stations, turns = np.linspace(0.0, last, 20 * last + 1), np.linspace(-0.1, 0.1, 9)
+        phi, s = (v.ravel() for v in np.meshgrid(turns % 1.0, stations))
+        x = self.stem.upper.points(phi, s).reshape(len(stations), len(turns), 3)
+        height = ((x - x[0]) @ self.normal).mean(axis=1)
+        if height.max() < thickness:
+            raise GeometryError("geometry.stem.collar.thickness: the collar is above the head")
+        top = float(np.interp(thickness, height, stations))
+        following = math.ceil(top + NEAR)
+        self._stations = np.concatenate(
+            [np.linspace(0.0, top, steps + 1), np.arange(following, last + 1.0)]
+        )
+        self.collar = (self.cut, self.cut + steps)
+        return len(self._stations) - 1 - steps
+
+    @property
+    def normal(self) -> Floats:
+        """Unit normal of the neck cut in the stem's axes (3,)."""
+        return self._placed.normal @ self._placed.turn
+
+    @property
+    def spans(self) -> Ints:
+        """Spaces between lines over which the collar extends; a space is after its line."""
+        each_side = round(self.around * self._geometry.implant.collar_angle / (4 * math.pi))
+        each_side = min(max(each_side, 1), (self.around - 1) // 2)
+        return np.arange(-each_side, each_side) % self.around
+
+    def is_left_out(self, body: ReferenceBody) -> Bools:
+        """True for prisms of the reference body that are no part of the model (p,)."""
+        names = np.array(body.names)[body.region]
+        # A prism of a ring is between a line and the next: the first one is that of its space.
+        line = np.sort(body.columns // len(body.rho), axis=1)[:, [0, -1]]
+        first = np.where(line[:, 1] - line[:, 0] > 1, line[:, 1], line[:, 0])
+        beside = (names == COLLAR) & ~np.isin(first, self.spans)
+        return np.asarray((names == VOID) | beside)
 
     def to_model(self, x: Floats) -> Floats:
         """Points in the stem's axes (n, 3) in those of the model [mm]."""
@@ -258,11 +314,18 @@ class LayeredSurfaces:
         return lines
 
     def _beyond(self, lines: Lines, phi: Floats, s: Floats) -> None:
-        """Replace the lines above the cut."""
+        """Replace the lines above the cut; in the collar they go on from those at the cut."""
         above = s > self.cut
-        lines.start[above] = self.stem.upper.points(phi[above], s[above] - self.cut)
-        lines.end[above] = lines.start[above] + 1.0
-        lines.mantle[above], lines.endosteum[above] = 0.3, 0.6
+        at = np.interp(s[above] - self.cut, np.arange(len(self._stations)), self._stations)
+        lines.start[above] = self.stem.upper.points(phi[above], at)
+        beyond = s > self.collar[1]
+        lines.end[beyond] = lines.start[beyond] + 1.0
+        lines.mantle[beyond], lines.endosteum[beyond] = 0.3, 0.6
+        within = above & ~beyond
+        if within.any():
+            steps = self.collar[1] - self.cut
+            height = (s[within] - self.cut) * self._geometry.implant.collar_thickness / steps
+            lines.end[within] += height[:, None] * self.normal
 
     def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
         """Hang the nodes inside sections of the plug; nodes, and what stands for each."""

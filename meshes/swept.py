@@ -17,7 +17,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
-from meshes.layered_surfaces import VOID, LayeredSurfaces
+from meshes.layered_surfaces import LayeredSurfaces
 from meshes.layers import DIGITS, Nodes
 from meshes.quality import check, relaxed, sicn, untangle
 from meshes.reference_body import ReferenceBody
@@ -101,7 +101,7 @@ def mesh(surfaces: LayeredSurfaces, curved: bool) -> Swept:
     nodes, number = _grid(surfaces, body)
     cells, parent = _mended(surfaces, body, nodes, number)
     region = body.region[parent]
-    solid = np.array([name != VOID for name in body.names])[region]
+    solid = ~surfaces.is_left_out(body)[parent]
     made = _relaxed(_packed(surfaces, nodes, cells[solid], region[solid], body.names))
     _check(made)
     return _curved(made) if curved else made

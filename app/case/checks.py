@@ -201,7 +201,7 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
             if entries:
                 written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
                 sections.append(f"`{section}: {{{written}}}`")
-        what = "there is no cement" if geometry.laws_to_write else "there is cement"
+        what = "there is no cement" if "regions" in geometry.left_out else "there is cement"
         text = f"{what}; add {' and '.join(sections)}"
         yield Fault(("geometry", "cement_thickness"), text)
     elif missing:

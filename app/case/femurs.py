@@ -206,7 +206,7 @@ class _Femur(Hip):
 
 
 class Femur(_Femur, OperatedHip):
-    """A proximal femur with a straight tapered collarless stem, in a cement mantle or without.
+    """A proximal femur with a straight tapered stem, in a cement mantle or without.
 
     Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
     The table of bone sections belongs to the mesher; the parameters here are those of the operation

@@ -59,6 +59,8 @@ CEMENTED: dict[str, Sides] = {
     "cement_bone": (("cement",), BONE),
 }
 UNCEMENTED: dict[str, Sides] = {"stem_bone": (("stem",), BONE)}
+COLLAR = "collar"  # region of a collar
+ON_CUT = "collar_bone"  # interface under it
 VOID = 5.0  # length without bone below a stem without cement (mm), by default
 INSIDE = 2.0 / 3.0  # least fraction of the stem in the bone
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
@@ -174,8 +176,6 @@ class Hip(Shape):
     has_gruen_zones: ClassVar[bool] = True
     has_curved_surfaces: ClassVar[bool] = True
     coarsest_size: ClassVar[float] = 20.0  # a few cells along the stem
-    joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
-
     cement_thickness: Thickness = 4.0
     """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side.
     `0 mm`: no cement. The stem is then in contact with the bone (interface `stem_bone`)."""
@@ -216,6 +216,11 @@ class Hip(Shape):
     def widening(self) -> float:
         """Distance by which the table's endosteum is moved outwards (mm)."""
         return 0.0
+
+    @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """The bone is one body."""
+        return (BONE,)
 
     @property
     def placement(self) -> Placement:
@@ -351,22 +356,47 @@ class OperatedHip(Hip):
     )
 
     @property
+    def has_collar(self) -> bool:
+        """True if the stem has a collar that rests on the neck cut."""
+        return self.implant.collar_thickness > 0.0
+
+    @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """The bone is one body, and so are a stem and its collar."""
+        return (BONE, ("stem", COLLAR)) if self.has_collar else (BONE,)
+
+    @property
+    def press_fits(self) -> tuple[str, ...]:
+        """Interfaces of a stem without cement."""
+        return () if self.is_cemented else ("stem_bone", ON_CUT)
+
+    @property
     def tissues(self) -> dict[str, str]:
         """Tissue of each region."""
-        cement = {"cement": "cement"} if self.is_cemented else {}
-        return {"stem": "implant", **cement, **OF_BONE}
+        tissues = {"stem": "implant"}
+        if self.has_collar:
+            tissues[COLLAR] = "implant"
+        if self.is_cemented:
+            tissues["cement"] = "cement"
+        return tissues | OF_BONE
 
     @property
     def interface_sides(self) -> dict[str, Sides]:
         """Regions on the two sides of each interface."""
-        return CEMENTED if self.is_cemented else UNCEMENTED
+        sides = CEMENTED if self.is_cemented else UNCEMENTED
+        if not self.has_collar:
+            return sides
+        return sides | {ON_CUT: ((COLLAR,), ("cement", *BONE) if self.is_cemented else BONE)}
 
     @property
     def laws_to_write(self) -> dict[str, str]:
-        """The interface of a stem without cement: without a law it would be ingrown."""
-        if self.is_cemented:
-            return {}
-        return {"stem_bone": "{kind: contact, friction_coefficient: 0.5}"}
+        """Interfaces of metal on bone: without a law they would be ingrown."""
+        laws = {}
+        if not self.is_cemented:
+            laws["stem_bone"] = "{kind: contact, friction_coefficient: 0.5}"
+        if self.has_collar:
+            laws[ON_CUT] = "{kind: contact, friction_coefficient: 0.3}"
+        return laws
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:

@@ -201,7 +201,12 @@ def add_interface_field(*fields: InterfaceField) -> None:
         INTERFACE_FIELDS[field.name] = field
 
 
-PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement", "stem_bone": "stem-bone"}
+PLACES = {
+    "cement_bone": "cement-bone",
+    "stem_cement": "stem-cement",
+    "stem_bone": "stem-bone",
+    "collar_bone": "collar-bone",
+}
 # Sections of numbers; the others map interfaces or regions to numbers.
 RUN = ("solver", "balance", "timing")
 WHOLE = ("stem", "femur", *RUN)
@@ -445,6 +450,8 @@ add_quantity(
     _stem("varus", "deg", digits=3, order=MOTION, step_record=True, headline=True),
     _stem("tip_displacement", "mm", "um", 1, order=MOTION, vector=True),
     _stem("top_displacement", "mm", "um", 1, order=MOTION, vector=True),
+    _stem("collar_force", "N", digits=0, label="force on the collar", order=MOTION, on_page=True),
+    _stem("collar_share", "-", "%", 0, label="share of the collar", order=MOTION, on_page=True),
 )
 add_quantity(
     _femur("head_displacement", "mm", order=MOTION, vector=True),

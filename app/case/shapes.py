@@ -278,6 +278,11 @@ class Shape(Extensible):
         return {}
 
     @property
+    def press_fits(self) -> tuple[str, ...]:
+        """Interfaces whose micromotion is reported, also without an interference."""
+        return ()
+
+    @property
     def left_out(self) -> dict[str, tuple[str, ...]]:
         """Names, by section, that a base of the same kind has and this one has not."""
         return {}

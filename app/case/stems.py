@@ -25,6 +25,7 @@ _Point = Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 100 mm]")
 _Line = Annotated[tuple[_Point, _Point], Pair("[[0 mm, 0 mm, 0 mm], [0 mm, 0 mm, 100 mm]]")]
 
 
+ANGLES = (20.0, 320.0)  # range of a collar's angle (deg)
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 
 
@@ -38,8 +39,25 @@ HeadOffset = Annotated[float, length("43 mm", at_least=20.0, at_most=80.0)]
 TipRounding = Annotated[float, length("2 mm", at_least=0.0, at_most=20.0)]
 
 
+class Collar(Section):
+    """A plate around the stem that rests on the neck cut, from the stem to the bone's surface."""
+
+    thickness: Annotated[float, length("3 mm", at_least=1.0, at_most=10.0)] = 3.0
+    """Thickness of the plate, 1 to 10 mm."""
+    angle: Annotated[float, Dimension("rad", "an angle", "90 deg")] = math.radians(90.0)
+    """Angle about the stem's axis over which it extends, half of it to each side of medial, 20 to
+    320 deg. The mesh takes the nearest pairs of lines and reports its angle."""
+
+    @model_validator(mode="after")
+    def _beside_the_resection(self) -> Collar:
+        low, high = ANGLES
+        if not low <= round(math.degrees(self.angle), 9) <= high:
+            fail(f"is not between {low:g} and {high:g} deg", at=("angle",))
+        return self
+
+
 class Stem(Section):
-    """A straight tapered collarless stem by its numbers."""
+    """A straight tapered stem by its numbers, with or without a collar."""
 
     content: ClassVar[str] = ""
     details: ClassVar[dict[str, str]] = {}
@@ -74,6 +92,9 @@ class Stem(Section):
     """Height of the head's centre above the shoulder."""
     neck_angle: Annotated[float, Dimension("rad", "an angle", "130 deg")] = math.radians(130.0)
     """Angle between neck and stem (rad), 100 to 145 deg."""
+    collar: Collar | None = None
+    """Collar that rests on the neck cut: region `collar`, interface `collar_bone`. By default the
+    stem has none."""
 
     @model_validator(mode="after")
     def _section_above_tip(self) -> Stem:
@@ -88,6 +109,7 @@ class Stem(Section):
     def implant(self, tip_z: float | None, plug_length: float, tip_void: float) -> Implant:
         """The implant with its tip at a level, by default with its shoulder at 0 (mm)."""
         numbers = dict(self)
+        collar = numbers.pop("collar")
         tip = -self.length if tip_z is None else tip_z
         shoulder = tip + self.length
         levels = {
@@ -96,6 +118,8 @@ class Stem(Section):
             "head_height": shoulder + self.head_height,
         }
         cement = {"plug_length": plug_length, "tip_void": tip_void}
+        if collar:
+            levels |= {"collar_thickness": collar.thickness, "collar_angle": collar.angle}
         return Implant(**(numbers | levels | cement))
 
 
@@ -176,7 +200,8 @@ class StemFile(Section):
         tip = -round(float(self.shape["shoulder"]), 2) if tip_z is None else tip_z
         unknown: dict[str, Any] = dict.fromkeys(field.name for field in fields(Implant))
         cement = {"plug_length": plug_length, "tip_void": tip_void}
-        numbers: dict[str, Any] = unknown | self.values(tip) | cement
+        no_collar = {"collar_thickness": 0.0, "collar_angle": 0.0}
+        numbers: dict[str, Any] = unknown | self.values(tip) | cement | no_collar
         return Implant(**(numbers | {"tip_z": tip, "cad": self.shape}))
 
 

@@ -26,6 +26,9 @@ class Implant:
         tip_rounding: Height of the rounded end, 0: flat.
         plug_length: Length of cement below the tip.
         tip_void: Length without cement or bone below the tip; the end is flat then.
+        collar_thickness: Thickness of the collar on the neck cut; 0: none.
+        collar_angle: Angle about the stem's axis over which it extends, half of it to each side of
+            medial [rad].
         head_offset: Distance of the head's centre from the axis.
         head_height: Level of the head's centre.
         neck_angle: Angle between neck and stem [rad].
@@ -51,6 +54,8 @@ class Implant:
     tip_rounding: float
     plug_length: float
     tip_void: float
+    collar_thickness: float = 0.0
+    collar_angle: float = 0.0
     cad: Mapping[str, Any] | None = None
 
     @property

@@ -11,7 +11,7 @@ from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.results.percentiles import percentile
 from app.results.records import Followed, Record
-from app.results.surface_parts import Surface
+from app.results.surface_parts import in_parts
 from app.stepping.load_steps import LoadStep, OnStep
 
 # Pressures of an interface that are published.
@@ -53,7 +53,7 @@ class AfterInsertion(Record):
         problem, zones = self._followed.problem, self._followed.zones
         surface = trial.contact.points.surface
         levels = zones.borders(surface.x) if zones else {}
-        parts = [Surface(surface, i, levels) for i in range(len(surface.triangles))]
+        parts = in_parts(surface, [c.name for c in problem.scene.contacts], levels)
         numbers = ContactSamples(problem, trial, None, parts).numbers
         pressed = [c.name for c in problem.scene.contacts if c.press_fit]
         return {

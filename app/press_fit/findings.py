@@ -13,6 +13,7 @@ import numpy as np
 
 from app.case.case import Case
 from app.case.checks import check
+from app.case.hips import ON_CUT
 from app.case.quantities import TABLE, in_print
 from app.case.summary import Numbers, Summary
 from app.foundation.verdict import Severity, Verdict
@@ -65,7 +66,7 @@ def _areas(name: str, q: Numbers) -> str:
 def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     """Areas of micromotion, compared with published limits of ingrowth."""
     for name, q in summary.get("interfaces", {}).items():
-        if not q.get("area") or "area_micromotion_over_40um" not in q:
+        if name == ON_CUT or not q.get("area") or "area_micromotion_over_40um" not in q:
             continue
         parts = {name: q} | {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
         text = (

@@ -16,6 +16,7 @@ PAIRS = {
     "stem_cement": ("the stem", "its cement", "in"),
     "cement_bone": ("the cement", "the bone", "on"),
     "stem_bone": ("the stem", "the bone", "in"),
+    "collar_bone": ("the collar", "the bone", "on"),
 }
 # Slip and gaps below this count as zero [um].
 NOTHING = 0.05

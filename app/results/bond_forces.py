@@ -32,7 +32,7 @@ from app.mechanics.problem import Problem
 from app.results.interface_numbers import failing, normal_pressure
 from app.results.records import Borders
 from app.results.stresses import Stresses
-from app.results.surface_parts import Surface
+from app.results.surface_parts import Surface, in_parts
 from app.scene.bodies import (
     Bodies,
     boundary_facets,
@@ -223,7 +223,8 @@ class BondForces:
         points, entries = contact_points(facets, holds[0], [i.name for i in interfaces], holds[1])
         surface = points.surface
         levels = self._borders(surface.x) if self._borders else {}
-        surfaces = {b.name: Surface(surface, i, levels) for i, b in enumerate(self._bonds)}
+        names = [bond.name for bond in self._bonds]
+        surfaces = dict(zip(names, in_parts(surface, names, levels), strict=True))
         nodes = np.unique(entries.row // 3)
         near = self._boundaries_near(pieces, nodes)
         return _Place(

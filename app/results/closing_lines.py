@@ -102,7 +102,10 @@ def headline(summary: Summary) -> Iterator[str]:
     if pressed:
         parts = [f"{name} {_with_unit('interfaces', 'pressure_max', q)}" for name, q in pressed]
         yield f"largest contact pressure: {', '.join(parts)}"
-    yield from (_sentence("stem", *row) for row in rows.get("stem", {}).items())
+    for row in rows.get("stem", {}).items():
+        yield _sentence("stem", *row)
+        if "collar_force" in row[1]:
+            yield _sentence("stem", *row, text="collar")
     for name, q in rows.get("regions", {}).items():
         if CEMENT in q:
             tension = _with_unit("regions", "principal_p99", q)
@@ -171,6 +174,8 @@ SENTENCES = {
     "cure": "{name}: degree of cure {degree_min} .. {degree_max}{reached}; largest rate {rate_max}",
     "stem": "stem against bone: subsidence {subsidence}, retroversion {retroversion}, "
     "varus {varus}",
+    "collar": "the collar presses on the bone by {collar_force} along the stem, {collar_share} of"
+    " what collar and flanks carry",
 }
 
 

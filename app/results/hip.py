@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from app.case.case import Case
 from app.case.femurs import IntactFemur
+from app.case.hips import ON_CUT
 from app.case.quantities import GAUGES
 from app.case.summary import Numbers, Zone
 from app.foundation.arrays import Floats, Ints
@@ -24,6 +25,8 @@ from meshes.gruen import Zones
 
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6
+# Interfaces of a stem and its collar.
+ON_STEM = ("stem_cement", "stem_bone", ON_CUT)
 ENDS = ("tip_displacement", "top_displacement")
 
 
@@ -194,6 +197,26 @@ def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
     J = slopes(of_x, x)
     du = slopes(of_u, u[space.dofmap.list[f.cells]])
     return np.asarray((du @ np.linalg.inv(J))[:, 2, 2])
+
+
+# Collar
+
+
+def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
+    """Force with which a collar is pressed onto the bone along the stem; nothing without one.
+
+    ``collar_force`` [N]; ``collar_share`` [-] is its part of the force along the stem that collar
+    and flanks carry together.
+    """
+    geometry = case.geometry
+    if ON_CUT not in interfaces or not is_hip(geometry):
+        return {}
+    axis = geometry.placement.turn[:, 2]
+    along = {name: float(-axis @ q["force"]) for name, q in interfaces.items() if name in ON_STEM}
+    numbers: Numbers = {"collar_force": along[ON_CUT]}
+    if len(along) > 1:  # the flanks are not bonded
+        numbers["collar_share"] = along[ON_CUT] / sum(along.values())
+    return numbers
 
 
 # Gruen zones

@@ -15,11 +15,12 @@ linear field with these means. More steps follow the noise of the means (docs/ve
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from app.case.hips import ON_CUT
 from app.foundation.arrays import Bools, Floats, Ints
 from app.interfaces.corners import ContactSurface
 from app.results.percentiles import SurfaceField
@@ -94,6 +95,16 @@ def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
     for part, level in levels.items():
         pieces[part], rest = rest.beyond(-level), rest.beyond(level)
     return {"": rest} | pieces
+
+
+def in_parts(
+    points: ContactSurface, names: Sequence[str], borders: Mapping[str, Floats]
+) -> list[Surface]:
+    """Surfaces of interfaces by their names, in parts; the one on the neck cut is undivided.
+
+    Borders are those of `Surface`.
+    """
+    return [Surface(points, i, {} if n == ON_CUT else borders) for i, n in enumerate(names)]
 
 
 class Surface:

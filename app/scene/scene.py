@@ -351,7 +351,7 @@ def build_scene(case: Case) -> Scene:
         for k, stage in enumerate(case.stages)
         if stage.other
     }
-    pressed = case.geometry.laws_to_write
+    pressed = case.geometry.press_fits
     contacts = tuple(
         dataclasses.replace(c, press_fit=True) if c.name in pressed else c for c in scene.contacts
     )

@@ -24,11 +24,11 @@ from app.results.balance import Balance
 from app.results.bond_forces import BondForces
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.gauges import ProbedMechanics
-from app.results.hip import StemMotion, by_zone, of_femur
+from app.results.hip import StemMotion, by_zone, of_collar, of_femur
 from app.results.interface_numbers import ContactSamples
 from app.results.records import Followed, Record, records
 from app.results.stresses import Stresses
-from app.results.surface_parts import Surface
+from app.results.surface_parts import Surface, in_parts
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.steppers import steppers
 from app.simulation.thermal_model import ThermalModel
@@ -87,7 +87,8 @@ class Mechanical:
             if problem.contact:
                 surface = problem.contact.points.surface
                 levels = zones.borders(surface.x)
-                self.surfaces = [Surface(surface, i, levels) for i in range(len(surface.triangles))]
+                names = [contact.name for contact in problem.scene.contacts]
+                self.surfaces = in_parts(surface, names, levels)
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
@@ -338,7 +339,7 @@ class Model:
             creep = m.problem.creep
             if creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
-            numbers["stem"] = m.stem(self.case.side)
+            numbers["stem"] = m.stem(self.case.side) | of_collar(self.case, numbers["interfaces"])
             femur = of_femur(m.problem, self.case)
             if femur:
                 numbers["femur"] = femur

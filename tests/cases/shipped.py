@@ -35,6 +35,11 @@ COARSE: dict[str, list[str]] = {
         "mesh.around=16",
         "output.error=false",
     ],
+    "collar.yaml": [
+        "mesh.size=10 mm",
+        "mesh.around=16",
+        "output.error=false",
+    ],
     "thin_femur.yaml": [
         "mesh.size=6 mm",
         "stages.0.increments=1",

@@ -651,12 +651,21 @@ def check_gauges(s: dict[str, Any]) -> None:
     assert s["femur"]["head_displacement"][2] < 0
 
 
+def check_collar(s: dict[str, Any]) -> None:
+    """Collar and flanks carry the hip force along the shaft, which is the stem's axis."""
+    check_press_fit(s)
+    assert 0.1 < s["stem"]["collar_share"] < 0.6
+    total = s["stem"]["collar_force"] / s["stem"]["collar_share"]
+    assert total == pytest.approx(1747.8, rel=1e-6)
+
+
 CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
     "iso_7206_4.yaml": check_bench,
     "iso_7206_6.yaml": check_neck,
     "stance.yaml": check_stance,
     "stance_cocr.yaml": check_stance,
     "pressed.yaml": check_press_fit,
+    "collar.yaml": check_collar,
     "thin_femur.yaml": check_stance,
     "composite_intact.yaml": check_gauges,
     "composite_stem.yaml": check_gauges,
@@ -693,6 +702,8 @@ TRUE_NOTES = (
     "from memory",
     "creeps a",
     "the stem takes",
+    "collar: rests on",
+    "there the law of one of them holds",
     "the conductance does not change where the interface opens",
 )
 QUICK = ("blocks.yaml", "cylinders.yaml", "stance.yaml")
