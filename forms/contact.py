@@ -63,9 +63,8 @@ from forms import Scalar
 # A face counts as open if its gap exceeds minus this fraction of |S|/r, so that the sign of a
 # rounding error does not decide.
 ROUNDING = 1e-9
-# A point counts as stick until its tangential trial force exceeds the limit of friction by this
-# part of the limit, and its slip in the step exceeds `ROUNDING` of its jump before. Rounding then
-# does not decide while loads are constant, also where the pressure is low.
+# A point sticks until its tangential trial force exceeds the limit of friction by this part.
+# Rounding then does not decide while loads are constant.
 AT_REST = 1e-6
 
 # States of a point.
@@ -143,15 +142,11 @@ class Response:
 
 @dataclass(frozen=True)
 class _Touching:
-    """State of a point while a given set of its faces touches; open if the set is empty.
-
-    `before` is r times the gap vector of the last converged state (3,) [MPa].
-    """
+    """State of a point while a given set of its faces touches; open if the set is empty."""
 
     faces: tuple[int, ...]
     pressures: list[Expr]
     tangential: Expr
-    before: Expr
     radius: Scalar
     sticks: Expr | None
     condition: Expr | None
@@ -168,7 +163,7 @@ class _Touching:
             return STICK * _ONE
         if self.sticks is None:
             return SLIP * _ONE
-        limit = (1 + AT_REST) * self.radius + ROUNDING * sqrt(inner(self.before, self.before))
+        limit = (1 + AT_REST) * self.radius
         return conditional(le(inner(self.tangential, self.tangential), limit**2), STICK, SLIP)
 
 
@@ -255,7 +250,7 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> li
     faces = range(len(normals))
     sets = [A for size in range(1, len(normals) + 1) for A in combinations(faces, size)]
     states = [_touching(A, S, dS, normals, μ) for A in sets]
-    nothing = _Touching((), [], 0 * S, 0 * S, None, None, None)
+    nothing = _Touching((), [], 0 * S, None, None, None)
     if len(normals) == 1:
         return [*states, nothing]
     apart = reduce(And, [ge(dot(S, n), 0) for n in normals])
@@ -298,9 +293,9 @@ def _touching(
     radius, sticks = _friction(μ, p, S_T)
     condition = reduce(And, [ge(value, 0) for value in p])
     others = [m for k, m in enumerate(normals) if k not in A]
-    before = S - dS
     if others:
         # r times the gap vector these faces leave: what was open before, plus the slip.
+        before = S - dS
         kept = before - _combine(components(before, n), A, normals)
         if μ is None:
             kept = kept + S_T
@@ -309,7 +304,7 @@ def _touching(
             kept = kept + conditional(sticks, 0, 1 - radius / size) * S_T
         for m in others:
             condition = And(condition, ge(dot(kept, m), -ROUNDING * sqrt(inner(S, S))))
-    return _Touching(A, p, S_T, before, radius, sticks, condition)
+    return _Touching(A, p, S_T, radius, sticks, condition)
 
 
 def _friction(μ: Scalar | None, p: Sequence[Scalar], S_T: Scalar) -> tuple[Scalar, Scalar]:

@@ -386,26 +386,3 @@ def test_contact_law_gap_vectors_open_every_face() -> None:
         opened = np.einsum("nki,ni->nk", normals[:, :faces], g)
         assert np.abs(opened - gap[:, None]).max(initial=0) < 1e-12
         assert faces or not g.any()
-
-
-@pytest.mark.parametrize(("slip", "state"), [(0.0, STICK), (1e-7, SLIP)])
-def test_contact_law_sticks_where_only_rounding_exceeds_the_limit(slip: float, state: int) -> None:
-    """A point under a ten-thousandth of a usual pressure has slid by 20 um and then rests.
-
-    The residual of the equilibrium, here 4e-6 of its limit of friction, does not make it slide.
-    """
-    pressure, μ, r = 8e-5, 0.4, 1280.0
-    p = sample(1, 1)
-    n, along = p.normals[0, 0], unit(np.cross(p.normals[0, 0], [1.0, 2.0, 3.0]))
-    old = 0.02 * along
-    F = -pressure * n + μ * pressure * (1 + 4e-6) * along
-    p = Points(
-        F[None],
-        (old + slip * along)[None],
-        np.zeros((1, 3)),
-        old[None],
-        p.normals,
-        np.array([μ]),
-        np.array([r]),
-    )
-    assert force_of(law_of(p, True), p).status == [state]
