@@ -156,7 +156,7 @@ class TrialState:
         dissipated = weight * (outputs["dissipated"] + law.rubbed + rubbed)
         soft = np.einsum("pi,pij,pj->p", force, c.law.compliance, force) / 2
         slid = self.sliding(step - self._elastic(friction - old.friction))
-        slid = np.where(c.law.slides[:, None], slid, slip - old.slip)
+        slid = np.linalg.norm(np.where(c.law.slides[:, None], slid, slip - old.slip), axis=1)
         pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         return ContactState(
             jump=self.jump.copy(),
@@ -165,7 +165,8 @@ class TrialState:
             friction=friction,
             opening=opening,
             slip=slip,
-            path=old.path + np.linalg.norm(slid, axis=1),
+            slid=slid,
+            path=old.path + slid,
             stored=weight * (outputs["stored"] + soft),
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),

@@ -85,6 +85,7 @@ class ContactState:
         friction: Friction part of the force (n, 3) [MPa].
         opening: Jump plus initial gap (n, 3) [mm].
         slip: Irreversible tangential motion, 0 where open (n, 3) [mm].
+        slid: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
         stored: Energy stored by laws of interfaces (n,) [N mm].
         dissipation: Dissipation so far (n,) [N mm].
@@ -100,6 +101,7 @@ class ContactState:
     friction: Floats
     opening: Floats
     slip: Floats
+    slid: Floats
     path: Floats
     stored: Floats
     dissipation: Floats
@@ -113,7 +115,8 @@ class ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
         values = {name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()}
-        return cls(zero, zero, zero, zero, gap, zero, none, none, none, none, none, none, values)
+        steps = (none, none, none, none, none, none, none)
+        return cls(zero, zero, zero, zero, gap, zero, *steps, values)
 
 
 def prescribed_jump(

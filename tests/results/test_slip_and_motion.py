@@ -72,6 +72,17 @@ def test_slip_is_a_state_and_its_path_accumulates(
     assert q["slip_max"] <= q["motion_max"] + 1e-12
 
 
+@pytest.mark.parametrize(("slid", "fraction"), [(1e-11, 0.0), (1e-8, 1.0)])
+def test_slip_of_rounding_size_counts_as_stick(slid: float, fraction: float) -> None:
+    """A point under a millionth of the former pressure, where any motion exceeds the limit.
+
+    The longest path of sliding is 0.04 mm. A step of 1e-11 mm is below 1e-9 of it.
+    """
+    path = [(0, -0.001), (0.04, -0.001), (0.04, -1e-9), (0.04 + slid, -1e-9)]
+    q = moved(path, "friction_coefficient: 0.3")
+    assert q["slip_fraction"] == fraction and q["stick_fraction"] == 1 - fraction
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 def test_slip_is_independent_of_proportional_steps(friction: float) -> None:
     """A taper pressed home: the same slip in 1, 3 and 16 steps."""
