@@ -26,6 +26,7 @@ from pydantic.config import JsonDict
 from app.case import checks, overlay, points
 from app.case.credibility import Credibility
 from app.case.geometries import Geometry, MeshFile, MeshOptions
+from app.case.merge_rules import MEASURED
 from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.shapes import Point3
@@ -47,7 +48,7 @@ TABLES = ("regions", "interfaces", "supports", "motions", "loads", "heat")
 # Keys beside the names of loads, as the JSON schema has them.
 LIBRARY_KEYS: JsonDict = {
     "library": {"type": ["string", "object"]},
-    **{key: {"type": "string"} for key in overlay.MEASURED},
+    **{key: {"type": "string"} for key in MEASURED},
     "history": {"type": "array"},
     "cycle_table": {"type": ["object", "array", "string"]},
 }

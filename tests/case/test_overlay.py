@@ -224,6 +224,10 @@ def test_library_entries_have_sources_and_are_valid(tmp_path: Path) -> None:
     )
     for name, entry in shipped["materials"].items():
         assert len(entry["source"]) > 20 and entry["about"]
+        if "thermal" not in entry:  # synthetic bone: its constants of heat are not known
+            region = f"base: blocks.yaml\nregions: {{upper: {{material: {name}}}}}\n"
+            assert loaded(tmp_path, region).regions["upper"].moduli, name
+            continue
         body = loaded(tmp_path, HEATED.replace("PMMA", name)).regions["body"]
         assert body.thermal.conductivity and body.thermal.thermal_expansion, name
     for name, entry in shipped["cycle_tables"].items():

@@ -1,0 +1,337 @@
+"""Rules of merging: words of a case that stand for values of a library or of other keys.
+
+`material`, `finish` and `library` name an entry of a library. `body_weight`, `sagittal_tilt`, a
+common `history` or `cycle_table`, and the magnitude of a `force` change values below them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
+from math import cos, hypot, sin
+from typing import Any
+
+from pydantic_core import PydanticCustomError
+
+from app.case import library
+from app.foundation.errors import InputError
+from app.schema import yaml_file
+from app.schema.section import VECTOR, Triple, did_you_mean, show
+from app.schema.units import ANGLE, FORCE, WEIGHT
+from app.schema.yaml_file import CaseFile, Fault, Path
+
+# Keys that a region keeps when it gets another material.
+OF_REGION = ("thermal", "tissue", "eigenstrains")
+OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
+# Keys of a region or a load that its status and source do not describe.
+OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
+# Keys among the loads that change all forces there, and what they are.
+MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
+# Keys among the loads that say how all forces there change in time, one or the other.
+IN_TIME = ("history", "cycle_table")
+
+# Turns what stands above at a path into plain values, and takes away what they replace below:
+# (case, lower, upper, path) -> (lower, upper).
+Rule = Callable[[CaseFile, object, object, Path], tuple[object, object]]
+
+
+def rule_at(path: Path) -> Rule | None:
+    """Rule of a path of a case; most paths have none."""
+    match path:
+        case ("regions", _):
+            return _region
+        case ("interfaces", _):
+            return _interface
+        case ("credibility",):
+            return _credibility
+        case ("loads",):
+            return _loads
+        case ("loads", _):
+            return _load
+        case ("loads", _, "force"):
+            return _force
+        case ("loads", _, "cycle_table") | ("motions", _, "rotation", "cycle_table"):
+            return _cycle_table
+    return None
+
+
+def _without(values: Mapping[str, object], *keys: str) -> dict[str, object]:
+    """Values of the other keys."""
+    return {key: value for key, value in values.items() if key not in keys}
+
+
+def _region(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve ``material: NAME`` and ``kind: rigid``; drop the origin of changed constants."""
+    if not isinstance(upper, dict):
+        return lower, upper
+    name = upper.get("material")
+    if isinstance(name, str):
+        upper = _without(upper, "material")
+        entry = _entry(case, "materials", name, (*path, "material"), path)
+        if entry:
+            _checkkind_of(case, name, kind_of(entry, path), ("conductor",), upper, path)
+            case.tissues.pop(str(path[1]), None)
+            tissue = entry.pop("tissue", None)
+            if isinstance(tissue, str):
+                case.tissues[str(path[1])] = tissue
+            region = lower if isinstance(lower, dict) else {}
+            lower = _material(region, entry, upper)
+    if isinstance(lower, dict) and "kind" in upper and kind_of(lower, path) != kind_of(upper, path):
+        lower = None
+    if upper.get("kind") == "rigid":
+        upper = _without(upper, "kind") | {"rigid": True}
+    return _without_origin(lower, upper), upper
+
+
+def _interface(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve ``finish: NAME``."""
+    if not isinstance(upper, dict) or not isinstance(upper.get("finish"), str):
+        return lower, upper
+    name = upper["finish"]
+    upper = _without(upper, "finish")
+    entry = _entry(case, "finishes", name, (*path, "finish"), path)
+    if not entry:
+        return lower, upper
+    _checkkind_of(case, name, entry["kind"], (), upper, path)
+    if isinstance(lower, dict) and lower.get("kind") == entry["kind"]:
+        return lower | entry, upper
+    return entry, upper
+
+
+def _credibility(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve ``library: NAME``, a context of use in place of that of the base."""
+    if not isinstance(upper, dict) or not isinstance(upper.get("library"), str):
+        return lower, upper
+    entry = _entry(case, "contexts", upper["library"], (*path, "library"), path)
+    return entry or lower, _without(upper, "library")
+
+
+def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve ``library: NAME``, a body weight, a tilt and a history of all loads."""
+    if not isinstance(upper, dict):
+        return lower, upper
+    sets = upper.get("library")
+    if sets is not None:
+        upper = _without(upper, "library")
+        if not isinstance(sets, str | dict):
+            text = f"{show(sets)} is not the name of a set, nor names with histories"
+            case.complaints.append(Fault((*path, "library"), f"{text}, e.g. {{gait: [1, 0]}}"))
+            return lower, upper
+        entry = _activities(case, sets, path) if isinstance(sets, dict) else _set(case, sets, path)
+        lower = entry or lower
+    loads = lower if isinstance(lower, dict) else {}
+    if MEASURED.keys() & upper:
+        lower = loads = _measured(case, loads, upper)
+        upper = _without(upper, *MEASURED)
+    if upper.keys() >= {*IN_TIME}:
+        text = f"the loads have a {IN_TIME[1]}, too; leave one of the two out"
+        case.complaints.append(Fault((*path, IN_TIME[0]), text))
+    for key in IN_TIME:
+        if isinstance(upper.get(key), list) or (key == "cycle_table" and key in upper):
+            lower = loads = _changing(case, loads, key, upper[key])
+            upper = _without(upper, key)
+    return lower, upper
+
+
+def _set(case: CaseFile, name: str, path: Path) -> dict[str, Any]:
+    """Loads of a set of the library; notes the body weight for which they are."""
+    loads = _entry(case, "loads", name, (*path, "library"), path)
+    if loads:
+        case.measured = {"sagittal_tilt": 0.0}
+        if "body_weight" in loads:
+            _measure(case, "body_weight", loads.pop("body_weight"))
+    return loads
+
+
+def _activities(case: CaseFile, sets: Mapping[str, object], path: Path) -> dict[str, Any]:
+    """Loads of several sets, each with its history; those of `walking` are `walking_hip` and so on.
+
+    Sets for another body weight than that of the first are scaled to it.
+    """
+    loads: dict[str, Any] = {}
+    weight = None
+    for name, history in sets.items():
+        forces = _set(case, str(name), path)
+        weight = weight or case.measured.get("body_weight")
+        if forces and weight and "body_weight" in case.measured:
+            forces = _measured(case, forces, {"body_weight": f"{weight!r} N"})
+        for load, values in forces.items():
+            loads[f"{name}_{load}"] = values | {"history": history}
+    return loads
+
+
+def _load(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Drop the origin of a load that is changed, as that is another's."""
+    return _without_origin(lower, upper) if isinstance(upper, dict) else lower, upper
+
+
+def _cycle_table(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve the name of a cycle table of the library; a file has a point in its name."""
+    if isinstance(upper, str) and "." not in upper:
+        return None, _entry(case, "cycle_tables", upper, path, path) or lower
+    return lower, upper
+
+
+def _without_origin(lower: object, upper: Mapping[str, object]) -> object:
+    """A region or load without its status and source, unless what changes has none."""
+    if not isinstance(lower, dict) or upper.keys() <= OF_USE:
+        return lower
+    return _without(lower, *library.ORIGIN)
+
+
+def _checkkind_of(
+    case: CaseFile,
+    name: str,
+    kind: object,
+    others: Sequence[str],
+    upper: Mapping[str, object],
+    path: Path,
+) -> None:
+    """Complain of a kind that is neither that of the entry of the library nor one of others."""
+    if upper.get("kind", kind) not in (kind, *others):
+        text = f"{name} is of kind {kind}; leave `kind` out"
+        case.complaints.append(Fault((*path, "kind"), text))
+
+
+def _force(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
+    """Resolve a magnitude, which keeps the direction of the force below."""
+    magnitude = isinstance(upper, str | int | float) and not VECTOR.fullmatch(str(upper))
+    vector = isinstance(lower, list) or (isinstance(lower, str) and VECTOR.fullmatch(lower))
+    if not (magnitude and vector):
+        return lower, upper
+    try:
+        parts = _vector(lower)
+        size = FORCE.read(upper)
+        length = hypot(*parts)
+        if length > 0.0 and size >= 0.0:
+            return None, [f"{part * size / length!r} N" for part in parts]
+        why = (
+            "a magnitude cannot be negative"
+            if length
+            else "a force of zero has no direction to scale"
+        )
+        text = f"{show(upper)}: {why}; expected a vector"
+    except PydanticCustomError as error:
+        text = (error.context or {})["text"]
+    case.complaints.append(Fault(path, text))
+    return None, lower
+
+
+def _vector(force: object) -> list[float]:
+    """Components [N] of a force as written.
+
+    Raises:
+        PydanticCustomError: It is none.
+    """
+    return [FORCE.read(value) for value in Triple("").spread(force)]  # type: ignore[attr-defined]
+
+
+def _measured(
+    case: CaseFile, loads: dict[str, object], keys: Mapping[str, object]
+) -> dict[str, object]:
+    """The loads with all forces scaled to a body weight and turned by a sagittal tilt."""
+    old = dict(case.measured)
+    for key in MEASURED.keys() & keys:
+        if key in old and loads:
+            _measure(case, key, keys[key])
+        else:
+            text = f"no forces here depend on {key}; expected `library: NAME` in the same section"
+            case.complaints.append(Fault(("loads", key), text))
+    new = case.measured
+    factor = new["body_weight"] / old["body_weight"] if "body_weight" in old else 1.0
+    turn = new["sagittal_tilt"] - old["sagittal_tilt"]
+    c, s = factor * cos(turn), factor * sin(turn)
+    result = dict(loads)
+    for name, load in loads.items():
+        if isinstance(load, dict) and "force" in load:
+            with suppress(PydanticCustomError):  # reported where the load is read
+                x, y, z = _vector(load["force"])
+                turned = (factor * x, c * y + s * z, c * z - s * y)
+                result[name] = load | {"force": [f"{part!r} N" for part in turned]}
+    return result
+
+
+def _changing(case: CaseFile, loads: dict[str, Any], key: str, value: object) -> dict[str, Any]:
+    """Return the loads of a base or a library, all with the same history or cycle table."""
+    if not loads:
+        text = f"this section has no loads of a library or a base; set the {key} of each load"
+        case.complaints.append(Fault(("loads", key), text))
+    if key == "cycle_table":
+        _, value = _cycle_table(case, None, value, ("loads", key))
+    others = [other for other in IN_TIME if other != key]
+    return {
+        name: _without(load, *others) | {key: deepcopy(value)} if isinstance(load, dict) else load
+        for name, load in loads.items()
+    }
+
+
+def _measure(case: CaseFile, key: str, value: object) -> None:
+    """Note body weight or tilt of the loads; a fault becomes a complaint."""
+    try:
+        case.measured[key] = MEASURED[key].read(value)
+    except PydanticCustomError as error:
+        case.complaints.append(Fault(("loads", key), (error.context or {})["text"]))
+
+
+def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dict[str, object]:
+    """Entry of the newest library that has it; empty, with a complaint, if none has.
+
+    ``path`` is that of its name in the case, ``below`` gets the places of the values.
+
+    Raises:
+        InputError: Too many values were taken.
+    """
+    if all(file.name != str(library.SHIPPED) for file in case.libraries):
+        case.libraries.insert(0, library.read())
+        case.digests |= case.libraries[0].digests
+    for file in reversed(case.libraries):
+        entry = file.data.get(kind, {}).get(name)
+        if entry is not None:
+            for p, place in file.places.items():
+                if p[:2] == (kind, name) and len(p) > 2:
+                    case.places[*below, *p[2:]] = place
+            if len(case.places) > yaml_file.MOST_NODES:
+                raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
+            values = {k: deepcopy(v) for k, v in entry.items() if k not in library.FOR_PEOPLE}
+            if kind != "loads":
+                return values
+            origin = {k: values.pop(k) for k in library.ORIGIN if k in values}
+            return {k: origin | v if isinstance(v, dict) else v for k, v in values.items()}
+    known = [n for file in case.libraries for n in file.data.get(kind, {})]
+    text = f"{show(name)} is not in the library; {kind}: {', '.join(known)}"
+    case.complaints.append(Fault(path, text + did_you_mean(name, known)))
+    return {}
+
+
+def kind_of(data: Mapping[str, object], path: Path) -> object:
+    """Kind of a mapping; regions have a default."""
+    if len(path) != 2 or path[0] != "regions":
+        return data.get("kind")
+    return "rigid" if "rigid" in data else data.get("kind", "isotropic")
+
+
+def _material(
+    region: dict[str, object], entry: dict[str, object], rest: dict[str, object]
+) -> dict[str, object]:
+    """Give a region the constants of a material, those of heat only where there is heat.
+
+    ``rest`` are the other keys of the region above.
+    """
+    new = {k: v for k, v in region.items() if k in OF_REGION}
+    new |= {k: v for k, v in entry.items() if k in library.ORIGIN}
+    conductor = "conductor" in (region.get("kind"), rest.get("kind"))
+    solid = not conductor and not rest.get("rigid")
+    if conductor:
+        new["kind"] = "conductor"
+    if solid:
+        new |= _without(entry, "thermal")
+    if "thermal" in entry and ("thermal" in region or "thermal" in rest):
+        old, of_material = region.get("thermal"), entry["thermal"]
+        thermal: dict[str, object] = {}
+        if isinstance(of_material, dict):
+            thermal = {k: v for k, v in of_material.items() if solid or k != "thermal_expansion"}
+        if isinstance(old, dict):
+            thermal |= {k: v for k, v in old.items() if k in OF_THERMAL}
+        new["thermal"] = thermal
+    return new
