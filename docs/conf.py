@@ -107,7 +107,7 @@ def _read(app: Any, page: str, source: list[str]) -> None:
         source[0] = readme.replace("](docs/", "](") + source[0].partition("\n")[2]
     # Pages that are no part of the manual are named, not linked.
     text = re.sub(
-        r"\[([^\]]*)\]\([./]*(CONTRIBUTING|CHANGELOG|SECURITY|configs|app/README)(\.md)?\)",
+        r"\[([^\]]*)\]\([./]*(CONTRIBUTING|CHANGELOG|SECURITY|configs[\w/]*|app/README)(\.md)?(#[\w-]*)?\)",
         r"\1",
         source[0],
     )
