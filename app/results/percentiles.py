@@ -11,13 +11,13 @@ from app.foundation.arrays import Floats
 PERCENTILE = 0.99
 
 
-def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) -> float:
-    """Smallest value that at least ``fraction`` of the weight does not exceed; 0 if empty."""
+def percentile(values: Floats, weights: Floats) -> float:
+    """Smallest value that at least `PERCENTILE` of the weight does not exceed; 0 if empty."""
     if not len(values):
         return 0.0
     order = np.argsort(values)
     cumulative = np.cumsum(weights[order])
-    k = np.searchsorted(cumulative, fraction * cumulative[-1])
+    k = np.searchsorted(cumulative, PERCENTILE * cumulative[-1])
     return float(values[order[min(int(k), len(values) - 1)]])
 
 

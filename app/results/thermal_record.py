@@ -71,12 +71,10 @@ class RegionTemperatures:
 
     saved = ("now", "peak", "lowest", "doses", "before")
 
-    def __init__(
-        self, nodes: ThermalNodes, temperatures: Sequence[fem.Function], seconds: float
-    ) -> None:
+    def __init__(self, nodes: ThermalNodes, temperatures: Sequence[fem.Function]) -> None:
         self.nodes = nodes
         self.now = self.lowest = nodes.values(temperatures)
-        self.peak = Maximum(self.now, seconds)
+        self.peak = Maximum(self.now, 0.0)
         self.doses = Integrals(DOSES, len(self.now))
         self.before: list[State] = []
 
@@ -217,11 +215,11 @@ class ThermalRecord:
         self.extremes: dict[str, dict[str, float]] = {name: {} for name in interfaces}
         self.regions: dict[str, RegionTemperatures] = {}
 
-    def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
-        """Record the initial state; collective."""
+    def start(self, temperatures: Sequence[fem.Function]) -> None:
+        """Record the initial state, at 0 s; collective."""
         for name, nodes in self._nodes.items():
-            self.regions[name] = RegionTemperatures(nodes, temperatures, seconds)
-        self._take(seconds, temperatures)
+            self.regions[name] = RegionTemperatures(nodes, temperatures)
+        self._take(0.0, temperatures)
 
     def update(
         self,
@@ -378,12 +376,12 @@ class _CuringRegion:
 
     saved = ("degree", "rate", "reached", "fastest")
 
-    def __init__(self, degree: Floats, seconds: float) -> None:
+    def __init__(self, degree: Floats) -> None:
         self.degree: Floats = degree.copy()
         self.rate: Floats = np.zeros(len(degree))
-        self.fastest = Maximum(self.rate, seconds)
+        self.fastest = Maximum(self.rate, 0.0)
         self.reached: dict[str, Floats] = {
-            name: np.where(degree >= level, seconds, np.inf) for name, level in SET.items()
+            name: np.where(degree >= level, 0.0, np.inf) for name, level in SET.items()
         }
 
 
@@ -401,15 +399,11 @@ class CureRecord:
     saved = ("regions", "seconds")
 
     def __init__(
-        self,
-        comm: MPI.Comm,
-        degrees: Mapping[str, Floats],
-        keys: Mapping[str, Ints],
-        seconds: float = 0.0,
+        self, comm: MPI.Comm, degrees: Mapping[str, Floats], keys: Mapping[str, Ints]
     ) -> None:
-        self._comm, self.seconds = comm, seconds
+        self._comm, self.seconds = comm, 0.0
         self.row_keys = {"regions": keys}
-        self.regions = {name: _CuringRegion(d, seconds) for name, d in degrees.items()}
+        self.regions = {name: _CuringRegion(d) for name, d in degrees.items()}
 
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
