@@ -208,6 +208,9 @@ class Solver:
         self.options = defaults | self.linear.options | options
         self._search = self.usual_search
         self.x, self.failed_state, self.first_state = (self.vector() for _ in range(3))
+        # It takes the place of a solution that an interrupted solve leaves locked. An error on one
+        # rank lets no new vector be made: that is collective.
+        self._spare: PETSc.Vec | None = None
         self.residuals: list[float] = []
         self.changes: list[int] = []
         self.scales: list[float] = []
@@ -306,6 +309,7 @@ class Solver:
         """Iterate from the current state; return Newton and Krylov iterations."""
         self.active.forget()
         self.converged = False
+        self._spare = self._spare or self.vector()
         reduced = 0
         with self.timing.phase("solve"):
             if self.reduced and self._reducing:
@@ -314,7 +318,8 @@ class Solver:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
                 # Exceptions raised in a callback come back wrapped, and leave the solution locked.
-                self.x = self.x.copy()
+                self.x.copy(self._spare)
+                self.x, self._spare = self._spare, None
                 raise error.__cause__ or error from None
         if self.snes.getConvergedReason() == NOT_FINITE:
             # PETSc calls neither monitor nor test if the residual is not finite.

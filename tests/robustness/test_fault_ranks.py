@@ -14,7 +14,7 @@ import pytest
 from tests import support
 from tests.robustness.faulty import arguments, numbers, start
 
-pytestmark = [pytest.mark.parallel, pytest.mark.slow]
+pytestmark = pytest.mark.parallel
 HANGS = 300.0  # s; what takes so long waits for ever, on any machine
 CODES = {"internal": 70, "memory": 69, "stop": 5, "divergence": 4, "interrupt": 5}
 TWO = ("-n", "2")
@@ -47,6 +47,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, object]:
     return time.monotonic() - begin, numbers(folder / "out")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(11))
 def test_fault_ranks_killed_rank_ends_all(
     number: int, usual: tuple[float, object], tmp_path: Path
@@ -80,7 +81,12 @@ def test_fault_ranks_killed_rank_ends_all(
 @pytest.mark.parametrize(
     ("phase", "error", "rank"),
     [
-        (phase, error, rank)
+        pytest.param(
+            phase,
+            error,
+            rank,
+            marks=() if (phase, error) == ("solve", "internal") else pytest.mark.slow,
+        )
         for phase in ("mesh", "distribution", "assembly", "solve", "output", "checkpoint")
         for error in CODES
         for rank in (0, 1)
@@ -104,6 +110,7 @@ def test_fault_ranks_error_on_one_ends_all(
     assert not processes(output)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(10))
 def test_fault_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
     """They would wait for each other for ever, at full speed."""
