@@ -1,0 +1,160 @@
+"""STL files, binary and text."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
+from app.patient.file_text import decoded, is_text, line_of
+
+# Bytes before the triangles of a binary file.
+HEADER = 84
+# Bytes of each of them.
+FACET_SIZE = 50
+# Counts in headers that were written before the triangles.
+UNKNOWN = (0, 2**32 - 1)
+FACET_TYPE = np.dtype([("normal and corners", "<f4", (4, 3)), ("attribute", "<u2")])
+
+# Words of a text file. They are case-insensitive; the name of a solid ends with its line.
+VERTEX = r"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
+NORMAL = r"(?:\s+normal(?:\s+(?!outer\s)\S+){0,3})?"
+FACET = re.compile(
+    rf"\s*facet{NORMAL}\s+outer\s+loop{VERTEX}{VERTEX}{VERTEX}\s+end\s*loop\s+end\s*facet\b",
+    re.IGNORECASE,
+)
+SOLID_BEGIN = re.compile(
+    r"\s*solid\b(?:(?!\sfacet\s+normal\s+\S+\s+\S+\s+\S+\s+outer\s)[^\n])*", re.I
+)
+SOLID_END = re.compile(r"\s*end\s*solid\b[^\n]*", re.IGNORECASE)
+FACET_END = re.compile(r"\bend\s*facet\b", re.IGNORECASE)
+
+
+def read(path: Path) -> tuple[Floats, list[str]]:
+    """Return corners of triangles (m, 3, 3) in the file's unit, and notes on what was read.
+
+    Raises:
+        GeometryError: The file is cut short, or its numbers or words are damaged.
+    """
+    data = path.read_bytes()
+    if len(data) != size(data) and is_text(data):
+        text, notes = decoded(data)
+        if SOLID_BEGIN.match(text):
+            return _text(path, text, notes)
+    return _binary(path, data)
+
+
+def size(data: bytes) -> int | None:
+    """Return the size of a binary file by its header [bytes]; None if it has no triangles."""
+    if len(data) < HEADER or not _count(data):
+        return None
+    return HEADER + FACET_SIZE * _count(data)
+
+
+def _count(data: bytes) -> int:
+    """Number of triangles that a binary file's header gives."""
+    return int.from_bytes(data[HEADER - 4 : HEADER], "little")
+
+
+def _binary(path: Path, data: bytes) -> tuple[Floats, list[str]]:
+    """Read the triangles of a binary file; their number has to agree with its length."""
+    if len(data) < HEADER:
+        raise GeometryError(f"{path}: is not an STL file: it has only {len(data):,} bytes")
+    count, notes = _count(data), []
+    there, beyond = divmod(len(data) - HEADER, FACET_SIZE)
+    if count in UNKNOWN and not beyond:
+        notes.append("their number follows from the length of the file, not from its header")
+        count = there
+    swapped = int.from_bytes(data[HEADER - 4 : HEADER], "big")
+    if there and not beyond and swapped == there:
+        text = f"its {there:,} triangles are in big-endian order; STL files are little-endian"
+        raise GeometryError(f"{path}: {text}. Write it again")
+    if count > there:
+        raise GeometryError(
+            f"{path}: is not an STL file, or is cut short: read as binary STL, it has {there:,} of"
+            f" the {count:,} triangles in its header"
+        )
+    rest = data[HEADER + FACET_SIZE * count :]
+    second = size(rest)
+    if second is not None and len(rest) >= second:
+        text = f"a second STL file follows its {count:,} triangles"
+        raise GeometryError(f"{path}: {text}; merge both into one, or keep the femur alone")
+    if rest.strip(b"\0") and not beyond:
+        text = f"its header gives {count:,} triangles, but it contains {there:,}"
+        raise GeometryError(f"{path}: {text}; write it again")
+    if rest:
+        notes.append(f"{len(rest):,} bytes after its end are left out")
+    rows = np.frombuffer(data, FACET_TYPE, count, HEADER)
+    with np.errstate(invalid="ignore"):  # of damaged numbers
+        corners = rows["normal and corners"][:, 1:].astype(float)
+    return corners, [f"{count:,} triangles of a binary STL file", *notes]
+
+
+def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
+    """Read the triangles of a text file; all facets have to be read, and all solids to end."""
+    text = text.rstrip("\0\x1a \t\n")
+    corners: list[tuple[str, ...]] = []
+    at, solids = 0, 0
+    while at < len(text):
+        begin = SOLID_BEGIN.match(text, at)
+        if not begin:
+            raise _unread(path, text, at, "`solid`")
+        solids += 1
+        first, at = begin.start() + 1, begin.end()
+        facet = FACET.match(text, at)
+        while facet:
+            corners.append(facet.groups())
+            at = facet.end()
+            facet = FACET.match(text, at)
+        end = SOLID_END.match(text, at)
+        if not end:
+            rest = text[at:].lstrip()
+            read = f"after {len(corners):,} facets"
+            if not rest or SOLID_BEGIN.match(rest):
+                raise GeometryError(
+                    f"{path}: the solid that begins in line {line_of(text, first)} has no"
+                    f" `endsolid` {read}; is the file cut short? If not, add that line"
+                )
+            if FACET_END.search(rest):
+                raise _unread(path, text, at, "a facet of three vertices, or `endsolid`")
+            where = line_of(text, len(text) - len(rest))
+            raise GeometryError(
+                f"{path}: line {where}: the file is cut short or damaged in a facet, {read}"
+            )
+        at = end.end()
+    facets = len(FACET_END.findall(text))
+    if facets > len(corners):
+        raise GeometryError(
+            f"{path}: only {len(corners):,} of its {facets:,} facets could be read; the name of a"
+            " solid must end with its line"
+        )
+    try:
+        values = np.array([[float(word) for word in facet] for facet in corners])
+    except ValueError:
+        word = next(w for facet in corners for w in facet if not _is_number(w))
+        where = line_of(text, text.index(word))
+        raise GeometryError(f"{path}: line {where}: `{word[:40]}` is not a number") from None
+    several = f" in {solids} solids" if solids > 1 else ""
+    return values.reshape(-1, 3, 3), [
+        f"{len(corners):,} triangles of a text STL file{several}",
+        *notes,
+    ]
+
+
+def _unread(path: Path, text: str, at: int, expected: str) -> GeometryError:
+    """Return the error on text that an STL file does not have there."""
+    rest = text[at:].lstrip()
+    words = " ".join(rest.split()[:6])[:60]
+    where = line_of(text, len(text) - len(rest))
+    return GeometryError(f"{path}: line {where}: expected {expected}, but it has `{words}`")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
