@@ -10,8 +10,6 @@ from app.foundation.arrays import Floats
 from app.results.reading import Results
 from app.validation.experiment import Conditions, Experiment, PredictedQuantity
 
-# Force on the head, whose vertical part is the same in all runs [N].
-VERTICAL = 1963.3
 # Time at which a stem without cement is in its place, before the force.
 INSERTED = 1.0
 # Length of a gauge in the cement [mm].
@@ -34,8 +32,10 @@ def _inserted(run: Results) -> bool:
 
 
 def stiffness(run: Results) -> float:
-    """Vertical force over the displacement of the head along the shaft [N/mm]."""
-    return float(-VERTICAL / run.summary["femur"]["head_displacement"][2])
+    """Force on the head over the displacement of the head along it [N/mm]."""
+    written = run.case["loads"]["head"]["force"]
+    force = np.array([float(str(component).split()[0]) for component in written])
+    return float(force @ force / (force @ run.summary["femur"]["head_displacement"]))
 
 
 def _of(
@@ -73,7 +73,7 @@ COMPOSITE_STRAIN = Experiment(
     blind=True,
     quantities={
         "stiffness": _of(
-            "vertical force over vertical displacement of the head, intact femur",
+            "force on the head over its displacement along the force, intact femur",
             "N/mm",
             stiffness,
             "intact",
