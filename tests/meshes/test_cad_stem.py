@@ -175,7 +175,7 @@ def test_cad_stem_every_stem_is_meshed(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_cad_stem_of_the_parametric_stem_has_equal_results(tmp_path: Path) -> None:
-    """Near the reported errors, of which 89 of 100 hold.
+    """Near the reported errors, of which 91 of 100 hold.
 
     Below the cut the stems are the same. Their lines differ, and necks turn away differently.
     """

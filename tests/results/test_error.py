@@ -200,6 +200,21 @@ def test_error_estimate_raises_accidentally_small_errors() -> None:
     assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
+def test_error_estimate_raises_strains_of_the_cortex() -> None:
+    """A strain that is equal on two meshes has the usual part, in which strains do not count."""
+    this = case("interfaces.lower_upper.friction_coefficient=0")
+
+    def on(slip: float, strain: float) -> dict[str, Any]:
+        femur = {"strain_medial_10": 1e-3, "strain_lateral_10": strain, "strain_medial_40": strain}
+        return {"interfaces": {"lower_upper": {"slip_p99": slip}}, "femur": femur}
+
+    run = on(1.0, 1e-3)
+    compared(run, this, on(1.2, 1.5e-3))
+    a, b = error_estimate.FACTORS[quantities.STRESS][1]
+    assert run["femur"]["strain_medial_10_error"] == pytest.approx(1e-3 * 0.2 * b)
+    assert run["femur"]["strain_lateral_10_error"] == pytest.approx(0.5e-3 * a)
+
+
 def test_error_estimate_of_gruen_zones() -> None:
     """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
