@@ -229,6 +229,13 @@ class Femur(_Femur, OperatedHip):
             fail(text, at=tuple(key.split(".")))
         return self
 
+    def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
+        """Keys of the case that do nothing beside others, with the reason; given ones or not."""
+        keys = super().without_effect(mesh)
+        if self.shoulder_depth is not None:
+            keys["geometry", "tip_z"] = "insertion.depth says where the stem is"
+        return keys
+
     @property
     def shoulder_depth(self) -> float | None:
         """Depth of the stem's shoulder below the cut (mm); None: as `tip_z` says."""

@@ -10,6 +10,7 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PrivateA
 from pydantic_core import core_schema
 
 from app.case.shapes import (
+    GRADING,
     LEAST_CEMENT,
     Mantle,
     MeshOptions,
@@ -20,6 +21,7 @@ from app.case.shapes import (
     perimeter,
     spread,
 )
+from app.case.stems import Stem, StemFile
 from app.foundation.arrays import Bools, Floats
 from app.foundation.implant import FLAT, Implant
 from app.laws.values import ROUNDING
@@ -30,7 +32,6 @@ from meshes.placement import InsertionKeys, Placement, ResectionKeys, head_in_wo
 
 # `best_position` and `room` are imported where they are used: scipy takes 0.15 s.
 if TYPE_CHECKING:
-    from app.case.stems import Stem, StemFile
     from meshes.bone_layers import LayeredBone
 
 BONE = ("cortical_bone", "cancellous_bone")
@@ -387,6 +388,17 @@ class OperatedHip(Hip):
         if not self.has_collar:
             return sides
         return sides | {ON_CUT: ((COLLAR,), ("cement", *BONE) if self.is_cemented else BONE)}
+
+    def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
+        """Keys of the case that do nothing beside others, with the reason; given ones or not."""
+        keys = super().without_effect(mesh)
+        if self.void and not isinstance(self.stem, StemFile):
+            text = f"the end of the stem is flat above a void of {self.void:g} mm (tip_void)"
+            keys["geometry", "stem", "tip_rounding"] = text
+        longest = max(step for _, step, _ in GRADING.values()) * mesh.step_along
+        if mesh.far >= longest:
+            keys["mesh", "far_size"] = f"no step along a femur is longer than {longest:g} mm"
+        return keys
 
     @property
     def laws_to_write(self) -> dict[str, str]:

@@ -259,6 +259,10 @@ class Shape(Extensible):
         """Notes on former names of keys that were given, whose values are converted."""
         return []
 
+    def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
+        """Keys of the case that do nothing beside others, with the reason; given ones or not."""
+        return {}
+
     @property
     def proud(self) -> float:
         """Height of a stem's shoulder above the neck cut, along the shaft's axis (mm)."""

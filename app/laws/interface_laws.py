@@ -237,6 +237,11 @@ class InterfaceLaw(Extensible):
         return field(f"interfaces.{interface}.gap", 0.0)
 
     @property
+    def without_effect(self) -> dict[tuple[str, ...], str]:
+        """Keys that do nothing beside others, with the reason; given ones or not."""
+        return {}
+
+    @property
     def zone_heights(self) -> Mapping[str, tuple[float, float]]:
         """Heights on the stem between which parts of the interface have other numbers, by name."""
         return {}
@@ -340,6 +345,8 @@ class Frictional(InterfaceLaw):
 class SurfaceZone(Section):
     """Part of a stem's surface between two heights, with its own numbers."""
 
+    NUMBERS: ClassVar[tuple[str, ...]] = ("friction_coefficient", "gap", "interference")
+
     above: Length | None = None
     """Height above the stem's tip, along the stem, at which the part begins; by default its end. In
     geometries without a stem it is z."""
@@ -360,6 +367,14 @@ class SurfaceZone(Section):
         if not low < high:
             fail(f"is not above {low:g} mm, where the zone begins", at=("below",))
         return self
+
+    def replaces(self, other: SurfaceZone, key: str) -> bool:
+        """True if this zone, which comes later, covers another one and has a number of its own."""
+        (low, high), (start, end) = self.heights, other.heights
+        covers = low <= start and end <= high
+        if key == "friction_coefficient":
+            return covers and self.friction_coefficient is not None
+        return covers and (self.gap is not None or self.interference is not None)
 
     @property
     def heights(self) -> tuple[float, float]:
@@ -441,6 +456,20 @@ class Unilateral(Frictional):
     def gap_multipliers(self) -> tuple[float, ...] | None:
         """The key `gap_history`."""
         return self.gap_history
+
+    @property
+    def without_effect(self) -> dict[tuple[str, ...], str]:
+        """Keys that do nothing beside others, with the reason; given ones or not."""
+        keys = super().without_effect
+        if not self.has_gap:
+            keys["gap_history",] = "there is no gap and no interference"
+        zones = list((self.zones or {}).items())
+        for k, (name, zone) in enumerate(zones):
+            for key in SurfaceZone.NUMBERS:
+                covering = next((n for n, z in zones[k + 1 :] if z.replaces(zone, key)), None)
+                if covering is not None:
+                    keys["zones", name, key] = f"zone {covering} counts there, as the later one"
+        return keys
 
     @property
     def zone_heights(self) -> Mapping[str, tuple[float, float]]:

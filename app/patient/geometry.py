@@ -182,6 +182,22 @@ class Patient(OperatedHip):
             fail(f"{text}; expected at least {least:.0f} mm", at=("insertion", "depth"))
         return self
 
+    def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
+        """Keys of the case that do nothing beside others, with the reason; given ones or not."""
+        keys = super().without_effect(mesh)
+        canal = self.canal
+        if not canal.ct:
+            source = f"{canal.path.name} has the canal" if canal.path else "no CT is given (ct)"
+            keys["geometry", "canal", "threshold"] = source
+        if canal.ream != "by":
+            text = f"the canal is not reamed by it (ream: {canal.ream})"
+            keys["geometry", "canal", "ream_by"] = text
+        if not canal.surface:
+            keys["geometry", "canal", "unit"] = "no surface of the canal is given"
+        if not self.bone.surface:
+            keys["geometry", "bone", "unit"] = "an image says its unit"
+        return keys
+
     @property
     def implant(self) -> Implant:
         """The stem in its axes, with its shoulder at 0."""

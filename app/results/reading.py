@@ -31,6 +31,8 @@ from meshes.data import exterior_facets, facet_areas
 
 # Columns of the file of a path by their titles; numbers, and the names of regions.
 PathTable = dict[str, NDArray[Any]]
+# Distance over the least size of a cell within which middles of cells are one [-].
+SAME_PLACE = 1e-5
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 
@@ -169,10 +171,9 @@ class Run(Results):
         from basix.ufl import element
         from dolfinx.mesh import create_mesh
 
-        order = 1 if self.cells.shape[1] == 4 else 2
         cells = np.empty_like(self.cells)
         cells[:, QUADRATIC_NODES[: cells.shape[1]]] = self.cells
-        shape = element("Lagrange", "tetrahedron", order, shape=(3,))
+        shape = element("Lagrange", "tetrahedron", self.degree, shape=(3,))
         return create_mesh(MPI.COMM_SELF, cells, x=self.points, e=shape)
 
     def function(self, name: str, step: int | str = -1) -> Any:
@@ -185,6 +186,61 @@ class Run(Results):
         made = fem.Function(fem.functionspace(self.mesh, kind), name=name)
         nodes = geometry.input_global_indices[geometry.dofmap]
         made.x.array.reshape(values.shape)[made.function_space.dofmap.list] = values[nodes]
+        return made
+
+    @property
+    def degree(self) -> int:
+        """Degree of the fields on the nodes: 1 or 2."""
+        return 1 if self.cells.shape[1] == 4 else 2
+
+    def cells_of(self, mesh: Any) -> Ints:
+        """Number in `cells` of each cell of a dolfinx mesh on this rank, ghosts included (k,).
+
+        Args:
+            mesh: The mesh that was handed to `mantle.run`, on any number of ranks.
+
+        Raises:
+            InputError: It has a cell that the results do not have.
+        """
+        from dolfinx.mesh import compute_midpoints
+        from scipy.spatial import cKDTree
+
+        index_map = mesh.topology.index_map(3)
+        local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+        corners = self.points[self.cells[:, :4]]
+        away, cells = cKDTree(corners.mean(axis=1)).query(compute_midpoints(mesh, 3, local))
+        size = np.ptp(corners, axis=1).min(initial=np.inf)
+        missing = int((away > SAME_PLACE * size).sum())
+        if missing:
+            raise InputError(f"{missing} cells of the mesh are not those of {self.folder}")
+        return np.asarray(cells)
+
+    def function_on(self, mesh: Any, name: str, step: int | str = -1) -> Any:
+        """A field on the nodes as a dolfinx `Function` on the mesh that was handed to `run`.
+
+        Its space is discontinuous, as a field jumps where bodies part: each cell has the values of
+        its own body, ghosts too. Every rank reads the file by itself.
+
+        Args:
+            mesh: The dolfinx mesh, on any number of ranks.
+            name: Name of the field in the file.
+            step: Written step.
+
+        Raises:
+            InputError: As `cells_of`, or there is no such field.
+        """
+        from dolfinx import fem
+
+        values = self.on_points(name, step)
+        space = fem.functionspace(mesh, ("Discontinuous Lagrange", self.degree, values.shape[1:]))
+        made = fem.Function(space, name=name)
+        dofs = space.dofmap.list
+        nodes = self.cells[self.cells_of(mesh)]
+        # A cell's dofs are at its nodes, in another order.
+        x = space.tabulate_dof_coordinates()[dofs]
+        apart = ((x[:, :, None] - self.points[nodes][:, None]) ** 2).sum(axis=3)
+        nearest = np.take_along_axis(nodes, apart.argmin(axis=2), axis=1)
+        made.x.array.reshape(-1, *values.shape[1:])[dofs] = values[nearest]
         return made
 
     def displacement(self, step: int | str = -1) -> Floats:

@@ -251,6 +251,19 @@ class Scalar:
         )
 
 
+def is_given(section: object, path: Sequence[str]) -> bool:
+    """True if a key below a section is written in the case, and not null."""
+    part = section
+    for key in path:
+        if isinstance(part, BaseModel) and key in part.model_fields_set:
+            part = getattr(part, key)
+        elif isinstance(part, Mapping) and key in part:
+            part = part[key]
+        else:
+            return False
+    return part is not None
+
+
 def not_one_of(value: object, allowed: Sequence[str]) -> str:
     """Message about a value that is not among the allowed words."""
     hint = did_you_mean(value, allowed) if isinstance(value, str) else ""

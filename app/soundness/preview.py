@@ -18,7 +18,7 @@ from app.foundation.verdict import Verdict, note
 from app.laws.cycle_tables import ROTATIONS
 from app.laws.values import MEMORY
 from app.scene.scene import build_scene
-from app.schema.section import Section, added_keys
+from app.schema.section import Section, added_keys, is_given
 from app.soundness.cost import solid
 from app.system.layout import plain
 
@@ -294,7 +294,15 @@ def warnings(case: Case) -> list[Verdict]:
 
 
 def _without_effect(case: Case) -> Iterable[Verdict]:
-    """Notes on loads on held boundaries and on high friction."""
+    """Notes on keys that do nothing, loads on held boundaries, and high friction."""
+    for path, reason in case.geometry.without_effect(case.mesh).items():
+        if is_given(case, path):
+            yield note(f"has no effect: {reason}", ".".join(path), "leave it out")
+    for name, law in case.interfaces.items():
+        for path, reason in law.without_effect.items():
+            if is_given(law, path):
+                where = ".".join(("interfaces", name, *path))
+                yield note(f"has no effect: {reason}", where, "leave it out")
     held = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
     for name, load in case.loads.items():
         for boundary in load.boundaries:

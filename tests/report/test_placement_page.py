@@ -22,6 +22,7 @@ from app.foundation.errors import InputError
 from app.report import placement_page, viewer
 from meshes import room
 from meshes.placement import Position
+from tests.meshes import cad_stems
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")
 NEEDED = all((viewer.THREE / name).exists() for name in viewer.SCRIPTS)
@@ -35,6 +36,18 @@ geometry:
   cement_thickness: 3 mm
   tip_z: -81 mm
   insertion: {depth: 1 mm, varus: 2.5 deg, version: {angle: 5 deg}}
+"""
+
+
+CAD_CASE = """\
+base: stance
+geometry:
+  stem: {step: short.step}
+  cement_thickness: 2 mm
+  tip_z: -72 mm
+  canal_widening: 1 mm
+  insertion: {depth: 1 mm, varus: 1 deg, version: {angle: 5 deg}, medial_offset: 0.5 mm}
+mesh: {size: 8 mm}
 """
 
 
@@ -118,9 +131,19 @@ TRY = """
 """
 
 
-def tried(page: Path, positions: list[dict[str, float]]) -> dict[str, Any]:
+TRY_CASE = """
+<pre id="found"></pre><script>
+(async () => {
+  while (!document.documentElement.dataset.ready) await new Promise(r => setTimeout(r, 20));
+  const { least, offset, leg, version } = window.mantlePlace.now;
+  document.getElementById("found").textContent = JSON.stringify({ least, offset, leg, version });
+})();
+</script>
+"""
+
+
+def tried(page: Path, test: str) -> dict[str, Any]:
     """Numbers that a browser of a phone's size, without a network, reads from a page."""
-    test = TRY.replace("POSITIONS", json.dumps(positions))
     text = page.read_text(encoding="utf-8").replace("</body>", f"{test}</body>")
     copy = page.with_name("try.html")
     copy.write_text(text, encoding="utf-8")
@@ -154,7 +177,7 @@ def test_placement_page_numbers_equal_those_of_check(
     """At drawn positions to 0.01 mm; its buttons, and its YAML, which a case accepts."""
     geometry, page = written
     positions = drawn(6)
-    shown = tried(page, positions)
+    shown = tried(page, TRY.replace("POSITIONS", json.dumps(positions)))
     for numbers, evaluated in zip(positions, shown["found"], strict=True):
         assert evaluated == pytest.approx(expected(geometry, numbers), abs=0.01), numbers
     assert shown["ready"] < FIRST_PICTURE
@@ -171,6 +194,31 @@ def test_placement_page_numbers_equal_those_of_check(
         stem = room.StemSurface.of(placed.implant, placed.placement)
         fit = room.fit(room.canal(placed), stem, placed.placement)
         assert fit.least == pytest.approx(least, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
+def test_placement_page_of_a_cad_stem_shows_the_numbers_of_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both to 0.1 mm and 0.1 degrees; check prints room to 0.01 mm, the head to 0.1."""
+    cad_stems.write("short", tmp_path)
+    source = tmp_path / "hip.yaml"
+    source.write_text(CAD_CASE)
+    assert main(["place", str(source), "-o", str(tmp_path / "place.html")]) == 0
+    shown = tried(tmp_path / "place.html", TRY_CASE)
+    capsys.readouterr()
+    assert main(["check", "--mesh", str(source)]) == 0
+    text = capsys.readouterr().out
+    number = r"([+-]?[0-9.]+)"
+    found = re.search(rf"room around the stem: (?:least )?{number} mm", text)
+    assert found, text
+    assert shown["least"] == pytest.approx(float(found[1]), abs=0.1)
+    head = rf"offset {number} mm .* leg length {number} mm, version {number} deg"
+    found = re.search(head, text)
+    assert found, text
+    printed = [float(part) for part in found.groups()]
+    assert [shown[key] for key in ("offset", "leg", "version")] == pytest.approx(printed, abs=0.1)
 
 
 def test_placement_page_refuses_a_case_without_a_stem(
