@@ -703,7 +703,7 @@ TRUE_NOTES = (
     "creeps a",
     "the stem takes",
     "collar: rests on",
-    "there the law of one of them holds",
+    "the law of one interface holds only as a mean",
     "the conductance does not change where the interface opens",
 )
 QUICK = ("blocks.yaml", "cylinders.yaml", "stance.yaml")
