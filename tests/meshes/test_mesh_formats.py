@@ -331,6 +331,7 @@ def test_inp_encodings(encoding: str, tmp_path: Path) -> None:
         (f"*SYSTEM\n0, 0, 0\n0, 1, 0\n1, 0, 0\n{deck()}", "line 1: has more than two lines"),
         (re.sub(r"(?<=\d)\.(?=\d)", ",", deck()), "line 2: 7 numbers for a node and three"),
         (deck().replace("3.0", "3.x"), "line 3: '3.x' is not a number"),
+        (deck(more="*SOLID SECTION, ELSET=bon\n1.0\n"), "the file has no set bon"),
     ],
 )
 def test_inp_faults_name_the_line(text: str, words: str, tmp_path: Path) -> None:
