@@ -66,7 +66,7 @@ FACTORS = {
     TRACTION: ((2.0, 1.4), (0.6, 1.05)),
     STRESS: ((3.8, 3.0), (1.8, 0.2)),
     RISK: ((3.8, 3.0), (1.8, 0.2)),
-    HEAT: ((6.0, 0.0), (6.0, 0.0)),
+    HEAT: ((3.0, 0.0), (3.0, 0.0)),
     DOSE: ((5.0, 1.5), (5.0, 1.5)),
 }
 # Classes that share their median change.
