@@ -21,7 +21,7 @@ PLACE = "bearing"
 
 
 def main(folder: Path) -> None:
-    """Friction torque beside that of a hand formula; worn depth and pressure on the liner."""
+    """Friction torque with that of a hand formula; wear depth and pressure on the liner."""
     run = Run(folder)
     figure, (left, middle, right) = figures.panels(3, 3, 4.2, 3.6)
     h, radius = run.step_record, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
@@ -37,7 +37,8 @@ def main(folder: Path) -> None:
         Line("μ F R", 1, percent, by_hand.tolist()),
     ]
     draw_panel(left, Panel("friction torque", "N m", lines, "part of the cycle (%)", log=""))
-    left.legend(frameon=False)
+    left.set_ylim(bottom=0.0)
+    left.legend(frameon=False, loc="upper right")
     body = np.isin(np.arange(len(run.points)), run.cells[run.region == run.regions["liner"]])
     at = body & run.on_interface(PLACE) & (run.points[:, 2] > 0)  # from above once
     x = run.points[at]
@@ -45,8 +46,8 @@ def main(folder: Path) -> None:
         np.argmax([run.at_interface(PLACE, "pressure", k).max() for k in range(len(run.times))])
     )
     fields = {
-        "worn in a million cycles (mm)": 1e6 * run.at_interface(PLACE, "wear")[at],
-        "pressure where it is largest (MPa)": run.at_interface(PLACE, "pressure", peak)[at],
+        "wear depth per million cycles (mm)": 1e6 * run.at_interface(PLACE, "wear")[at],
+        "pressure when it is largest (MPa)": run.at_interface(PLACE, "pressure", peak)[at],
     }
     for axes, (title, values) in zip((middle, right), fields.items(), strict=True):
         filled = axes.tricontourf(x[:, 0], x[:, 1], values, 14, cmap=LOADED)

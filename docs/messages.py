@@ -1,19 +1,25 @@
 """Catalogue of messages: every error, note, warning, verdict and remedy of the program.
 
-Run ``python3 docs/messages.py`` in the root of the repository. It reads the source and writes one
-line for each message: file, line, the function that gives it and the text. Values that a message
-shows are written in braces. Read the catalogue alone, as a user who sees one message.
+Run ``python3 docs/messages.py`` in the root of the repository. It reads the source and the script
+``mantle``. It writes one line for each message: file, line, the function that gives it and the
+text. Values that a message shows are written in braces. Read the catalogue alone, as a user who
+sees one message.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("app", "meshes", "forms", "configs")
+LAUNCHER = "mantle"
+# Messages of the launcher: its functions `say` and `die` with one or more texts.
+SHELL_CALL = re.compile(r'\b(say|die)((?:\s+\\?\s*"(?:[^"\\]|\\.)*")+)')
+SHELL_TEXT = re.compile(r'"((?:[^"\\]|\\.)*)"')
 # Calls whose texts a user sees.
 CALLS = {
     *("fail", "Fault", "BadYaml", "Verdict", "note", "replace", "error", "warning", "info"),
@@ -31,7 +37,16 @@ def main() -> int:
         for path in sorted((ROOT / folder).rglob("*.py")):
             for line, call, text in messages(ast.parse(path.read_text(encoding="utf-8"))):
                 sys.stdout.write(f"{path.relative_to(ROOT)}:{line}: {call}: {text}\n")
+    for line, call, text in launcher_messages((ROOT / LAUNCHER).read_text(encoding="utf-8")):
+        sys.stdout.write(f"{LAUNCHER}:{line}: {call}: {text}\n")
     return 0
+
+
+def launcher_messages(script: str) -> Iterator[tuple[int, str, str]]:
+    """Line, function and text of each message of a shell script, in order."""
+    for match in SHELL_CALL.finditer(script):
+        line = script.count("\n", 0, match.start()) + 1
+        yield line, match[1], " ".join(SHELL_TEXT.findall(match[2]))
 
 
 def messages(tree: ast.AST) -> list[tuple[int, str, str]]:

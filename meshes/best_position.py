@@ -261,7 +261,7 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         raise GeometryError(
             "geometry.insertion: no position within the limits of the search leaves"
             f" {geometry.least_room:g} mm around the stem; the best ({words}) {does}"
-            f" {after.side} at {placed.where(after.place)}; ream the canal, take a smaller or"
+            f" {after.side} at {placed.where(after.place)}; ream the canal, use a smaller or"
             " shorter stem, or widen insertion.best"
         )
     gain = f"{after.words(placed)}, {after.least - before.least:.2f} mm more than as given"

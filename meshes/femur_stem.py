@@ -327,7 +327,7 @@ class Upper:
         room = ROOM * math.sqrt(min((way**2).sum(axis=1).min() for way in (first, second)))
         if arm > room:
             raise GeometryError(
-                f"geometry.stem.neck_fillet: {radius:g} mm have no room between the neck cut and"
+                f"geometry.stem.neck_fillet: {radius:g} mm does not fit between the neck cut and"
                 f" the head; expected at most {radius * room / arm:.3g} mm"
             )
         return replace(self, arm=max(arm, LEAST_ARM))

@@ -202,7 +202,7 @@ def _tangents(x: Floats, share: Floats) -> tuple[Floats, Floats]:
     """Derivatives of the position with respect to the second and third coordinate (n, 3)."""
     if x.shape[1] == 3:
         return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
-    # Each facet has a point of its own.
+    # Each facet has a separate point.
     pairs = [tangents(x[[k]], share[[k]], EDGES)[:, :, 0, 0] for k in range(len(x))]
     both = np.array(pairs).reshape(-1, 2, 3)
     return both[:, 0], both[:, 1]

@@ -411,9 +411,9 @@ class LayeredSurfaces:
             return
         text = f"leaves {left[worst]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
         if left[worst] <= 0:
-            text = f"is {_rounded_up(-left[worst]):.2g} mm outside of the bone"
+            text = f"is {_rounded_up(-left[worst]):.2g} mm outside the bone"
         key, _ = self._geometry.more_room
-        raise GeometryError(f"{key}: the stem {text} {where}; take a smaller stem, or move it")
+        raise GeometryError(f"{key}: the stem {text} {where}; use a smaller stem, or move it")
 
     def _refuse_narrow(self) -> None:
         """Raise GeometryError where the stem has no room for cement."""

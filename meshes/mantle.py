@@ -119,8 +119,8 @@ def triangles(points: Floats, facets: Ints, parts: int = PARTS) -> Floats:
 def _samples(surface: Floats) -> tuple[Floats, Ints]:
     """Points (k, 3) all over triangles (m, 3, 3) [mm], and the triangle of each (k,).
 
-    They are vertices, middles of edges and centres, and of triangles that are larger than most,
-    such as those of the flat sides of a stem from CAD, more points at about the same distance.
+    They are vertices, middles of edges and centres. Triangles that are larger than most, such as
+    those of the flat sides of a stem from CAD, have more points at about the same distance.
     """
     a, b, c = surface.transpose(1, 0, 2)
     samples = [a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3]

@@ -175,7 +175,7 @@ def _whole(path: str, x: Floats, shoulder: float) -> Floats:
             outline_points = _level(x, z)
         except ValueError:
             raise GeometryError(
-                f"{path}: {z:.0f} mm above the tip the axis is outside of the metal, or the"
+                f"{path}: {z:.0f} mm above the tip the axis is outside the metal, or the"
                 " section has holes: fill the holes, or set `axis` of the stem"
             ) from None
     return outline_points

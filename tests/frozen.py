@@ -1,7 +1,7 @@
 """Ten numbers of each shipped case, frozen: a change that should move none is compared with them.
 
     python3 -m tests.frozen compare 1e-10   run the shipped cases, print the numbers that moved
-    python3 -m tests.frozen write           run them and freeze their numbers anew
+    python3 -m tests.frozen write           run them and freeze their new numbers
     python3 -m tests.frozen all DIR         run them and write all of their numbers to DIR
 
 Names of cases after these words choose some of them. `tests/reference/frozen.json` holds the
@@ -10,7 +10,7 @@ have the numbers of the table of the README, which `docs/outputs.py` reads.
 `tests/verification/test_frozen.py` compares with a tolerance that holds on every processor.
 
 Frozen numbers are not known answers (`mantle verify` has those): they show that a result moved.
-A change that moves them on purpose writes them anew and says in its commit which and why.
+A change that moves them on purpose writes the new ones. Its commit says which and why.
 """
 
 from __future__ import annotations

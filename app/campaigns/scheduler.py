@@ -55,8 +55,8 @@ def check(slurm: bool) -> None:
     for program in ("sbatch", "squeue", "scancel") if slurm else ():
         if shutil.which(program) is None:
             raise EnvironmentProblem(
-                f"Slurm was asked for, but {program} is not here (Debian: slurm-client); "
-                "call mantle where jobs are submitted, not in a container there"
+                f"Slurm was requested, but {program} is not installed (Debian: slurm-client); run "
+                "mantle where jobs are submitted, outside a container"
             )
     if slurm:
         version = metadata.version("snakemake")
@@ -92,14 +92,14 @@ def execute(
         environ = {k: v for k, v in environ.items() if ranks.ONE_NODE.get(k) != v}
     # Snakemake needs a writable cache even where home is not.
     environ["XDG_CACHE_HOME"] = str(folder.resolve() / ".snakemake")
-    with _interruptible(), (folder / "snakemake.log").open("w") as said:
+    with _interruptible(), (folder / "snakemake.log").open("w") as log_file:
         # In a separate session: this process gets Ctrl-C and passes it on once.
         child = subprocess.Popen(
             command,
             cwd=folder,
             env=environ,
             stdin=subprocess.DEVNULL,
-            stdout=said,
+            stdout=log_file,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )

@@ -206,7 +206,7 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
         yield Fault(("geometry", "cement_thickness"), text)
     elif missing:
         example = ", ".join(f"{name}: {law}" for name, law in missing.items())
-        text = f"no law for {', '.join(missing)}, which would be bonded, as an ingrown stem; set"
+        text = f"no law for {', '.join(missing)}, so the stem would be bonded (ingrown); set"
         yield Fault(("interfaces",), f"{text} `{example}`, or `kind: bonded`")
 
 

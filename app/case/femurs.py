@@ -247,7 +247,7 @@ class Femur(_Femur, OperatedHip):
         if not self.insertion:
             return super().more_room
         text = "change insertion (insertion: best, or mantle place), widen the canal"
-        return "geometry.insertion", f"{text} (canal_widening), or take a smaller or shorter stem"
+        return "geometry.insertion", f"{text} (canal_widening), or use a smaller or shorter stem"
 
     @property
     def details(self) -> dict[str, str]:

@@ -122,10 +122,10 @@ class FitSearch(Section):
         if sum(aims) != 1:
             fail("expected one of targets, minimise and maximise")
         if self.targets and self.constraints:
-            text = "stand with minimise or maximise; to reach a value, make it one of the targets"
+            text = "need minimise or maximise; to reach a value, make it one of the targets"
             fail(text, at=("constraints",))
         if self.runs < len(self.keys) + 1:
-            text = f"{self.runs} runs are fewer than the start and a change of each key need"
+            text = f"{self.runs} runs are too few for the start and one change of each key"
             fail(f"{text}; expected at least {len(self.keys) + 1}", at=("runs",))
         if self.objective and self.objective not in self.keys:
             at = ("minimise",) if self.minimise else ("maximise",)

@@ -127,7 +127,7 @@ def _chain(path: FilePath) -> list[CaseFile]:
         below = _named_file(chain[-1], "base")
         names = [file.name for file in chain]
         if len(chain) > MOST_BASES or below.resolve() in [FilePath(n).resolve() for n in names]:
-            text = f"more than {MOST_BASES} bases, or a circle: {' -> '.join(names)} -> {below}"
+            text = f"a circle of bases, or more than {MOST_BASES}: {' -> '.join(names)} -> {below}"
             chain[-1].raise_all([Fault(("base",), text)])
         chain.append(yaml_file.read(below))
         of_this_version(chain[-1])

@@ -261,7 +261,7 @@ class SweepPart(Section):
     def _sobol_alone(self) -> SweepPart:
         others = (self.table, self.grid, self.lists, self.latin_hypercube)
         if self.sobol is not None and any(axis is not None for axis in others):
-            fail("cannot stand next to other axes; put it into a part without them", at=("sobol",))
+            fail("cannot be combined with other axes; put it into a separate part", at=("sobol",))
         return self
 
     @property

@@ -232,7 +232,7 @@ def add_quantity(*quantities: Quantity) -> None:
     """
     for q in quantities:
         if q.key in TABLE[q.section] or q.unit not in UNITS:
-            raise ValueError(f"{q.section}.{q.key} is there already, or has no known unit")
+            raise ValueError(f"{q.section}.{q.key} exists already, or has no known unit")
         if q.compute and q.section not in ("interfaces", "regions"):
             raise ValueError(f"{q.section}.{q.key}: sections interfaces and regions have `compute`")
         TABLE[q.section][q.key] = q

@@ -35,7 +35,7 @@ class Sweep(SweepPart):
     def _one_or_several(self) -> Sweep:
         for key in ("grid", "lists", "table", "latin_hypercube", "sobol"):
             if self.parts and getattr(self, key) is not None:
-                fail("cannot stand next to parts; put it into each part", at=(key,))
+                fail("cannot be combined with parts; put it into each part", at=(key,))
         for _, path, part in self._parts():
             if (part.base or self.base) is None:
                 text = "missing; expected the case that is varied, relative to this file"

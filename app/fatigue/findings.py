@@ -138,7 +138,8 @@ def life(laws: Mapping[str, Numbers]) -> str:
     if mesh:
         text += " and mesh"
     if len(known) < 2 and not mesh:
-        return f"no life without a band ({text}): add another law, or run with --error"
+        remedy = "add another law, or run with --error"
+        return f"the life is not shown without an uncertainty ({text}): {remedy}"
     short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
     life = f"99 % of the volume lasts {short} to {long} years, {text}"
     return f"{life}: for comparison, not for prediction"

@@ -206,7 +206,7 @@ class Force(Load):
         size = math.hypot(*self.force)
         if given == [(FACTOR,)]:
             if size == 0.0:
-                text = "is zero; expected the force of which the cycle table has the factor"
+                text = "is zero; expected the force that the factors of the cycle table multiply"
                 fail(text, at=("force",))
             return self
         one = given == [("force",)]

@@ -380,8 +380,8 @@ def _constrained_motions(
         if np.abs(rows @ motion - whole).max() > 1e-9 * max(np.abs(whole).max(), 1.0):
             names = ", ".join(scene.supports[s].name for s in alike if wanted[s].any())
             raise InputError(
-                f"supports.{names}: a rigid region ('{region}') cannot take on these values "
-                "together with the other supports on it; allowed: a rigid motion"
+                f"supports.{names}: the rigid region '{region}' cannot satisfy these values "
+                "together with its other supports; expected values of one rigid motion"
             )
         amounts[alike[0]] = basis.T @ motion
     return basis, rank, amounts

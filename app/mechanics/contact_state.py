@@ -202,10 +202,9 @@ def refuse_loose_regions(
         at = np.flatnonzero(facets.vertices.ravel() == holds.vertex[r])[0]
         x, y, z = facets.x.reshape(-1, 3)[at]
         raise InputError(
-            f"supports.{scene.supports[held[component]].name}: holds {along}what touches the rigid "
-            f"region '{bodies.names[holds.body[r]]}' where the supports of the region leave it "
-            f"free, at ({x:.4g}, {y:.4g}, {z:.4g}) mm; allowed: supports that hold the region in "
-            "the same direction in all stages"
+            f"supports.{scene.supports[held[component]].name}: holds {along}a body that touches "
+            f"the rigid region '{bodies.names[holds.body[r]]}' at ({x:.4g}, {y:.4g}, {z:.4g}) mm, "
+            "where the region is free; hold the region in the same direction in all stages"
         )
 
 
@@ -218,7 +217,7 @@ def refuse_supports(scene: Scene, points: ContactPoints) -> None:
     for s, support in enumerate(scene.supports):
         if support.stages is not None and (points.given == s).any():
             raise InputError(
-                f"supports.{support.name}: it is let go of, but holds its body on an interface "
-                "where the other side is held too; allowed: a boundary away from such edges, the "
-                "same stages for both, or an elastic foundation instead of one of them"
+                f"supports.{support.name}: is released in some stages, but holds an interface "
+                "whose other side is held too; use a boundary away from the interface, the same "
+                "stages for both supports, or an elastic foundation instead of one of them"
             )

@@ -73,8 +73,8 @@ class StressHistory:
         for e in self._elastic.values():
             if e.eigenstrains:
                 raise InputError(
-                    f"regions.{e.region}.eigenstrains: none in a region that sets or creeps; "
-                    "allowed: shrinkage and thermal expansion"
+                    f"regions.{e.region}.eigenstrains: a region that cures or creeps cannot have "
+                    "them; use shrinkage or thermal expansion"
                 )
         degree = body_forms.path_dependent_degree
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)

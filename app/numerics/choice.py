@@ -79,7 +79,7 @@ class SolverChoice:
         solves = "1 solve" if self.solves == 1 else f"{self.solves:g} solves"
         memory = f"{self.needed / 1e9:.2g} GB"
         if condensed:
-            return f"{solves}, bodies condensed onto the jumps, {memory}"
+            return f"{solves}, by condensation onto the jumps, {memory}"
         if not self.fits:
-            return f"{solves} by a Krylov method; condensed bodies need {memory}, too much"
-        return f"{solves} by a Krylov method; condensed bodies need {memory}"
+            return f"{solves} by a Krylov method; condensation needs {memory}, too much"
+        return f"{solves} by a Krylov method; condensation needs {memory}"

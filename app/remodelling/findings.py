@@ -26,7 +26,7 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
             yield Fault(("stages", i, "remodels"), text)
         return
     if stages and not timed:
-        yield Fault(("stages",), "nothing remodels; expected `remodels: 2 years` in some stage")
+        yield Fault(("stages",), "no stage has remodelling; expected `remodels: 2 years` in one")
     before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
     for j, name in enumerate(law.load_cases):
         if stages and name not in before:

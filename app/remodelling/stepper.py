@@ -1,8 +1,8 @@
 """Remodelling of bone in time by Heun's rule.
 
-Arrays are by vertex of this rank, ghosts too, and region (n, r). The end of a step is projected on
-the bounds; what that cuts is counted, so that the mass is that at the start, plus what was added,
-plus what was cut.
+Arrays are by vertex of this rank, ghosts too, and region (n, r). At the end of a step the density
+is limited to its bounds. The mass that this changes is recorded as ``cut``: the mass of bone is its
+initial value plus the masses ``added`` and ``cut``.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from app.stepping.advance import Growth, Progress, Step, advance
 from app.stepping.load_steps import LoadStepper
 
 # Largest change of the density in a step [g/cm3].
-MOST = 0.3
+LARGEST_CHANGE = 0.3
 GROWTH = Growth(safety=0.9, least=0.2, most=2.0, failed=0.5)
-# Largest part of a step by which it is repeated.
+# Length of a repeated step over the length of the refused one, at most.
 SHORTER = 0.9
 # Part of a stage below which a step is too short.
 SHORTEST = 1e-8
@@ -51,7 +51,7 @@ def remodeller(model: Model, load_stepper: LoadStepper) -> Remodeller:
 
 
 class Remodeller:
-    """Steps through stages in which bone remodels, beside the stepper of loads; made collectively.
+    """Steps through stages in which bone remodels, next to the stepper of loads; made collectively.
 
     Args:
         reference: Stimulus of the intact femur (n, r), made when it is first needed; None where the
@@ -95,7 +95,8 @@ class Remodeller:
             )
             K = np.broadcast_to(given[:, None], self._bone.volume.shape)
         self._reference = K
-        least = problem.comm.allreduce(float(K[self._bone.volume > 0].min(initial=np.inf)), MPI.MIN)
+        smallest = float(K[self._bone.volume > 0].min(initial=np.inf))
+        least = problem.comm.allreduce(smallest, MPI.MIN)
         if least <= 0:
             text = f"the smallest value is {least:g} J/g; expected positive values"
             raise InputError(f"remodelling.stimulus: {text}")
@@ -120,7 +121,7 @@ class Remodeller:
         if not self.progress.step:
             self.progress = Progress(1.0 / stage.increments)
         self._k, self._stage = k, stage
-        self._kept = m.density.copy(), stepper.solver.x.copy()
+        self._committed = m.density.copy(), stepper.solver.x.copy()
         try:
             if self.density_rate is None:
                 self.density_rate = self._change()
@@ -129,8 +130,8 @@ class Remodeller:
             self._limit(self.density_rate)
             advance(self, self, checkpoint_point)
         except MantleError:
-            m.density[:] = self._kept[0]
-            self._kept[1].copy(stepper.solver.x)
+            m.density[:] = self._committed[0]
+            self._committed[1].copy(stepper.solver.x)
             self._stimulus.follow_density()
             self._problem.update_displacements(*stepper.solver.u_and_q())
             raise
@@ -147,11 +148,11 @@ class Remodeller:
         return STAGES.seconds(self._stage)
 
     def _limit(self, speed: Floats) -> None:
-        """Shorten the next step so that no density changes by more than `MOST`; collective."""
+        """Limit the next step to a change of the density by `LARGEST_CHANGE`; collective."""
         old, (low, high) = self._forms.density, self._law.density
-        far = np.where(speed > 0, high - old, old - low) > MOST
+        far = np.where(speed > 0, high - old, old - low) > LARGEST_CHANGE
         fastest = max(self._largest(speed[far]) * self._duration, TINY)
-        self.progress.step = min(self.progress.step, MOST / fastest)
+        self.progress.step = min(self.progress.step, LARGEST_CHANGE / fastest)
 
     def _failure(self) -> ConvergenceError:
         p = self.progress
@@ -180,7 +181,7 @@ class Remodeller:
         p.done = step.end
         return True
 
-    # Steps
+    # One step
 
     def try_step(self, step: Step) -> float:
         """Change the density by Heun's rule; return the error over the tolerance; collective."""
@@ -189,10 +190,10 @@ class Remodeller:
         assert speed is not None
         seconds = self._duration * step.length
         euler = self._moved(seconds * speed)
-        there = self._change()
-        if there is None:
+        end_rate = self._change()
+        if end_rate is None:
             return math.inf
-        self._added = seconds * (speed + there) / 2
+        self._added = seconds * (speed + end_rate) / 2
         self._heun = self._moved(self._added)
         error = self._largest(self._heun - euler) / self._law.tolerance
         if error <= 1.0:
@@ -202,7 +203,7 @@ class Remodeller:
         return error
 
     def _moved(self, change: Floats) -> Floats:
-        """Change the density of the step's beginning, within its bounds; return it."""
+        """Set the density to that at the start of the step plus a change, within its bounds."""
         low, high = self._law.density
         new = np.where(self._free, np.clip(self._old + change, low, high), self._old)
         self._forms.density[:] = new
@@ -232,5 +233,5 @@ class Remodeller:
         time = self._k + step.end
         self._problem.set_time(time)
         stepper.commit(self._stage, time, self._stimulus.outcome, started, step.whole)
-        self._kept = m.density.copy(), stepper.solver.x.copy()
+        self._committed = m.density.copy(), stepper.solver.x.copy()
         self._limit(self.density_rate)

@@ -93,18 +93,18 @@ class ProbedMechanics:
         """Numbers by probe; collective."""
         u = self._problem.displacements()
         values = self._points.values(u)
-        found: dict[str, Numbers] = {
+        by_probe: dict[str, Numbers] = {
             name: {"displacement": values[k].tolist()} for k, name in enumerate(self._points.names)
         }
         for name, gauge in self._gauges.items():
             displacement, strain = _measured(self._problem, u, gauge)
-            found[name] = {
+            by_probe[name] = {
                 "strain": strain,
                 "displacement": displacement.tolist(),
                 "centre": gauge.centre.tolist(),
                 "direction": gauge.direction.tolist(),
             }
-        return {name: found[name] for name in self._order}
+        return {name: by_probe[name] for name in self._order}
 
     def step_record(self) -> Mapping[str, float]:
         """Columns of ``history.csv``; collective."""

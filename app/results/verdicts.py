@@ -277,7 +277,7 @@ def _mesh_and_step(summary: Summary) -> Verdict:
         if within:
             text += f"; for about {100 * within:.0f} % of such numbers the true error is smaller"
     if zero:
-        text += f"; not counted, because negligible: {', '.join(zero)}"
+        text += f"; not counted, because close to zero: {', '.join(zero)}"
     source = estimated.get("of", BOTH)
     if source != BOTH:
         text += "; the error of the mesh is not estimated"

@@ -169,7 +169,7 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     mesh = tagged.mesh
     if boundary not in tagged.boundaries:
         raise InputError(
-            f"boundary '{boundary}' is no part of the surface of this mesh; it has "
+            f"boundary '{boundary}' is not part of the surface of this mesh; it has "
             f"{', '.join(tagged.boundaries)}"
         )
     facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])

@@ -170,8 +170,8 @@ def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Flo
     if flat.any():
         raise InputError(
             f"supports.{support.name}: boundary '{support.boundary}' has an edge at "
-            f"{point_text(places[node[np.argmax(flat)]])}, where it has no one normal; allowed: "
-            "normal: face on a smooth boundary, so a support for each face"
+            f"{point_text(places[node[np.argmax(flat)]])}, where it has no unique normal; "
+            "`normal: face` needs a smooth boundary, so use a separate support for each face"
         )
     return mean
 
@@ -224,7 +224,7 @@ def _axes(
             raise InputError(
                 f"{names}: at {point_text(x[np.argmax(wrong)])} they hold several bodies, or one "
                 "in several stages, along directions that are neither the same nor at right "
-                "angles; allowed: the same directions"
+                "angles; use the same directions"
             )
     along = np.einsum("nic,nsij,njc->nsc", axes, held, axes) > ONE
     _refuse_unlike(supports, groups, held, axes, along, x, names)
@@ -255,7 +255,7 @@ def _refuse_unlike(
                 wrong = np.abs(np.einsum("nij,nj->ni", held[:, s], missing)).max(axis=1)
                 if (wrong > ONE * size).any():
                     raise InputError(
-                        f"{names}: cannot all hold at {point_text(x[np.argmax(wrong)])}; allowed: "
-                        "the same displacements, and none but zero where directions are at an "
-                        "angle other than a right one"
+                        f"{names}: contradict each other at {point_text(x[np.argmax(wrong)])}; "
+                        "prescribe equal displacements, and zero where the directions are not at "
+                        "right angles"
                     )

@@ -1,4 +1,4 @@
-"""Files that a case names, relative to its own folder."""
+"""Files that a case names, relative to its folder."""
 
 from __future__ import annotations
 

@@ -138,8 +138,8 @@ class CaseFile:
 
     def _placed(self, verdict: Verdict) -> Verdict:
         """An error with its place in the file, if it begins with a key."""
-        said = f"{verdict.where}: {verdict.what}" if verdict.where else verdict.what
-        keyed = KEYED.fullmatch(said)
+        full_text = f"{verdict.where}: {verdict.what}" if verdict.where else verdict.what
+        keyed = KEYED.fullmatch(full_text)
         if not keyed or verdict.severity is Severity.NOTE:
             return verdict
         path = tuple(int(i) if i.isdigit() else i for i in key_parts(keyed[1]))

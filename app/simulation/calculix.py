@@ -42,7 +42,7 @@ from meshes.distribute import distribute
 STIFF = 1e4
 # Shear per slip of a point that sticks, relative to the pressure per penetration.
 STICK = 0.1
-# Relative range of a Young's modulus that varies which one material of the deck covers.
+# Relative range of Young's modulus that one material of the deck covers.
 ALIKE = 0.02
 # Nodes of a C3D10 by those of basix.
 ORDER = [0, 1, 2, 3, 9, 6, 8, 7, 5, 4]
@@ -59,7 +59,10 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
     case.file.raise_all(_refused(case.config))
     text = "\n".join(_Deck(case.config, data).lines()) + "\n"
     files.write_bytes(path, text.encode("ascii", "replace"))
-    notes = [f"variation {v.name} is not in the file: --set writes it" for v in case.variations]
+    notes = [
+        f"variation {v.name} is not in the file; set its keys by --set to write it"
+        for v in case.variations
+    ]
     soft = (
         f"a penalty of {STIFF:g} MPa/mm and a stick slope of {STICK * STIFF:g} MPa/mm in the file"
     )
@@ -67,7 +70,7 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
         name for name, law in case.config.interfaces.items() if law.is_contact and law.layer is None
     )
     notes += [
-        f"regions.{name}: has the mean of E over each cell, to {ALIKE / 2:.0%}, in the file"
+        f"regions.{name}: in the file E is the mean over each cell, to {ALIKE / 2:.0%}"
         for name, e in case.config.regions.items()
         if e.deforms is True and e.varies
     ]
@@ -77,31 +80,31 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
 def _refused(case: Case) -> list[Fault]:
     faults: list[Fault] = []
 
-    def no(what: str, *at: str | int) -> None:
+    def refuse(what: str, *at: str | int) -> None:
         faults.append(Fault(at, f"an .inp file of CalculiX cannot represent {what}"))
 
     for name, region in case.regions.items():
         if region.deforms is False:
-            no(f"a region that is {type(region).__name__.lower()}", "regions", name)
+            refuse(f"a region that is {type(region).__name__.lower()}", "regions", name)
         elif region.eigenstrains:
-            no("eigenstrains", "regions", name)
+            refuse("eigenstrains", "regions", name)
         if region.thermal is not None:
-            no("heat", "regions", name, "thermal")
+            refuse("heat", "regions", name, "thermal")
     for name, law in case.interfaces.items():
         if law.kind not in ("bonded", "contact", "penalty"):
-            no(f"the law {law.kind}", "interfaces", name)
+            refuse(f"the law {law.kind}", "interfaces", name)
         elif law.has_gap:
-            no("a gap or an interference", "interfaces", name)
+            refuse("a gap or an interference", "interfaces", name)
         elif law.zone_heights:
-            no("zones", "interfaces", name, "zones")
+            refuse("zones", "interfaces", name, "zones")
         if name in case.faces:
-            no("finite sliding", "interfaces", name, "sliding")
+            refuse("finite sliding", "interfaces", name, "sliding")
     for name, support in case.supports.items():
         if support.is_spring is True or support.normal is not None:
-            no("springs to the ground, and rollers along a normal", "supports", name)
+            refuse("springs to the ground, and rollers along a normal", "supports", name)
     for k, stage in enumerate(case.stages):
         if stage.cycles > 1:
-            no("cycles", "stages", k, "cycles")
+            refuse("cycles", "stages", k, "cycles")
     return faults
 
 
@@ -117,7 +120,7 @@ class _Deck:
         self.cells = self.cells.reshape(keys.shape)[:, ORDER[: keys.shape[1]]] + 1
 
     def _keys(self, dofs: Ints, tags: Ints) -> Ints:
-        """Number of a node and its body, of dofs (n, k) in cells of some tags (n,)."""
+        """One number for node and body, of dofs (n, k) in cells with tags (n,)."""
         return dofs.astype(np.int64) * len(self.bodies.names) + self.bodies.of_tag[tags][:, None]
 
     def lines(self) -> Iterator[str]:
@@ -159,7 +162,7 @@ class _Deck:
             yield "*END STEP"
 
     def _varying(self, e: Elastic, rows: Ints) -> Iterator[str]:
-        """Sets of a region's cells (n,) whose mean of Young's modulus is alike, and its values."""
+        """Sets of a region's cells (n,) with nearly equal mean moduli, and their materials."""
         _, ν = e.engineering_constants
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
@@ -188,7 +191,10 @@ class _Deck:
         return forces
 
     def _supports(self, stage: int) -> Iterator[str]:
-        """Components held in a stage; where supports meet the last one says how far they move."""
+        """Lines on the components that supports hold in a stage.
+
+        Where several supports hold a component, the last one gives its displacement.
+        """
         held: dict[tuple[int, int], float] = {}
         for s in self.scene.supports:
             if not self.scene.holds(s, stage):

@@ -27,7 +27,7 @@ def case_on(mesh: TaggedMesh, case: Mapping[str, object], folder: Path) -> Loade
     geometry = case.get("geometry", {})
     if not isinstance(geometry, Mapping) or geometry.keys() - {"interfaces"}:
         raise InputError(
-            "geometry: the mesh was handed over; expected no more than the interfaces: "
+            "geometry: the mesh is an argument of run; expected only the interfaces: "
             "{'interfaces': {NAME: [REGION, REGION]}}"
         )
     path = folder.with_name(f"{folder.name}.yaml")

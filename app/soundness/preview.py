@@ -115,7 +115,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     from_file = getattr(model, "from_file", ())
     for key, value in written.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
-            continue  # nothing to say, or said already in the line above
+            continue  # nothing to print, or it is in the line above
         part = getattr(model, key)
         if isinstance(part, Section):
             kind = f" {value['kind']}" if "kind" in value else ""

@@ -112,7 +112,10 @@ class HeatState:
     # A time step
 
     def norm(self, error: State) -> float:
-        """Largest error over its tolerance, of cure as the temperature it releases; collective."""
+        """Largest error over its tolerance; collective.
+
+        An error of the degree of cure counts as the temperature rise that it releases.
+        """
         n = len(self.vectors())
         errors = list(error[:n])
         for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=False):
@@ -121,7 +124,7 @@ class HeatState:
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """Solve a stage; with mechanics the work of friction is one more part of the state."""
+        """Solve a stage; with mechanics the state also has the work of friction."""
         n, parts, coupled = len(self.vectors()), len(self.state), self.coupled
         if not self.step.begin(start[:n], start[n:parts], h, seconds):
             return None
@@ -139,6 +142,7 @@ class HeatState:
         return [*self._state(self.vectors()), *work]
 
     def _with_work(self, state: State) -> State:
+        """Return a state with a last part for the work of friction, if mechanics is coupled."""
         coupled = self.coupled
         return [*state, *([coupled.exchange.zero_work()] if coupled is not None else [])]
 
@@ -159,10 +163,11 @@ class HeatState:
     def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
         """Solve a time step; None if a stage does not converge.
 
-        A step that may not be shortened is then repeated by backward Euler.
+        If ``fixed`` is True, the step cannot be shortened. It is then repeated by backward Euler.
 
-        A step that leaves the extremes of the data is repeated: without the edges of the mesh that
-        cause it (`heat.maximum_principle`), else by backward Euler.
+        A step is also repeated if a temperature lies outside the range of the data (maximum
+        principle): first without the mesh edges that cause this (`heat.maximum_principle`), then by
+        backward Euler.
         """
         state, slope = (self._with_work(part) for part in (self.state, self.slope))
         principle = self.operators.principle

@@ -419,11 +419,14 @@ class GivenEnergy:
             p.energy, p.step, p.handed = 0.0, self._path.whole, p.done
             return
         text = (
-            f"in no state have interfaces used up {p.energy:.3g} N mm more; the "
-            f"load has reached {100 * max(p.most, p.done):.3g} % of the stage"
+            f"no state dissipates {p.energy:.3g} N mm more at the interfaces; the load has reached "
+            f"{100 * max(p.most, p.done):.3g} % of the stage"
         )
         where = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"
-        cure = "a shorter `fracture_step`, a finer mesh, or a smaller load, if what holds is broken"
+        cure = (
+            "use a shorter `fracture_step` or a finer mesh; if the interface is broken, reduce the "
+            "load"
+        )
         raise ConvergenceError(Verdict(text, where, cure))
 
     def commit(self, step: Step, started: float) -> None:

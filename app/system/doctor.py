@@ -113,7 +113,7 @@ def wrong_blas() -> str:
     return (
         f"the BLAS of this machine ({', '.join(loaded_blas()) or 'unknown'}) computes wrong "
         f"numbers: {', '.join(wrong)}; choose another (update-alternatives --config "
-        "libblas.so.3-x86_64-linux-gnu), or of OpenBLAS other kernels, e.g. "
+        "libblas.so.3-x86_64-linux-gnu), or other kernels of OpenBLAS, e.g. "
         "OPENBLAS_CORETYPE=Haswell"
     )
 

@@ -115,7 +115,7 @@ def prepare_run(folder: Path, force: bool) -> None:
     if holds_something and not force:
         # Of variations some may be finished, and one was interrupted.
         left = saved(folder) or [*folder.glob("*/checkpoint-*.state"), *folder.glob("*/DONE")]
-        again = "--restart auto to go on from its checkpoint, " if left else ""
+        again = "--restart auto to continue from its checkpoint, " if left else ""
         raise InputError(
             f"-o {folder}: is not empty; choose another folder, {again}or --force to replace the "
             "results"

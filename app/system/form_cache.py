@@ -124,12 +124,12 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
         return None
     folder = form_cache()
     reason = str(error).strip().partition("\n")[0] or type(error).__name__
-    said = "".join(f"  {n}\n" for n in getattr(error, "__notes__", ()) if n)
+    details = "".join(f"  {n}\n" for n in getattr(error, "__notes__", ()) if n)
     free = ""
     with suppress(OSError):
         free = f", with {shutil.disk_usage(folder).free / 1e6:.0f} MB free"
     return EnvironmentProblem(
-        f"a form cannot be compiled: {reason}\n{said}"
+        f"a form cannot be compiled: {reason}\n{details}"
         f"mantle doctor checks the C compiler; compiled forms are kept in {folder}"
         f"{free} (XDG_CACHE_HOME sets another folder; it can be deleted)"
     )

@@ -34,13 +34,14 @@ def seconds(text: str) -> float:
 
 
 def signals() -> Callable[[], str]:
-    """Record signals that ask the run to stop; the function returns the first one's name, or "".
+    """Record signals to stop. Return a function that gives the name of the first signal, or "".
 
-    The run calls it between Newton iterations. A second Ctrl-C, a second later or more, ends a
-    single rank at once.
+    The run calls this function between Newton iterations. On a single rank, a second Ctrl-C ends
+    the run at once if it comes at least one second after the first.
     """
     received: list[str] = []
-    alone, first = ranks.world_size() is None, 0.0
+    alone = ranks.world_size() is None
+    first = 0.0
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal first
@@ -54,21 +55,26 @@ def signals() -> Callable[[], str]:
             ranks.notify(ranks.NOT_SAVED)
             os._exit(130)
 
-    heard = ranks.stop_signals()
-    for number in heard:
+    stop_signals = ranks.stop_signals()
+    for number in stop_signals:
         signal.signal(number, note)
-    if signal.SIGHUP not in heard:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # again: PETSc ends a run that gets it
-    # A reader that has left is an error where something is said, and no crash, as PETSc has it.
+    if signal.SIGHUP not in stop_signals:
+        # PETSc has set a handler that ends the run.
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    # Writing to a closed pipe then raises an error. PETSc would end the run.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     return lambda: received[0] if received else ""
 
 
 class WallTime:
-    """Reason to stop a run while there is time to save its state.
+    """Time limit of a run, with enough time left to save its state.
 
-    It is asked between Newton iterations, and assumes that the time to the next call is the longest
-    so far. The run began at ``begin`` of `time.perf_counter` and may take ``limit`` seconds.
+    It is called between Newton iterations. It assumes that the time to the next call is the longest
+    time between two calls so far.
+
+    Args:
+        begin: Start of the run, as `time.perf_counter` gives it [s].
+        limit: Time that the run may take [s].
     """
 
     def __init__(self, begin: float, limit: float) -> None:

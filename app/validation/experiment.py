@@ -7,7 +7,7 @@ The file ``configs/experiments/NAME.yaml`` is a sweep with three parts::
     samples    the same conditions, with inputs drawn from their ranges by a Latin hypercube
 
 A condition is an entry of the axis ``table``, such as the finish of a rod. Conditions whose inputs
-have other ranges are parts of their own, ``samples_polished``; with the same seed and number of
+have other ranges are separate parts, ``samples_polished``; with the same seed and number of
 inputs they draw the same fractions of all ranges. Every part has the same conditions. The case
 that the sweep varies is ``configs/validation/NAME.yaml``.
 """

@@ -100,7 +100,7 @@ class MeasuredQuantity(Section):
         if self.value is None and self.range is None:
             fail("has neither a value nor a range; expected one of them")
         if self.range is not None and not self.range[0] < self.range[1]:
-            fail("does not rise; expected the least and the largest value", at=("range",))
+            fail("does not increase; expected the smallest and the largest value", at=("range",))
         return self
 
     @property

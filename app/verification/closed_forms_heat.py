@@ -277,7 +277,7 @@ class HeatedWalls:
         return Wall(p, *two_bars(hot, cold, (resistances[0], resistances[1]), h))
 
     def excess(self, p: float) -> float:
-        """Length of both bars under a pressure, free to expand, over the room they have [mm]."""
+        """Length of both bars under a pressure, without walls, minus the walls' distance [mm]."""
         hot, cold, free = self.temperatures
         state = self.state(p)
         means = ((hot + state.first) / 2 - free, (cold + state.second) / 2 - free)

@@ -96,8 +96,8 @@ def test_friction_cycles_difference_of_the_last_two_cycles(ball: Results) -> Non
     assert ball.summary["interfaces"]["bearing"]["dissipation_cycle"] == pytest.approx(last)
     assert change["dissipation"] == pytest.approx(abs(last - first) / last, rel=1e-6)
     assert 0 < change["torque"] < 0.05 and 0 < change["centre"] < 1e-3
-    said = f"% of the torque, {100 * change['dissipation']:.2g} % of the dissipation"
-    assert any(said in str(verdict) for verdict in recorded(ball.summary))
+    expected_text = f"% of the torque, {100 * change['dissipation']:.2g} % of the dissipation"
+    assert any(expected_text in str(verdict) for verdict in recorded(ball.summary))
 
 
 def test_friction_cycles_fields_follow_the_rotated_ball(ball: Results) -> None:

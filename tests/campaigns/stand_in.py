@@ -1,12 +1,21 @@
 """A stand-in for ``mantle run`` that leaves what a run leaves, in no time.
 
-Its numbers follow laws in the mesh size h, the friction and the penalty r, if there is one, so that
-orders, references and advice are known: slip_p99 = 0.04 (1 - 0.01 h^2) (1 + 10 / r) / friction,
-pressure_p99 = 5 (1 + 0.04 h / order), penetration_max = 2 / r, a time of 8 / h seconds, and errors
-estimated as twice and eight times the true ones. Files in the folder of `conftest.Bench` tell it
-what to do: sizes, frictions and penalties that are ``broken`` and the ``code`` it then leaves with,
-the code it leaves with if ``interrupted``, the ``seconds`` of a run, how many ``meet``, and what is
-``awaited`` by all but the first.
+Its numbers follow laws in the mesh size h, the friction and the penalty r, if there is one. Orders,
+references and advice are therefore known:
+
+* slip_p99 = 0.04 (1 - 0.01 h^2) (1 + 10 / r) / friction
+* pressure_p99 = 5 (1 + 0.04 h / order)
+* penetration_max = 2 / r
+* time = 8 / h seconds
+* estimated errors: twice and eight times the true ones
+
+Files in the folder of `conftest.Bench` control it:
+
+* ``broken``: sizes, frictions and penalties that fail; ``code``: exit code of these runs
+* ``interrupted``: exit code of an interrupted run
+* ``seconds``: duration of a run
+* ``meet``: number of runs that wait for each other
+* ``awaited``: file for which all runs but the first wait
 """
 
 from __future__ import annotations

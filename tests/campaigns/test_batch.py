@@ -170,7 +170,7 @@ def test_batch_reports_a_broken_snakemake(bench: Bench, monkeypatch: pytest.Monk
 
 def test_batch_reports_missing_slurm_first(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(bench.folder))
-    with pytest.raises(EnvironmentProblem, match="sbatch is not here") as error:
+    with pytest.raises(EnvironmentProblem, match="sbatch is not installed") as error:
         batch.run([bench.job(1.0)], bench.out, 2, slurm=("--mem=1G",))
     assert error.value.exit_code == 69 and not bench.out.exists()
 

@@ -168,10 +168,10 @@ def test_fit_says_which_keys_its_targets_cannot_tell_apart(model: Bench) -> None
 def test_fit_says_that_a_target_cannot_be_reached_and_which_bound_stops_it(model: Bench) -> None:
     keys = KEYS.replace("high: 0.9", "high: 0.3")
     record = search(model, file(keys))
-    said = verdicts(record)
-    assert f"{FRICTION}: is at its upper bound, 0.3" in said
-    assert "lower_upper.shear_mean: is 1.2" in said and "cannot reach 1.739 MPa" in said
-    assert "uncertainties of 0.04 MPa remain" in said
+    texts = verdicts(record)
+    assert f"{FRICTION}: is at its upper bound, 0.3" in texts
+    assert "lower_upper.shear_mean: is 1.2" in texts and "cannot reach 1.739 MPa" in texts
+    assert "uncertainties of 0.04 MPa remain" in texts
     with pytest.raises(UnusableError, match="widen the bounds"):
         fit_verdicts.raise_faults(record)
 
@@ -288,8 +288,8 @@ def test_fit_of_a_minimum_out_of_runs_has_its_best_run(model: Bench) -> None:
 def test_fit_of_a_key_without_constraints_goes_to_its_bound(model: Bench) -> None:
     record = search(model, file(targets="", more=f"  maximise: {FRICTION}\n"))
     assert record["keys"][FRICTION]["at"] == "high"
-    said = verdicts(record)
-    assert f"{MODULUS}: has no influence on the numbers" in said
+    texts = verdicts(record)
+    assert f"{MODULUS}: has no influence on the numbers" in texts
 
 
 def test_fit_writes_json_csv_table_and_page(model: Bench, caplog: pytest.LogCaptureFixture) -> None:
@@ -299,9 +299,9 @@ def test_fit_writes_json_csv_table_and_page(model: Bench, caplog: pytest.LogCapt
     rows = (model.out / "fit.csv").read_text().splitlines()
     assert rows[0].startswith(f"run,{FRICTION},{MODULUS},lower_upper.pressure_mean [MPa],")
     assert len(rows) == 1 + len(record["runs"])
-    said = "\n".join(caplog.messages)
-    assert "start: friction_coefficient 0.5, youngs_modulus 3 GPa: " in said
-    assert "95 % interval" in said and "to repeat it: mantle run " in said
+    texts = "\n".join(caplog.messages)
+    assert "start: friction_coefficient 0.5, youngs_modulus 3 GPa: " in texts
+    assert "95 % interval" in texts and "to repeat it: mantle run " in texts
     assert main(["report", str(model.out)]) == 0
     html = (model.out / fit_report.PAGE).read_text()
     for words in ("Fitted keys", "95 % interval", "Path of the search", "data:image/png"):
@@ -396,7 +396,7 @@ BAD = {
         KEYS,
         TARGETS,
         "  constraints:\n    lower_upper.slip_mean: {at_most: 5 um}\n",
-        "fit.constraints: stand with minimise or maximise",
+        "fit.constraints: need minimise or maximise",
     ),
     "no bound": (
         KEYS,
@@ -417,7 +417,7 @@ BAD = {
         "  minimise: timing.total\n",
         "fit.minimise: timing.total describes the run, not the model",
     ),
-    "few runs": (KEYS, TARGETS, "  runs: 2\n", "fit.runs: 2 runs are fewer than the start and"),
+    "few runs": (KEYS, TARGETS, "  runs: 2\n", "fit.runs: 2 runs are too few for the start and"),
     "large step": (KEYS, TARGETS, "  step: 0.7\n", "fit.step: 0.7: input should be less than"),
 }
 
@@ -470,7 +470,7 @@ def test_fit_of_a_push_in_test_recovers_friction_and_modulus(tmp_path: Path) -> 
     assert record["converged"] and len(record["runs"]) <= 25 and not record["verdicts"]
 
 
-@pytest.mark.slow  # 12 runs of 2 s, each on a mesh of its own
+@pytest.mark.slow  # 12 runs of 2 s, each on another mesh
 def test_fit_finds_the_thinnest_ring_of_a_shrink_fit(tmp_path: Path) -> None:
     """Lame's pressure in plane strain (`configs/verification/lame_plane_strain.yaml`)."""
     core, ring, nu, delta, b = 110e3, 2200.0, 0.3, 0.01, 7.0

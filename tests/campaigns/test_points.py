@@ -168,7 +168,7 @@ SWEEPS = [
     (BASE + "lists: {mesh.size: 1 mm}", "2:1: lists: varies nothing"),
     (BASE + "table: {a: 3}", "2:9: table.a: 3 is not a mapping"),
     (BASE + "table: {2nd: {}}", "2:9: table.2nd: '2nd' is not a name"),
-    (BASE + "parts: {p: {}}\ngrid: {mesh.order: [1]}", "3:1: grid: cannot stand next to parts"),
+    (BASE + "parts: {p: {}}\ngrid: {mesh.order: [1]}", "3:1: grid: cannot be combined with parts"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 1 mm, high: 2 m}}}", "both ends"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 2, high: 1}}}", "a: 2 is not below 1"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {values: [2, 2]}}}", "2:56: latin"),
@@ -176,7 +176,7 @@ SWEEPS = [
     (BASE + "sobol: {samples: 12, inputs: {a: {low: 1, high: 2}}}", "the next are 8 and 16"),
     (
         BASE + "sobol: {samples: 8, inputs: {a: {low: 1, high: 2}}}\ngrid: {b: [1, 2]}",
-        "cannot stand next to other axes",
+        "cannot be combined with other axes",
     ),
     (BASE + "gird: {}", "did you mean 'grid'?"),
     (BASE + "==grid: {}", "2:1: ==grid: unknown key; allowed: base, set, grid"),

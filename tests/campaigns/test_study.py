@@ -145,8 +145,8 @@ def test_study_of_some_lines_and_quick_tier(file: Path, capsys: pytest.CaptureFi
     """By ``-k``, and the first two points of each line and of the reference; or only printed."""
     options = ["study", str(file), "-o", str(file.parent / "out"), "--cores", "2", "-k", "P2"]
     assert main([*options, "--dry-run"]) == 0
-    said = capsys.readouterr().out
-    assert "study.yaml: 6 runs" in said and "P2/size=4mm" in said and "P1/" not in said
+    printed = capsys.readouterr().out
+    assert "study.yaml: 6 runs" in printed and "P2/size=4mm" in printed and "P1/" not in printed
     assert not (file.parent / "out").exists()
     assert main([*options, "--tier", "quick", "--dry-run"]) == 0
     assert "study.yaml: 4 runs" in capsys.readouterr().out

@@ -172,9 +172,9 @@ def test_sweep_passes_options_to_slurm(
 def test_sweep_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["sweep", str(bench.sweep), "-o", str(bench.out), "--cores", "2"]
     assert main([*arguments, "--dry-run"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert not bench.out.exists()
-    assert "8 cases" in said and said.count("shares the matrices") == 6
+    assert "8 cases" in printed and printed.count("shares the matrices") == 6
     assert main(arguments) == 0
     capsys.readouterr()
     assert main([*arguments, "--dry-run"]) == 0
@@ -193,9 +193,9 @@ def test_sweep_dry_run_estimates_time_on_cores(
     caplog.set_level(logging.INFO, "mantle")
     monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
     sweep.run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2, dry_run=True))
-    said = caplog.messages[0].splitlines()
-    assert said[-1].startswith("about 2 min for the remaining runs on 2 cores")
-    shown = [re.search(r"(\S+) s(  |$)", line) for line in said[3:-2]]
+    printed = caplog.messages[0].splitlines()
+    assert printed[-1].startswith("about 2 min for the remaining runs on 2 cores")
+    shown = [re.search(r"(\S+) s(  |$)", line) for line in printed[3:-2]]
     assert [float(match[1]) for match in shown if match] == [each] * 8
 
 
@@ -313,8 +313,8 @@ def test_uncertainty_spread_and_cause_of_samples() -> None:
     # Spearman: 1 - 6 sum d^2 / (n (n^2 - 1)), d = 1, 3, -2, 0, -2.
     assert n["correlation"] == pytest.approx({"a": 1.0, "b": 1 - 6 * 18 / 120})
     assert spread["numbers"]["stem.retroversion"]["correlation"] == {}
-    said = uncertainty.table({"p": spread})
-    assert "a +1.00, b +0.10" in said and "retroversion" not in said
+    printed = uncertainty.table({"p": spread})
+    assert "a +1.00, b +0.10" in printed and "retroversion" not in printed
 
 
 def test_uncertainty_of_choices() -> None:
@@ -353,8 +353,8 @@ def test_uncertainty_sobol_indices_of_a_known_function() -> None:
         assert indices[key]["total"][0] == pytest.approx(total, abs=0.03)
         for value, low, high in indices[key].values():
             assert low < value < high
-    said = uncertainty.table({"": spread})
-    assert "Sobol' indices of 1024 base samples" in said
+    printed = uncertainty.table({"": spread})
+    assert "Sobol' indices of 1024 base samples" in printed
     assert [row[1] for row in uncertainty.index_rows(spread)] == ["x", "y", "z"]
 
 

@@ -154,7 +154,7 @@ def test_cycle_table_factor_of_a_force() -> None:
     assert force.force_at(1 / 6) == pytest.approx((0.0, 180.0, -240.0))
     assert force.force_at(2 / 3) == pytest.approx((0.0, 180.0, -240.0))
     for wrong, text in (
-        (key, "is zero; expected the force of which the cycle table has the factor"),
+        (key, "is zero; expected the force that the factors of the cycle table multiply"),
         (key | {"cycle_table": ["time [s], factor [N]", "0, 1", "1, 2"]}, "a share has no unit"),
         (
             key | {"cycle_table": ["time [s], factor [%], force [N]", "0, 1, 2", "1, 2, 3"]},

@@ -39,9 +39,9 @@ def test_allow_scripts_runs_scripts_only_if_allowed(
     Path("study.yaml").write_text(re.sub("base: .*", "base: case.yaml", study.read_text()))
     Path("sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.size: [0.5 mm]}\n")
     assert main(command.split()) == 2
-    said = capsys.readouterr().err
-    assert "case.yaml:1:24: geometry.path: 'a.geo': a gmsh script is a program" in said
-    assert "--allow-scripts" in said
+    printed = capsys.readouterr().err
+    assert "case.yaml:1:24: geometry.path: 'a.geo': a gmsh script is a program" in printed
+    assert "--allow-scripts" in printed
     assert not Path("PWNED").exists()
 
 

@@ -41,9 +41,9 @@ def complaints(path: Path, *overrides: str) -> list[str]:
     return [m.removeprefix(f"{path}:") for m in caught.value.messages]
 
 
-def check(said: list[str], expected: list[str]) -> None:
-    assert len(said) == len(expected), said
-    for message, start in zip(said, expected, strict=True):
+def check(reported: list[str], expected: list[str]) -> None:
+    assert len(reported) == len(expected), reported
+    for message, start in zip(reported, expected, strict=True):
         assert message.startswith(start) and message.isprintable()
 
 
@@ -66,8 +66,8 @@ def test_bad_input_override(case: str, sets: str, path: Path) -> None:
 
 def test_bad_input_of_file_and_overrides_is_reported_together(path: Path) -> None:
     path.write_text(GOOD.replace("length: 20 mm", "length: 20"))
-    said = complaints(path, "mesh.size=3", "nonsense")
-    assert [m.split(": ")[0] for m in said] == ["7:3", "--set mesh.size", "--set nonsense"]
+    reported = complaints(path, "mesh.size=3", "nonsense")
+    assert [m.split(": ")[0] for m in reported] == ["7:3", "--set mesh.size", "--set nonsense"]
 
 
 def test_bad_input_files_that_cannot_be_read(tmp_path: Path) -> None:
@@ -90,9 +90,11 @@ def test_bad_input_aliases_cannot_blow_up(path: Path) -> None:
 
 def test_bad_input_thin_block_is_named() -> None:
     thin = "geometry.blocks.1.size=[10 mm, 10 mm, 0.01 mm]"
-    said = complaints(CONFIGS / "blocks.yaml", thin, "mesh.size=3 mm")
-    assert said[0].startswith("--set geometry.blocks.1.size: ") or "blocks[1].size" in said[0]
-    assert "expected at least 0.12 mm" in said[0]
+    reported = complaints(CONFIGS / "blocks.yaml", thin, "mesh.size=3 mm")
+    assert (
+        reported[0].startswith("--set geometry.blocks.1.size: ") or "blocks[1].size" in reported[0]
+    )
+    assert "expected at least 0.12 mm" in reported[0]
 
 
 def test_bad_input_found_by_the_mesher_has_its_place(
@@ -251,7 +253,7 @@ def test_bad_input_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) ->
         assert capsys.readouterr().err.startswith(f"-o {folder}: {expected}")
     (full / "checkpoint-3.state").touch()  # of a run that was killed
     assert main(["run", str(path), "-o", str(full)]) == 2
-    assert ", --restart auto to go on from its checkpoint, or --force" in capsys.readouterr().err
+    assert ", --restart auto to continue from its checkpoint, or --force" in capsys.readouterr().err
 
 
 @pytest.mark.parallel
@@ -296,7 +298,7 @@ def test_bad_input_killed_run_names_the_restart_option(
     (tmp_path / left).touch()
     case = CONFIGS / "blocks.yaml"
     assert main(["run", str(case), "-o", str(tmp_path)]) == 2
-    assert "--restart auto to go on from its checkpoint" in capsys.readouterr().err
+    assert "--restart auto to continue from its checkpoint" in capsys.readouterr().err
     assert mantle.load(case).config.output.checkpoint.minutes == 1.0
 
 

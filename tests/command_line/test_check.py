@@ -314,7 +314,7 @@ def test_commands_cores_are_those_of_the_process(
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "said"),
+    ("error", "code", "message"),
     [
         (ConvergenceError("stem_cement did not settle"), 4, "stem_cement did not settle"),
         (KeyboardInterrupt(), 5, "stopped: no step had converged, so nothing was written"),
@@ -324,7 +324,7 @@ def test_commands_cores_are_those_of_the_process(
 def test_commands_exit_codes(
     error: BaseException,
     code: int,
-    said: str,
+    message: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -335,7 +335,7 @@ def test_commands_exit_codes(
     aborted: list[int] = []
     monkeypatch.setattr(cli, "_abort", aborted.append)
     assert main(["run"]) == code
-    assert capsys.readouterr().err.rstrip().endswith(said)
+    assert capsys.readouterr().err.rstrip().endswith(message)
     # Errors that all ranks have alike leave by themselves; others end the ranks that would wait.
     assert aborted == ([] if code == 4 else [code])
 

@@ -84,7 +84,7 @@ def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "printed"),
     [
         ("", 2, "usage: mantle COMMAND"),
         ("--version", 0, f"mantle {mantle.__version__}\n"),  # without a solver stack
@@ -93,10 +93,10 @@ def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
         ("setup --upgrade", 2, "--update"),
     ],
 )
-def test_launcher_commands_without_solver_stack(words: str, code: int, said: str) -> None:
+def test_launcher_commands_without_solver_stack(words: str, code: int, printed: str) -> None:
     path = "/bin:/usr/bin"
     result = run(*words.split(), MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH=path)
-    assert result.returncode == code and said in result.stdout + result.stderr
+    assert result.returncode == code and printed in result.stdout + result.stderr
 
 
 def test_launcher_help_lists_every_command() -> None:
@@ -133,8 +133,8 @@ def test_launcher_test_all_repeats_on_other_kernels_and_orders(tmp_path: Path) -
     more = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "CALLS": str(calls)}
     more |= {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "XDG_CACHE_HOME": str(tmp_path)}
     result = run("test", "--all", OPENBLAS_CORETYPE="", GLIBC_TUNABLES="", **more)
-    said = result.stdout.splitlines()[-1]
-    assert result.returncode == 1 and "Haswell FAILED" in said and "Nehalem ok" in said
+    printed = result.stdout.splitlines()[-1]
+    assert result.returncode == 1 and "Haswell FAILED" in printed and "Nehalem ok" in printed
     lines = [line.split("|") for line in calls.read_text().splitlines()]
     tests = [line for line in lines if "tests/verification" in line[2]]
     kernels = [kernel for kernel, _, _ in tests if kernel]
@@ -199,10 +199,10 @@ def set_ups(tmp_path: Path) -> int:
 
 
 def made(tmp_path: Path, mmdebstrap: str, *arguments: str) -> tuple[Path, str]:
-    """The one tree after a set-up, and what was said."""
-    _, said = set_up(tmp_path, mmdebstrap, *arguments).communicate(timeout=60)
+    """The one tree after a set-up, and what was printed."""
+    _, printed = set_up(tmp_path, mmdebstrap, *arguments).communicate(timeout=60)
     (tree,) = trees(tmp_path)
-    return tree, said
+    return tree, printed
 
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root sets up a tree")
@@ -312,8 +312,8 @@ def test_launcher_tree_is_renewed_if_older_than_given(tmp_path: Path) -> None:
 
 def test_launcher_tree_is_set_up_only_by_root(tmp_path: Path) -> None:
     program(tmp_path / "bin" / "id", "echo 1000")
-    _, said = set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
-    assert "only root can set up a tree" in said and "--wheels" in said
+    _, printed = set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
+    assert "only root can set up a tree" in printed and "--wheels" in printed
     assert trees(tmp_path) == []
 
 
@@ -353,17 +353,17 @@ def test_launcher_wheels_are_set_up_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "printed"),
     [
         ({"BROKEN": "yes"}, "wheels could not be installed"),
         ({"HEADERS": "/nowhere"}, "python3-dev"),
     ],
 )
 def test_launcher_failed_wheels_leave_nothing(
-    more: dict[str, str], said: str, tmp_path: Path
+    more: dict[str, str], printed: str, tmp_path: Path
 ) -> None:
     result = wheels(tmp_path, **more)
-    assert result.returncode == 69 and said in result.stderr
+    assert result.returncode == 69 and printed in result.stderr
     assert not [*(tmp_path / "cache" / "mantle").glob("wheels-*")]
 
 

@@ -99,7 +99,7 @@ def balanced(summary: dict[str, Any]) -> bool:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
-    """A finished run: its case, its folder, what it said."""
+    """A finished run: its case, its folder, its output."""
     folder = tmp_path_factory.mktemp("run")
     case, output = folder / "small.yaml", folder / "out"
     case.write_text(STEM)
@@ -140,19 +140,19 @@ def test_run_has_a_row_per_step(
     done: tuple[Path, Path, str],
 ) -> None:
     """And a verdict; beside it who ran what, and the case resolved."""
-    case, output, said = done
+    case, output, printed = done
     history, summary = rows(output / "history.csv"), support.summary(output)
     assert [float(r["time [-]"]) for r in history] == [1.0, 1.5, 2.0]
     for name, q in summary["interfaces"].items():
         for key, unit in (("gap_max", "mm"), ("pressure_max", "MPa"), ("slip_fraction", "-")):
             assert float(history[-1][f"{name} {key} [{unit}]"]) == pytest.approx(q[key], rel=1e-12)
     assert sum(int(r["newton [-]"]) for r in history) == summary["solver"]["newton_iterations"]
-    lines = said.splitlines()
+    lines = printed.splitlines()
     heads = [line.split() for line in lines if line.split()[:1] == ["step"]]
     steps = [line.split() for line in lines if line.lstrip()[:1] in "123" and line.endswith(" s")]
     assert {head.index("time") for head in heads} == {1}
     assert [float(step[1]) for step in steps] == [1.0, 1.5, 2.0]
-    assert "satisfied to rounding" in said and str(output) in lines[-1]
+    assert "satisfied to rounding" in printed and str(output) in lines[-1]
     assert {p.name for p in output.iterdir()} == FILES
     record = json.loads((output / "provenance.json").read_text())
     assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]

@@ -272,8 +272,8 @@ def test_explain_names_and_keys(
     word: str, code: int, parts: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["explain", *word.split()]) == code
-    said = capsys.readouterr()[code // 2]
-    assert all(part in said for part in parts), said
+    printed = capsys.readouterr()[code // 2]
+    assert all(part in printed for part in parts), printed
 
 
 def test_commands_take_a_shipped_case_by_name(

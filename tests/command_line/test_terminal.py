@@ -40,7 +40,7 @@ def shown(stream: io.TextIOWrapper) -> str:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "printed"),
     [
         ("NO_COLOR", "", "\033[33mlook\033[m \033[32mexact\033[m"),
         ("NO_COLOR", "1", "look exact"),
@@ -48,11 +48,11 @@ def shown(stream: io.TextIOWrapper) -> str:
     ],
 )
 def test_streams_have_colours_only_on_a_terminal(
-    name: str, value: str, said: str, monkeypatch: pytest.MonkeyPatch
+    name: str, value: str, printed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with terminal(monkeypatch) as stream:
         monkeypatch.setenv(name, value)
-        assert shown(stream) == said
+        assert shown(stream) == printed
 
 
 def test_streams_of_ranks_follow_the_launcher(monkeypatch: pytest.MonkeyPatch) -> None:

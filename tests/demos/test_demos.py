@@ -94,6 +94,6 @@ def test_demos_stem_in_cylinder() -> None:
 
 def test_demos_own_law() -> None:
     """Springs in series; in a separate process, because the law stays registered."""
-    said = support.python(DEMOS / "own_law.py", PYTHONPATH=str(support.ROOT)).stdout
+    printed = support.python(DEMOS / "own_law.py", PYTHONPATH=str(support.ROOT)).stdout
     exact = 3 * (2 / 2000 + 1 / 50 + 2 / 1000)
-    assert float(said.split()[1]) == pytest.approx(exact, rel=1e-8)
+    assert float(printed.split()[1]) == pytest.approx(exact, rel=1e-8)

@@ -114,7 +114,7 @@ def test_fatigue_life_is_reported_as_a_range(tmp_path: Path) -> None:
     assert "laws.v: Verdonschot and Huiskes 1997, from memory: check" in notes
     assert "laws.v: was measured at 7 to 20 MPa, and is used at 6.6 MPa" in notes
     (life,) = (v.text for v in recorded(s) if v.where == "fatigue")
-    assert "no life without a band (over v)" in life
+    assert "the life is not shown without an uncertainty (over v)" in life
     case = support.case(SPECTRUM)
     assert not preview.warnings(case)
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary

@@ -74,7 +74,7 @@ def test_augmentation_follows_softened_cement() -> None:
 def test_augmentation_over_eight_decades_gives_equal_jumps(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Eight decades of r: one step, none rejected, the same jumps; what was tried is said."""
+    """Eight decades of r: one step, none rejected, the same jumps; attempts are reported."""
     outcomes: list[NewtonResult] = []
     jumps = []
     for f in (1.0, factor):

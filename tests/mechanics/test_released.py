@@ -93,7 +93,9 @@ def test_constraints_refuse_release_of_prescribed_jumps() -> None:
         "supports.left={kind: roller, boundary: lower_x_min, axis: x}",
         "supports.right={kind: roller, boundary: upper_x_min, axis: x}",
     )
-    with pytest.raises(InputError, match=r"supports\.right: it is let go of.*foundation"):
+    with pytest.raises(
+        InputError, match=r"supports\.right: is released in some stages.*foundation"
+    ):
         Heated.make(COLUMN, active(right=("held",)), CONTACT, *sides)
     # A side that is held in all stages is held there by that support.
     again = "supports.again={kind: roller, boundary: upper_x_min, axis: x}"

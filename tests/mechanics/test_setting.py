@@ -148,7 +148,7 @@ def test_setting_with_contact_and_varying_degree_of_cure() -> None:
 
 
 def test_setting_refuses_eigenstrains() -> None:
-    with pytest.raises(InputError, match="eigenstrains: none in a region that sets"):
+    with pytest.raises(InputError, match="eigenstrains: a region that cures or creeps"):
         Heated.make(
             BAR,
             setting(cure("one")),

@@ -74,7 +74,7 @@ def whole(data: MeshData, bone: str = "bone", cement: str = "cement") -> dict[st
     return boundary_areas(data)
 
 
-def said(data: MeshData) -> str:
+def messages_of(data: MeshData) -> str:
     """Notes on the file."""
     return "\n".join(data.notes["messages"])
 

@@ -121,7 +121,7 @@ def test_cad_stem_check_reports_axis_head_and_neck(
         ("small", "6.06 mm from end to end; a stem has 60 to 400 mm: the file names no unit"),
         ("large", "mm from end to end; a stem has 60 to 400 mm: the file names no unit"),
         ("straight", "no planar face at the end of a neck (25 to 80 deg to the axis"),
-        ("hole", "mm above the tip the axis is outside of the metal"),
+        ("hole", "mm above the tip the axis is outside the metal"),
     ],
 )
 def test_cad_stem_refuses_other_solids(what: str, why: str, tmp_path: Path) -> None:

@@ -143,11 +143,11 @@ def test_mesh_file_of_each_format_has_the_same_mesh(
         *{"inp": ["Nall"], "feb": ["some"]}.get(suffix, []),
     }
     assert geometry.estimate_cells(MeshOptions(size="1 mm")) == len(rod.cells)
-    said = " ".join(back.notes["messages"])
+    all_messages = " ".join(back.notes["messages"])
     for words in {"inp": ["Eall", "*MATERIAL, *ELASTIC"], "feb": ["ElementSet e", "some"]}.get(
         suffix, []
     ):
-        assert words in said
+        assert words in all_messages
 
 
 def test_mesh_file_deck_of_gmsh(rod: MeshData, tmp_path: Path) -> None:

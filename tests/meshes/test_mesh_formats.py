@@ -46,11 +46,11 @@ from tests.meshes.spellings import (
     geometry,
     grid,
     include,
+    messages_of,
     nodes,
     on,
     one_piece,
     pvtu,
-    said,
     surface,
     topology,
     vtu,
@@ -101,7 +101,7 @@ def test_inp_parts_without_an_instance_are_ignored(tmp_path: Path) -> None:
     text += "I-1.bone, cement\n*SURFACE, NAME=all\nboth\n*END ASSEMBLY\n"
     data = build(tmp_path / "a.inp", text)
     assert whole(data)["all"] == pytest.approx(ALL_FREE)
-    assert "parts without an instance: unused" in said(data)
+    assert "parts without an instance: unused" in messages_of(data)
 
 
 def test_inp_dots_begin_with_an_instance_where_it_is_one(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_inp_sets_of_one_name_in_two_instances_are_kept_apart(tmp_path: Path) ->
         text += f"*INSTANCE, NAME={part}-1, PART={part}\n*END INSTANCE\n"
     data = build(tmp_path / "a.inp", f"{text}*SURFACE, NAME=s\nQ-1.Set-1\n*END ASSEMBLY\n")
     assert whole(data, "P-1_Set-1", "Q-1_Set-1")["s"] == pytest.approx(ALL_FREE - FREE)
-    assert "before their name: P-1.Set-1, Q-1.Set-1" in said(data)
+    assert "before their name: P-1.Set-1, Q-1.Set-1" in messages_of(data)
 
 
 def in_system(system: str, points: np.ndarray) -> np.ndarray:
@@ -278,7 +278,7 @@ def test_inp_spellings(name: str, tmp_path: Path) -> None:
     text, areas = SPELLINGS[name]
     data = build(tmp_path / "a.inp", text)
     assert whole(data) == pytest.approx(areas)
-    assert ("coordinates of nodes are empty" in said(data)) == (name == "empty fields")
+    assert ("coordinates of nodes are empty" in messages_of(data)) == (name == "empty fields")
 
 
 def test_inp_blanks_in_quotes_count(tmp_path: Path) -> None:
@@ -341,10 +341,10 @@ def test_inp_faults_name_the_line(text: str, words: str, tmp_path: Path) -> None
 def test_regions_of_cells_without_a_region_are_counted(tmp_path: Path) -> None:
     more = "*SOLID SECTION, ELSET=bone\n1.0\n"
     data = build(tmp_path / "a.inp", deck(more=more))
-    assert "6 of 12 cells of the file belong to no region" in said(data)
+    assert "6 of 12 cells of the file belong to no region" in messages_of(data)
     text = nodes() + elements(0, 6, "bone") + elements(6, 9, "cement") + elements(9, 12)
     data = build(tmp_path / "b.inp", text)
-    assert "3 of 12 cells of the file belong to no region" in said(data)
+    assert "3 of 12 cells of the file belong to no region" in messages_of(data)
 
 
 # ---------------------------------------------------------------------------------------- .vtu
@@ -361,24 +361,24 @@ def test_vtu_encodings_are_read(
     data = build(tmp_path / "a.vtu", vtu(cut(pieces), way, header, order, packer))
     whole(data, *MATERIALS)
     assert len(data.cells) == len(CELLS)
-    assert ("has 3 pieces, which are read as one mesh" in said(data)) == (pieces == 3)
+    assert ("has 3 pieces, which are read as one mesh" in messages_of(data)) == (pieces == 3)
 
 
 def test_vtu_in_text_and_in_two_pieces(tmp_path: Path) -> None:
     data = build(tmp_path / "a.vtu", vtu(cut(2)))
     whole(data, *MATERIALS)
-    assert "has 2 pieces" in said(data)
+    assert "has 2 pieces" in messages_of(data)
 
 
 def test_vtu_ghost_and_doubled_cells_are_counted_once(tmp_path: Path) -> None:
     data = build(tmp_path / "twice.vtu", vtu(one_piece() * 2))
     whole(data, *MATERIALS)
-    assert "12 cells stand twice" in said(data)
+    assert "12 cells stand twice" in messages_of(data)
     owned = one_piece(material=TAGS, vtkGhostType=np.zeros(12, "u1"))
     ghosts = [(POINTS, CELLS[:5], {"material": TAGS[:5], "vtkGhostType": np.ones(5, "u1")})]
     data = build(tmp_path / "ghost.vtu", vtu(owned + ghosts))
     whole(data, *MATERIALS)
-    assert "5 ghost cells" in said(data)
+    assert "5 ghost cells" in messages_of(data)
 
 
 @pytest.mark.parametrize("below", ["", "box/"])
@@ -388,10 +388,10 @@ def test_pvtu_pieces_of_all_files_are_joined(parts: int, below: str, tmp_path: P
     data = bonded(path)
     whole(data, *MATERIALS)
     assert len(data.cells) == len(CELLS)
-    assert (f"{parts} pieces, which are read as one mesh" in said(data)) == (parts > 1)
+    assert (f"{parts} pieces, which are read as one mesh" in messages_of(data)) == (parts > 1)
     if parts > 1:
         doubled = sum(len(piece[0]) for piece in cut(parts)) - len(POINTS)
-        assert f"{doubled} nodes are merged" in said(data)
+        assert f"{doubled} nodes are merged" in messages_of(data)
 
 
 def test_pvtu_pieces_that_are_missing_are_named(tmp_path: Path) -> None:
@@ -461,9 +461,9 @@ def test_regions_are_named_by_an_array(data: dict, name: str, tmp_path: Path) ->
     for suffix in ("vtu", "xdmf"):
         mesh = bonded(tmp_path / f"a.{suffix}")
         whole(mesh, f"{name}_3", f"{name}_8")
-        assert f"values of the array {name}" in said(mesh)
+        assert f"values of the array {name}" in messages_of(mesh)
         others = ", ".join(k for k in data if k != name)
-        assert f"arrays of cells that are not read: {others}" in said(mesh) or not others
+        assert f"arrays of cells that are not read: {others}" in messages_of(mesh) or not others
 
 
 ODD = (np.arange(12) % 2).astype("i4")
@@ -494,7 +494,7 @@ def test_regions_array_can_be_given(suffix: str, tmp_path: Path) -> None:
         path.write_text(xdmf(grid(geometry(), topology(), *parts)))
     data = bonded(path, array="global_part")
     whole(data, "global_part_3", "global_part_8")
-    assert "arrays of cells that are not read: material, strain" in said(data)
+    assert "arrays of cells that are not read: material, strain" in messages_of(data)
     assert "has no array part of its cells; its arrays: material, global_part" in refused(
         path, array="part"
     )
@@ -604,8 +604,8 @@ def test_xdmf_grids_are_one_mesh(name: str, tmp_path: Path) -> None:
     data = build(tmp_path / "a.xdmf", text)
     areas = whole(data, *MATERIALS)
     assert len(data.cells) == len(CELLS)
-    assert "belong to no region" not in said(data) and note in said(data)
-    assert (f"its grids have {sets} sets of nodes" in said(data)) == (sets > 1)
+    assert "belong to no region" not in messages_of(data) and note in messages_of(data)
+    assert (f"its grids have {sets} sets of nodes" in messages_of(data)) == (sets > 1)
     assert areas == pytest.approx({"material_5": AREA} if name == "mixed" else {})
 
 
@@ -614,7 +614,7 @@ def test_xdmf_cells_of_a_grid_without_an_array_are_counted(tmp_path: Path) -> No
     rest = grid(NODES_OF_MESH.replace("[@Name='mesh']", ""), topology(CELLS[6:]))
     data = build(tmp_path / "a.xmf", xdmf(bone, rest))
     assert region_volumes(data) == pytest.approx({"material_4": VOLUMES["bone"]})
-    assert "6 of 12 cells of the file belong to no region" in said(data)
+    assert "6 of 12 cells of the file belong to no region" in messages_of(data)
 
 
 def test_xdmf_arrays_of_several_grids_on_the_same_cells(tmp_path: Path) -> None:
@@ -633,7 +633,7 @@ def test_xdmf_arrays_of_several_grids_on_the_same_cells(tmp_path: Path) -> None:
     assert "its arrays a, b give different regions" in refused(path, text)
     data = build(path, text, array="b")
     whole(data, "b_3", "b_8")
-    assert "arrays of cells that are not read: a" in said(data)
+    assert "arrays of cells that are not read: a" in messages_of(data)
 
 
 def test_xdmf_arrays_of_triangles_are_all_boundaries(tmp_path: Path) -> None:
@@ -649,8 +649,8 @@ def test_xdmf_arrays_of_triangles_are_all_boundaries(tmp_path: Path) -> None:
     data = build(tmp_path / "a.xdmf", xdmf(MESH, tags, walls))
     expected = {"wall_1": AREA, "half_1": AREA / 2, "half_2": AREA / 2}
     assert whole(data, *MATERIALS) == pytest.approx(expected)
-    assert "boundaries are the values of the array wall" in said(data)
-    assert "arrays of cells that are not read: pressure" in said(data)
+    assert "boundaries are the values of the array wall" in messages_of(data)
+    assert "arrays of cells that are not read: pressure" in messages_of(data)
 
 
 @pytest.mark.parametrize("form", ["HDF", "Binary", "Binary big"])
@@ -789,7 +789,7 @@ def test_med_mesh_of_tetrahedra_is_chosen(tmp_path: Path) -> None:
     skin = (POINTS, BOTTOM_SIDES, [["s"], ["t"]])
     data = bonded(med(tmp_path / "a.med", Hull=skin, Solid=(POINTS, MED_CELLS, TWO)))
     whole(data)
-    assert "meshes that are not read: Hull" in said(data)
+    assert "meshes that are not read: Hull" in messages_of(data)
 
 
 def test_med_families_may_be_left_out(tmp_path: Path) -> None:
@@ -815,7 +815,7 @@ def test_med_meshes_are_picked(tmp_path: Path) -> None:
     assert "set `geometry.meshes` to those of the model" in message
     data = bonded(path, meshes=["Coarse"])
     whole(data)
-    assert "meshes that are not read: Fine" in said(data)
+    assert "meshes that are not read: Fine" in messages_of(data)
     assert region_volumes(bonded(path, meshes=["Fine"]))["bone"] == pytest.approx(
         8 * VOLUMES["bone"]
     )
@@ -830,8 +830,8 @@ def test_med_meshes_of_parts_are_joined(tmp_path: Path) -> None:
     path = med(tmp_path / "a.med", **parts)
     data = bonded(path, meshes=["Bone", "Cement"])
     whole(data, "Bone_all", "Cement_all")
-    assert "4 nodes are merged" in said(data)
-    assert "several meshes have the mesh before their name: all" in said(data)
+    assert "4 nodes are merged" in messages_of(data)
+    assert "several meshes have the mesh before their name: all" in messages_of(data)
 
 
 # -------------------------------------------------------------------------------------- others
@@ -912,7 +912,7 @@ def test_mesh_files_coincident_bodies_without_common_nodes_have_a_note(
     (tmp_path / "case.yaml").write_text(text)
     case = load(tmp_path / "case.yaml").config
     texts = [v.text for v in judge(case, look(case, data))]
-    notes = [text for text in texts if "lie on each other" in text]
+    notes = [text for text in texts if "touch over" in text]
     assert len(notes) == noted
     if noted:
         assert "share no node" in notes[0] and "neither force nor heat" in notes[0]

@@ -181,7 +181,7 @@ def test_scripts_layers_are_solved(tmp_path: Path) -> None:
     for name in ("low", "high"):
         x, u = solved.displacement(name)
         assert np.abs(u[:, 2] + x[:, 2] / 100).max() < 1e-10
-    with pytest.raises(InputError, match="'between' is no part of the surface"):
+    with pytest.raises(InputError, match="'between' is not part of the surface"):
         support.solve(load(tmp_path / "case.yaml", ["supports.base.boundary=between"]).config)
 
 

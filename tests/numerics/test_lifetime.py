@@ -56,10 +56,10 @@ def test_lifetime_of_runs_leaves_no_communicators_matrices_or_memory(
     script = tmp_path / "runs.py"
     script.write_text(RUNS)
     if ranks == 1:
-        said = support.python(script, str(runs), tmp_path, timeout=1800).stdout
+        printed = support.python(script, str(runs), tmp_path, timeout=1800).stdout
     else:
-        said = support.on_ranks(ranks, script, str(runs), tmp_path).stdout
-    seen = [[int(word) for word in line.split()[1:]] for line in re.findall("after:.*", said)]
+        printed = support.on_ranks(ranks, script, str(runs), tmp_path).stdout
+    seen = [[int(word) for word in line.split()[1:]] for line in re.findall("after:.*", printed)]
     assert len(seen) == runs
     communicators, megabytes = zip(*seen, strict=True)
     assert communicators[-1] <= communicators[2] + 2, communicators

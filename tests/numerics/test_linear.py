@@ -175,8 +175,8 @@ def test_krylov_remedies_factor_interfaces_then_stiffness(
     kinds = r"bodies \([\d,]+ dofs\): algebraic multigrid; contact \([\d,]+ dofs\): SOR"
     used = f"solver: FGMRES with field split; {kinds}; rigid sliding modes deflated"
     assert [bool(re.fullmatch(used, m)) for m in caplog.messages if "dofs" in m] == [True]
-    said = [m for m in caplog.messages if "linear solver" in m]
-    assert [m.partition("factorizing the ")[2] for m in said] == [*FACTORED_LATE]
+    printed = [m for m in caplog.messages if "linear solver" in m]
+    assert [m.partition("factorizing the ")[2] for m in printed] == [*FACTORED_LATE]
     problem, solver = support.assemble(support.case(PUSHED, "solver.linear=multigrid"))
     linear = solver.linear
     remedies = [linear._fall_back() for _ in range(3)]

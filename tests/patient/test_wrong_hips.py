@@ -224,6 +224,6 @@ def test_wrong_hips_are_refused(
     changes, words = WRONG[name]
     case = written(folder, changes)
     assert main(["check", str(case)]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"{case}:2:") and said.count("\n") == 1
-    assert re.search(words, said), said
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"{case}:2:") and printed.count("\n") == 1
+    assert re.search(words, printed), printed

@@ -1,4 +1,4 @@
-"""A press fit: its interference by place, motion since the insertion, and what is said of it."""
+"""A press fit: its interference by place, motion since the insertion, its messages."""
 
 from __future__ import annotations
 

@@ -93,10 +93,12 @@ except mantle.InputError as error:
 
 
 def test_public_host_keeps_its_settings(tmp_path: Path) -> None:
-    said = python("-c", GUEST, str(CONFIGS / "cylinders.yaml"), str(tmp_path / "out")).splitlines()
-    said = said[next(k for k, line in enumerate(said) if line.startswith("changed:")) :]
-    assert said[:2] == ["changed:", "5 4"] and float(said[2]) == pytest.approx(1, rel=1e-10)
-    assert "no field 'stres' on points; fields: " in said[3] and "stress" in said[3]
+    printed = python(
+        "-c", GUEST, str(CONFIGS / "cylinders.yaml"), str(tmp_path / "out")
+    ).splitlines()
+    printed = printed[next(k for k, line in enumerate(printed) if line.startswith("changed:")) :]
+    assert printed[:2] == ["changed:", "5 4"] and float(printed[2]) == pytest.approx(1, rel=1e-10)
+    assert "no field 'stres' on points; fields: " in printed[3] and "stress" in printed[3]
 
 
 def test_public_host_without_mpi_keeps_its_environment(tmp_path: Path) -> None:
@@ -122,8 +124,8 @@ except mantle.InputError:
     print(changed())
 """
     places = str(CONFIGS / "blocks.yaml"), str(tmp_path / "out"), str(tmp_path)
-    said = python("-c", host, *places, PYTHONPATH=str(ROOT)).splitlines()
-    assert said[-4:] == ["set()", "set()", "True set()", "set()"]
+    printed = python("-c", host, *places, PYTHONPATH=str(ROOT)).splitlines()
+    assert printed[-4:] == ["set()", "set()", "True set()", "set()"]
 
 
 # ---------------------------------------------------------------------------------- one case
@@ -305,10 +307,10 @@ def test_public_wheel_installs_five_names(tmp_path: Path) -> None:
         "print(mantle.__file__); main(['check', str(FOLDER / 'blocks.yaml'), '--mesh']); "
         "print(*FOLDER.glob('notebooks/*'))"
     )
-    said = python("-c", code, PYTHONPATH=str(tmp_path / "site")).splitlines()
-    assert said[0] == str(tmp_path / "site" / "mantle.py")
-    assert "Patch test of three blocks" in said
-    assert said[-1] == str(tmp_path / "site" / "configs" / "notebooks/first_run.ipynb")
+    printed = python("-c", code, PYTHONPATH=str(tmp_path / "site")).splitlines()
+    assert printed[0] == str(tmp_path / "site" / "mantle.py")
+    assert "Patch test of three blocks" in printed
+    assert printed[-1] == str(tmp_path / "site" / "configs" / "notebooks/first_run.ipynb")
 
 
 def test_public_shell_completion() -> None:

@@ -1,12 +1,13 @@
 r"""Formulation B: frictional contact with a submesh per body and a multiplier field (tests only).
 
-An implementation that shares no equation with the application: every body has its displacement
-space on a separate submesh, every interface a multiplier on the submesh of its facets, and all are
+An implementation that shares no equation with the application. Every body has its displacement
+space on a separate submesh. Every interface has a multiplier on the submesh of its facets. All are
 unknowns of one monolithic Newton method with a direct solver. It reads the same configuration and
 the same mesh, in series, on small cases; first order, isotropic bodies, contact on every interface.
 
-With D = u_slave - u_master, n the averaged nodal normal from master to slave, S = lambda + r D (the
-gap added in the normal direction, the last converged D taken off in the tangential plane) and
+D is u_slave - u_master, and n is the averaged nodal normal from master to slave. S is lambda + r D,
+with the gap added in the normal direction and the last converged D subtracted in the tangential
+plane. With
 
 .. math:: P(S) = min(S_n, 0) n + \min(1, -μ \min(S_n, 0) / |S_T|) S_T,
 

@@ -190,7 +190,7 @@ LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
             r"regions.bone: has 3.162 g/cm3 .*; expected 0.01 to",
         ),
         ("remodelling=", r"stages\[1\].remodels: the law of remodelling is missing or wrong"),
-        ("stages=[{name: press}]", r"stages: nothing remodels"),
+        ("stages=[{name: press}]", r"stages: no stage has remodelling"),
         ("stages.1.duration=1 s", r"remodels: is the time of the stage"),
         (
             "stages.1.cycles=2",

@@ -87,9 +87,9 @@ def test_sweep_report_page_is_self_contained(
             "geometry.cement_thickness": c.data["geometry"]["cement_thickness"]
         }
     assert main(["report", str(maker.write())]) == 0
-    said = capsys.readouterr().out
-    assert "14 of 14 cases have results" in said
-    assert f"{maker.folder / 'report.html'}, and 1 files in" in said
+    printed = capsys.readouterr().out
+    assert "14 of 14 cases have results" in printed
+    assert f"{maker.folder / 'report.html'}, and 1 files in" in printed
     written = {f.name for f in (maker.folder / "report").iterdir()}
     assert written == {f"over_geometry_cement_thickness.{kind}" for kind in ("png", "svg", "pdf")}
     text = (maker.folder / "report.html").read_text()

@@ -189,9 +189,9 @@ MOTION = """
     range.value = k;
     range.oninput();
     const text = document.querySelector("#view output").textContent;
-    const said = bar.querySelector("span").textContent;
+    const caption = bar.querySelector("span").textContent;
     for (const at of [[0, 0], [0, 0.2]])
-      frames.push({ field, k, span: view.span, hit: view.pick(...at), text, said });
+      frames.push({ field, k, span: view.span, hit: view.pick(...at), text, caption });
   }
   w.show("stem_cement_slip", stages[0]);
   const played = [];
@@ -330,7 +330,7 @@ def test_viewer_browser_plays_the_steps(moving: Run, tmp_path: Path) -> None:
     picked = 0
     for frame in shown["frames"]:
         k, hit = frame["k"], frame["hit"]
-        assert frame["said"].startswith(f"step {k + 1} of 8: ")
+        assert frame["caption"].startswith(f"step {k + 1} of 8: ")
         if frame["field"] == "von_mises":
             assert (frame["text"] == "in this page at the ends of stages") == (k not in (4, 7))
             continue

@@ -24,13 +24,13 @@ def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tup
         text=True,
         timeout=300,
     )
-    said, _, codes_text = done.stderr.rpartition("codes ")
-    assert len(codes_text.split()) == codes and "Traceback" not in said, done.stderr
-    return codes_text.split(), said
+    printed, _, codes_text = done.stderr.rpartition("codes ")
+    assert len(codes_text.split()) == codes and "Traceback" not in printed, done.stderr
+    return codes_text.split(), printed
 
 
 def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[int], str]:
-    """Run on a disk of a size [kB], then again when it has grown; exit codes and what was said."""
+    """Run on a disk of a size [kB], then again when it has grown; exit codes and output."""
     lines = [
         f"mount -t tmpfs -o size={size}k,mode=777 none {disk}",
         '"$@"; first=$?',
@@ -38,8 +38,8 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
         '"$@" --force; echo "codes $first $?" >&2',
         f"cp -r {disk} {disk}.kept",
     ]
-    codes, said = script(lines, command, cache, 2)
-    return [int(code) for code in codes], said
+    codes, printed = script(lines, command, cache, 2)
+    return [int(code) for code in codes], printed
 
 
 @mounts
@@ -48,10 +48,10 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
 def test_fault_disk_full_output_folder(size: int, warmed: Path, tmp_path: Path) -> None:
     """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
     (tmp_path / "out").mkdir()
-    codes, said = twice(command(tmp_path / "out"), size, tmp_path / "out", warmed)
-    assert codes[0] in ((0, 5) if size > 64 else (5,)) and codes[1] == 0, said
+    codes, printed = twice(command(tmp_path / "out"), size, tmp_path / "out", warmed)
+    assert codes[0] in ((0, 5) if size > 64 else (5,)) and codes[1] == 0, printed
     if codes[0]:
-        assert "No space left" in said
+        assert "No space left" in printed
     kept = tmp_path / "out.kept"
     assert (kept / "DONE").exists() and summary(kept)
     assert not list(kept.glob("*.partial"))
@@ -63,10 +63,10 @@ def test_fault_disk_full_output_folder(size: int, warmed: Path, tmp_path: Path) 
 def test_fault_disk_full_cache(size: int, tmp_path: Path) -> None:
     """Forms have to be kept, meshes need not."""
     (tmp_path / "cache").mkdir()
-    codes, said = twice(command(tmp_path / "out"), size, tmp_path / "cache", tmp_path / "cache")
-    assert codes[0] in ((0, 69) if size > 64 else (69,)) and codes[1] == 0, said
+    codes, printed = twice(command(tmp_path / "out"), size, tmp_path / "cache", tmp_path / "cache")
+    assert codes[0] in ((0, 69) if size > 64 else (69,)) and codes[1] == 0, printed
     if codes[0]:
-        assert "a form cannot be compiled: " in said and "MB free" in said
+        assert "a form cannot be compiled: " in printed and "MB free" in printed
     assert not list((tmp_path / "cache.kept").rglob("*.part"))
 
 
@@ -87,19 +87,19 @@ def test_fault_disk_becomes_read_only(number: int, warmed: Path, tmp_path: Path)
         f"mount -o remount,rw {out}",
         '"$@" --force; echo "codes $first $? ${ended:-no}" >&2',
     ]
-    (first, second, ended), said = script(lines, command(out), warmed, 3)
-    assert second == "0", said
-    assert (first, ended) in {("0", "yes"), ("5", "no"), ("2", "no")}, said
+    (first, second, ended), printed = script(lines, command(out), warmed, 3)
+    assert second == "0", printed
+    assert (first, ended) in {("0", "yes"), ("5", "no"), ("2", "no")}, printed
     if first != "0":
-        assert "Read-only file system" in said or "is not writable" in said
+        assert "Read-only file system" in printed or "is not writable" in printed
 
 
 def test_fault_disk_folder_belongs_to_one_run(tmp_path: Path) -> None:
     with folders.claim(tmp_path):
         child = start(tmp_path)
-        said = child.communicate(timeout=60)[1]
+        printed = child.communicate(timeout=60)[1]
     assert child.returncode == 2
-    assert f"-o {tmp_path}: another run writes into it" in said
+    assert f"-o {tmp_path}: another run writes into it" in printed
     assert not list(tmp_path.iterdir())
     with folders.claim(tmp_path):
         pass

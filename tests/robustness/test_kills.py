@@ -30,8 +30,8 @@ def start(output: Path, folder: Path, *more: str) -> subprocess.Popen[str]:
 
 
 def finish(child: subprocess.Popen[str]) -> None:
-    said = child.communicate(timeout=600)[1]
-    assert child.returncode == 0, said
+    printed = child.communicate(timeout=600)[1]
+    assert child.returncode == 0, printed
 
 
 @pytest.fixture(scope="module")

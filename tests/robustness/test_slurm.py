@@ -131,12 +131,12 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         variables["PATH"] = os.environ["PATH"].replace("/run/mantle:", "")  # the Slurm of the host
         for name, value in (support.environment() | variables).items():
             patch.setenv(name, value)
-        with (folder / "daemons.log").open("w") as said:
+        with (folder / "daemons.log").open("w") as printed:
             daemons = subprocess.Popen(
                 [*NAMESPACES, "sh", "-c", DAEMONS],
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
-                stdout=said,
+                stdout=printed,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
                 preexec_fn=lambda: libc.prctl(1, signal.SIGKILL),  # whatever ends the tests
@@ -200,9 +200,9 @@ def test_slurm_killed_batch_is_resumed(tmp_path: Path) -> None:
     left = queue()
     assert set(left.values()) >= {"RUNNING", "PENDING"}  # two at a time: it was midway
     second = start(tmp_path)
-    said = output_of(second)
-    assert second.returncode == 0, said
-    assert f"[{CASES}/{CASES}]" in said and "failed" not in said
+    printed = output_of(second)
+    assert second.returncode == 0, printed
+    assert f"[{CASES}/{CASES}]" in printed and "failed" not in printed
     assert queue() == {}
     solved = [line.split()[0] for line in calls(tmp_path) if line.endswith(" 0 solved")]
     assert len(solved) == CASES == len(set(solved))
@@ -229,8 +229,8 @@ def test_slurm_running_case_is_waited_for(tmp_path: Path) -> None:
     time.sleep(3)
     assert sorted(queue().values()) == ["PENDING", "RUNNING"]
     (tmp_path / "hold").unlink()
-    said = output_of(second)
-    assert "[1/1] blocks 0 done" in said, said
+    printed = output_of(second)
+    assert "[1/1] blocks 0 done" in printed, printed
     assert [line.partition(" ")[2] for line in calls(tmp_path)] == ["0 solved", "0 finished"]
 
 
@@ -238,8 +238,8 @@ def test_slurm_interrupted_batch_leaves_no_job(tmp_path: Path) -> None:
     process = start(tmp_path)
     wait(lambda: set(queue().values()) >= {"RUNNING", "PENDING"})
     process.send_signal(signal.SIGINT)
-    said = output_of(process, 60)
-    assert "StoppedError: stopped after" in said, said
+    printed = output_of(process, 60)
+    assert "StoppedError: stopped after" in printed, printed
     wait(lambda: queue() == {}, 30)
     done = len(list((tmp_path / "out put" / "runs").glob("*/DONE")))
     assert done < CASES
@@ -254,8 +254,8 @@ def test_slurm_job_ended_by_slurm_is_a_failed_run(tmp_path: Path) -> None:
     (number,) = queue()
     wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
     ask("scancel", number)
-    said = output_of(process, 60)
-    assert "failed with exit code 70" in said, said
+    printed = output_of(process, 60)
+    assert "failed with exit code 70" in printed, printed
     logs = [p.read_text() for p in (tmp_path / "out put" / "runs").glob("*.slurm")]
     assert len(logs) == 1 and "CANCELLED" in logs[0]
     comment = '{it\'s} a "test"'
@@ -299,14 +299,14 @@ def test_slurm_jobs_use_the_tree_of_the_launcher(tmp_path: Path) -> None:
     first = sweep()
     wait(lambda: first.poll() is not None or any(folder.glob("out/runs/*/DONE")))
     os.killpg(first.pid, signal.SIGINT)
-    said = output_of(first, 60)
-    assert first.returncode == StoppedError.exit_code and "stopped after" in said, said
+    printed = output_of(first, 60)
+    assert first.returncode == StoppedError.exit_code and "stopped after" in printed, printed
     wait(lambda: queue() == {}, 30)
     done = {path: path.stat().st_mtime_ns for path in folder.glob("out/runs/*/DONE")}
     assert 0 < len(done) < CASES
     second = sweep()
-    said = output_of(second)
-    assert second.returncode == 0 and f"{len(done)} done already" in said, said
+    printed = output_of(second)
+    assert second.returncode == 0 and f"{len(done)} done already" in printed, printed
     assert len(list(folder.glob("out/runs/*/DONE"))) == CASES
     assert done == {path: path.stat().st_mtime_ns for path in done}
     for run in folder.glob("out/runs/*/"):

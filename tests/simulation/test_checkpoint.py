@@ -132,9 +132,9 @@ def test_checkpoint_of_another_case_is_refused(
     command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--set", FIELDS]
     command += ["--restart", "auto"]
     assert main([*command, "--set", other]) == 2
-    said = capsys.readouterr().err
-    assert "of another case" in said
-    assert "interfaces.lower_upper.friction_coefficient: 0.2; in the checkpoint 0.3" in said
+    printed = capsys.readouterr().err
+    assert "of another case" in printed
+    assert "interfaces.lower_upper.friction_coefficient: 0.2; in the checkpoint 0.3" in printed
     assert main([*command, "--set", "mesh.size=1 mm", "--force"]) == 2
     assert "another mesh" in capsys.readouterr().err
     assert main([*command, "--set", other, "--force"]) == 0
@@ -178,8 +178,8 @@ def test_checkpoint_restart_is_reported(
     command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--restart", "auto"]
     options = ["--set", FIELDS, "--set", "output.checkpoint.steps=1"]
     assert main([*command, *options]) == 0
-    said = capsys.readouterr().out
-    assert "restart from" in said and "step 6, time 3 in stage 'back'" in said
+    printed = capsys.readouterr().out
+    assert "restart from" in printed and "step 6, time 3 in stage 'back'" in printed
     assert main([*command, *options]) == 0
     assert capsys.readouterr().out.startswith(
         f"{out} has the finished results of this case already"

@@ -86,7 +86,10 @@ def test_given_mesh_is_gathered_as_it_was_distributed() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"geometry": {"kind": "file", "path": "a.msh"}}, "the mesh was handed over; expected no"),
+        (
+            {"geometry": {"kind": "file", "path": "a.msh"}},
+            "the mesh is an argument of run; expected only",
+        ),
         ({"geometry": {"interfaces": {"joint": ["lower", "top"]}}}, "box.yaml:.*'top' is not"),
         ({"loads": {}, "suports": {}}, "box.yaml:.* suports: unknown key"),
     ],

@@ -79,7 +79,7 @@ def test_variations_refuse_set_of_their_keys(tmp_path: Path) -> None:
     assert load(path, [option, "variations={}"]).config
 
 
-# Each: the section, and what has to be said of it, with line and column below `variations`.
+# Each: the section, and the expected message, with line and column below `variations`.
 WRONG = {
     "mesh": ("  a: {mesh.size: 2 mm}", "2:7: variations.a.mesh.size: cannot vary between runs"),
     "material": ("  a: {regions.stem.youngs_modulus: 1 GPa}", "2:7: variations.a.regions.stem"),

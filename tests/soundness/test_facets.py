@@ -49,9 +49,9 @@ def test_facets_bodies_held_by_curved_facets_alone_are_named() -> None:
     """They resist the turn of a smooth stem, and say nothing."""
     with pytest.raises(ConvergenceError) as caught:
         moved(*SMOOTH, TWIST, "mesh.order=2")
-    said = str(caught.value)
+    message = str(caught.value)
     assert re.search(
-        "only the facets of the mesh hold body 'stem': .* free to rotate about z", said
+        "only the facets of the mesh hold body 'stem': .* free to rotate about z", message
     )
 
 

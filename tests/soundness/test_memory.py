@@ -25,10 +25,10 @@ def test_memory_refuses_a_mesh_of_a_nanometre(
     arguments = [] if command == "check" else ["-o", str(tmp_path / "out")]
     # What the command line gives wins; far_size, where the case gives it, stays as it is.
     assert main([command, str(path), *arguments, "--set", "mesh.size=1 nm"]) == 2
-    said = capsys.readouterr().err
-    assert "\n--set mesh.size: 1e-06 mm makes about " in f"\n{said}"
+    printed = capsys.readouterr().err
+    assert "\n--set mesh.size: 1e-06 mm makes about " in f"\n{printed}"
     for word in (" cells", " unknowns", " GB", " fits into the memory"):
-        assert word in said
+        assert word in printed
     assert not (tmp_path / "out").exists()
 
 

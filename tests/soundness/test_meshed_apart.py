@@ -169,5 +169,5 @@ def test_finite_sliding_rigid_head_has_no_unknowns() -> None:
 
 def test_finite_sliding_counts_nodes_of_the_second_side() -> None:
     case = support.case(BLOCK)
-    said = cost.exact_size(case, build(case.geometry, case.mesh))
-    assert " interface nodes with a jump" in said and " 0 interface nodes" not in said
+    description = cost.exact_size(case, build(case.geometry, case.mesh))
+    assert " interface nodes with a jump" in description and " 0 interface nodes" not in description

@@ -397,13 +397,13 @@ def test_rigid_motions_free_ones_are_named() -> None:
     turn, oblique = (
         motion(b, np.array(a), centres[b]) for b, a in ((0, [0, 0, 1]), (1, [0.6, 0, 0.8]))
     )
-    for v, said in (
+    for v, motion_text in (
         (turn, "body 'a': it is free to rotate about z"),
         (np.tile([1.0, 0, 0, 0, 0, 0], 2), "bodies 'a' and 'b': they are free to move along x tog"),
         (oblique, "body 'b': it is free to rotate about an axis along (0.60, 0.00, 0.80)"),
     ):
         (text,) = describe(v[:, None], names, centres, origin, size)
-        assert text.startswith(f"nothing holds {said}")
+        assert text.startswith(f"nothing holds {motion_text}")
     assert rigid_modes(np.zeros((1, 3)))[0, :, 3:].any() is np.False_
 
 

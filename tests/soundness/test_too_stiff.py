@@ -43,16 +43,16 @@ def test_bending_note_on_linear_cells_has_the_stiffness_of_a_beam(
     """Timoshenko: L^3 / (3 E I) + L / (5/6 G b h) at the end; the same mesh of order 2 is exact."""
     text = BEAM.format(L=L, b=b, h=h, size=size, order=1)
     (note,) = noted(text)
-    said = re.fullmatch(
+    match = re.fullmatch(
         r"region 'beam' is ([\d.]+) mm thick with linear cells of [\d.]+ mm: in bending it is "
         r"about (\d+) % too stiff; use mesh.order: 2",
         note,
     )
-    assert said and float(said[1]) == pytest.approx(h, rel=0.1)
+    assert match and float(match[1]) == pytest.approx(h, rel=0.1)
     exact = L**3 / (3 * 1000 * b * h**3 / 12) + L / (5 / 6 * 500 * b * h)
     x, u = support.solve(text).displacement("beam")
     excess = exact / -u[np.isclose(x[:, 0], L), 2].mean() - 1
-    assert 1 / 1.4 < 0.01 * float(said[2]) / excess < 1.4
+    assert 1 / 1.4 < 0.01 * float(match[2]) / excess < 1.4
     assert noted(text.replace("order: 1", "order: 2")) == []
 
 

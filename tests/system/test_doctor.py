@@ -67,7 +67,7 @@ def test_doctor_report_with_missing_packages(
 
 
 @pytest.mark.parametrize(
-    ("version", "said"),
+    ("version", "message"),
     [
         ("0.8.0", "DOLFINx 0.8.0 is too old"),
         ("0.9.0", ""),
@@ -77,11 +77,13 @@ def test_doctor_report_with_missing_packages(
     ],
 )
 def test_doctor_reports_an_unknown_dolfinx(
-    version: str, said: str, monkeypatch: pytest.MonkeyPatch
+    version: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(doctor, "_version", lambda module: version)
     problems = [problem for problem in doctor.problems() if "DOLFINx" in problem]
-    assert len(problems) == bool(said) and all(problem.startswith(said) for problem in problems)
+    assert len(problems) == bool(message) and all(
+        problem.startswith(message) for problem in problems
+    )
 
 
 def test_doctor_reports_missing_factors_with_their_cost(

@@ -91,7 +91,7 @@ ABORT = (
 
 
 @pytest.mark.parametrize(
-    ("said", "received", "left"),
+    ("printed", "received", "left"),
     [
         ("step 1\n" + NON_ZERO + "case.yaml:1:2: no\n", (), "step 1\ncase.yaml:1:2: no\n"),
         (CRASH, (), CRASH),
@@ -103,7 +103,7 @@ ABORT = (
     ],
     ids=["exit code", "crash", "crash after a signal", "table", "rule", "abort", "closed pipe"],
 )
-def test_ranks_hide_banners_of_mpirun(said: str, received: tuple[int, ...], left: str) -> None:
+def test_ranks_hide_banners_of_mpirun(printed: str, received: tuple[int, ...], left: str) -> None:
     target = io.BytesIO()
-    ranks.filter_messages(io.BytesIO(said.encode()), target, received)
+    ranks.filter_messages(io.BytesIO(printed.encode()), target, received)
     assert target.getvalue().decode() == left

@@ -45,8 +45,8 @@ def test_metrics_area_of_a_single_value_is_the_mean_distance() -> None:
 def test_metrics_area_of_shifted_distributions_is_the_shift() -> None:
     """Even samples of 0 to 1 against an even range of 5 to 6; two samples against a normal one.
 
-    Of the last, the difference of quantiles is c - u z on the lower half, so that its mean is
-    that of |z|, u sqrt(2 / pi), if both samples are the measured value.
+    In the last case both samples are the measured value. The difference of quantiles is c - u z on
+    the lower half, so its mean is u times the mean of |z|, which is u sqrt(2 / pi).
     """
     count = 2000
     even = prediction([(k + 0.5) / count for k in range(count)])

@@ -47,7 +47,7 @@ loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa}}
 
 
 def run(folder: Path, program: str, text: str, *more: str) -> tuple[dict[str, Any], str]:
-    """Run a case with a package of the user's: its summary, and what was said."""
+    """Run a case with a package of the user's: its summary, and its output."""
     done = support.extended(folder, program, text, "run", "case.yaml", "-o", "out", *more)
     assert done.returncode == 0, done.stdout + done.stderr
     return support.summary(folder / "out"), done.stdout

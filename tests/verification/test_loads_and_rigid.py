@@ -181,7 +181,7 @@ def test_rigid_region_supports_may_hold_both_sides() -> None:
 
 def test_rigid_region_refuses_support_of_the_elastic_side_alone() -> None:
     words = (
-        r"^supports\.x0: holds along x what touches the rigid region 'punch' .* at \(0, .* 3\) mm"
+        r"^supports\.x0: holds along x a body that touches the rigid region 'punch' at \(0, .* 3\)"
     )
     with pytest.raises(InputError, match=words):
         support.solve(

@@ -146,6 +146,6 @@ def test_mutations_make_a_problem_fail(name: str, program: Path) -> None:
     (program / file).write_text(text.replace(right, wrong), encoding="utf-8")
     end = verify(program, pattern)
     assert end.returncode == 1, (end.returncode, end.stdout, end.stderr)
-    said = end.stdout.splitlines()
-    assert any(re.search(r"problems?: .*(missed|failed): ", line) for line in said), end.stdout
-    print(name, [line for line in said if "missed" in line or "failed" in line])
+    printed = end.stdout.splitlines()
+    assert any(re.search(r"problems?: .*(missed|failed): ", line) for line in printed), end.stdout
+    print(name, [line for line in printed if "missed" in line or "failed" in line])

@@ -195,8 +195,8 @@ loads:
 def test_second_law_contact_work_vanishes_with_small_steps() -> None:
     r"""First order is required; the computed order is two.
 
-    Where a point closes or opens within a step the trapezoidal rule pairs a pressure with a gap,
-    both of the first order in the step, and each point does so a fixed number of times.
+    A point that closes or opens within a step contributes a pressure times a gap. Both are of the
+    first order in the step. Each point does so a fixed number of times.
     """
     numbers = [2, 4, 8, 16]
     sums, tagged = [], None
