@@ -103,7 +103,7 @@ STRENGTH = '"unit": "MPa", "source": "made up"'
         (f'{{"rods": {{"strength": {{{STRENGTH}}}}}}}', "has neither a value nor a range"),
         (
             f'{{"rods": {{"strength": {{"range": [2, 1], {STRENGTH}}}}}}}',
-            "rods.strength.range: does not rise",
+            "rods.strength.range: does not increase",
         ),
         (
             f'{{"rods": {{"strength": {{"value": 1, "uncertainty": 0, {STRENGTH}}}}}}}',
