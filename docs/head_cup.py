@@ -38,7 +38,7 @@ def main(folder: Path) -> None:
     ]
     draw_panel(left, Panel("friction torque", "N m", lines, "part of the cycle (%)", log=""))
     left.set_ylim(bottom=0.0)
-    left.legend(frameon=False, loc="upper right")
+    left.legend(frameon=False, loc="center right", fontsize=8)
     body = np.isin(np.arange(len(run.points)), run.cells[run.region == run.regions["liner"]])
     at = body & run.on_interface(PLACE) & (run.points[:, 2] > 0)  # from above once
     x = run.points[at]
