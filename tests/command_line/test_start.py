@@ -225,7 +225,7 @@ geometry.cement_thickness  (kind patient)
 @pytest.mark.parametrize(
     ("word", "code", "parts"),
     [
-        ("materials", 0, ["  PMMA             bone cement\n"]),
+        ("materials", 0, ["  PMMA              bone cement\n"]),
         ("loads", 0, ["\n  paper_stance     standing on one leg"]),
         (
             "cancellous_bone",

@@ -56,7 +56,7 @@ def test_layered_surfaces_stem_takes_what_it_needs_of_the_cortex() -> None:
 
 
 def test_layered_surfaces_refuse_a_stem_that_leaves_too_little_cortex() -> None:
-    with pytest.raises(GeometryError, match=r"of the cortex, of 1\.5 mm at least|outside of the"):
+    with pytest.raises(GeometryError, match=r"of the cortex, of 1\.5 mm at least|outside the"):
         LayeredSurfaces(femur(stem=WIDER), MESH)
 
 

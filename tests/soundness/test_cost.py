@@ -54,11 +54,11 @@ def contact_line(name: str, *changes: str, available: float = 1e10) -> str:
 def test_cost_check_names_the_solver_and_reason() -> None:
     """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
     small = contact_line("stance", "mesh.size=10 mm")
-    assert "1 solve, bodies condensed" in small and small.endswith(" GB")
+    assert "1 solve, by condensation onto the jumps" in small and small.endswith(" GB")
     assert "1 solve by a Krylov method" in contact_line("stance", "mesh.order=1")
     assert "1 solve by a Krylov method" in contact_line("stance", "solver.linear=multigrid")
     assert "GB, too much" in contact_line("stance", "solver.linear=condensed", available=1e9)
-    assert "1999 solves, bodies condensed" in contact_line("walk")
+    assert "1999 solves, by condensation onto the jumps" in contact_line("walk")
     assert not contact_line("cure")
 
 
