@@ -481,7 +481,7 @@ import sys
 import numpy as np
 from mpi4py import MPI
 sys.path.insert(0, {root!r})
-from tests.meshes.test_interfaces import cylinder_points
+from tests.interfaces.test_contact_points import cylinder_points
 p = cylinder_points(size=2.5, taper=2, sector="half")
 names = ("interface", "vertex", "x", "bodies", "faces", "normals", "weight", "given")
 arrays = {{name: getattr(p, name) for name in names}}
