@@ -22,6 +22,8 @@ MEASURED = 1
 WORDS = 8
 # Least end of a band over its value, on logarithmic axes.
 LEAST = 1 / 30
+# Part of the width of the axes beyond which a name stands to the left of its point.
+NEAR_END = 0.85
 # Height of a row [inch].
 ROW = 0.42
 
@@ -33,7 +35,7 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
     """
     figure = figures.new(6.8, 6.4)
     axes = figure.add_subplot()
-    drawn = 0
+    places: list[tuple[str, float, float]] = []
     left_out = 0
     for name, prediction, measured in pairs:
         if measured is None:
@@ -49,18 +51,22 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
         axes.plot([least, largest], [prediction.value] * 2, color=colour, linewidth=1.2)
         axes.plot([measured.middle] * 2, [low, high], color=colour, linewidth=1.2)
         axes.plot(measured.middle, prediction.value, "o", color=colour, markersize=5)
-        at = (measured.middle, prediction.value)
-        axes.annotate(f" {name}", at, fontsize=WORDS - 1, va="bottom")
-        drawn += 1
+        places.append((name, measured.middle, prediction.value))
     axes.set(xscale="log", yscale="log")
     axes.set_xlabel("measured, with its range")
     axes.set_ylabel("predicted, 5th to 95th percentile of the inputs ± mesh")
-    if drawn:
+    if places:
         ends = [*axes.get_xlim(), *axes.get_ylim()]
         diagonal = [min(ends), max(ends)]
         axes.plot(diagonal, diagonal, color="0.3", linewidth=0.8)
         axes.set(xlim=diagonal, ylim=diagonal)
-    text = f"{drawn} quantities with a measurement; blue: inside, orange: outside"
+    for name, x, y in places:
+        # A name near the right end stands to the left of its point.
+        right = axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0] > NEAR_END
+        axes.annotate(
+            f" {name} ", (x, y), fontsize=WORDS - 1, va="bottom", ha="right" if right else "left"
+        )
+    text = f"{len(places)} quantities with a measurement; blue: inside, orange: outside"
     if left_out:
         text += f"; {left_out} not positive"
     figures.title(axes, text)
@@ -75,16 +81,19 @@ def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
     for row, (_, prediction, measured) in enumerate(pairs):
         _row(axes, row, prediction, measured)
     axes.axvline(1.0, color="0.3", linewidth=0.8)
-    names = [f"{name}\n{p.value:.3g} {p.unit}" for name, p, _ in pairs]
+    units = {"-": ""}
+    values = [f"{p.value:.3g} {units.get(p.unit, p.unit)}".rstrip() for _, p, _ in pairs]
+    names = [f"{name}\n{value}" for (name, *_), value in zip(pairs, values, strict=True)]
     axes.set_yticks(range(len(pairs)), names, fontsize=WORDS)
     axes.set_ylim(len(pairs) - 0.4, -0.6)
     axes.set_xlabel("over the predicted value")
-    for k, label in ((PREDICTED, "predicted"), (MEASURED, "measured")):
+    shown = [(PREDICTED, "predicted")]
+    if any(measured for *_, measured in pairs):
+        shown.append((MEASURED, "measured"))
+    for k, label in shown:
         axes.plot([], [], "o-", color=figures.colour(k), label=label)
     axes.legend(fontsize=WORDS, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    axes.annotate(
-        title, (1.0, 1.0), xycoords="axes fraction", ha="right", va="bottom", fontsize=WORDS
-    )
+    axes.set_title(title, loc="right", fontsize=WORDS)
     figures.grid(axes)
     figures.save(figure, path, 110, PNG)
 
