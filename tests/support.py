@@ -406,6 +406,15 @@ def on_ranks(
     return done
 
 
+def results_on_one_and_two_ranks(text: str, folder: Path) -> tuple[Results, Results]:
+    """Results of a case on one rank and on two, in a folder."""
+    case = folder / "case.yaml"
+    case.write_text(text)
+    for ranks_ in (1, 2):
+        on_ranks(ranks_, "-m", "mantle", "run", case, "-o", folder / str(ranks_))
+    return Results(folder / "1"), Results(folder / "2")
+
+
 def environment() -> dict[str, str]:
     """Environment of a new set of ranks, whatever MPI this process was started by."""
 

@@ -9,7 +9,6 @@ import pytest
 
 import mantle
 from app.foundation.errors import InputError
-from app.results.reading import Results
 from tests import support
 
 # u = G x with this gradient, prescribed on the whole surface [1e-3].
@@ -147,14 +146,10 @@ def test_gauges_converge_on_a_beam(
 @pytest.mark.parallel
 def test_gauges_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
     for name, text in (("linear", LINEAR), ("tubes", TUBES)):
-        case = tmp_path / f"{name}.yaml"
-        case.write_text(text)
-        probes = []
-        for ranks in (1, 2):
-            out = tmp_path / f"{name}-{ranks}"
-            support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", out)
-            probes.append(Results(out).summary["probes"])
-        one, two = probes
+        folder = tmp_path / name
+        folder.mkdir()
+        results = support.results_on_one_and_two_ranks(text, folder)
+        one, two = (each.summary["probes"] for each in results)
         assert one.keys() == two.keys()
         for probe in one:
             for key in ("strain", "displacement", "centre", "direction"):

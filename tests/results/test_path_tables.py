@@ -236,14 +236,9 @@ def test_paths_of_a_shrink_fit_follow_lame(tmp_path: Path) -> None:
 def test_paths_on_two_ranks_have_equal_numbers(tmp_path: Path) -> None:
     """Of contact, bodies and heat: every point of every kind of path."""
     for name, text in (("fit", FIT), ("bar", BAR), ("wall", WALL_WITH_PATHS)):
-        case = tmp_path / f"{name}.yaml"
-        case.write_text(text)
-        tables = []
-        for ranks in (1, 2):
-            out = tmp_path / f"{name}-{ranks}"
-            support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", out)
-            tables.append(Results(out).paths)
-        one, two = tables
+        folder = tmp_path / name
+        folder.mkdir()
+        one, two = (each.paths for each in support.results_on_one_and_two_ranks(text, folder))
         assert one.keys() == two.keys()
         for path in one:
             assert one[path]["region"].tolist() == two[path]["region"].tolist()
