@@ -241,7 +241,7 @@ class ContactSystem(BondedSystem):
                 choice = replace(choice, entries=condensed.entries)
                 if not choice.fits:
                     condensed = None
-        log.info("solver: %s", choice.words(condensed is not None))
+        log.info("solver: %s", choice.words(linear, condensed is not None))
         return condensed
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from app.system.layout import count
+
 # Unknowns of displacement of second order up to which one solve is faster condensed.
 SECOND_ORDER = 60_000
 # For n solves the limit is n to this power times as high: 2 at 90,000 unknowns, 4 at 120,000.
@@ -74,12 +76,34 @@ class SolverChoice:
         fast = linear == "auto" and large and self.size <= self.limit
         return self.fits and (fast or linear == "condensed")
 
-    def words(self, condensed: bool) -> str:
-        """Return the chosen method and its alternative, as text."""
+    def words(self, linear: str, condensed: bool) -> str:
+        """Return the chosen method and the reason, as text.
+
+        Args:
+            linear: What is asked for: auto, condensed or another method.
+            condensed: True if bodies are condensed.
+        """
         solves = "1 solve" if self.solves == 1 else f"{self.solves:g} solves"
-        memory = f"{self.needed / 1e9:.2g} GB"
         if condensed:
-            return f"{solves}, by condensation onto the jumps, {memory}"
+            return f"{solves}, by condensation onto the jumps, {self._gigabytes}"
+        return f"{solves} by a Krylov method, because {self._against(linear)}"
+
+    @property
+    def _gigabytes(self) -> str:
+        return f"{self.needed / 1e9:.2g} GB"
+
+    def _against(self, linear: str) -> str:
+        """Why bodies are not condensed."""
+        if linear not in ("auto", "condensed"):
+            return f"solver.linear is {linear}"
         if not self.fits:
-            return f"{solves} by a Krylov method; condensation needs {memory}, too much"
-        return f"{solves} by a Krylov method; condensation needs {memory}"
+            allowed = f"{MEMORY * self.memory / 1e9:.2g} GB"
+            return f"condensation needs {self._gigabytes} of memory and may take {allowed}"
+        if self.condenses(linear):
+            return "there is no library for the factors of condensation"
+        if self.limit == 0.0:
+            return f"at first order condensation is faster from {FIRST_ORDER_SOLVES} solves on"
+        if self.size > self.limit:
+            limit = f"{count(self.limit)}, the limit of condensation ({self._gigabytes})"
+            return f"{count(self.size)} displacement unknowns exceed {limit}"
+        return f"condensation is not faster for {count(self.size)} displacement unknowns"

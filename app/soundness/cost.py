@@ -294,7 +294,7 @@ def _described(title: str, case: Case, size: _Size, available: float) -> str:
     choice, condensed = _choice(case, size, runs, available)
     memory = _gigabytes(choice, condensed, size)
     contact = size.jumps and contact_solves(case)
-    solver = f"\n  contact: {choice.words(condensed)}" if contact else ""
+    solver = f"\n  contact: {choice.words(case.solver.linear, condensed)}" if contact else ""
     every = f", {duration(_duration(case, size, runs))} for all variations" if runs > 1 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"

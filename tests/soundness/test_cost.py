@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from app.case.case import load
@@ -55,9 +57,18 @@ def test_cost_check_names_the_solver_and_reason() -> None:
     """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
     small = contact_line("stance", "mesh.size=10 mm")
     assert "1 solve, by condensation onto the jumps" in small and small.endswith(" GB")
-    assert "1 solve by a Krylov method" in contact_line("stance", "mesh.order=1")
-    assert "1 solve by a Krylov method" in contact_line("stance", "solver.linear=multigrid")
-    assert "GB, too much" in contact_line("stance", "solver.linear=condensed", available=1e9)
+    krylov = "1 solve by a Krylov method, because "
+    limit = "displacement unknowns exceed 60 000, the limit of condensation"
+    large = re.search(f"{krylov}(.*) {limit}", contact_line("stance"))
+    assert large and 140_000 < int(large[1].replace(" ", "")) < 170_000
+    first = contact_line("stance", "mesh.order=1")
+    assert f"{krylov}at first order condensation is faster from 4 solves on" in first
+    asked = contact_line("stance", "solver.linear=multigrid")
+    assert f"{krylov}solver.linear is multigrid" in asked
+    little = contact_line("stance", "solver.linear=condensed", available=1e9)
+    assert f"{krylov}condensation needs " in little and little.endswith(" and may take 0.5 GB")
+    few = contact_line("blocks", "mesh.order=2", "mesh.size=10 mm")
+    assert f"{krylov}condensation is not faster for " in few
     assert "1999 solves, by condensation onto the jumps" in contact_line("walk")
     assert not contact_line("cure")
 
