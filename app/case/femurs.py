@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 MEDIAL = 24.747  # mm from the shaft's axis to the medial cortex, where the cut usually leaves it
 HEAD = (20.0, 100.0)  # mm: levels of the head's centre
+SHOULDER = 29.0  # mm: level of the stem's shoulder without `tip_z`
 # Levels in earlier versions without a key (mm).
-OLD_TIP = -118.0
 OLD_SECTION = 15.0
 OLD_HEAD = 54.0
 STEM_LENGTH: float = Stem.model_fields["length"].default
@@ -71,15 +71,16 @@ def _with_present_keys(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str,
             text = "is given by the file of the stem; leave it out"
         fail(text, at=(old,))
     if stem is None and (numbers or "stem_tip_z" in given):
-        shoulder = _LEVEL.read(keys.get("tip_z", f"{OLD_TIP} mm"))
-        shoulder += _LEVEL.read(numbers.get("length", f"{STEM_LENGTH} mm"))
+        shoulder = SHOULDER
+        if "tip_z" in keys:
+            shoulder = _LEVEL.read(keys["tip_z"])
+            shoulder += _LEVEL.read(numbers.get("length", f"{STEM_LENGTH} mm"))
         section = _LEVEL.read(given.get("stem_section_z", f"{OLD_SECTION} mm"))
         head = _LEVEL.read(given.get("head_height", f"{OLD_HEAD} mm"))
         if not section < shoulder < head:
             text = f"puts the shoulder at z = {shoulder:g} mm; expected it between the proximal"
-            text += f" section at {section:g} mm and the head's centre at {head:g} mm, or the new"
-            old = next(iter(replaced))
-            fail(f"{text} key {replaced[old]}", at=(old,))
+            text += f" section at {section:g} mm and the head's centre at {head:g} mm"
+            fail(text, at=(next(iter(replaced)),))
         numbers["section_depth"] = f"{shoulder - section!r} mm"
         numbers["head_height"] = f"{head - shoulder!r} mm"
         keys["stem"] = numbers
@@ -97,8 +98,9 @@ class _Femur(Hip):
     of 6 mm the worst shape (SICN) is 0.12 at 2 mm, 0.09 at 1.5 mm."""
     stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
     """The implant: by its numbers, or one from a CAD file."""
-    tip_z: Length = OLD_TIP
-    """Level of the stem's tip."""
+    tip_z: Length | None = None
+    """Level of the stem's tip. By default the shoulder is at 29 mm, so the tip of a shorter stem is
+    higher: at -118 mm for a length of 147 mm."""
     anteversion: Angle = 0.0
     """Turn of stem, neck and neck cut about the shaft's axis, the head to anterior (rad)."""
     resection: FemurResection = Field(default_factory=FemurResection)
@@ -138,11 +140,11 @@ class _Femur(Hip):
             text = f"puts the neck cut at z = {self.cut_height:.3g} mm on the shaft's axis, above"
             text += f" the head's centre at {implant.head_height:g} mm"
             fail(text, at=("resection", "height"))
-        longest = (self.cut_height - self.tip_z) / INSIDE
-        if implant.length > longest:
-            text = f"{implant.length:g} mm puts the shoulder at z = {implant.shoulder:g} mm, too"
-            text += f" far out of the bone; expected at most {longest:.3g} mm"
-            fail(text, at=("stem", "length"))
+        inside = (self.cut_height - implant.tip_z) / implant.length
+        if inside < INSIDE:
+            text = f"the stem is at z = {implant.tip_z:g} to {implant.shoulder:g} mm; {inside:.0%}"
+            text += f" of its length are below the neck cut, expected at least {INSIDE:.0%}"
+            fail(text, at=("tip_z",))
         return self
 
     @property
@@ -158,7 +160,7 @@ class _Femur(Hip):
     @property
     def implant(self) -> Implant:
         """The stem in its axes, which have the model's levels."""
-        return self.stem.implant(self.tip_z, self.plug_length, self.void)
+        return self.stem.implant(self.tip_z, self.plug_length, self.void, SHOULDER)
 
     @property
     def femur(self) -> FemurBone:
@@ -253,11 +255,6 @@ class Femur(_Femur, OperatedHip):
     def details(self) -> dict[str, str]:
         """Places of axis, head and neck of a stem in its file."""
         return self.stem.details
-
-    @property
-    def proud(self) -> float:
-        """Height of the stem's shoulder above the neck cut, along the shaft's axis (mm)."""
-        return self.implant.shoulder - self.cut_height
 
 
 class IntactFemur(_Femur):

@@ -214,6 +214,13 @@ class Hip(Shape):
         return None
 
     @property
+    def proud(self) -> float:
+        """Height of the stem's shoulder above the neck cut, along the shaft's axis (mm)."""
+        if self.shoulder_depth is not None:
+            return -self.shoulder_depth
+        return self.implant.shoulder - self.cut_height
+
+    @property
     def widening(self) -> float:
         """Distance by which the table's endosteum is moved outwards (mm)."""
         return 0.0

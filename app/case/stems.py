@@ -106,11 +106,13 @@ class Stem(Section):
             fail(f"must be below the stem's length, {self.length:g} mm", at=("section_depth",))
         return self
 
-    def implant(self, tip_z: float | None, plug_length: float, tip_void: float) -> Implant:
-        """The implant with its tip at a level, by default with its shoulder at 0 (mm)."""
+    def implant(
+        self, tip_z: float | None, plug_length: float, tip_void: float, shoulder: float = 0.0
+    ) -> Implant:
+        """The implant with its tip at a level, or with its shoulder at one (mm)."""
         numbers = dict(self)
         collar = numbers.pop("collar")
-        tip = -self.length if tip_z is None else tip_z
+        tip = shoulder - self.length if tip_z is None else tip_z
         shoulder = tip + self.length
         levels = {
             "tip_z": tip,
@@ -195,9 +197,11 @@ class StemFile(Section):
         exact = {key: round(float(number), 2) for key, number in numbers.items()}
         return exact | {"neck_angle": math.radians(angle)}
 
-    def implant(self, tip_z: float | None, plug_length: float, tip_void: float) -> Implant:
-        """The implant with its tip at a level, by default with its shoulder at 0 (mm)."""
-        tip = -round(float(self.shape["shoulder"]), 2) if tip_z is None else tip_z
+    def implant(
+        self, tip_z: float | None, plug_length: float, tip_void: float, shoulder: float = 0.0
+    ) -> Implant:
+        """The implant with its tip at a level, or with its shoulder at one (mm)."""
+        tip = shoulder - round(float(self.shape["shoulder"]), 2) if tip_z is None else tip_z
         unknown: dict[str, Any] = dict.fromkeys(field.name for field in fields(Implant))
         cement = {"plug_length": plug_length, "tip_void": tip_void}
         no_collar = {"collar_thickness": 0.0, "collar_angle": 0.0}

@@ -336,7 +336,7 @@ def _proud(case: Case) -> Iterable[Verdict]:
     if out > MOST_PROUD and case.of_tissue("bone"):  # not in a pot of a test bench
         text = (
             f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most "
-            f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.stem.length wrong?"
+            f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.insertion.depth wrong?"
         )
         yield note(text, "geometry")
 

@@ -185,7 +185,10 @@ def test_section_with_cached_arrays_compares_by_fields() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"stem_length": "120 mm"}, "stem_length: puts the shoulder at z = 2 mm; .* 15 mm and"),
+        (
+            {"stem_length": "120 mm", "tip_z": "-118 mm"},
+            "stem_length: puts the shoulder at z = 2 mm; .* 15 mm and",
+        ),
         ({"stem_section_z": "31 mm"}, "stem_section_z: puts the shoulder at z = 29 mm; .* 31 mm"),
         ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the shoulder at z = 163 mm; .* 54 mm"),
         (
@@ -202,9 +205,13 @@ def test_case_stem_without_section_names_the_key(changes: dict[str, str], text: 
     assert len(caught.value.messages) == 1
 
 
-def test_case_shorter_stem_follows_the_message() -> None:
-    given = {"geometry.stem.length": "120 mm", "geometry.tip_z": "-91 mm"}
-    assert mantle.load(CONFIGS / "stance.yaml", **given).config.geometry.kind == "femur"
+@pytest.mark.parametrize("key", ["stem.length", "stem_length"])
+@pytest.mark.parametrize("length", [110.0, 130.0, 160.0])
+def test_case_length_of_a_stem_moves_its_tip(key: str, length: float) -> None:
+    """The shoulder is at -118 + 147 = 29 mm, and the head 25 mm above it."""
+    given = {f"geometry.{key}": f"{length} mm"}
+    implant = mantle.load(CONFIGS / "stance.yaml", **given).config.geometry.implant
+    assert (implant.tip_z, implant.shoulder, implant.head_height) == (29.0 - length, 29.0, 54.0)
 
 
 def test_case_former_keys_of_a_stem_are_read_with_a_note() -> None:

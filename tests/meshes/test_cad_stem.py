@@ -59,7 +59,7 @@ def check(file: Path, mesh: str, least: float) -> None:
     turn = np.stack([medial, np.cross(axis, medial), axis])
     body = interface_facets(data, "stem_cement")[0]
     for on, p95, most in ((body, 0.015, 0.03), (neck, 0.02, 0.1)):
-        x = data.points[np.unique(on[:, :3])] - [0.0, 0.0, known.geometry.tip_z]
+        x = data.points[np.unique(on[:, :3])] - [0.0, 0.0, known.geometry.implant.tip_z]
         away = off(file, x @ turn + low)
         # At the tip, corners within the first section are in its plane.
         in_plane = x[:, 2] < 0.5
@@ -79,7 +79,7 @@ def test_cad_stem_lines_follow_section_corners(name: str, tmp_path: Path) -> Non
     surfaces = LayeredSurfaces(known.geometry, known.mesh)
     phi = np.arange(surfaces.around) / surfaces.around
     sections = np.array(cad_stems.STEMS[name]["sections"])
-    low = known.geometry.tip_z
+    low = known.geometry.implant.tip_z
     numbers = set()
     for height in np.linspace(3.0, min(sections[-1, 4], 120.0), 25):
         a, b, r, _, _ = (np.interp(height, sections[:, 4], v) for v in sections.T)

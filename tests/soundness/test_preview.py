@@ -43,6 +43,14 @@ def test_preview_notes_a_stem_far_out_of_the_bone(
     assert len(notes) == (height is not None) and all(n.startswith(text) for n in notes)
 
 
+@pytest.mark.parametrize(("depth", "noted"), [(-10.0, False), (-30.0, True)])
+def test_preview_notes_an_insertion_far_out_of_the_bone(depth: float, noted: bool) -> None:
+    case = mantle.load(CONFIGS / "stance.yaml", **{"geometry.insertion.depth": f"{depth} mm"})
+    notes = [n for n in texts(case.config) if "neck cut" in n]
+    text = "geometry: the shoulder of the stem is 30 mm above the neck cut"
+    assert len(notes) == noted and all(n.startswith(text) for n in notes)
+
+
 def test_preview_notes_conductance_across_open_contact() -> None:
     """One that falls is not, nor one of a bond, nor one where nothing moves."""
 

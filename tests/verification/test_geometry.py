@@ -120,7 +120,7 @@ def test_geometry_stems_of_the_thickness_sweep_share_a_cavity() -> None:
 def test_geometry_plug_fills_the_canal_below_the_tip() -> None:
     """The volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
     geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
-    tip, height = geometry.tip_z, geometry.implant.tip_rounding
+    tip, height = geometry.implant.tip_z, geometry.implant.tip_rounding
     low, high = tip - geometry.plug_length, tip + height
     exact = volume(femur_bone.Tube(femur_bone.CANAL).radius, low, high)
     # The rounded end of the stem fills four fifths of its height.
