@@ -29,7 +29,7 @@ from meshes.geometry import HipKeys
 from meshes.placement import InsertionKeys, Placement, Position, VersionKeys, position
 from meshes.room import StemSurface, WidestCanal
 
-SEARCH_VERSION = 1  # raise it whenever the same input gives another position
+SEARCH_VERSION = 2  # raise it whenever the same input gives another position
 NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
 WORTH = 0.05  # mm of room for which a number may go as far as its limit
 TRUST = 0.3  # of the limits: first size of the trust region
@@ -144,15 +144,16 @@ def best(
         return replace(start, **dict(zip(NUMBERS, map(float, first + scale * u), strict=True)))
 
     def excess_at(u: Floats, points: Floats | None = None) -> tuple[Floats, Floats]:
-        placed = canal.cut.put(stem.implant, changed(u), False)
-        x = coarse.cemented(placed, canal.cut) if points is None else points
-        return canal.room(placed.to_model(x)) - wanted(np.arctan2(x[:, 1], x[:, 0]), x[:, 2]), x
+        return _excess(canal, coarse, changed(u), wanted, points)
 
     def worth(excess: Floats, u: Floats) -> float:
         return float(min(excess.min(), RESERVE) - WORTH * np.abs(u).sum())
 
-    def searched_from(u: Floats) -> tuple[float, Floats]:
-        """Worth and changes of the best position near a start."""
+    def worth_of_all_lines(u: Floats) -> float:
+        return worth(_excess(canal, stem, changed(u), wanted)[0], u)
+
+    def searched_from(u: Floats) -> Floats:
+        """Changes of the best position near a start."""
         trust, (excess, x) = TRUST, excess_at(u)
         for _ in range(STEPS):
             near = x[excess < excess.min() + CLOSE]
@@ -168,12 +169,26 @@ def best(
                 trust /= 2
                 if trust < SMALLEST:
                     break
-        return worth(excess, u), u
+        return u
 
+    given = np.zeros(len(NUMBERS))
     starts = [part * np.eye(len(NUMBERS))[number] for number, part in STARTS if scale[number]]
-    searches = [searched_from(u) for u in (np.zeros(len(NUMBERS)), *starts)]
-    _, u = max(searches, key=lambda pair: pair[0])
-    return changed(u)
+    # The given position stays if the lines that were not searched take the gain away.
+    positions = [given, *(searched_from(u) for u in (given, *starts))]
+    return changed(max(positions, key=worth_of_all_lines))
+
+
+def _excess(
+    canal: WidestCanal,
+    stem: StemSurface,
+    at: Position,
+    wanted: Thickness,
+    points: Floats | None = None,
+) -> tuple[Floats, Floats]:
+    """Excess of room of points of a stem (n,), by default of all in cement; points (n, 3) [mm]."""
+    placed = canal.cut.put(stem.implant, at, False)
+    x = stem.cemented(placed, canal.cut) if points is None else points
+    return canal.room(placed.to_model(x)) - wanted(np.arctan2(x[:, 1], x[:, 0]), x[:, 2]), x
 
 
 def wanted_thickness(geometry: HipKeys, placed: Placement) -> Thickness:
@@ -241,12 +256,23 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
     given = cut.put(implant, start, mirrored)
     stem = StemSurface.of(implant, given)
-    chosen = best(canal, stem, start, Limits.of(limits), wanted_thickness(geometry, given))
+    wanted = wanted_thickness(geometry, given)
+    chosen = best(canal, stem, start, Limits.of(limits), wanted)
     relative = neck if insertion.version.relative_to == "neck" else 0.0
-    varus, flexion = _rounded_angle(chosen.varus), _rounded_angle(chosen.flexion)
-    angle = _rounded_angle(chosen.version - relative)
-    medial, anterior = round(chosen.medial, LENGTH_DIGITS), round(chosen.anterior, LENGTH_DIGITS)
-    rounded = Position(start.depth, varus, flexion, angle + relative, medial, anterior)
+    rounded = Position(
+        start.depth,
+        _rounded_angle(chosen.varus),
+        _rounded_angle(chosen.flexion),
+        _rounded_angle(chosen.version - relative) + relative,
+        round(chosen.medial, LENGTH_DIGITS),
+        round(chosen.anterior, LENGTH_DIGITS),
+    )
+    # Rounding may cost more than the search gained.
+    least = [_excess(canal, stem, at, wanted)[0].min() for at in (start, rounded)]
+    if least[1] <= least[0]:
+        rounded = start
+    varus, flexion, angle = rounded.varus, rounded.flexion, rounded.version - relative
+    medial, anterior = rounded.medial, rounded.anterior
     placed = cut.put(implant, rounded, mirrored)
     after, before = room.fit(canal, stem, placed), room.fit(canal, stem, given)
     words = (

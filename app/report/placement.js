@@ -12,6 +12,7 @@
   const places = a => Float32Array.from(array(a), (v, k) => a.low[k % 3] + v / LEVELS * a.width);
   const make = (tag, into, props) => into.appendChild(Object.assign(document.createElement(tag), props));
   const RAD = Math.PI / 180;
+  const ENOUGH = 0.005; // mm of room for which the stem is moved
 
   // Numbers, as in `meshes.placement` and `meshes.room`.
 
@@ -83,9 +84,9 @@
     const [[x0, y0], [x1, y1]] = [table[k], table[k + 1]];
     return x1 > x0 ? y0 + (y1 - y0) * Math.min(Math.max((x - x0) / (x1 - x0), 0), 1) : y1;
   }
-  // Thickness of the mantle that is asked for, as `femur_stem.thickness`.
+  // Thickness of the mantle that is asked for, as `best_position.wanted_thickness`.
   function wanted(x, low, top) {
-    if (!head.thickness.tables) return head.thickness.uniform;
+    if (!head.thickness.tables) return head.thickness.uniform || head.uncemented;
     const [heights, ring] = head.thickness.tables;
     let turn = Math.atan2(x[1], x[0]) / (2 * Math.PI) - ring[0][0];
     turn = ring[0][0] + turn - Math.floor(turn);
@@ -99,12 +100,13 @@
   function evaluate(p, stem) {
     const q = placed(p, stem), [points, clears] = surfaceAt(q, stem), n = points.length / 3, x = new Float32Array(3 * n), heights = new Float64Array(n);
     const room = new Float32Array(n).fill(NaN), cement = new Float32Array(n).fill(NaN);
-    let least = Infinity, thinnest = Infinity, worst = null, worstLocal = null;
+    let least = Infinity, thinnest = Infinity, excess = Infinity, worst = null, worstLocal = null;
     const look = (at, local) => {
       const r = roomAt(at);
       if (r < least) [least, worst, worstLocal] = [r, at, local];
-      const t = Math.min(r, wanted(local, stem.tip, q.top));
+      const w = wanted(local, stem.tip, q.top), t = Math.min(r, w);
       if (t < thinnest) thinnest = t;
+      if (r - w < excess) excess = r - w;
       return [r, t];
     };
     const local = k => [points[3 * k], points[3 * k + 1], points[3 * k + 2]];
@@ -123,7 +125,7 @@
     const side = worstLocal && Math.atan2(q.turn[1][0] * worstLocal[0] + q.turn[1][1] * worstLocal[1], q.turn[0][0] * worstLocal[0] + q.turn[0][1] * worstLocal[1]);
     const centre = moved(q, stem.head), neck = Math.atan2(q.turn[1][0], q.turn[0][0]);
     return {
-      q, x, clears, room, cement, least, thinnest, worst, centre,
+      q, x, clears, room, cement, least, thinnest, excess, worst, centre,
       where: worst && SIDES[((Math.round(8 * side / (2 * Math.PI)) % 8) + 8) % 8],
       below: worst && Math.max(0, -above(worst) / normal[2]),
       offset: Math.hypot(centre[0], centre[1]), leg: centre[2] - head.head[2], version: neck / RAD,
@@ -151,6 +153,7 @@
     update();
   }
   const plain = (v, digits) => String(+v.toFixed(digits) + 0);
+  const minus = text => text.replace("-", "−");
   const signed = (v, digits) => (+v.toFixed(digits) < 0 ? "−" : "+") + Math.abs(v).toFixed(digits);
   function yaml() {
     const p = state.p, lines = ["geometry:"];
@@ -160,18 +163,28 @@
       `    medial_offset: ${plain(p.medial, 3)} mm`, `    anterior_offset: ${plain(p.anterior, 3)} mm`);
     return lines.join("\n") + "\n";
   }
-  // The best position of the search at the nearest depths, linear between them.
+  // The best position of the search at this depth: linear between the depths that were searched, or one
+  // of theirs, or that of the case. The stem stays where it is if none of them has more room.
   function best() {
-    const table = stems[state.size].best, before = now.least, p = { depth: state.p.depth };
+    const table = stems[state.size].best, before = now.least, depth = state.p.depth;
+    const rounded = p => ({ ...p, depth, version: +(p.version - zero).toFixed(1) + zero,
+      ...Object.fromEntries(["varus", "flexion", "medial", "anterior"].map(key => [key, +p[key].toFixed(1)])) });
+    const between = {};
     for (const key of ["varus", "flexion", "version", "medial", "anterior"])
-      p[key] = +interpolated(p.depth, table.map(b => [b.depth, b[key]])).toFixed(1);
-    p.version = +(interpolated(p.depth, table.map(b => [b.depth, b.version])) - zero).toFixed(1) + zero;
-    state.p = p;
+      between[key] = interpolated(depth, table.map(b => [b.depth, b[key]]));
+    const near = [...table].sort((a, b) => Math.abs(a.depth - depth) - Math.abs(b.depth - depth)).slice(0, 2);
+    let [chosen, most] = [state.p, now.excess];
+    for (const p of [{ ...head.position, depth }, rounded(between), ...near.map(rounded)]) {
+      const { excess } = evaluate(p, stems[state.size]);
+      if (excess > most + ENOUGH && most < head.reserve) [chosen, most] = [p, excess];
+    }
+    state.p = chosen;
     update();
-    const gain = now.least - before, more = `${Math.abs(gain).toFixed(2)} mm ${gain < 0 ? "less" : "more"} than before.`;
+    const gain = now.least - before, change = `${Math.abs(gain).toFixed(2)} mm ${gain < 0 ? "less" : "more"} than before`;
     $("gain").textContent = now.least < head.least
       ? `No position near the one of the case has room for this stem at this depth. The best ${roomWords(now.least)}. Take a smaller or shorter stem, or ream more.`
-      : `The least room is now ${now.least.toFixed(2)} mm, ${more}`;
+      : gain === 0 ? `The stem stays: at this depth the search has no position with more room.`
+      : `The least room is now ${now.least.toFixed(2)} mm, ${change}.`;
   }
   const roomWords = r => r < 0 ? `cuts ${(-r).toFixed(2)} mm into the cortex` : `leaves ${r.toFixed(2)} mm`;
 
@@ -328,7 +341,10 @@
   const middle = bounds.getCenter(new THREE.Vector3()), tall = bounds.getSize(new THREE.Vector3());
   middle.x *= flip;
   function resize() {
-    const width = stage.clientWidth, height = stage.clientHeight, half = Math.max(0.53 * tall.z, 0.62 * tall.x * height / width);
+    const width = stage.clientWidth, height = stage.clientHeight, bar = $("views").offsetTop + $("views").offsetHeight;
+    // The picture is below the buttons: its middle moves down by half of their height.
+    const half = Math.max(0.53 * tall.z * height / (height - bar), 0.62 * tall.x * height / width);
+    camera.setViewOffset(width, height, 0, -bar / 2, width, height);
     if (renderer) { renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1)); renderer.setSize(width, height); }
     Object.assign(camera, { top: half, bottom: -half, left: -half * width / height, right: half * width / height });
     camera.updateProjectionMatrix();
@@ -378,14 +394,14 @@
       ? "The neck does not clear the neck cut: put the stem less deep, or cut lower." : now.least < 0
       ? `The stem cuts ${(-now.least).toFixed(2)} mm into the cortex ${place}.`
       : `The stem leaves ${now.least.toFixed(2)} mm; at least ${head.least} mm are needed ${place}.`;
-    $("short").textContent = `least room ${now.least.toFixed(2)} mm`;
+    $("short").textContent = `least room ${minus(now.least.toFixed(2))} mm`;
     $("short").className = fits ? "" : "bad";
     const rows = [
-      ["least room around the stem", place, now.least.toFixed(2) + " mm"],
+      ["least room around the stem", place, minus(now.least.toFixed(2)) + " mm"],
       ...cemented ? [["least thickness of the cement", "", Math.max(0, now.thinnest).toFixed(2) + " mm"]] : [],
       ["offset of the head", "against the intact head", `${now.offset.toFixed(1)} mm (${signed(now.offsetChange, 1)})`],
       ["leg length", "against the intact head", `${signed(now.leg, 1)} mm`],
-      ["version", head.condyles ? "from the condyles; change" : "from the neck; change", `${now.version.toFixed(1).replace("-", "−")}° (${signed(now.versionChange, 1)})`],
+      ["version", head.condyles ? "from the condyles; change" : "from the neck; change", `${minus(now.version.toFixed(1))}° (${signed(now.versionChange, 1)})`],
     ];
     $("numbers").textContent = "";
     for (const [name, more, value] of rows) {

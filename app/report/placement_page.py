@@ -131,6 +131,8 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
             "blend": femur_stem.BLEND,
         },
         "thickness": {"uniform": None if tables else thickness, "tables": tables},
+        "uncemented": best_position.UNCEMENTED,
+        "reserve": best_position.RESERVE,
         "position": _shown(start),
         "grid": numbers.described(canal.distances.astype(np.int16))
         | {"low": canal.low.tolist(), "step": room.STEP.tolist(), "unit": room.UNIT},

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mantle
@@ -16,6 +17,7 @@ from app.case import library, overlay
 from app.case import sweep as sweep_file
 from app.case.case import dump, load
 from app.foundation.errors import InputError
+from app.laws.cycle_tables import CycleTable
 from app.schema import yaml_file
 from tests import support
 from tests.cases.blocks import BLOCKS
@@ -449,8 +451,8 @@ def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
         assert force.force_at(0.0) == force.force_at(1.0) == force.force
     hip = case.loads["hip"]
     assert math.hypot(*hip.force) == pytest.approx(2.4648 * 750, rel=1e-4)
-    valley = 0.176 / 1.1  # 71 % between the peaks
-    assert hip.force_at(valley) == pytest.approx([0.71 * f for f in hip.force])
+    valley = 0.176 / 1.1  # 75.9 % between the peaks
+    assert hip.force_at(valley) == pytest.approx([0.759 * f for f in hip.force])
     changed: Any = mantle.load(CONFIGS / "stance.yaml", **{"loads.cycle_table": "walking_cycle"})
     assert all(force.cycle_table for force in changed.config.loads.values())
     still = mantle.load(tmp_path / "case.yaml", **{"loads.history": [1]}).config.loads
@@ -460,6 +462,24 @@ def test_library_cycle_table_of_all_loads(tmp_path: Path) -> None:
     assert loaded(tmp_path, text).loads["hip"].cycle_table.times == (0.0, 1.0, 2.0)
     with pytest.raises(InputError, match="'jogging' is not in the library; cycle_tables: iso"):
         loaded(tmp_path, text.replace("mine.csv", "jogging"))
+
+
+def test_library_walking_cycle_has_the_published_peaks() -> None:
+    """Bergmann 2001: 238 % of body weight, two peaks; their ratio as that of 757 other strides."""
+    cycle = library.read().data["cycle_tables"]["walking_cycle"]
+    table = CycleTable.model_validate({"rows": list(cycle["rows"])})
+    assert "239 percent" in cycle["source"] and cycle["status"] == "measured"
+    assert 239 == pytest.approx(238, rel=0.01)  # what the abstract gives
+    factor, times = np.array(table.columns["factor"]), np.array(table.times)
+    stride = times[-1]
+    inner = (factor[1:-1] > factor[:-2]) & (factor[1:-1] > factor[2:])
+    (second,) = np.flatnonzero(inner) + 1
+    assert factor[0] == factor[-1] == factor.max() == 1.0
+    assert factor[second] == pytest.approx(232.2 / 249.9, rel=0.03)
+    assert times[second] / stride == pytest.approx(0.31, abs=0.02)  # at 50 % of the stride
+    assert factor[: second + 1].min() == pytest.approx(181 / 239, rel=0.01)
+    assert factor.min() == pytest.approx(31.6 / 238.9, rel=0.01)  # the leg swings
+    assert 0.62 < times[factor.argmin()] / stride < 0.81
 
 
 def test_library_several_sets_with_their_histories(tmp_path: Path) -> None:
