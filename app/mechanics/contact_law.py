@@ -238,6 +238,15 @@ class PointLaw:
         total, count = self._comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
 
+    @property
+    def layer_share(self) -> Floats:
+        """Stiffness of an elastic layer over the sum of its and the bodies' (n, 3, 3) [-].
+
+        The identity where the law has no layer.
+        """
+        softer = self.local_stiffness[:, None, None] * self.compliance
+        return np.linalg.inv(np.eye(3) + softer)
+
     def augmentation(self) -> dict[int, float]:
         """Augmentation of each interface that can open [MPa/mm]; collective."""
         values = {}

@@ -331,7 +331,8 @@ class ContactSystem(BondedSystem):
         if self._coarse_version != version:
             self._coarse, self._coarse_version = sliding_motions(self._problem), version
         allowing, law = np.eye(3) - self.contact.local.projector, self.trial.law
-        free = allowing @ free_directions(law.resisted) @ allowing
+        resisted = law.resisted @ self.contact.law.layer_share
+        free = allowing @ free_directions(resisted) @ allowing
         self._coarse.update(free, np.linalg.norm(law.by_law, axis=(1, 2)))
         return self._coarse
 

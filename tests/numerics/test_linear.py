@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from pathlib import Path
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -11,6 +12,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
+import mantle
+from app.case.case import load
 from app.foundation.errors import ConvergenceError
 from app.mechanics.coarse_space import Boxes, free_directions, sliding_motions
 from app.numerics.deflation import CoarseSpace, Deflated
@@ -211,3 +214,41 @@ def test_deflation_motions_are_updated_when_many_points_change(
     work = shift.duplicate()
     motions.work(u, q, work)
     assert work.dot(shift) == pytest.approx(u.dot(u) + q.dot(q))
+
+
+LAYERED = """\
+geometry:
+  kind: blocks
+  blocks: [{name: lower, size: [10 mm, 10 mm, 20 mm]}, {name: upper, size: [10 mm, 10 mm, 20 mm]}]
+mesh: {order: 2, size: 3 mm}
+regions:
+  lower: {youngs_modulus: 20 GPa, poisson_ratio: 0.3, tissue: other}
+  upper: {youngs_modulus: 20 GPa, poisson_ratio: 0.3, tissue: other}
+interfaces:
+  lower_upper:
+    kind: contact
+    friction_coefficient: 0.8
+    compliance: {normal: 1000 MPa/mm, tangential: 1000 MPa/mm}
+supports: {base: {kind: fixed, boundary: bottom}}
+loads: {push: {kind: force, boundary: top, force: [20 N, 0 N, -100 N], at: [5 mm, 5 mm, 20 mm]}}
+solver: {linear: direct}
+output: {fields: false}
+"""
+
+
+@pytest.mark.parametrize("modulus", [20.0, 1e4])
+@pytest.mark.parametrize("layer", [1e6, 1000.0, 10.0])
+def test_krylov_iterations_do_not_grow_with_the_compliance_of_a_layer(
+    tmp_path: Path, modulus: float, layer: float
+) -> None:
+    """Sticking contact is soft where its layer is; the mean penetration is F/(k A)."""
+    (tmp_path / "case.yaml").write_text(LAYERED)
+    changes = [f"regions.{name}.youngs_modulus={modulus} GPa" for name in ("lower", "upper")]
+    changes += [
+        f"interfaces.lower_upper.compliance.{way}={layer} MPa/mm"
+        for way in ("normal", "tangential")
+    ]
+    summary = mantle.run(load(tmp_path / "case.yaml", changes), tmp_path / "out").summary
+    assert summary["solver"]["linear_iterations"] <= 60
+    there = summary["interfaces"]["lower_upper"]
+    assert there["penetration_mean"] == pytest.approx(1.0 / layer, rel=1e-6)
