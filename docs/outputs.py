@@ -32,7 +32,7 @@ PROGRESS = re.compile(r"^( {5}\S|solver: |converged: |results in |\[\d+/\d+\]).*
 TIMED = re.compile(r"\d+(\.\d+)? (s|MB|kB)\b")
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 QUANTITIES = {
-    "debonding (µm)": ("gap_max", "gap_p99"),
+    "gap (µm)": ("gap_max", "gap_p99"),
     "slip in contact (µm)": ("slip_max", "slip_p99"),
     "motion (µm)": ("motion_max", "motion_p99"),
     "pressure (MPa)": ("pressure_max", "pressure_p95"),

@@ -40,7 +40,7 @@ from app.schema import yaml_file
 from app.soundness import cost, memory
 from app.system import layout
 from app.system.folders import FAILED, claim, write_json, write_text
-from app.system.layout import duration
+from app.system.layout import duration, several
 
 log = logging.getLogger("mantle")
 
@@ -118,7 +118,9 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
     with claim(folder):
         pending = {r.id: r for r in runs if r.summary() is None}
-        log.info("%d runs in %s, %d of them already done", total, folder, total - len(pending))
+        finished = total - len(pending)
+        known = f"; {finished} of them are finished already" if finished else ""
+        log.info("%s in %s%s", several(total, "run"), folder, known)
         alone = any(r.planned.alone for r in pending.values())
         load = os.getloadavg()[0]
         if alone and load > BUSY:
@@ -130,7 +132,7 @@ def run(
             except KeyboardInterrupt:
                 so_far(results())
                 text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
-                raise StoppedError(f"{text}; the same command continues") from None
+                raise StoppedError(f"{text}; run the same command again to continue") from None
             # Those that began without ending have failed.
             _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
         if pending:

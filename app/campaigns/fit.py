@@ -162,7 +162,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     Raises:
         InputError: Every error of the file, before anything runs; a number that runs do not have.
         MantleError: The first run failed; with its exit code.
-        StoppedError: Interrupted; the same command continues.
+        StoppedError: Interrupted; the same command continues the search.
     """
     problem = fit_file.read(path, overrides)
     fit = problem.fit
@@ -193,7 +193,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     for verdict in verdicts:
         if verdict.severity is not Severity.ERROR:
             log.warning("note: %s", verdict.text)
-    log.info("written in %s: fit.json, fit.csv", options.folder)
+    log.info("fit.json and fit.csv are written in %s", options.folder)
     return record
 
 

@@ -43,7 +43,7 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
     """Verdicts on the number of runs, and on those that failed."""
     if not outcome.converged:
         what = f"the search stopped after {len(runs)} runs, before it converged"
-        cure = f"set fit.runs above {problem.fit.runs}; the same command continues"
+        cure = f"set fit.runs above {problem.fit.runs}; run the same command again to continue"
         yield Verdict(what, "fit.runs", cure)
     failed = [run for run in runs if not run.done]
     if failed:
@@ -90,7 +90,7 @@ def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
 
 
 def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdict]:
-    """Verdicts on keys that the targets do not determine, or do not tell apart."""
+    """Verdicts on keys that the targets do not determine, or only in combination."""
     fit = problem.fit
     names = [*short_keys(list(fit.keys)).values()]
     full = [*fit.keys]
@@ -113,10 +113,10 @@ def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdi
         if len(fit.targets) < len(fit.keys):
             counts = f"{len(fit.keys)} keys and {len(fit.targets)} targets: "
         what = (
-            f"{counts}the targets cannot tell these keys apart: the numbers hardly change if"
-            f" {together} change together"
+            f"{counts}the targets do not determine these keys one by one: the numbers hardly change"
+            f" if {together} change together"
         )
-        cure = "fix one of them, or add a number on which they act in different ways"
+        cure = "fix one of them, or add a number that depends on them in another way"
         yield Verdict(what, ", ".join(full[k] for k in direction), cure)
 
 

@@ -211,7 +211,7 @@ def _killed(run: BatchRun) -> str:
     text += f"{have / 1e9:.1f} GB are available"
     at_once = max(1, int(have / 1e9 / need)) if need else 1
     fewer = f"--cores {at_once * run.planned.ranks} runs at most {at_once} at once"
-    return f"{text}; {fewer}, and the same command continues"
+    return f"{text}; {fewer}: run the same command again with it to continue"
 
 
 def tail(path: Path) -> str:

@@ -62,7 +62,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         written = study_report.write(report, about, options.folder)
         written += study_picture.draw(report, options.folder)
     log.info("%s", study_report.table(report))
-    log.info("written in %s: %s", options.folder, ", ".join(written))
+    log.info("%s: written in %s", ", ".join(written), options.folder)
     if all(r.exit_code for r in results):
         text = f"every run of the study failed:\n{results[0].message}"
         raise gravest([r.exit_code for r in results], text)

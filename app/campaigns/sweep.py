@@ -72,7 +72,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         log.info("%s", batch.plan(f"{name}: {len(planned)} cases", planned, options))
         return
     keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
-    log.info("%s: %d cases", name, len(planned))
+    log.info("%s: %s", name, layout.several(len(planned), "case"))
 
     def write(results: Sequence[Result]) -> SweepRecord:
         rows = [_row(result, folder) for result in results]
@@ -101,8 +101,8 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     spread = uncertainty.table(record["uncertainty"])
     if spread:
         log.info("\n%s", spread)
-    made = "sweep.csv, sweep.json; mantle report %s makes figures and tables"
-    log.info(f"written in %s: {made}", folder, folder)
+    log.info("sweep.csv and sweep.json are written in %s", folder)
+    log.info("mantle report %s makes figures and tables", folder)
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         reasons = [f"{r['name']}: {reason(r['message'])} (in {r['folder']})" for r in failed]

@@ -289,19 +289,19 @@ _timing = partial(Quantity, "timing")
 
 add_quantity(
     # Tractions at edges grow with refinement: their 95th percentile is the headline.
-    _interface("gap_max", "mm", "um", 1, label="debonding, max", peak=True, step_record=True),
-    _interface("gap_p95", "mm", "um", 1, label="debonding, p95", order=MOTION),
+    _interface("gap_max", "mm", "um", 1, label="gap, max", peak=True, step_record=True),
+    _interface("gap_p95", "mm", "um", 1, label="gap, p95", order=MOTION),
     _interface(
         "gap_p99",
         "mm",
         "um",
         1,
-        label="debonding, p99",
+        label="gap, p99",
         order=MOTION,
         step_record=True,
         headline=True,
     ),
-    _interface("gap_mean", "mm", "um", 1, label="debonding, mean", order=MOTION),
+    _interface("gap_mean", "mm", "um", 1, label="gap, mean", order=MOTION),
     _interface("slip_max", "mm", "um", 1, label="slip, max", peak=True, step_record=True),
     _interface("slip_p95", "mm", "um", 1, label="slip, p95", order=SLIP),
     _interface(
@@ -376,13 +376,23 @@ add_quantity(
     _interface("shear_p99", "MPa", label="shear stress, p99", order=TRACTION),
     _interface("shear_mean", "MPa", label="shear stress, mean", order=MOTION),
     # Contact: overlap of the sides, state of the points, forces and energies.
-    _interface("penetration_max", "mm", "um", exact=True, step_record=True, headline=True),
-    _interface("penetration_sampled", "mm", "um", exact=True),
-    _interface("penetration_mean", "mm", "um", exact=True),
+    _interface(
+        "penetration_max",
+        "mm",
+        "um",
+        label="penetration, max",
+        exact=True,
+        step_record=True,
+        headline=True,
+    ),
+    _interface(
+        "penetration_sampled", "mm", "um", label="penetration between nodes, max", exact=True
+    ),
+    _interface("penetration_mean", "mm", "um", label="penetration, mean", exact=True),
     _interface("open_fraction", "-", "%", 0, step_record=True, headline=True),
     _interface("stick_fraction", "-", "%", 0, step_record=True),
     _interface("slip_fraction", "-", "%", 0, step_record=True, headline=True),
-    _interface("area_gap_over_30um", "mm^2", label="area of debonding over 30 µm", on_page=True),
+    _interface("area_gap_over_30um", "mm^2", label="area of a gap over 30 µm", on_page=True),
     _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm", on_page=True),
     _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm", on_page=True),
     _interface(
@@ -403,16 +413,16 @@ add_quantity(
     _interface("contact_work", "N mm", step_record=True),
     # Layers, and cohesive interfaces that break.
     _interface("stored_energy", "N mm", step_record=True),
-    _interface("unbonded_fraction", "-", "%", 1, exact=True),
-    _interface("area_damaged", "mm^2", digits=1, step_record=True),
-    _interface("area_broken", "mm^2", digits=1, step_record=True),
-    _interface("damage_mean", "-", digits=4, order=MOTION, step_record=True),
-    _interface("pressure_by_facets", "MPa", exact=True),
+    _interface("unbonded_fraction", "-", "%", 1, label="fraction never bonded", exact=True),
+    _interface("area_damaged", "mm^2", digits=1, label="damaged area", step_record=True),
+    _interface("area_broken", "mm^2", digits=1, label="broken area", step_record=True),
+    _interface("damage_mean", "-", digits=4, label="damage, mean", order=MOTION, step_record=True),
+    _interface("pressure_by_facets", "MPa", label="pressure by facets, max", exact=True),
     _interface("pressure_mean_max", "MPa", label="pressure, largest mean at a point"),
-    _interface("zone_length", "mm", digits=1, step_record=True),
-    _interface("zone_elements", "-", digits=1),
+    _interface("zone_length", "mm", digits=1, label="length of the process zone", step_record=True),
+    _interface("zone_elements", "-", digits=1, label="elements in the process zone"),
     # Against the strength of the interface.
-    _interface("strength_fraction", "-", "%", 0, step_record=True),
+    _interface("strength_fraction", "-", "%", 0, label="area above the strength", step_record=True),
     _interface("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
     _interface(
         "failure_index_p99",
@@ -427,50 +437,78 @@ add_quantity(
     ),
 )
 add_quantity(
-    _region("von_mises_max", "MPa", label="von Mises max", peak=True),
-    _region("von_mises_p99", "MPa", label="von Mises p99", order=STRESS, headline=True),
-    _region("hoop_p99", "MPa", order=STRESS),
-    _region("principal_max", "MPa", peak=True),
-    _region("principal_p99", "MPa", order=STRESS),
-    _region("principal_min", "MPa", peak=True),
-    _region("mean_stress_min", "MPa"),
-    _region("mean_stress_max", "MPa"),
-    _region("creep_strain_max", "-", "%", peak=True),
-    _region("creep_strain_mean", "-", "%", order=STRESS, headline=True),
+    _region("von_mises_max", "MPa", label="von Mises stress, max", peak=True),
+    _region("von_mises_p99", "MPa", label="von Mises stress, p99", order=STRESS, headline=True),
+    _region("hoop_p99", "MPa", label="hoop stress, p99", order=STRESS),
+    _region("principal_max", "MPa", label="tension, max", peak=True),
+    _region("principal_p99", "MPa", label="tension, p99", order=STRESS),
+    _region("principal_min", "MPa", label="smallest principal stress", peak=True),
+    _region("mean_stress_min", "MPa", label="mean stress, min"),
+    _region("mean_stress_max", "MPa", label="mean stress, max"),
+    _region("creep_strain_max", "-", "%", label="creep strain, max", peak=True),
+    _region("creep_strain_mean", "-", "%", label="creep strain, mean", order=STRESS, headline=True),
     # Volume under tension above each of `STRESSED`.
-    _region("volume_over_3_MPa", "mm^3", digits=1, order=RISK),
-    _region("volume_over_5_MPa", "mm^3", digits=1, order=RISK),
-    _region("volume_over_7_MPa", "mm^3", digits=1, order=RISK),
-    _region("volume_over_9_MPa", "mm^3", digits=1, order=RISK),
-    _region("volume_over_11_MPa", "mm^3", digits=1, order=RISK),
+    _region(
+        "volume_over_3_MPa", "mm^3", digits=1, label="volume with tension over 3 MPa", order=RISK
+    ),
+    _region(
+        "volume_over_5_MPa", "mm^3", digits=1, label="volume with tension over 5 MPa", order=RISK
+    ),
+    _region(
+        "volume_over_7_MPa", "mm^3", digits=1, label="volume with tension over 7 MPa", order=RISK
+    ),
+    _region(
+        "volume_over_9_MPa", "mm^3", digits=1, label="volume with tension over 9 MPa", order=RISK
+    ),
+    _region(
+        "volume_over_11_MPa", "mm^3", digits=1, label="volume with tension over 11 MPa", order=RISK
+    ),
 )
 add_quantity(
     _stem("subsidence", "mm", "um", 1, order=MOTION, step_record=True, headline=True),
     _stem("retroversion", "deg", digits=3, order=MOTION, step_record=True, headline=True),
     _stem("varus", "deg", digits=3, order=MOTION, step_record=True, headline=True),
-    _stem("tip_displacement", "mm", "um", 1, order=MOTION, vector=True),
-    _stem("top_displacement", "mm", "um", 1, order=MOTION, vector=True),
+    _stem(
+        "tip_displacement",
+        "mm",
+        "um",
+        1,
+        label="displacement of the tip",
+        order=MOTION,
+        vector=True,
+    ),
+    _stem(
+        "top_displacement",
+        "mm",
+        "um",
+        1,
+        label="displacement of the top",
+        order=MOTION,
+        vector=True,
+    ),
     _stem("collar_force", "N", digits=0, label="force on the collar", order=MOTION, on_page=True),
     _stem("collar_share", "-", "%", 0, label="share of the collar", order=MOTION, on_page=True),
 )
 add_quantity(
-    _femur("head_displacement", "mm", order=MOTION, vector=True),
+    _femur("head_displacement", "mm", label="displacement of the head", order=MOTION, vector=True),
     # Strains of the cortex at each of `GAUGES`.
-    _femur("strain_lateral_10", "-", "um/m", 0, order=STRESS),
-    _femur("strain_lateral_40", "-", "um/m", 0, order=STRESS),
-    _femur("strain_lateral_80", "-", "um/m", 0, order=STRESS),
-    _femur("strain_lateral_113", "-", "um/m", 0, order=STRESS),
-    _femur("strain_medial_10", "-", "um/m", 0, order=STRESS),
-    _femur("strain_medial_40", "-", "um/m", 0, order=STRESS),
-    _femur("strain_medial_80", "-", "um/m", 0, order=STRESS),
-    _femur("strain_medial_113", "-", "um/m", 0, order=STRESS),
+    _femur("strain_lateral_10", "-", "um/m", 0, label="lateral strain at z = -10 mm", order=STRESS),
+    _femur("strain_lateral_40", "-", "um/m", 0, label="lateral strain at z = -40 mm", order=STRESS),
+    _femur("strain_lateral_80", "-", "um/m", 0, label="lateral strain at z = -80 mm", order=STRESS),
+    _femur(
+        "strain_lateral_113", "-", "um/m", 0, label="lateral strain at z = -113 mm", order=STRESS
+    ),
+    _femur("strain_medial_10", "-", "um/m", 0, label="medial strain at z = -10 mm", order=STRESS),
+    _femur("strain_medial_40", "-", "um/m", 0, label="medial strain at z = -40 mm", order=STRESS),
+    _femur("strain_medial_80", "-", "um/m", 0, label="medial strain at z = -80 mm", order=STRESS),
+    _femur("strain_medial_113", "-", "um/m", 0, label="medial strain at z = -113 mm", order=STRESS),
 )
 add_quantity(
-    _bond("strength_fraction", "-", "%", 0, step_record=True),
-    _bond("normal_mean", "MPa"),
-    _bond("normal_max", "MPa"),
-    _bond("shear_mean", "MPa"),
-    _bond("shear_max", "MPa"),
+    _bond("strength_fraction", "-", "%", 0, label="area above the strength", step_record=True),
+    _bond("normal_mean", "MPa", label="normal traction, mean"),
+    _bond("normal_max", "MPa", label="normal traction, max"),
+    _bond("shear_mean", "MPa", label="shear stress, mean"),
+    _bond("shear_max", "MPa", label="shear stress, max"),
     _bond("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
     _bond(
         "failure_index_p99",
@@ -483,19 +521,29 @@ add_quantity(
     _bond("failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION),
 )
 add_quantity(
-    _heated_region("temperature_max", "degC", digits=1, order=HEAT, headline=True),
-    _heated_region("temperature_min", "degC", digits=1, order=HEAT),
-    _heated_region("temperature_mean", "degC", digits=1, order=HEAT),
-    _heated_region("temperature_end_max", "degC", digits=1, order=HEAT),
-    _heated_region("temperature_max_time", "s", digits=1, order=DOSE),
-    _heated_region("seconds_over_47", "s", digits=1, order=DOSE),
-    _heated_region("seconds_over_50", "s", digits=1, order=DOSE),
-    _heated_region("seconds_over_56", "s", digits=1, order=DOSE),
-    _heated_region("volume_over_47", "mm^3", digits=1, order=DOSE),
-    _heated_region("volume_over_50", "mm^3", digits=1, order=DOSE),
-    _heated_region("volume_over_56", "mm^3", digits=1, order=DOSE),
-    _heated_region("cem43_max", "min", digits=1, order=DOSE),
-    _heated_region("henriques_moritz_max", "-", digits=1, order=DOSE),
+    _heated_region(
+        "temperature_max", "degC", digits=1, label="highest temperature", order=HEAT, headline=True
+    ),
+    _heated_region("temperature_min", "degC", digits=1, label="lowest temperature", order=HEAT),
+    _heated_region(
+        "temperature_mean", "degC", digits=1, label="mean temperature at the end", order=HEAT
+    ),
+    _heated_region(
+        "temperature_end_max", "degC", digits=1, label="highest temperature at the end", order=HEAT
+    ),
+    _heated_region(
+        "temperature_max_time", "s", digits=1, label="time of the highest temperature", order=DOSE
+    ),
+    _heated_region("seconds_over_47", "s", digits=1, label="time over 47 °C", order=DOSE),
+    _heated_region("seconds_over_50", "s", digits=1, label="time over 50 °C", order=DOSE),
+    _heated_region("seconds_over_56", "s", digits=1, label="time over 56 °C", order=DOSE),
+    _heated_region("volume_over_47", "mm^3", digits=1, label="volume over 47 °C", order=DOSE),
+    _heated_region("volume_over_50", "mm^3", digits=1, label="volume over 50 °C", order=DOSE),
+    _heated_region("volume_over_56", "mm^3", digits=1, label="volume over 56 °C", order=DOSE),
+    _heated_region("cem43_max", "min", digits=1, label="dose CEM43, max", order=DOSE),
+    _heated_region(
+        "henriques_moritz_max", "-", digits=1, label="damage by Henriques-Moritz, max", order=DOSE
+    ),
     # Dead bone by each rule of `NECROSIS`.
     _heated_region(
         "necrosis_47C_1min_volume",
@@ -549,26 +597,50 @@ add_quantity(
     ),
 )
 add_quantity(
-    _heated_interface("temperature_max_first", "degC", digits=1, order=HEAT, headline=True),
-    _heated_interface("temperature_max_second", "degC", digits=1, order=HEAT, headline=True),
-    _heated_interface("temperature_max_first_time", "s", digits=1, order=DOSE),
-    _heated_interface("temperature_max_second_time", "s", digits=1, order=DOSE),
-    _heated_interface("temperature_jump_max", "K", digits=1, order=HEAT),
-    _heated_interface("heat_flux_max", "W/m^2", digits=0, order=HEAT),
-    _heated_interface("entropy_production_min", "W/(m^2 K)", digits=1),
-    _heated_interface("entropy_production_max", "W/(m^2 K)", digits=1),
+    _heated_interface(
+        "temperature_max_first",
+        "degC",
+        digits=1,
+        label="highest temperature, first side",
+        order=HEAT,
+        headline=True,
+    ),
+    _heated_interface(
+        "temperature_max_second",
+        "degC",
+        digits=1,
+        label="highest temperature, second side",
+        order=HEAT,
+        headline=True,
+    ),
+    _heated_interface(
+        "temperature_max_first_time", "s", digits=1, label="time of it, first side", order=DOSE
+    ),
+    _heated_interface(
+        "temperature_max_second_time", "s", digits=1, label="time of it, second side", order=DOSE
+    ),
+    _heated_interface(
+        "temperature_jump_max", "K", digits=1, label="temperature jump, max", order=HEAT
+    ),
+    _heated_interface("heat_flux_max", "W/m^2", digits=0, label="heat flux, max", order=HEAT),
+    _heated_interface(
+        "entropy_production_min", "W/(m^2 K)", digits=1, label="entropy production, min"
+    ),
+    _heated_interface(
+        "entropy_production_max", "W/(m^2 K)", digits=1, label="entropy production, max"
+    ),
 )
 add_quantity(
-    _cure("degree_min", "-", digits=4, order=DOSE),
-    _cure("degree_max", "-", digits=4, order=DOSE),
+    _cure("degree_min", "-", digits=4, label="degree of cure, min", order=DOSE),
+    _cure("degree_max", "-", digits=4, label="degree of cure, max", order=DOSE),
     _cure("time_50", "s", digits=1, label="50 % set everywhere", order=DOSE),
     _cure("time_90", "s", digits=1, label="90 % set everywhere", order=DOSE),
-    _cure("rate_max", "1/s", digits=4, order=DOSE),
+    _cure("rate_max", "1/s", digits=4, label="rate of cure, max", order=DOSE),
 )
 add_quantity(
-    _solver("newton_iterations", "-", exact=True),
-    _solver("linear_iterations", "-", exact=True),
-    _solver("condition", "-", exact=True),
+    _solver("newton_iterations", "-", label="Newton iterations", exact=True),
+    _solver("linear_iterations", "-", label="Krylov iterations", exact=True),
+    _solver("condition", "-", label="condition number", exact=True),
 )
 add_quantity(
     _balance("heat", "-", exact=True),

@@ -87,7 +87,7 @@ COMMANDS = {
     ),
     "verify": ("solve problems with known answers and compare", SUITE),
     "stress": ("solve extreme cases: each is right, or refused with a reason", SUITE),
-    "bench": ("measure the cost of contact, from 20 000 unknowns (20 minutes)", SUITE),
+    "bench": ("measure the cost of contact, from 20,000 unknowns (20 minutes)", SUITE),
     "validate": (
         "predict published experiments and compare with what was measured",
         f"{SUITE} --record",

@@ -83,8 +83,8 @@ def _picture(
         return None
     place = f"{named(name)} interface"
     caption = (
-        f"The colours of a row are common and end at the {pictures.CLIP:g}th percentile. Blue is "
-        "more than in the first run, red is less."
+        f"All maps of a row have the same colours, up to the {pictures.CLIP:g}th percentile. "
+        "Blue is more than in the first run, red is less."
     )
     return Figure(file, place, caption, f"{', '.join(labels)} on the {place}")
 

@@ -32,7 +32,7 @@ from app.results.reading import Results
 from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.schema.section import Section
 from app.system.folders import read_json, write_json, write_text
-from app.system.layout import plain
+from app.system.layout import plain, several
 
 if TYPE_CHECKING:
     from app.results.run_folder import Provenance
@@ -422,7 +422,7 @@ def _software(basis: Evidence) -> Finding:
         "b",
         (
             f"sources by digest and versions: {parts}",
-            f"{ranks} rank(s), {processor}, {basis.record['started'][:10]}",
+            f"{several(ranks, 'rank')}, {processor}, {basis.record['started'][:10]}",
             "mantle test checks this version: lint, types, tests, planted faults of its equations",
         ),
         "an assessment of known anomalies for this context of use, and measures of quality",

@@ -195,7 +195,7 @@ def render(name: str, values: Mapping[str, object]) -> str:
 
     folder = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.tests["number_text"] = re.compile(r"[-−+]?\d[\d.,]*(e[-+]\d+)?([\s%]|$)").match
+    environment.tests["number_text"] = re.compile(r"[-−+]?\d[\d.,]*(e[-+]\d+)?([\s%]|$)|-$").match
     # Text that cannot end the script around it.
     environment.filters["inert"] = lambda t: t.replace("</", "<\\/").replace("<!--", "<\\!--")
     return environment.get_template(name).render(values)
@@ -255,6 +255,8 @@ def _picture(figure: Figure, path: Path) -> Picture:
 
     into = io.BytesIO()
     with Image.open(path) as picture:
-        few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        few = picture.convert("RGB").quantize(
+            256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
+        )
         few.save(into, "PNG")
     return Picture(figure, base64.b64encode(into.getvalue()).decode("ascii"), few.size)

@@ -159,17 +159,18 @@ def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
     titles = [title for title, _, _ in columns if title]
-    common = "are common to all cases and " if len(columns) > 1 else ""
-    caption = f"The colours of a row {common}end at the {CLIP:g}th percentile. "
+    caption = f"Colours end at the {CLIP:g}th percentile. "
+    if len(columns) > 1:
+        caption = f"All cases of a row have the same colours, up to the {CLIP:g}th percentile. "
     if all(s.round for _, _, s in columns):
         caption += (
-            "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
-            "beyond the resection."
+            "The interface is unrolled around the stem's axis and cut open posteriorly, without "
+            "end faces. Grey: above the neck cut."
         )
     elif any(s.cup for _, _, s in columns):
-        caption += "Spread out from the cup's pole: distances from there are arcs."
+        caption += "The cup is spread out from its pole: distances from there are arcs."
     if TEMPERATURE in labels:
-        caption += " Temperature: the highest at each place of the second body, at any time."
+        caption += " Temperature: the highest that each place of the second body reaches."
     place = f"{named(name)} interface"
     of, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
     return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of}")

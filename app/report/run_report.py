@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -68,7 +69,7 @@ TITLES = {
     "thermal.interfaces": "Heat through the interfaces",
     "cure": "Cure of the cement",
     "stem": "Motion of the stem against the bone",
-    "femur": "Motion of the head, strain of the cortex",
+    "femur": "Axial strain of the cortex",
 }
 # Values for a run that was killed before it wrote its summary.
 UNFINISHED = {
@@ -207,7 +208,7 @@ def _run(
         PageSection(
             "provenance",
             "Provenance",
-            page.folded("program, machine, digests", page.pairs(record)),
+            page.folded("program, machine, checksums", page.pairs(record)),
         ),
     ]
     solved = bool(summary["time"])
@@ -326,6 +327,7 @@ def _status(summary: Summary) -> list[Block]:
     """Return the verdicts on a run: errors and warnings first, then checks, then notes."""
     status = summary["status"]
     verdicts = recorded(summary)
+    places = [*summary["interfaces"], *summary.get("regions", {})]
     notes = [in_print(str(v)) for v in verdicts if v.severity is Severity.NOTE]
     others = [v for v in verdicts if v.severity is not Severity.NOTE]
     solved = status in (CONVERGED, UNUSABLE)
@@ -339,8 +341,15 @@ def _status(summary: Summary) -> list[Block]:
     else:
         # The lead has the cause.
         lines = [status, *map(str, others[1:])]
-    content = bullets([in_print(line) for line in lines])
+    content = bullets([_with_words(in_print(line), places) for line in lines])
     return content + _notes(notes)
+
+
+def _with_words(text: str, places: Sequence[str]) -> str:
+    """Text with the names of interfaces and regions in words; keys and quoted names stay."""
+    for place in places:
+        text = re.sub(rf"(?<![\w.`']){place}(?!\.?[\w`'])", named(place), text)
+    return text
 
 
 def _notes(notes: Sequence[str]) -> list[Block]:
@@ -361,8 +370,8 @@ def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
     head, peaks = _unsettled(summary)
     changing: list[Block] = table(head, peaks)
     if len(peaks) > MOST_ROWS:
-        changing = page.folded(f"{len(peaks)} peaks by mesh", changing)
-    blocks += page.titled("Peaks that still change with the mesh", changing)
+        changing = page.folded(f"{len(peaks)} maxima by mesh", changing)
+    blocks += page.titled("Maxima that still change with the mesh", changing)
     note = summary.get("thermal", {}).get("note")
     if note:
         blocks += bullets([note])

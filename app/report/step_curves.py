@@ -134,8 +134,8 @@ def tension(summary: Summary) -> list[Panel]:
             lines.append(Line(named(region), len(lines), levels, volumes, errors))
     if not lines:
         return []
-    title = "volume under more than a tension"
-    return [Panel(title, printed("mm^3"), lines, "tension (MPa)", from_rest=True)]
+    title = "volume with more tension"
+    return [Panel(title, printed("mm^3"), lines, "than a tension of (MPa)", from_rest=True)]
 
 
 def _parts(column: str) -> tuple[str, str, str]:

@@ -49,7 +49,7 @@ ROUNDING = 1e-9
 MOMENTS = 12
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
 INTERFACE: dict[str, tuple[str, str, float]] = {
-    **{key: (key, *shown) for key, shown in QUANTITIES.items()},
+    **{key: (key, *QUANTITIES[key]) for key in ("slip", *QUANTITIES)},
     "status": ("open 0, stick 1, slip 2", "", 1.0),
 }
 NODAL = {

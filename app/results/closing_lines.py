@@ -26,9 +26,9 @@ log = logging.getLogger("mantle")
 
 # Columns of the lines of steps and of heat steps, with their widths.
 STEP = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
-STEP |= {"open": 6, "slip": 6, "penetration": 12, "wall": 8, "left": 8}
+STEP |= {"open": 6, "slip": 6, "penetration": 12, "elapsed": 9, "left": 9}
 HEAT = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
-HEAT |= {"hottest": 10, "balance": 9, "wall": 8}
+HEAT |= {"hottest": 10, "balance": 9, "elapsed": 9}
 
 
 def line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
@@ -94,14 +94,14 @@ def headline(summary: Summary) -> Iterator[str]:
     others = [row for row in moving if row not in inserted]
     for key, owners in (("motion_p99", others), ("micromotion_p99", inserted)):
         if owners:
-            parts = [f"{name} {_with_unit('interfaces', key, q)}" for name, q in owners]
-            what = key.removesuffix("_p99")
-            yield f"{what} of 99 % of the surface is below: {', '.join(parts)}"
+            parts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
+            since = " since the insertion" if key.startswith("micro") else ""
+            yield f"99 % of the surface moves{since} by less than {', '.join(parts)}"
     # With finite sliding there is no motion, and the pressure is the main result.
     pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
     if pressed:
-        parts = [f"{name} {_with_unit('interfaces', 'pressure_max', q)}" for name, q in pressed]
-        yield f"largest contact pressure: {', '.join(parts)}"
+        parts = [f"{_with_unit('interfaces', 'pressure_max', q)} ({name})" for name, q in pressed]
+        yield f"the largest contact pressure is {', '.join(parts)}"
     for row in rows.get("stem", {}).items():
         yield _sentence("stem", *row)
         if "collar_force" in row[1]:
@@ -109,12 +109,12 @@ def headline(summary: Summary) -> Iterator[str]:
     for name, q in rows.get("regions", {}).items():
         if CEMENT in q:
             tension = _with_unit("regions", "principal_p99", q)
-            yield f"tension in 99 % of the {name} is below: {tension}"
+            yield f"99 % of the {name} has a tension below {tension}"
     bones = {n: q for n, q in rows.get("thermal.regions", {}).items() if "cem43_max" in q}
     if bones:
         name = max(bones, key=lambda bone: bones[bone]["temperature_max"])
         hottest = _with_unit("thermal.regions", "temperature_max", bones[name])
-        yield f"hottest bone: {hottest} in {name}"
+        yield f"the bone is hottest in {name}: {hottest}"
 
 
 def _with_unit(section: str, key: str, numbers: Numbers) -> str:
@@ -171,9 +171,9 @@ SENTENCES = {
     "mean normal traction {normal_mean}, mean shear {shear_mean}",
     "strength": "{name}: 1 % of the area fails at {failure_load_factor} times this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
-    "cure": "{name}: degree of cure {degree_min} .. {degree_max}{reached}; largest rate {rate_max}",
-    "stem": "stem against bone: subsidence {subsidence}, retroversion {retroversion}, "
-    "varus {varus}",
+    "cure": "{name}: degree of cure {degree_min} to {degree_max}{reached}; largest rate {rate_max}",
+    "stem": "the stem moves against the bone: subsidence {subsidence}, "
+    "retroversion {retroversion}, varus {varus}",
     "collar": "the collar presses on the bone by {collar_force} along the stem, {collar_share} of"
     " what collar and flanks carry",
 }
@@ -249,14 +249,14 @@ def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
 
 def _necrosis(regions: Rows) -> list[str]:
     bones, rows = necrosis(regions)
-    head = ["dead bone", *(f"{name}{what}" for name in bones for what in ("", ", depth"))]
+    head = ["dead bone", *(f"{name}{what}" for name in bones for what in (", volume", ", depth"))]
     units = ["", *(["mm^3", "mm"] * len(bones))]
     return layout.table(head, rows, units).splitlines() if bones else []
 
 
 def _sentence(section: str, name: str, numbers: Numbers, text: str = "") -> str:
     reached = (
-        f", {part} % reached everywhere after {_with_unit(section, f'time_{part}', numbers)}"
+        f", {part} % everywhere after {_with_unit(section, f'time_{part}', numbers)}"
         for part in (50, 90)
         if numbers.get(f"time_{part}") is not None
     )

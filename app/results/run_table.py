@@ -61,7 +61,7 @@ class SweepRow(RunRow):
 
 
 # Quantities that the text table shows, the first that a run has, and words around the unit.
-MOST = {"slip_p99": "slip, p99, on", "temperature_max": "in"}
+MOST = {"slip_p99": "slip (p99) on", "temperature_max": "in"}
 
 
 def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
@@ -138,7 +138,9 @@ def text(rows: Sequence[RunRow]) -> str:
         counts = (r["unknowns"], r["newton_iterations"], r["linear_iterations"])
         result = most(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
-    return layout.table(("case", "unknowns", "newton", "krylov", "wall", "most"), lines)
+    return layout.table(
+        ("case", "unknowns", "Newton", "Krylov", "time", "largest slip or temperature"), lines
+    )
 
 
 def most(numbers: Mapping[str, float]) -> str:

@@ -15,6 +15,7 @@ from app.foundation.errors import UnusableError
 from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 from app.results.damage import RESOLVED
 from app.results.error_estimate import is_zero, largest_of_units
+from app.system.layout import count, several
 
 # Status of solved cases whose numbers are not to be used.
 UNUSABLE = "do not use"
@@ -22,7 +23,7 @@ UNUSABLE = "do not use"
 EQUILIBRIUM = "equilibrium"
 HEAT = "heat"
 CONTACT = "contact"
-PEAKS = "peaks that still change with the mesh"
+PEAKS = "maxima that still change with the mesh"
 # Sources of error where coarser meshes could be compared.
 BOTH = "mesh and step"
 # All sources of error that are estimated (`error_estimate.error_sources`).
@@ -84,13 +85,16 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     """Return the verdicts on the numbers of a solved case."""
     solver = summary["solver"]
     memory = summary.get("memory")
-    took = f"{summary['timing']['total']:.1f} s"
-    if memory:
-        took += f", {memory['peak']:.0f} MB ({memory['per_unknown']:.1f} kB per unknown)"
-    solved = (
-        f"{solver['dofs']} unknowns, {solver['steps']} steps, {solver['newton_iterations']} Newton "
-        f"iterations on {solver['ranks']} rank(s) in {took}"
+    counts = ", ".join(
+        (
+            several(solver["dofs"], "unknown"),
+            several(solver["steps"], "step"),
+            several(solver["newton_iterations"], "Newton iteration"),
+        )
     )
+    solved = f"{counts} in {summary['timing']['total']:.1f} s on {several(solver['ranks'], 'rank')}"
+    if memory:
+        solved += f", with {count(memory['peak'])} MB of memory"
     verdicts = [Verdict(solved, "converged", severity=Severity.PLAIN)]
     verdicts += _balances(summary)
     interfaces = summary["interfaces"]
@@ -216,7 +220,9 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
         text = f"bodies overlap by {deep} at nodes{rim}"
         return Verdict(text, CONTACT, severity=Severity.WARNING)
     between = most["penetration_sampled"] >= 1e-9
-    rest = f", {length('penetration_sampled')} overlap between nodes" if between else ""
+    rest = ""
+    if between:
+        rest = f"; between nodes bodies overlap by up to {length('penetration_sampled')}"
     text = f"satisfied to rounding at nodes{rest}{rim}"
     return Verdict(text, CONTACT, severity=Severity.GOOD)
 
@@ -229,7 +235,7 @@ def _by_facets(name: str, q: Numbers) -> Verdict:
         f"the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip over their "
         f"edges causes up to {part} MPa"
     )
-    cure = "reduce mesh.size; if the cells are straight, use curved ones of second order"
+    cure = "reduce `mesh.size`; replace straight cells by curved ones of second order"
     return Verdict(text, "pressure", cure, Severity.WARNING)
 
 
@@ -241,8 +247,8 @@ def _steep(name: str, q: Numbers) -> Verdict:
     """The largest pressure of an interface, where it is far above the mean at its point."""
     most, mean = (TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max"))
     text = (
-        f"the maximum on {name}, {most} MPa, is at a ridge or an edge; the largest mean at a point "
-        f"is {mean} MPa"
+        f"the maximum on {name}, {most} MPa, is at a ridge or an edge; averaged over the area of a "
+        f"node the pressure is at most {mean} MPa"
     )
     return Verdict(text, "pressure", severity=Severity.WARNING)
 
@@ -264,20 +270,20 @@ def _mesh_and_step(summary: Summary) -> Verdict:
                 if error is None or not q[key] or key not in TABLE[section]:
                     continue
                 if is_zero(q[key], error, largest[TABLE[section][key].unit]):
-                    zero.append(f"{key} of {name}")
+                    zero.append(quantities.in_words(f"{name}.{key}")[0])
                 else:
-                    shares[f"{key} of {name}"] = error / abs(q[key])
+                    shares[quantities.in_words(f"{name}.{key}")[0]] = error / abs(q[key])
     share, text = sorted(shares, key=shares.__getitem__), "± is the estimated error"
     if share:
         of_them = (share[len(share) // 2], share[-1])
         half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in of_them)
         text = f"half of the percentiles have errors below ± {half} %"
-        text += f"; the largest error is ± {worst} % ({share[-1]})"
+        text += f", the largest has ± {worst} % ({share[-1]})"
         within = estimated.get("within")
         if within:
-            text += f"; for about {100 * within:.0f} % of such numbers the true error is smaller"
+            text += f". For about {100 * within:.0f} % of such numbers the true error is smaller"
     if zero:
-        text += f"; not counted, because close to zero: {', '.join(zero)}"
+        text += f". Not counted, because close to zero: {', '.join(zero)}"
     source = estimated.get("of", BOTH)
     if source != BOTH:
         text += "; the error of the mesh is not estimated"
@@ -285,12 +291,13 @@ def _mesh_and_step(summary: Summary) -> Verdict:
 
 
 def _peaks(summary: Summary) -> list[Verdict]:
-    """Peaks that change most with the mesh, with their values on every mesh solved."""
+    """Maxima that change most with the mesh, with their values on every mesh solved."""
     lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
         q = quantities.get(name)
         if q and q.unit != "-":  # a risk stands with the strength
-            on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
+            words = quantities.in_words(name)[0].removesuffix(" max").removesuffix(",")
+            on = [f"{words} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
                 ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])
             )
@@ -298,5 +305,5 @@ def _peaks(summary: Summary) -> list[Verdict]:
         return []
     shown = lines[:MOST]
     if lines[MOST:]:
-        shown.append(f"{len(lines) - MOST} more in error.unsettled of summary.json")
+        shown.append(f"{len(lines) - MOST} more: `error.unsettled` in summary.json")
     return [Verdict("; ".join(shown), PEAKS, severity=Severity.WARNING)]

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from mpi4py import MPI
 
 from app.case.case import Case
-from app.case.quantities import TABLE
+from app.case.quantities import TABLE, in_words
 from app.case.summary import EstimatedErrors, Summary
 from app.foundation.errors import ConvergenceError, GeometryError, StoppedError, agree
 from app.results import error_estimate
@@ -111,7 +111,8 @@ def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) 
             errors = [(e, p[order - 1]) for e, _, p in relative_errors(solve(cheap))]
             error, best, limit = _coarsest_within(target, cheap, errors, longest)
             words = f"{percent(error)} expected, about {duration(cost.seconds(best))}{limit}"
-            words = f"{percent(target)} asked for: {best.mesh.size:g} mm at order {order} ({words})"
+            mesh = f"{best.mesh.size:g} mm at order {order}"
+            words = f"chosen for a target of {percent(target)}: {mesh} ({words})"
             log.info("accuracy: %s, by a run on %g mm", words, size)
             choice = (max(error, target), cost.seconds(best), words, best)
             if choices and choice > choices[0]:
@@ -183,5 +184,5 @@ def reached(chosen: str, summary: Summary) -> str:
     if not errors:
         return f"accuracy: {chosen}; the reached accuracy is unknown"
     error, worst, _ = max(errors)
-    keys = ", ".join(dict.fromkeys(name.partition(".")[2] for _, name, _ in errors))
-    return f"accuracy: {chosen}; {percent(error)} reached ({worst} has the largest error of {keys})"
+    words, _ = in_words(worst)
+    return f"accuracy: {chosen}; {percent(error)} reached, the largest error: that of {words}"

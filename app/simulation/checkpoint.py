@@ -30,6 +30,7 @@ from app.numerics.saved_state import Array, Rows, collect, fill, restore
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
 from app.system import folders
+from app.system.layout import several
 
 log = logging.getLogger("mantle")
 
@@ -250,7 +251,7 @@ class CheckpointWriter:
         self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
         self._last = self._now(header["stage"])
-        by = "" if header["ranks"] == self._comm.size else f" by {header['ranks']} rank(s)"
+        by = "" if header["ranks"] == self._comm.size else f" by {several(header['ranks'], 'rank')}"
         log.info(
             "restart from %s, written %s%s: step %d, time %.6g in stage '%s', %.1f s of work",
             *(saved.path, header["written"], by, header["step"], header["time"]),

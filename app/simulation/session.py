@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time as clock
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -39,6 +39,7 @@ from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import doubts, preview
 from app.system import form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
+from app.system.layout import count, several
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
@@ -241,11 +242,11 @@ class _CaseRun:
         if lost:
             setup.note([note(f"PETSc did not use {', '.join(lost)}; is it misspelt?")])
         log.info(
-            "%s: %d cells, unknowns %s, %d rank(s)",
+            "%s: %s, %s, %s",
             case.title or loaded.path.stem,
-            model.tagged.mesh.topology.index_map(3).size_global,
-            ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
-            comm.size,
+            several(model.tagged.mesh.topology.index_map(3).size_global, "cell"),
+            _unknowns(model.sizes()),
+            several(comm.size, "rank"),
         )
         groups = model.layers()
         data = model.parts.data if model.parts else None
@@ -341,3 +342,9 @@ class _CaseRun:
             # No periodic checkpoints: those of interruptions are no longer needed.
             on_root(setup.comm, partial(remove, saved(self._folder)), share=False)
         return summary
+
+
+def _unknowns(sizes: Mapping[str, int]) -> str:
+    """Number of unknowns, with that of each kind in brackets."""
+    kinds = ", ".join(f"{count(number)} {name}" for name, number in sizes.items())
+    return f"{several(sum(sizes.values()), 'unknown')} ({kinds})"

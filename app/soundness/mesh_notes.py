@@ -10,7 +10,6 @@ from app.system.layout import count, percent, plain, point_text
 
 # Notes that have no line: messages are notes of the run, the others repeat a message.
 WITHOUT_LINE = ("messages", "cells_without_region")
-NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
 
 def lines(notes: Mapping[str, Any]) -> Iterator[str]:
@@ -45,10 +44,11 @@ def _mantle(note: MantleNumbers) -> str:
     """A line on the thickness of the cement."""
     t = note["thickness"]
     return (
-        f"cement mantle: {t['nominal']:.3g} mm, achieved {t['min']:.2f} to {t['max']:.2f}, mean "
-        f"{t['mean']:.2f}, median {t['median']:.2f}, p5 {t['p5']:.2f}, p95 {t['p95']:.2f} mm; "
-        f"clipped on {t['clipped_fraction']:.1%} of the stem; {note['volume']:.0f} mm3 of cement, "
-        f"{note['plug_volume']:.0f} below the stem's flanks"
+        f"cement mantle: {t['min']:.2f} to {t['max']:.2f} mm thick (key: {t['nominal']:.3g} mm), "
+        f"mean {t['mean']:.2f}, median {t['median']:.2f}, 5th and 95th percentile {t['p5']:.2f} "
+        f"and {t['p95']:.2f} mm; the canal makes it thinner on "
+        f"{100 * t['clipped_fraction']:.0f} % of the stem; {count(note['volume'])} mm³ of cement, "
+        f"{count(note['plug_volume'])} of them below the stem"
     )
 
 
@@ -61,15 +61,15 @@ def _layers(note: Mapping[str, Any]) -> str:
     """A line on the grid of a layered mesh (`meshes.swept.Swept.describe`)."""
     through = ", ".join(str(cells) for cells in note["cells_through"])
     moved = (
-        f"{percent(note['moved_nodes'])} of their nodes are moved, by at most "
-        f"{note['moved_max_mm']:.2f} mm"
+        f"{percent(note['moved_nodes'])} of their nodes were moved to keep layers thick enough, by "
+        f"at most {note['moved_max_mm']:.2f} mm"
         if note["moved_nodes"]
-        else "no node is moved"
+        else "no node had to be moved"
     )
     least = f"{note['least_thickness_mm']:.2f} mm"
     return (
         f"layers: {note['lines_around']} lines around, {note['steps_along']} steps along, "
-        f"{through} cells through, from inside; the thinnest layer has {least}; {moved}"
+        f"{through} cells through the layers from inside; the thinnest layer has {least}; {moved}"
     )
 
 
@@ -78,16 +78,11 @@ def _quality(note: Mapping[str, Any]) -> str:
     regions = ", ".join(f"{name} {least:.2f}" for name, least in note["sicn_min_by_region"].items())
     return (
         f"quality (SICN; 1 is a regular tetrahedron): median {note['sicn_median']:.2f}, least "
-        f"{note['sicn_min']:.2f} ({regions}); {_count(note['sicn_below_0.1'])} of "
-        f"{_count(note['cells'])} cells are below 0.1"
+        f"{note['sicn_min']:.2f} ({regions}); {count(note['sicn_below_0.1'])} of "
+        f"{count(note['cells'])} cells have less than 0.1"
     )
 
 
 def _named(sizes: Mapping[str, float]) -> str:
     """Sizes with their names, rounded."""
-    return ", ".join(f"{name} {_count(size)}" for name, size in sizes.items())
-
-
-def _count(number: float) -> str:
-    """Count with thousands separated by spaces at which no line ends."""
-    return count(number).replace(" ", NO_BREAK_SPACE)
+    return ", ".join(f"{name} {count(size)}" for name, size in sizes.items())

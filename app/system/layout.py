@@ -42,8 +42,13 @@ def percent(value: float) -> str:
 
 
 def count(number: float) -> str:
-    """Count with thousands separated."""
-    return f"{round(number):,}".replace(",", " ")
+    """Count with commas between thousands."""
+    return f"{round(number):,}"
+
+
+def several(number: int, noun: str) -> str:
+    """Number with its noun, in the plural unless it is one: 1 rank, 2 ranks."""
+    return f"{count(number)} {noun}{'' if number == 1 else 's'}"
 
 
 def point_text(x: Iterable[float]) -> str:

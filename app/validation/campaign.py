@@ -224,7 +224,7 @@ def _record(
         )
         log.info("%s", _predicted_table(experiment.name, predicted))
     records.write({name: known[name] for name in EXPERIMENTS if name in known})
-    log.info("written in %s", records.PREDICTIONS)
+    log.info("the predictions are written in %s", records.PREDICTIONS)
     return True
 
 

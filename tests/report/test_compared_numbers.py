@@ -55,7 +55,7 @@ def test_compared_numbers_are_ordered_by_significance(tmp_path: Path) -> None:
     assert {*keys[4:]} == {"motion_p99", "dissipation"}
     gap = ordered[0]
     assert (gap.title, gap.text(0), gap.text(1)) == (
-        "stem-cement debonding, p99 (µm)",
+        "stem-cement gap, p99 (µm)",
         "10.0 ± 1.0",
         "20.0 ± 1.0",
     )

@@ -223,7 +223,7 @@ def test_sweep_report_rank_correlations(maker: Maker) -> None:
     page = sweep_report.run(maker.folder)[0][0].read_text()
     lead = page[page.index('"lead">') : page.index('class="summary"')]
     assert "1 to 27 <small>µm</small>" in lead and "Least: 1 20. Most: 3 30." in lead
-    assert "cement-bone debonding, p99 depends most on taper (rank correlation +1.00)." in lead
+    assert "cement-bone gap, p99 depends most on taper (rank correlation +1.00)." in lead
 
 
 # What is no sweep

@@ -39,7 +39,7 @@ def test_closing_lines_have_every_number_of_heat() -> None:
     dead = next(line for line in lines if line.startswith("CEM43 of 16"))
     assert dead.split()[-2:] == ["43.8", "1.25"]
     assert lines[-1] == (
-        "cement: degree of cure 0.6200 .. 0.9900, 50 % reached everywhere after 622.1 s; "
+        "cement: degree of cure 0.6200 to 0.9900, 50 % everywhere after 622.1 s; "
         "largest rate 0.0941 1/s"
     )
 
@@ -61,10 +61,11 @@ def moved() -> dict[str, Any]:
 
 def test_closing_lines_headline_says_what_moves_and_what_cement_carries() -> None:
     assert list(closing_lines.headline(moved())) == [
-        "motion of 99 % of the surface is below: stem_cement 34.6 ± 39.1 um (not resolved), "
-        "cement_bone 17.5 um",
-        "stem against bone: subsidence 16.4 um, retroversion 0.041 deg, varus 0.009 deg",
-        "tension in 99 % of the cement is below: 3.22 ± 2.75 MPa",
+        "99 % of the surface moves by less than 34.6 ± 39.1 um (not resolved) (stem_cement), "
+        "17.5 um (cement_bone)",
+        "the stem moves against the bone: subsidence 16.4 um, retroversion 0.041 deg, "
+        "varus 0.009 deg",
+        "99 % of the cement has a tension below 3.22 ± 2.75 MPa",
     ]
     assert list(closing_lines.headline({"interfaces": {}, "regions": {}, "stem": {}})) == []
 
@@ -72,7 +73,7 @@ def test_closing_lines_headline_says_what_moves_and_what_cement_carries() -> Non
 def test_closing_lines_headline_has_the_hottest_bone() -> None:
     hot = heat()
     hot["thermal"]["regions"]["bone"]["cem43_max"] = 12.0
-    assert list(closing_lines.headline(hot)) == ["hottest bone: 54.9 ± 1.6 degC in bone"]
+    assert list(closing_lines.headline(hot)) == ["the bone is hottest in bone: 54.9 ± 1.6 degC"]
 
 
 def test_closing_lines_mark_numbers_that_are_not_resolved_with_a_star() -> None:

@@ -38,7 +38,10 @@ def test_verdicts_on_good_results() -> None:
             "energy 1.0e-12)",
             "good",
         ),
-        "contact": ("satisfied to rounding at nodes, 4.1 um overlap between nodes", "good"),
+        "contact": (
+            "satisfied to rounding at nodes; between nodes bodies overlap by up to 4.1 um",
+            "good",
+        ),
         "mesh and step": ("errors are not estimated; run with --error", "plain"),
     }
 
@@ -56,8 +59,8 @@ def test_verdicts_on_singular_pressure() -> None:
     numbers["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
     words, tone = judged(numbers)["pressure"]
     assert words == (
-        "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; the largest "
-        "mean at a point is 5.90 MPa"
+        "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; averaged over the "
+        "area of a node the pressure is at most 5.90 MPa"
     )
     assert tone == "warning"
     numbers["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
@@ -93,12 +96,12 @@ def test_verdicts_on_errors_exclude_maxima() -> None:
     error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}
     lines = judged(summary(error=error))
     words = (
-        "half of the percentiles have errors below ± 5 %; the largest error is ± 5 % "
-        "(pressure_p95 of stem_cement); for about 90 % of such numbers the true error is smaller"
+        "half of the percentiles have errors below ± 5 %, the largest has ± 5 % (stem-cement "
+        "pressure, p95). For about 90 % of such numbers the true error is smaller"
     )
     assert lines["mesh and step"] == (words, "plain")
     assert "load step" not in lines
-    peaks = "stem_cement.pressure_max 9.00 MPa at 4 mm, 6.10 at 8, 4.25 at 12"
+    peaks = "stem-cement pressure 9.00 MPa at 4 mm, 6.10 at 8, 4.25 at 12"
     assert lines[verdicts.PEAKS] == (peaks, "warning")
 
 
@@ -109,9 +112,9 @@ def test_verdicts_name_the_three_worst_maxima() -> None:
         verdicts.PEAKS
     ]
     first, *others, rest = words.split("; ")
-    assert first == "stem_cement.gap_max 74.2 um at 2.5 mm, 60.0 at 5"
-    assert [name.split()[0] for name in others] == [f"stem_cement.{k}" for k in keys[1:3]]
-    assert rest == "2 more in error.unsettled of summary.json"
+    assert first == "stem-cement gap 74.2 um at 2.5 mm, 60.0 at 5"
+    assert [text.split()[1] for text in others] == ["pressure", "slip"]
+    assert rest == "2 more: `error.unsettled` in summary.json"
 
 
 def test_verdicts_on_errors_of_steps_alone() -> None:

@@ -16,8 +16,9 @@ def test_mesh_notes_on_the_cement() -> None:
         "cortex_min": 2.017,
     }
     assert list(mesh_notes.lines({"mantle": note})) == [
-        "cement mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
-        "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the stem's flanks",
+        "cement mantle: 1.59 to 4.81 mm thick (key: 4 mm), mean 3.05, median 2.95, "
+        "5th and 95th percentile 1.80 and 4.08 mm; the canal makes it thinner on 61 % of the stem; "
+        "20,070 mm³ of cement, 1,238 of them below the stem",
         "cortex beside the stem: at least 2.02 mm",
     ]
 
@@ -32,11 +33,12 @@ def test_mesh_notes_on_layers() -> None:
         "moved_max_mm": 0.333,
     }
     assert list(mesh_notes.lines({"layers": note})) == [
-        "layers: 36 lines around, 44 steps along, 2, 2, 1 cells through, from inside; the thinnest "
-        "layer has 0.09 mm; 42 % of their nodes are moved, by at most 0.33 mm"
+        "layers: 36 lines around, 44 steps along, 2, 2, 1 cells through the layers from inside; "
+        "the thinnest layer has 0.09 mm; 42 % of their nodes were moved to keep layers thick "
+        "enough, by at most 0.33 mm"
     ]
     (line,) = mesh_notes.lines({"layers": note | {"moved_nodes": 0.0}})
-    assert line.endswith("; no node is moved")
+    assert line.endswith("; no node had to be moved")
 
 
 def test_mesh_notes_on_quality_and_sizes() -> None:
@@ -58,8 +60,8 @@ def test_mesh_notes_on_quality_and_sizes() -> None:
     assert list(mesh_notes.lines(notes)) == [
         "centre of the stem's head: (43, 0, 58.6) mm",
         "quality (SICN; 1 is a regular tetrahedron): median 0.36, least 0.03 (stem 0.07, cement "
-        "0.08); 1\N{NO-BREAK SPACE}289 of 39\N{NO-BREAK SPACE}466 cells are below 0.1",
-        "volumes (mm³): stem 20\N{NO-BREAK SPACE}639",
+        "0.08); 1,289 of 39,466 cells have less than 0.1",
+        "volumes (mm³): stem 20,639",
     ]
 
 
