@@ -64,7 +64,8 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
 
 def table(sections: list[SectionLoad]) -> str:
     """Section loads as a text table, moments in N m."""
-    head = ["z", "force x", "y", "z", "moment x", "y", "z", "medial of shaft", "of head"]
+    # The last two: where the line of action of the force passes.
+    head = ["z", "force x", "y", "z", "moment x", "y", "z", "line medial of shaft", "of head"]
     units = ["mm", *["N"] * 3, *["N m"] * 3, "mm", "mm"]
     rows = [
         [f"{s.z:.0f}", *(f"{f:z.0f}" for f in s.force), *(f"{m / 1e3:z.1f}" for m in s.moment)]

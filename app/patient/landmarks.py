@@ -112,13 +112,13 @@ class Frame:
         places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
         version = "unknown without condyles: medial is along the neck"
         if self.version is not None:
-            version = f"{turn(self.version):.1f} deg +- {turn(s['version']):.1f}"
+            version = f"{turn(self.version):.1f} deg ± {turn(s['version']):.1f}"
         angle = turn(math.acos(-float(self.axes[2] @ self.neck)))
         return {
             "side": self.side + (", mirrored" if self.side == "right" else ""),
-            "head": f"{places[0]} +- {s['head']:.1f}, radius {self.radius:.1f} mm",
+            "head": f"{places[0]} ± {s['head']:.1f}, radius {self.radius:.1f} mm",
             "lesser trochanter": places[1],
-            "neck-shaft angle": f"{angle:.1f} deg +- {turn(math.hypot(s['neck'], s['shaft'])):.1f}",
+            "neck-shaft angle": f"{angle:.1f} deg ± {turn(math.hypot(s['neck'], s['shaft'])):.1f}",
             "version": version,
         } | self._short_shaft
 
@@ -127,9 +127,7 @@ class Frame:
         """Interval of the shaft's axis, if it is known by a short part of the shaft."""
         if not self.spread["shaft"]:
             return {}
-        text = (
-            f"+- {math.degrees(self.spread['shaft']):.0f} deg, by the {-self.end:.0f} mm of shaft"
-        )
+        text = f"± {math.degrees(self.spread['shaft']):.0f} deg, by the {-self.end:.0f} mm of shaft"
         return {"axis of the shaft": f"{text} below the lesser trochanter"}
 
     def doubts(self, surface: BoneSurface) -> list[str]:

@@ -167,13 +167,13 @@ def resultant(case: Case) -> Iterator[str]:
     factors = [1.0 if load.history is None else load.history[-1] for load in loads]
     forces = zip(*(load.resultant for load in loads), strict=True)
     total = [math.sumprod(factors, along) for along in forces]
-    components = ", ".join(f"{c:.6g}" for c in total)
+    components = ", ".join(f"{c:.1f}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
-    yield f"sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
+    yield f"sum of the forces at the end: [{components}] N, {math.hypot(*total):.1f} N{rest}"
     sections = section_loads(case, len(case.stages))
     if sections:
         rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
-        yield f"section loads at the end{rest} (last level: the knee)"
+        yield f"force and moment above a section{rest}, at the end (last row: the knee)"
         yield from (f"  {line}" for line in table(sections).splitlines())
 
 

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 
 # One or several, with errors and with a unit of a few letters, if any.
 NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
+# Part of the largest component of a vector below which another one is printed as zero.
+ROUNDING = 1e-12
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence[str] = ()) -> str:
@@ -74,7 +76,7 @@ def plain(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{k} {plain(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
-        items = [plain(v) for v in value]
+        items = [plain(v) for v in _without_rounding(value)]
         units = [text.partition(" ")[2] for text in items]
         unit = units[0] if units else ""
         if len(items) > 1 and set(units) == {unit} and unit[:1].isalpha():
@@ -90,3 +92,12 @@ def plain(value: object) -> str:
         return f"{float(number):.6g}{space}{unit}"
     except ValueError:
         return text
+
+
+def _without_rounding(values: Sequence[object]) -> Sequence[object]:
+    """Values of a vector, with zero for those that are rounding errors of the others."""
+    if not all(isinstance(v, float) for v in values):
+        return values
+    numbers = [float(str(v)) for v in values]
+    small = ROUNDING * max(map(abs, numbers), default=0.0)
+    return [0.0 if abs(v) < small else v for v in numbers]

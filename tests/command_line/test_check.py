@@ -52,7 +52,7 @@ Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
   shaft: fixed on distal_cut
   hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm
   psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm
-  sum at the end: [0.1, -0.1, -503.4] N, 503.4 N
+  sum of the forces at the end: [0.1, -0.1, -503.4] N, 503.4 N
 not measured
   assumed: regions stem, cement, cancellous_bone; all loads
   unverified: regions cortical_bone
@@ -137,7 +137,7 @@ def test_check_estimates_temperature_unknowns(capsys: pytest.CaptureFixture[str]
     for mesh in ([], ["--mesh"]):
         assert main(["check", *case, *mesh]) == 0
         (line,) = [x for x in capsys.readouterr().out.splitlines() if "temperature jumps" in x]
-        counts.append([int(part.replace(" ", "")) for part in re.findall(r"\d[\d ]*(?= \w)", line)])
+        counts.append([int(part.replace(",", "")) for part in re.findall(r"\d[\d,]*(?= \w)", line)])
     for estimated, exact in zip(*counts, strict=True):
         assert 0.5 < estimated / exact < 2.0
 
