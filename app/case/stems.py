@@ -178,9 +178,9 @@ class StemFile(Section):
         numbers = self.values(0.0)
         angle = math.degrees(numbers["neck_angle"])
         return {
-            "length": f"{numbers['length']:g} mm",
-            "head_offset": f"{numbers['head_offset']:g} mm",
-            "neck_angle": f"{angle:g} deg",
+            "length of the stem": f"{numbers['length']:g} mm",
+            "offset of its head": f"{numbers['head_offset']:g} mm",
+            "angle of its neck": f"{angle:g} deg",
             f"axis in {name}": f"{low} to {high} mm, medial {medial}",
             f"head's centre in {name}": f"{head} mm",
             f"end of the neck in {name}": f"{end} mm",

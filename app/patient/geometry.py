@@ -321,6 +321,6 @@ class Patient(OperatedHip):
         details |= self._continued
         lost = femur.trochanter_lost(self.placement)
         if lost > 0.5:
-            details["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
+            details["not modelled"] = f"the greater trochanter above the cut, {lost:.0f} mm of it"
         moved = ", ".join(femur.projected(MUSCLES, self.placement)[1])
         return details | self.stem.details | {"muscles moved (mm)": moved}

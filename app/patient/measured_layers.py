@@ -246,11 +246,15 @@ class MeasuredLayers:
         loft = canal + (made[at] - canal[at]) * (1 - self._sections.below_plug(zeta)[:, None])
         made = np.where(depth, np.minimum(loft, most), made)
         within = (zeta > self._sections.plug)[:, None]
-        for what, size in ("taken within by reaming, at most", made - canal), ("left", made - bone):
+        thicknesses = {
+            "most bone removed by reaming": made - canal,
+            "least bone left by reaming": made - bone,
+        }
+        for what, size in thicknesses.items():
             size = np.where(within, size, -np.inf)
             i, j = np.unravel_index(size.argmax(), size.shape)
             where = self._placed.where(self._places(made)[i, j])
-            self.notes.append(f"bone {what}: {abs(size[i, j]):.1f} mm at {where}")
+            self.notes.append(f"{what}: {abs(size[i, j]):.1f} mm at {where}")
         return made
 
     def _broached(self, stem: StemShape) -> Floats:

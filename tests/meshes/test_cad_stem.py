@@ -101,7 +101,11 @@ def test_cad_stem_check_reports_axis_head_and_neck(
     path = case(cad_stems.write("inch", tmp_path))
     assert main(["check", str(path)]) == 0
     output = capsys.readouterr().out
-    for line in ("length: 147 mm", "head_offset: 42.9 mm", "neck_angle: 130 deg"):
+    for line in (
+        "length of the stem: 147 mm",
+        "offset of its head: 42.9 mm",
+        "angle of its neck: 130 deg",
+    ):
         assert f"  {line}\n" in output
     assert "axis in inch.step: [0.0, 0.0, 0.0] to [0.0, 0.0, 147.0] mm" in output
     moved = load(path, ["geometry.stem.head_centre=[45 mm, 0 mm, 170 mm]"]).config
