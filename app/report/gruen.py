@@ -52,7 +52,7 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
     cement = (case.summary.get("mantle") or {}).get("gruen", {})
     places = [p for p in INTERFACES if any(p in z["interfaces"] for z in by_zone.values())]
     bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in by_zone.values())]
-    head = ["zone", *(["cement thickness, minimum / mean / maximum (mm)"] if cement else [])]
+    head = ["zone", *(["cement thickness, min / mean / max (mm)"] if cement else [])]
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
     rows = []
     for z, zone in by_zone.items():

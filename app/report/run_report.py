@@ -78,6 +78,13 @@ UNFINISHED = {
     "timing": {"total": 0.0},
     "interfaces": {},
 }
+# Words for keys of the section `solver` of a summary.
+SOLVER = {
+    "dofs": "unknowns",
+    "blocks": "unknowns by kind",
+    "newton_iterations": "Newton iterations",
+    "linear_iterations": "Krylov iterations",
+}
 NOT_FINISHED = "There are no results: the run did not finish."
 # Notes on the input that are written out; more of them fold into one line.
 MOST_NOTES = 3
@@ -436,7 +443,8 @@ def _necrosis(regions: dict[str, Numbers]) -> list[Block]:
 def _solver(case: SweptCase, summary: Summary) -> list[Block]:
     """Return iterations and balances of each step, and seconds by phase."""
     parts = step_curves.steps(case.step_record)
-    parts += page.titled("Sizes", page.pairs(summary.get("solver", {})))
+    sizes = {SOLVER.get(key, key): value for key, value in summary.get("solver", {}).items()}
+    parts += page.titled("Sizes", page.pairs(sizes))
     parts += page.titled("Seconds", page.pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)
 
