@@ -39,7 +39,9 @@ def test_accuracy_chooses_the_cheapest_mesh_within_limits(monkeypatch: pytest.Mo
         best, reason, solved = chosen(*constants)
         size = (0.05 / constants[order - 1]) ** (1 / MOTION[order - 1])
         assert best.mesh.order == order and size / 1.16 < best.mesh.size <= size
-        assert reason.startswith(f"5 % asked for: {best.mesh.size:g} mm at order {order} (")
+        assert reason.startswith(
+            f"chosen for a target of 5 %: {best.mesh.size:g} mm at order {order} ("
+        )
         cheap = min(c.mesh.size for c in solved if c.mesh.order == order)
         assert best.mesh.size < cheap < 2.3 * best.mesh.size
     best, reason, solved = chosen(0.4, 0.3, walltime=8.0)
@@ -76,7 +78,10 @@ def test_accuracy_reached_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     for keys in (("gap_p99", "slip_p99", "motion_p99"), ("pressure_p95", "shear_p95")):
         least = 0.1 * max(numbers[key] for key in keys)
         shares += [numbers[f"{key}_error"] / max(numbers[key], least) for key in keys]
-    assert f"{100 * max(shares):.2g} % reached (lower_upper." in summary["accuracy"]
+    assert (
+        f"{100 * max(shares):.2g} % reached, the largest error: that of lower upper"
+        in summary["accuracy"]
+    )
     mesh = load(out / "case.yaml").config.mesh
-    assert f"40 % asked for: {mesh.size:g} mm at order {mesh.order} (" in summary["accuracy"]
+    assert f"target of 40 %: {mesh.size:g} mm at order {mesh.order} (" in summary["accuracy"]
     assert summary["accuracy"] in capsys.readouterr().out
