@@ -80,7 +80,7 @@ class CycleHeat(Record):
             begin = max(self.time, math.ceil(step.time) - 1)
             part, middle = stage.cycles * (step.time - begin), (step.time + begin) / 2
             self.steps.append(self._state(part, middle, pressure, spent - self.dissipated))
-            if step.whole and stage.reversal(step.time):
+            if step.ends_increment and stage.reversal(step.time):
                 self.cycle, self.steps = self.steps, []
         else:
             self.cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]
@@ -136,7 +136,7 @@ class CycleHeat(Record):
         least, slope, cap = c.law.conductances
         heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))
         for state in self.cycle:
-            part, *place, pressure, spent = self._contact.whole(state)[here].T
+            part, *place, pressure, spent = self._contact.gather(state)[here].T
             pairs = mortar(np.column_stack(place), slave.triangles, surface)
             Π = sparse.csr_array((pairs.values, (pairs.rows, pairs.columns)), shape=(n, m))
             E = sparse.hstack([-Π, sparse.eye_array(n)], format="csr")

@@ -76,12 +76,12 @@ class Samples:
         sign = np.where(np.array(swapped)[local.interface], 1.0, -1.0)[:, None]
         return cls(
             x=contact.points.x,
-            arm=contact.whole(arm),
-            pressure=contact.whole(normal_pressure(trial.law.pressures, local.normals)),
-            friction=contact.whole(state.friction),
-            force=contact.whole(sign * state.force),
-            dissipation=contact.whole(state.dissipation),
-            path=contact.whole(state.path),
+            arm=contact.gather(arm),
+            pressure=contact.gather(normal_pressure(trial.law.pressures, local.normals)),
+            friction=contact.gather(state.friction),
+            force=contact.gather(sign * state.force),
+            dissipation=contact.gather(state.dissipation),
+            path=contact.gather(state.path),
         )
 
 
@@ -117,7 +117,7 @@ class Bearings(Record):
                 self.stage = stage.name
                 samples = Samples.of(trial, swapped)
                 for bearing in self.bearings.values():
-                    bearing.update(samples, stage, step.time, step.whole)
+                    bearing.update(samples, stage, step.time, step.ends_increment)
             on_step(step, trial)
 
         return taken
@@ -228,7 +228,7 @@ class Bearing:
             centre = now @ centre
         spent = np.column_stack([s.dissipation[rows], self._weight * s.path[rows]])
         dose = (spent - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
-        places = self._slave.sampled(dose, SAMPLES, arm @ middle + self._centre)
+        places = self._slave.sample_density(dose, SAMPLES, arm @ middle + self._centre)
         self.master_amounts[:, 0] += self.surface.deposit(*places)
         feet = arm @ now + self._centre
         on, at, _ = self.surface.closest(feet)

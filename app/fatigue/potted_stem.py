@@ -58,7 +58,7 @@ class PottedStem(Record):
         near = (above > 0) & ~free
         level_stress = self._level_stress(x, volume.ravel(), σ[:, 2, 2], near)
         tension = np.linalg.eigvalsh(σ[free])[:, 2]
-        tensions, weight = stresses.whole(np.stack([tension, volume.ravel()[free]]))
+        tensions, weight = stresses.gather(np.stack([tension, volume.ravel()[free]]))
         free_tension = percentile(tensions, weight) if len(tensions) else 0.0
         decisive = max(level_stress, free_tension)
         numbers: Numbers = {
@@ -75,7 +75,7 @@ class PottedStem(Record):
     def _level_stress(self, x: Floats, volume: Floats, axial: Floats, near: Bools) -> float:
         """Largest axial stress of the section at the level of the resin; collective [MPa]."""
         rows = np.column_stack([axial, volume, x])[near].T
-        stress, weight, *place = self._stresses.whole(rows)
+        stress, weight, *place = self._stresses.gather(rows)
         centre = np.average(place[:2], axis=1, weights=weight)
         across = np.column_stack([np.ones(len(stress)), place[0] - centre[0], place[1] - centre[1]])
         along = (place[2] - self._level)[:, None]
@@ -101,9 +101,9 @@ class PottedStem(Record):
 
         The centre moves with the rigid motion that fits the boundary of the load best.
         """
-        moved = self._head.moved(nodal_displacements(self._problem))
+        head_motion = self._head.mean_motion(nodal_displacements(self._problem))
         centre = np.average(self._head.x, axis=0, weights=self._head.area)
-        mean = np.average(moved, axis=0, weights=self._head.area)
-        at_head = mean + np.cross(self._head.rotation(moved), self._centre - centre)
+        mean = np.average(head_motion, axis=0, weights=self._head.area)
+        at_head = mean + np.cross(self._head.rotation(head_motion), self._centre - centre)
         size = float(np.linalg.norm(self._force))
         return float(at_head @ self._force / size) if size else float(np.linalg.norm(at_head))

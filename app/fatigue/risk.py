@@ -117,7 +117,7 @@ class CementRisk(Record):
         """Damage by a law in a part of the points, from rows of damage and stress (n, 2)."""
         x, volume = self._stresses.places(self._tires)
         rows = np.column_stack([damage_and_stress, volume.ravel(), x])[at].T
-        damage, stress, weight, *places = self._stresses.whole(rows)
+        damage, stress, weight, *places = self._stresses.gather(rows)
         return {
             "damage_p99": percentile(damage, weight),
             "damage_max": float(damage.max()),
@@ -154,7 +154,7 @@ class CementRisk(Record):
         in_part = np.where(at.reshape(risk.shape), risk, 0.0)
         x = self._stresses.places(region)[0].reshape(*risk.shape, 3)
         rows = np.column_stack([in_part.sum(axis=1), np.einsum("cq,cqi->ci", in_part, x)]).T
-        share, *moments = self._stresses.whole(rows)
+        share, *moments = self._stresses.gather(rows)
         k, total = share.argmax(), float(share.sum())
         place = {"failure_at": [float(m[k] / share[k]) for m in moments]} if total else {}
         return {"failure_risk": total, "failure_probability": -math.expm1(-total)} | place

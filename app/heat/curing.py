@@ -32,25 +32,25 @@ UNREACTED = 1e-6
 # Degrees further than this from [0, 1] are not rounding errors.
 ROUNDING = 1e-12
 # Relative difference up to which times count as equal.
-SAME = 1e-10
+SAME_TIME = 1e-10
 # Below this degree errors count relative to the degree.
-_SMALL = 1e-2
+_SMALL_DEGREE = 1e-2
 # Smallest degree that errors are relative to.
-_SMALLEST = 1e-9
+_SMALLEST_DEGREE = 1e-9
 # Newton's method is in the logarithm of the reacting over the remaining part.
-_CONVERGED = 1e-8
+_LOG_TOLERANCE = 1e-8
 # Fractions of the reactive part between these are accepted from the last step without a check of
 # the ends.
-_HARDLY = 1e-12
-_HALF = 0.5
+_LOWEST_SHARE = 1e-12
+_HIGHEST_SHARE = 0.5
 # Logarithm of a negligible fraction.
-_LOWEST = -50.0
+_LOWEST_LOG = -50.0
 # Lowest meaningful temperature of solver iterates [K].
 _COLDEST = 1.0
 # Highest one [K].
 _HOTTEST = 1e9
 # Least reactive share whose powers are finite.
-_LEAST = 1e-300
+_SMALLEST_SHARE = 1e-300
 _ITERATIONS = 100
 
 
@@ -62,7 +62,7 @@ class Degrees:
     by_temperature: Floats
 
 
-def admissible(degrees: Floats) -> bool:
+def are_admissible(degrees: Floats) -> bool:
     """Return True if every degree is in [0, 1] up to rounding.
 
     A stage of too long a time step may start from one that does not.
@@ -84,10 +84,10 @@ class PrescribedKinetics:
         start = np.clip(start, 0.0, 1.0)
         # Before and after its time course the reaction rests. Where it begins or ends abruptly, a
         # step that ends there has the rate before; times are rounded.
-        near = SAME * seconds
-        runs = self.events[0] + near < seconds <= self.events[-1] + near
-        r = multiplier(self._time_course, seconds) if runs else 0.0
-        rate = forms.prescribed_rate(r, self._total, self._initial)
+        time_rounding = SAME_TIME * seconds
+        is_running = self.events[0] + time_rounding < seconds <= self.events[-1] + time_rounding
+        rate_factor = multiplier(self._time_course, seconds) if is_running else 0.0
+        rate = forms.prescribed_rate(rate_factor, self._total, self._initial)
         return Degrees(np.minimum(start + h * rate, 1.0), np.zeros_like(start))
 
 
@@ -120,7 +120,7 @@ class AutocatalyticKinetics:
         self._laws = Pointwise(comm, nodes, dict.fromkeys(["a", "T", *constants], 1), laws)
         self._laws.set(**constants)
         # Mean rates of the last step, with their temperatures and derivatives: close to the next.
-        self._mean, self._temperature, self._growth = np.zeros((3, nodes))
+        self._mean_rate, self._temperature, self._rate_by_temperature = np.zeros((3, nodes))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Advance the nodes that still react."""
@@ -136,44 +136,63 @@ class AutocatalyticKinetics:
             return self._laws(rows, a=start[rows] + reacted, T=T[rows])[:3]
 
         rows = np.flatnonzero(limit - start > UNREACTED)
-        room = limit[rows] - start[rows]
-        mean = self._mean[rows] + self._growth[rows] * (T[rows] - self._temperature[rows])
-        share = np.where(self._mean[rows] > 0, h * mean / room, 0.0)
-        low = np.full(len(rows), _LOWEST)
-        high: Floats = np.log((room - UNREACTED) / UNREACTED)
+        remaining = limit[rows] - start[rows]
+        mean_rate = self._mean_rate[rows] + self._rate_by_temperature[rows] * (
+            T[rows] - self._temperature[rows]
+        )
+        share = np.where(self._mean_rate[rows] > 0, h * mean_rate / remaining, 0.0)
+        lower = np.full(len(rows), _LOWEST_LOG)
+        upper: Floats = np.log((remaining - UNREACTED) / UNREACTED)
         # The ends are evaluated first where the last step says too little.
-        new = np.flatnonzero(~((share > _HARDLY) & (share < _HALF) & (start[rows] > 0)))
-        if len(new):
-            first = rates(rows[new], np.zeros(len(new)))[0]
-            last = rates(rows[new], room[new] - UNREACTED)[0]
+        unbracketed = np.flatnonzero(
+            ~((share > _LOWEST_SHARE) & (share < _HIGHEST_SHARE) & (start[rows] > 0))
+        )
+        if len(unbracketed):
+            rate_at_start = rates(rows[unbracketed], np.zeros(len(unbracketed)))[0]
+            rate_at_limit = rates(rows[unbracketed], remaining[unbracketed] - UNREACTED)[0]
             # Rates in between are at least the lower of the two at the ends.
-            least = h * np.minimum(first, last) / room[new]
-            low[new] = np.log(np.maximum(least, _LEAST)) - 1.0
-            share[new] = np.where(share[new] > 0, share[new], h * first / room[new])
-            ends = h * last >= room[new] - UNREACTED
-            done = rows[new[ends & (first > 0)]]
-            degree[done], by_T[done] = limit[done] - UNREACTED, limit_by_T[done]
-            on = np.ones(len(rows), dtype=bool)
-            on[new[ends | ~(first > 0)]] = False
-            rows, room, share = rows[on], room[on], share[on]
-            low, high = low[on], high[on]
-        reacted, f, f_a, f_T = self._react(rows, room, share, low, high, h, rates)
+            lowest_share = h * np.minimum(rate_at_start, rate_at_limit) / remaining[unbracketed]
+            lower[unbracketed] = np.log(np.maximum(lowest_share, _SMALLEST_SHARE)) - 1.0
+            share[unbracketed] = np.where(
+                share[unbracketed] > 0,
+                share[unbracketed],
+                h * rate_at_start / remaining[unbracketed],
+            )
+            reaches_limit = h * rate_at_limit >= remaining[unbracketed] - UNREACTED
+            finished_rows = rows[unbracketed[reaches_limit & (rate_at_start > 0)]]
+            degree[finished_rows], by_T[finished_rows] = (
+                limit[finished_rows] - UNREACTED,
+                limit_by_T[finished_rows],
+            )
+            still_reacts = np.ones(len(rows), dtype=bool)
+            still_reacts[unbracketed[reaches_limit | ~(rate_at_start > 0)]] = False
+            rows, remaining, share = (
+                rows[still_reacts],
+                remaining[still_reacts],
+                share[still_reacts],
+            )
+            lower, upper = lower[still_reacts], upper[still_reacts]
+        reacted, f, f_a, f_T = self._react(rows, remaining, share, lower, upper, h, rates)
         degree[rows] = start[rows] + reacted
         with np.errstate(divide="ignore", invalid="ignore"):
             # The step itself, or the rest of it where the reaction has ended before.
-            taken = np.fmin(h, reacted / f)
-            slope = taken * f_T / (1 - taken * f_a)
+            reaction_time = np.fmin(h, reacted / f)
+            slope = reaction_time * f_T / (1 - reaction_time * f_a)
         by_T[rows] = np.where(np.isfinite(slope), slope, 0.0)
-        self._mean[:], self._temperature[:], self._growth[:] = (degree - start) / h, T, by_T / h
+        self._mean_rate[:], self._temperature[:], self._rate_by_temperature[:] = (
+            (degree - start) / h,
+            T,
+            by_T / h,
+        )
         return Degrees(degree, by_T)
 
     @staticmethod
     def _react(
         rows: Ints,
-        room: Floats,
+        remaining: Floats,
         share: Floats,
-        low: Floats,
-        high: Floats,
+        lower: Floats,
+        upper: Floats,
         h: float,
         rates: Callable[[Ints, Floats], list[Floats]],
     ) -> tuple[Floats, Floats, Floats, Floats]:
@@ -187,28 +206,38 @@ class AutocatalyticKinetics:
         one root. For m > 1 a long step may have several; one of them is returned.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = np.log(share) - np.log1p(-share)
+            unknown = np.log(share) - np.log1p(-share)
         at_rows = np.zeros((3, len(rows)))
-        moving = np.arange(len(rows))
+        unconverged = np.arange(len(rows))
         for _ in range(_ITERATIONS):
-            if not len(moving):
+            if not len(unconverged):
                 break
-            at, below, above = s[moving], low[moving], high[moving]
-            at = np.where((at > below) & (at < above), at, (below + above) / 2)
-            share = _logistic(at)
-            reacted = room[moving] * share
-            f, f_a, f_T = rates(rows[moving], reacted)
-            at_rows[:, moving] = f, f_a, f_T
+            trial, lower_bound, upper_bound = (
+                unknown[unconverged],
+                lower[unconverged],
+                upper[unconverged],
+            )
+            trial = np.where(
+                (trial > lower_bound) & (trial < upper_bound),
+                trial,
+                (lower_bound + upper_bound) / 2,
+            )
+            share = _logistic(trial)
+            reacted = remaining[unconverged] * share
+            f, f_a, f_T = rates(rows[unconverged], reacted)
+            at_rows[:, unconverged] = f, f_a, f_T
             with np.errstate(divide="ignore", invalid="ignore"):
                 value = np.log(reacted / (h * f))
                 slope = (1 - share) * (1 - reacted * f_a / f)
                 step = np.where(slope > 0, -value / slope, np.inf)
-            low[moving] = np.where(value > 0, below, at)
-            high[moving] = np.where(value > 0, at, above)
-            s[moving] = at + step
-            going = ~(np.abs(step) <= _CONVERGED) & (high[moving] - low[moving] > _CONVERGED)
-            moving = moving[going]
-        return room * _logistic(np.clip(s, low, high)), *at_rows
+            lower[unconverged] = np.where(value > 0, lower_bound, trial)
+            upper[unconverged] = np.where(value > 0, trial, upper_bound)
+            unknown[unconverged] = trial + step
+            is_unconverged = ~(np.abs(step) <= _LOG_TOLERANCE) & (
+                upper[unconverged] - lower[unconverged] > _LOG_TOLERANCE
+            )
+            unconverged = unconverged[is_unconverged]
+        return remaining * _logistic(np.clip(unknown, lower, upper)), *at_rows
 
 
 Kinetics = AutocatalyticKinetics | PrescribedKinetics
@@ -221,24 +250,28 @@ def kinetics_of(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
     return AutocatalyticKinetics(comm, cure.kinetics, nodes)
 
 
-def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
+def error_as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
     """Errors of degrees of cure as temperatures (n,) [K], by the heat that they release.
 
     At small degrees an error counts relative to the degree, for both grow together. ``rise`` is the
     adiabatic temperature rise of the region by full cure [K].
     """
-    return rise * error * np.maximum(1, _SMALL / np.maximum(degree, _SMALLEST))
+    return rise * error * np.maximum(1, _SMALL_DEGREE / np.maximum(degree, _SMALLEST_DEGREE))
 
 
-def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
+def share_since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
     """Fraction of a step's free strain reached at a fraction s of the step (n,).
 
     The degree of cure is linear in s; ``gel`` is that at gelation.
     """
-    grown = np.divide(gel - start, end - start, out=np.zeros_like(start), where=end > start)
-    gelled = np.clip(grown, 0.0, 1.0)
-    left = np.maximum(s - gelled, 0.0)
-    return np.divide(left, 1 - gelled, out=np.ones_like(left), where=gelled < 1)
+    gelation_share = np.divide(
+        gel - start, end - start, out=np.zeros_like(start), where=end > start
+    )
+    clipped_share = np.clip(gelation_share, 0.0, 1.0)
+    after_gelation = np.maximum(s - clipped_share, 0.0)
+    return np.divide(
+        after_gelation, 1 - clipped_share, out=np.ones_like(after_gelation), where=clipped_share < 1
+    )
 
 
 def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Pointwise:
@@ -309,51 +342,51 @@ class CureHeat:
         self.events = {t for n in self.nodes for t in n.kinetics.events}
         initial = {c.region: c.initial for c in scene.cures}
         self._start: list[Floats] = [np.full(len(n.dof), initial[n.region]) for n in self.nodes]
-        self._h: float = np.inf
+        self._step_length: float = np.inf
         self._seconds = 0.0
         self._last: tuple[list[Floats], list[Degrees]] | None = None
 
     def begin(self, start: Sequence[Floats], h: float, seconds: float) -> bool:
         """Prepare a step; False if it starts from inadmissible degrees; collective."""
         self._start = [a.copy() for a in start]
-        self._h, self._seconds, self._last = h, seconds, None
-        return bool(self._forms.comm.allreduce(all(map(admissible, start)), op=MPI.LAND))
+        self._step_length, self._seconds, self._last = h, seconds, None
+        return bool(self._forms.comm.allreduce(all(map(are_admissible, start)), op=MPI.LAND))
 
     def at(self, T: Floats) -> list[Degrees]:
         """Degrees of cure for temperatures of owned nodes of each body (b, n) [K].
 
         A steady state keeps its initial degrees: all heat of cure is already released.
         """
-        here = [T[n.body, n.dof] for n in self.nodes]
-        if self._last is None or not all(map(np.array_equal, here, self._last[0])):
-            if np.isinf(self._h):
+        temperatures = [T[n.body, n.dof] for n in self.nodes]
+        if self._last is None or not all(map(np.array_equal, temperatures, self._last[0])):
+            if np.isinf(self._step_length):
                 degrees = [Degrees(a, np.zeros_like(a)) for a in self._start]
             else:
                 degrees = [
-                    n.kinetics.update(a, t, self._h, self._seconds)
-                    for n, a, t in zip(self.nodes, self._start, here, strict=True)
+                    n.kinetics.update(a, t, self._step_length, self._seconds)
+                    for n, a, t in zip(self.nodes, self._start, temperatures, strict=True)
                 ]
-            self._last = here, degrees
+            self._last = temperatures, degrees
         return self._last[1]
 
     def released(self, T: Floats) -> list[Floats]:
         """Heat that nodes of each region release (n,) [N mm/s]."""
-        rate = 1 / self._h
+        rate = 1 / self._step_length
         return [
             rate * n.heat * (d.degree - a)
             for n, d, a in zip(self.nodes, self.at(T), self._start, strict=True)
         ]
 
-    def heats(self, T: Floats) -> Floats:
+    def heat_into_nodes(self, T: Floats) -> Floats:
         """Heat released at owned nodes of each body (b, n) [N mm/s]."""
         total = self._forms.zeros()
         for n, heat in zip(self.nodes, self.released(T), strict=True):
             total[n.body, n.dof] += heat
         return total
 
-    def growth(self, T: Floats) -> dict[int, Floats]:
+    def heat_by_temperature(self, T: Floats) -> dict[int, Floats]:
         """Derivative of released heat by temperature at owned nodes of bodies [N mm/(s K)]."""
         total = self._forms.zeros()
         for n, d in zip(self.nodes, self.at(T), strict=True):
-            total[n.body, n.dof] += 1 / self._h * n.heat * d.by_temperature
+            total[n.body, n.dof] += 1 / self._step_length * n.heat * d.by_temperature
         return {b: total[b] for b in sorted({n.body for n in self.nodes})}

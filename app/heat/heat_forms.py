@@ -35,7 +35,7 @@ from meshes.distribute import TaggedMesh
 Condition = HeatFlux | HeatSource | Convection | Perfusion
 
 # Degree of quadrature where fibres are curved: UFL would choose 20, with the same fluxes to 0.01 %.
-TURNING_DEGREE = 2
+CURVED_FIBRE_DEGREE = 2
 
 
 class HeatForms:
@@ -70,15 +70,15 @@ class HeatForms:
 
     def held_nodes(self, condition: FixedTemperature) -> Bools:
         """Owned nodes of each body that have a given temperature (b, n); collective."""
-        held = self.zeros() > 0
+        is_held = self.zeros() > 0
         if condition.boundary:
             by_body = facets_by_body(self._tagged, self._bodies, condition.boundary)
             for b, facets in by_body.items():
                 nodes = fem.locate_dofs_topological(self.space, 2, facets)
-                held[b, nodes[nodes < self.owned]] = True
+                is_held[b, nodes[nodes < self.owned]] = True
         for region in condition.regions or ():
-            held[self._bodies.of_region[region]] |= self.volumes(region) > 0
-        return held
+            is_held[self._bodies.of_region[region]] |= self.volumes(region) > 0
+        return is_held
 
     def values(self, field: Field, nodes: Ints) -> Floats:
         """A field at some owned nodes, zero at the others (owned,); collective.
@@ -96,13 +96,13 @@ class HeatForms:
     def volumes(self, region: str) -> Floats:
         """Volume of a region at each owned node [mm3]."""
         if region not in self._volumes:
-            self._volumes[region] = self._nodal(self._power() * self._dx(region))
+            self._volumes[region] = self._assemble_nodal(self._unit_power() * self._dx(region))
         return self._volumes[region]
 
     def sizes(self, condition: HeatFlux | HeatSource) -> Floats:
         """Area [mm2] or volume [mm3] of a condition at owned nodes of each body (b, n)."""
-        power = self._power()
-        return self._lumped(condition, lambda measure: power * measure)
+        power = self._unit_power()
+        return self._lump_by_body(condition, lambda measure: power * measure)
 
     def exchange(self, condition: Convection | Perfusion) -> Floats:
         """Heat per kelvin exchanged with surroundings at owned nodes (b, n) [N mm/(s K)]."""
@@ -110,19 +110,21 @@ class HeatForms:
         θ = fem.Function(self.space)
         θ.x.array[:] = 1
         potential = heat.exchange(θ, self._constant(condition.coefficient), self._constant(0.0))
-        return self._lumped(condition, lambda measure: ufl.derivative(potential * measure, θ))
+        return self._lump_by_body(condition, lambda measure: ufl.derivative(potential * measure, θ))
 
-    def _power(self) -> Expr:
+    def _unit_power(self) -> Expr:
         return heat.heating_power(self._constant(1.0), ufl.TestFunction(self.space))
 
-    def _lumped(self, condition: Condition, form: Callable[[ufl.Measure], ufl.Form]) -> Floats:
+    def _lump_by_body(
+        self, condition: Condition, form: Callable[[ufl.Measure], ufl.Form]
+    ) -> Floats:
         total = self.zeros()
         if condition.boundary is not None:
-            places = list(self._ds(condition.boundary).items())
+            measures = list(self._ds(condition.boundary).items())
         else:
-            places = [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
-        for b, measure in places:
-            total[b] += self._nodal(form(measure))
+            measures = [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
+        for b, measure in measures:
+            total[b] += self._assemble_nodal(form(measure))
         return total
 
     # Conduction
@@ -141,7 +143,7 @@ class HeatForms:
         m = conductor.fibre.direction(self._mesh, self._constant) if conductor.fibre else None
         dx = self._dx(conductor.region)
         if conductor.fibre and conductor.fibre.curved:
-            dx = dx(degree=TURNING_DEGREE)
+            dx = dx(degree=CURVED_FIBRE_DEGREE)
         potential = conductor.potential(ufl.grad(θ), k, m) * dx
         hessian = ufl.derivative(ufl.derivative(potential, θ, v), θ, ufl.TrialFunction(self.space))
         matrix = assemble_matrix(self._form(hessian))
@@ -174,7 +176,7 @@ class HeatForms:
         with self.compiling():
             return fem.form(form)
 
-    def _nodal(self, form: ufl.Form) -> Floats:
+    def _assemble_nodal(self, form: ufl.Form) -> Floats:
         vector = assemble_vector(self._form(form))
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         values: Floats = vector.array[: self.owned].copy()

@@ -52,14 +52,14 @@ class MeanExchange:
     body: Ints
     slaves: dict[str, Ints]
 
-    def heats(self, T: Floats) -> Floats:
+    def heat_into_nodes(self, T: Floats) -> Floats:
         """Heat out of owned nodes of each body at temperatures [K], both (b, n) [N mm/s]."""
         x, y = self.matrix.createVecs()
-        at = self.body, np.arange(len(self.body))
-        x.array[:] = T[at]
+        body_and_node = self.body, np.arange(len(self.body))
+        x.array[:] = T[body_and_node]
         self.matrix.mult(x, y)
         heat = np.zeros_like(T)
-        heat[at] = y.array
+        heat[body_and_node] = y.array
         return heat
 
 
@@ -76,27 +76,27 @@ class HeatLoads:
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
-        self._none = forms.zeros()
+        self._zeros = forms.zeros()
         self.heating: list[tuple[HeatFlux | HeatSource, Floats]] = []
         self.exchange: list[SurfaceExchange] = []
         for c in scene.heat:
             if c.role == "heats":
-                size = forms.sizes(c)
-                density = forms.values(c.values, np.flatnonzero((size > 0).any(axis=0)))
-                self.heating.append((c, size * density))
+                nodal_size = forms.sizes(c)
+                density = forms.values(c.values, np.flatnonzero((nodal_size > 0).any(axis=0)))
+                self.heating.append((c, nodal_size * density))
             elif c.role == "exchanges":
                 self.exchange.append(SurfaceExchange(c.name, c.outside, forms.exchange(c)))
-        self.per_kelvin = sum((e.per_kelvin for e in self.exchange), self._none)
+        self.per_kelvin = sum((e.per_kelvin for e in self.exchange), self._zeros)
 
-    def heats(self, seconds: float) -> Floats:
+    def heat_into_nodes(self, seconds: float) -> Floats:
         """Heat into owned nodes of each body at a time (b, n) [N mm/s]."""
         return sum(
-            (multiplier(c.time_course, seconds) * nodal for c, nodal in self.heating), self._none
+            (multiplier(c.time_course, seconds) * nodal for c, nodal in self.heating), self._zeros
         )
 
     def exchanged(self, T: Floats) -> Floats:
         """Heat that owned nodes at temperatures [K] give to surroundings (b, n) [N mm/s]."""
-        return sum((e.per_kelvin * (T - e.outside) for e in self.exchange), self._none)
+        return sum((e.per_kelvin * (T - e.outside) for e in self.exchange), self._zeros)
 
 
 class FixedTemperatures:

@@ -17,10 +17,11 @@ with
 - M, 1/h: `HeatOperators.capacity`, `begin`; in a steady solve 1/h is zero.
 - K: conduction, corrected where necessary (`MaximumPrinciple.matrices`); T_0 the `reference`.
 - R (T - T_a): exchange with surroundings (`HeatLoads.exchanged`); f: fluxes and sources
-  (`HeatLoads.heats`).
-- a: heat of cure (`CureHeat.heats`); d: heat of friction (`FrictionHeating.nodal`), from the
+  (`HeatLoads.heat_into_nodes`).
+- a: heat of cure (`CureHeat.heat_into_nodes`); d: heat of friction (`FrictionHeating.nodal`), from
+the
   mechanics.
-- E: exchange of surfaces with finite sliding (`MeanExchange.heats`).
+- E: exchange of surfaces with finite sliding (`MeanExchange.heat_into_nodes`).
 - q: heat flux from jump and contact pressure p (`TemperatureJumps.flux`); W: areas of the points.
 
 Given temperatures replace their rows (`impose`). `jacobian` is the derivative; `heat.operators`
@@ -45,13 +46,13 @@ from app.heat.matrices import HeatMatrices
 from app.heat.operators import HeatOperators
 from app.laws.values import multiplier
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
-from app.numerics.system import Measure, System, size
+from app.numerics.system import Measure, System, block_norm
 
 # Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
 ROUNDING = 2.0
 # Heat has this part of the solver's tolerance: errors of hundreds of solves add up in its balance,
 # and temperatures are kept between their bounds to 1e-9 of the range.
-STRICTER = 1e-2
+RELATIVE_TOLERANCE = 1e-2
 KEPT_FACTORS: Options = {"pc_type": "python", "pc_python_type": "app.heat.matrices.KeptFactors"}
 
 
@@ -91,13 +92,16 @@ class ImplicitStep(System):
     def __init__(self, operators: HeatOperators) -> None:
         self.operators, self.comm = operators, operators.comm
         self.seconds = 0.0
-        self._held = operators.fixed.base >= 0
-        self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)
+        self._is_held = operators.fixed.base >= 0
+        self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._is_held)
         self.vectors = self._blocks.vectors
-        self._rate = 1.0
-        self._start, self._heats = operators.forms.zeros(), operators.forms.zeros()
-        self._given: list[Floats] = []
-        self._last: HeatEvaluation | None = None
+        self._inverse_length = 1.0
+        self._start_temperatures, self._source_heat = (
+            operators.forms.zeros(),
+            operators.forms.zeros(),
+        )
+        self._given_values: list[Floats] = []
+        self._last_evaluation: HeatEvaluation | None = None
         self._work = self._blocks.matrix[0][0].createVecs()
         self._fill()
 
@@ -127,11 +131,11 @@ class ImplicitStep(System):
         """The state at the start."""
         operators, x = self.operators, self.vectors()
         T = operators.initial()
-        j = operators.jumps
-        if j is not None:
-            x[1].array[:] = T[j.bodies[:, 1], j.dof] - T[j.bodies[:, 0], j.dof]
+        jumps = operators.jumps
+        if jumps is not None:
+            x[1].array[:] = T[jumps.bodies[:, 1], jumps.dof] - T[jumps.bodies[:, 0], jumps.dof]
         capacity = operators.capacity
-        continuous = capacity * (T - operators.added(x[-1]))
+        continuous = capacity * (T - operators.temperature_by_jumps(x[-1]))
         x[0].array[:] = continuous.sum(axis=0) / capacity.sum(axis=0)
         self._set_given(0.0)
         self.impose(x)
@@ -154,36 +158,37 @@ class ImplicitStep(System):
         operators, x = self.operators, self.vectors()
         for vector, values in zip(x, start, strict=True):
             vector.array[:] = values
-        self._start = operators.nodal(x)
-        self.seconds, self._last = seconds, None
-        self._heats = operators.loads.heats(seconds)
+        self._start_temperatures = operators.nodal(x)
+        self.seconds, self._last_evaluation = seconds, None
+        self._source_heat = operators.loads.heat_into_nodes(seconds)
         self._set_given(seconds)
         if math.isinf(h):
             self._refuse_cut_off()
-        self._rate = 1 / h
-        if self._filled != (self._rate, operators.principle.version):
+        self._inverse_length = 1 / h
+        if self._filled_for != (self._inverse_length, operators.principle.version):
             self._fill()
         return operators.cure is None or operators.cure.begin(degrees, h, seconds)
 
     def _refuse_cut_off(self) -> None:
         """Refuse bodies that no heat path connects to a temperature set from outside."""
-        o = self.operators
-        here = (o.loads.per_kelvin > 0) | (o.fixed.of_body >= 0)
-        reached = np.any(self.comm.allgather(here.any(axis=1)), axis=0)
-        group = np.arange(len(reached))
-        for i, c in enumerate(o.scene.thermal_contacts):
-            if o.jumps and max(c.law.conductances[:2]) > 0:
-                points = o.jumps.points
-                for a, b in np.unique(points.bodies[points.interface == i], axis=0):
-                    group[group == group[b]] = group[a]
-        for c in o.scene.sliding_heat:
-            a, b = (o.bodies.of_region[side[0]] for side in (c.master, c.slave))
-            group[group == group[b]] = group[a]
-        lost = np.flatnonzero(~np.isin(group, group[reached]))
-        if len(lost):
+        operators = self.operators
+        has_temperature = (operators.loads.per_kelvin > 0) | (operators.fixed.of_body >= 0)
+        is_set = np.any(self.comm.allgather(has_temperature.any(axis=1)), axis=0)
+        group = np.arange(len(is_set))
+        for i, c in enumerate(operators.scene.thermal_contacts):
+            if operators.jumps and max(c.law.conductances[:2]) > 0:
+                points = operators.jumps.points
+                for first, second in np.unique(points.bodies[points.interface == i], axis=0):
+                    group[group == group[second]] = group[first]
+        for c in operators.scene.sliding_heat:
+            first, second = (operators.bodies.of_region[side[0]] for side in (c.master, c.slave))
+            group[group == group[second]] = group[first]
+        unset_bodies = np.flatnonzero(~np.isin(group, group[is_set]))
+        if len(unset_bodies):
             raise InputError(
                 f"stages: there is no steady state: nothing sets the temperature of "
-                f"'{o.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
+                f"'{operators.bodies.names[unset_bodies[0]]}'; "
+                "allowed: a given temperature, convection or "
                 "perfusion on it, or an interface that conducts"
             )
 
@@ -194,74 +199,83 @@ class ImplicitStep(System):
         self._fill()
 
     def _fill(self) -> None:
-        self._last, o = None, self.operators
-        self._filled = self._rate, o.principle.version
-        self._blocks.fill(o.principle.matrices, o.capacity * self._rate + o.loads.per_kelvin)
+        self._last_evaluation, operators = None, self.operators
+        self._filled_for = self._inverse_length, operators.principle.version
+        self._blocks.fill(
+            operators.principle.matrices,
+            operators.capacity * self._inverse_length + operators.loads.per_kelvin,
+        )
 
     def _set_given(self, seconds: float) -> None:
         fixed = self.operators.fixed
         values = fixed.values(seconds)
-        self._given = fixed.blocks(values, self.operators.jumps)
+        self._given_values = fixed.blocks(values, self.operators.jumps)
         given = fixed.by_body(values)[fixed.of_body >= 0]
-        self.operators.principle.see(given, self._heats)
+        self.operators.principle.include_data(given, self._source_heat)
 
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
         """Set given temperatures and jumps in a state."""
-        x[0].array[self._held] = self._given[0][self._held]
-        j = self.operators.jumps
-        if j is not None:
-            x[1].array[j.held] = self._given[1][j.held]
+        x[0].array[self._is_held] = self._given_values[0][self._is_held]
+        jumps = self.operators.jumps
+        if jumps is not None:
+            x[1].array[jumps.held] = self._given_values[1][jumps.held]
 
     def at(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
         """Evaluate a state, unless it is the last one evaluated; collective."""
-        o = self.operators
-        given = [v.array_r for v in x]
-        given += [o.jumps.pressure] if o.jumps else []
-        given += [o.friction.nodal] if o.friction else []
-        if self._last is not None:
+        operators = self.operators
+        inputs = [v.array_r for v in x]
+        inputs += [operators.jumps.pressure] if operators.jumps else []
+        inputs += [operators.friction.nodal] if operators.friction else []
+        if self._last_evaluation is not None:
             # Compared on all ranks, as the rest is collective: one may see a change, another none.
-            same = all(map(np.array_equal, given, self._last.given))
-            if self.comm.allreduce(same, MPI.LAND):
-                return self._last
-        T = o.nodal(x)
-        stored = self._rate * o.capacity * (T - self._start)
-        terms = [o.loads.exchanged(T), stored, -self._heats]
-        terms += [-o.cure.heats(T)] if o.cure else []
-        terms += [-o.friction.nodal] if o.friction else []
-        terms += [o.exchange.heats(T - o.reference)] if o.exchange else []
+            is_same = all(map(np.array_equal, inputs, self._last_evaluation.given))
+            if self.comm.allreduce(is_same, MPI.LAND):
+                return self._last_evaluation
+        T = operators.nodal(x)
+        stored = self._inverse_length * operators.capacity * (T - self._start_temperatures)
+        terms = [operators.loads.exchanged(T), stored, -self._source_heat]
+        terms += [-operators.cure.heat_into_nodes(T)] if operators.cure else []
+        terms += [-operators.friction.nodal] if operators.friction else []
+        terms += (
+            [operators.exchange.heat_into_nodes(T - operators.reference)]
+            if operators.exchange
+            else []
+        )
         residual_heat = np.empty_like(T)
-        above, flow = self._work
-        for b, K in enumerate(o.principle.matrices):
-            above.array[:] = T[b] - o.reference
-            K.mult(above, flow)
-            residual_heat[b] = flow.array_r
+        temperature_rise, heat_flow = self._work
+        for b, K in enumerate(operators.principle.matrices):
+            temperature_rise.array[:] = T[b] - operators.reference
+            K.mult(temperature_rise, heat_flow)
+            residual_heat[b] = heat_flow.array_r
         for term in terms:
             residual_heat += term
         parts = [of_body for term in terms for of_body in term]
-        flux = o.jumps.flux(given[1]) if o.jumps else None
-        if o.jumps and flux:
-            parts.append(o.jumps.weight * flux[0])
-        self._last = HeatEvaluation([a.copy() for a in given], T, residual_heat, parts, flux)
-        return self._last
+        flux = operators.jumps.flux(inputs[1]) if operators.jumps else None
+        if operators.jumps and flux:
+            parts.append(operators.jumps.weight * flux[0])
+        self._last_evaluation = HeatEvaluation(
+            [a.copy() for a in inputs], T, residual_heat, parts, flux
+        )
+        return self._last_evaluation
 
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
         """Residual heat, zero where temperatures are given [N mm/s]."""
-        here, j = self.at(x), self.operators.jumps
-        f[0].array[:] = np.where(self._held, 0.0, here.residual_heat.sum(axis=0))
-        if j is not None and here.flux:
-            total = -j.weight * here.flux[0]
-            for b, B in j.moves.items():
-                self._work[1].array[:] = here.residual_heat[b]
-                moved = f[1].duplicate()
-                B.multTranspose(self._work[1], moved)
-                total += moved.array
-            f[1].array[:] = np.where(j.held, 0.0, total)
+        evaluation, jumps = self.at(x), self.operators.jumps
+        f[0].array[:] = np.where(self._is_held, 0.0, evaluation.residual_heat.sum(axis=0))
+        if jumps is not None and evaluation.flux:
+            total = -jumps.weight * evaluation.flux[0]
+            for b, B in jumps.moves.items():
+                self._work[1].array[:] = evaluation.residual_heat[b]
+                to_jumps = f[1].duplicate()
+                B.multTranspose(self._work[1], to_jumps)
+                total += to_jumps.array
+            f[1].array[:] = np.where(jumps.held, 0.0, total)
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
-        here, j, cure = self.at(x), self.operators.jumps, self.operators.cure
-        by_jump = -j.weight * here.flux[1] if j and here.flux else None
-        self._blocks.set(by_jump, cure.growth(here.T) if cure else {})
+        evaluation, jumps, cure = self.at(x), self.operators.jumps, self.operators.cure
+        by_jump = -jumps.weight * evaluation.flux[1] if jumps and evaluation.flux else None
+        self._blocks.set(by_jump, cure.heat_by_temperature(evaluation.T) if cure else {})
 
     def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
         """Degrees of cure in a state, of owned nodes of each curing region."""
@@ -274,14 +288,17 @@ class ImplicitStep(System):
         The scale is the heat stored, supplied and transferred. Conduction alone is no scale: it is
         large and cancels in a state that hardly changes.
         """
-        here = self.at(x)
-        parts = [np.where(self._held, here.residual_heat.sum(axis=0), 0.0), *here.parts]
-        noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
-        local = np.array([float(a @ a) for a in (*parts, *noise)])
+        evaluation = self.at(x)
+        parts = [
+            np.where(self._is_held, evaluation.residual_heat.sum(axis=0), 0.0),
+            *evaluation.parts,
+        ]
+        diagonal_terms = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
+        local = np.array([float(a @ a) for a in (*parts, *diagonal_terms)])
         norms = np.sqrt(np.array(self.comm.allreduce(local, MPI.SUM)))
         scale = float(norms[: len(parts)].sum())
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
-        return [Measure(size(list(f)), STRICTER * scale, rounding, lasting=False)]
+        return [Measure(block_norm(list(f)), RELATIVE_TOLERANCE * scale, rounding, lasting=False)]
 
     def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
         """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
@@ -289,43 +306,55 @@ class ImplicitStep(System):
         Their sum is the rate at which heat is stored in the interval last begun, to the tolerance
         of the solver.
         """
-        here, o = self.at(x), self.operators
+        evaluation, operators = self.at(x), self.operators
         heats: dict[str, float] = {}
-        for c, nodal in o.loads.heating:
+        for c, nodal in operators.loads.heating:
             heats[c.name] = multiplier(c.time_course, self.seconds) * float(nodal.sum())
-        for e in o.loads.exchange:
-            heats[e.name] = float((e.per_kelvin * (e.outside - here.T)).sum())
-        if o.cure:
-            for n, heat in zip(o.cure.nodes, o.cure.released(here.T), strict=True):
+        for e in operators.loads.exchange:
+            heats[e.name] = float((e.per_kelvin * (e.outside - evaluation.T)).sum())
+        if operators.cure:
+            for n, heat in zip(
+                operators.cure.nodes, operators.cure.released(evaluation.T), strict=True
+            ):
                 heats[f"cure {n.region}"] = float(heat.sum())
-        residual_heat = here.residual_heat.copy()
-        j = o.jumps
-        if j and here.flux:
-            q = j.weight * here.flux[0]
-            np.add.at(residual_heat, (j.bodies[:, 0], j.dof), q)
-            np.add.at(residual_heat, (j.bodies[:, 1], j.dof), -q)
-        for s, held in enumerate(o.fixed.conditions):
-            heats[held.name] = float(residual_heat[o.fixed.of_body == s].sum())
+        residual_heat = evaluation.residual_heat.copy()
+        jumps = operators.jumps
+        if jumps and evaluation.flux:
+            flow_through_points = jumps.weight * evaluation.flux[0]
+            np.add.at(residual_heat, (jumps.bodies[:, 0], jumps.dof), flow_through_points)
+            np.add.at(residual_heat, (jumps.bodies[:, 1], jumps.dof), -flow_through_points)
+        for s, condition in enumerate(operators.fixed.conditions):
+            heats[condition.name] = float(residual_heat[operators.fixed.of_body == s].sum())
         sums = self.comm.allreduce(np.array(list(heats.values())))
-        every = dict(zip(heats, map(float, sums), strict=True))
-        return every | (o.friction.flows if o.friction else {})
+        total_heat = dict(zip(heats, map(float, sums), strict=True))
+        return total_heat | (operators.friction.flows if operators.friction else {})
 
-    def through(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+    def heat_through_interfaces(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
         """Heat per time from the first side to the second [N mm/s]; collective.
 
         By interface of finite conductance, without friction heat.
         """
-        here, o = self.at(x), self.operators
+        evaluation, operators = self.at(x), self.operators
         into_slave: dict[str, float] = {}
-        j = o.jumps
-        if j and here.flux:
-            for i, c in enumerate(o.scene.thermal_contacts):
-                at = j.interface == i
-                into_slave[c.name] = float(j.weight[at] @ here.flux[0][at])
-        if o.exchange:
-            out = o.exchange.heats(here.T - o.reference).sum(axis=0)
-            into_slave |= {n: -float(out[rows].sum()) for n, rows in o.exchange.slaves.items()}
-        swapped = {c.name for c in (*o.scene.thermal_contacts, *o.scene.sliding_heat) if c.swapped}
-        signed = [-heat if n in swapped else heat for n, heat in into_slave.items()]
-        every = self.comm.allreduce(np.array(signed))
-        return dict(zip(into_slave, map(float, every), strict=True))
+        jumps = operators.jumps
+        if jumps and evaluation.flux:
+            for i, c in enumerate(operators.scene.thermal_contacts):
+                at_interface = jumps.interface == i
+                into_slave[c.name] = float(
+                    jumps.weight[at_interface] @ evaluation.flux[0][at_interface]
+                )
+        if operators.exchange:
+            heat_out = operators.exchange.heat_into_nodes(evaluation.T - operators.reference).sum(
+                axis=0
+            )
+            into_slave |= {
+                n: -float(heat_out[rows].sum()) for n, rows in operators.exchange.slaves.items()
+            }
+        swapped = {
+            c.name
+            for c in (*operators.scene.thermal_contacts, *operators.scene.sliding_heat)
+            if c.swapped
+        }
+        oriented_heat = [-heat if n in swapped else heat for n, heat in into_slave.items()]
+        total = self.comm.allreduce(np.array(oriented_heat))
+        return dict(zip(into_slave, map(float, total), strict=True))

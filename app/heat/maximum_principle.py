@@ -24,13 +24,13 @@ from app.foundation.arrays import Bools, Floats
 from app.numerics.sparse import from_rows
 
 # Distances from a bound, in parts of the range of the data, that count as outside and as near.
-OUTSIDE = 1e-9
-NEAR = 1e-5
+OUTSIDE_TOLERANCE = 1e-9
+NEAR_BOUND = 1e-5
 # Entries of a matrix and heat into nodes below this part of the largest are rounding.
-ZERO = 1e-12
+ROUNDING = 1e-12
 # Least span [K]: temperatures are no better than their rounding.
-LEAST = 1.0
-SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+SMALLEST_SPAN = 1.0
+SUBSET_PATTERN = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
 class MaximumPrinciple:
@@ -55,9 +55,9 @@ class MaximumPrinciple:
     def __init__(
         self, K: Sequence[PETSc.Mat], capacity: Floats, data: Sequence[float], heated: bool
     ) -> None:
-        self._comm, self._K, self._present = K[0].comm.tompi4py(), list(K), capacity > 0
-        self._edges = [_positive(self._comm, k) for k in K]
-        self._degree = np.array([p.getRowSum().array for p in self._edges])
+        self._comm, self._K, self._has_capacity = K[0].comm.tompi4py(), list(K), capacity > 0
+        self._edges = [_positive_entries(self._comm, k) for k in K]
+        self._edge_sums = np.array([p.getRowSum().array for p in self._edges])
         self.flagged = list(np.zeros(capacity.shape, dtype=bool))
         self.data_low, self.data_high = min(data), max(data)
         self.heated, self.cooled = heated, False
@@ -73,77 +73,84 @@ class MaximumPrinciple:
         """Largest temperature of the data [K], or infinity if something may heat above it."""
         return np.inf if self.heated else self.data_high
 
-    def see(self, given: Floats, heats: Floats) -> None:
+    def include_data(self, given: Floats, heats: Floats) -> None:
         """Include given temperatures [K] and heat into owned nodes [N mm/s]; collective."""
-        ends = [-given.min(initial=np.inf), given.max(initial=-np.inf)]
-        ends += [-heats.min(initial=0.0), heats.max(initial=0.0)]
-        over_all = np.array(ends)
-        self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
-        below, above, cooling, heating = map(float, over_all)
+        extremes = [-given.min(initial=np.inf), given.max(initial=-np.inf)]
+        extremes += [-heats.min(initial=0.0), heats.max(initial=0.0)]
+        global_extremes = np.array(extremes)
+        self._comm.Allreduce(MPI.IN_PLACE, global_extremes, MPI.MAX)
+        below, above, cooling, heating = map(float, global_extremes)
         self.data_low, self.data_high = min(self.data_low, -below), max(self.data_high, above)
-        self.cooled = self.cooled or cooling > ZERO * heating
-        self.heated = self.heated or heating > ZERO * cooling
+        self.cooled = self.cooled or cooling > ROUNDING * heating
+        self.heated = self.heated or heating > ROUNDING * cooling
 
-    def outside(self, T: Floats) -> bool:
+    def is_violated(self, T: Floats) -> bool:
         """Return True if a temperature of a body (b, n) [K] is out of bounds; collective."""
-        return bool(self._comm.allreduce(bool(self._offending(T).any()), MPI.LOR))
+        return bool(self._comm.allreduce(bool(self._is_out_of_bounds(T).any()), MPI.LOR))
 
     def correct(self, T: Floats) -> bool:
         """Remove edges of nodes at T [K] out of bounds; False if none are left; collective."""
-        return self._flag(np.array(self.flagged) | (self._offending(T) & (self._degree > 0)))
+        return self._set_flags(
+            np.array(self.flagged) | (self._is_out_of_bounds(T) & (self._edge_sums > 0))
+        )
 
-    def take_back(self, T: Floats) -> None:
+    def restore_edges(self, T: Floats) -> None:
         """Restore the edges of nodes no longer near their bounds; collective."""
-        near = np.minimum(T - self.low, self.high - T) <= NEAR * self._span(T)
-        self._flag(np.array(self.flagged) & near)
+        is_near = np.minimum(T - self.low, self.high - T) <= NEAR_BOUND * self._temperature_range(T)
+        self._set_flags(np.array(self.flagged) & is_near)
 
     def restored(self) -> None:
         """Remove the edges of restored flagged nodes; collective."""
         flagged = np.array(self.flagged)
         self.flagged = list(np.zeros_like(flagged))
-        self._flag(flagged)
+        self._set_flags(flagged)
 
-    def _span(self, T: Floats) -> float:
+    def _temperature_range(self, T: Floats) -> float:
         """Range of data and current temperatures [K]; collective."""
-        here = T[self._present]
-        ends = np.array([-here.min(initial=self.data_low), here.max(initial=self.data_high)])
-        self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
-        return max(float(ends.sum()), LEAST)
+        present_temperatures = T[self._has_capacity]
+        extremes = np.array(
+            [
+                -present_temperatures.min(initial=self.data_low),
+                present_temperatures.max(initial=self.data_high),
+            ]
+        )
+        self._comm.Allreduce(MPI.IN_PLACE, extremes, MPI.MAX)
+        return max(float(extremes.sum()), SMALLEST_SPAN)
 
-    def _offending(self, T: Floats) -> Bools:
-        slack = OUTSIDE * self._span(T)
-        return self._present & ((T < self.low - slack) | (T > self.high + slack))
+    def _is_out_of_bounds(self, T: Floats) -> Bools:
+        tolerance = OUTSIDE_TOLERANCE * self._temperature_range(T)
+        return self._has_capacity & ((T < self.low - tolerance) | (T > self.high + tolerance))
 
-    def _flag(self, flagged: Bools) -> bool:
+    def _set_flags(self, flagged: Bools) -> bool:
         """Set the flags (b, n); return whether any matrix changed."""
-        here = (flagged != np.array(self.flagged)).any(axis=1)
-        changed = np.flatnonzero(self._comm.allreduce(here.astype(int), MPI.SUM))
+        differs = (flagged != np.array(self.flagged)).any(axis=1)
+        changed = np.flatnonzero(self._comm.allreduce(differs.astype(int), MPI.SUM))
         self.flagged = list(flagged)
         for b in map(int, changed):
-            self.matrices[b] = self._corrected(b)
+            self.matrices[b] = self._corrected_matrix(b)
         self.version += len(changed) > 0
         return len(changed) > 0
 
-    def _corrected(self, b: int) -> PETSc.Mat:
+    def _corrected_matrix(self, b: int) -> PETSc.Mat:
         """The matrix of a body without the positive edges of its flagged nodes."""
-        kept = self._edges[b].copy()
-        clear = kept.createVecLeft()
-        clear.array[:] = ~self.flagged[b]
-        kept.diagonalScale(clear, clear)
+        kept_edges = self._edges[b].copy()
+        unflagged = kept_edges.createVecLeft()
+        unflagged.array[:] = ~self.flagged[b]
+        kept_edges.diagonalScale(unflagged, unflagged)
         K = self._K[b].copy()
-        K.axpy(-1.0, self._edges[b], structure=SUBSET)
-        K.axpy(1.0, kept, structure=SUBSET)
-        clear.array[:] = self._degree[b] - kept.getRowSum().array
-        K.setDiagonal(clear, addv=PETSc.InsertMode.ADD_VALUES)
+        K.axpy(-1.0, self._edges[b], structure=SUBSET_PATTERN)
+        K.axpy(1.0, kept_edges, structure=SUBSET_PATTERN)
+        unflagged.array[:] = self._edge_sums[b] - kept_edges.getRowSum().array
+        K.setDiagonal(unflagged, addv=PETSc.InsertMode.ADD_VALUES)
         return K
 
 
-def _positive(comm: MPI.Comm, K: PETSc.Mat) -> PETSc.Mat:
+def _positive_entries(comm: MPI.Comm, K: PETSc.Mat) -> PETSc.Mat:
     begin, end = K.getOwnershipRange()
     start, columns, values = K.getValuesCSR()
     row = begin + np.repeat(np.arange(end - begin), np.diff(start))
     largest = comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
-    edge = (values > ZERO * largest) & (columns != row)
+    edge = (values > ROUNDING * largest) & (columns != row)
     count = np.bincount(row[edge] - begin, minlength=end - begin)
     pointer = np.concatenate([[0], np.cumsum(count)])
     sizes = (end - begin, end - begin)

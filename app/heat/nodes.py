@@ -85,14 +85,14 @@ class InterfaceNodes:
         first, second = (np.concatenate([nodes[r].dof for r in side]) for side in interface)
         self._dof, self.apart = np.intersect1d(first, second), faces is not None
         self.sides: list[Side] = [
-            {r: np.flatnonzero(np.isin(nodes[r].dof, on)) for r in side}
-            for side, on in zip(interface, faces or (self._dof, self._dof), strict=True)
+            {r: np.flatnonzero(np.isin(nodes[r].dof, nodes_of_side)) for r in side}
+            for side, nodes_of_side in zip(interface, faces or (self._dof, self._dof), strict=True)
         ]
         self._bodies = np.zeros((2, len(self._dof)), dtype=np.int64)
         for bodies, side in () if faces else zip(self._bodies, self.sides, strict=True):
             for region, rows in side.items():
-                n = nodes[region]
-                bodies[np.searchsorted(self._dof, n.dof[rows])] = n.body
+                region_nodes = nodes[region]
+                bodies[np.searchsorted(self._dof, region_nodes.dof[rows])] = region_nodes.body
 
     def jump(self, temperatures: Sequence[fem.Function]) -> Floats:
         """Temperature of the second side minus that of the first (n,) [K]."""
@@ -117,20 +117,20 @@ class Probes:
     ) -> None:
         self.names = tuple(probes)
         self._comm = tagged.mesh.comm
-        self._mine: list[tuple[int, int, Ints, Floats]] = []
+        self._local_probes: list[tuple[int, int, Ints, Floats]] = []
         for k, (name, probe) in enumerate(probes.items()):
             location = _locate(tagged, name, probe)
             if location is not None:
                 cell, region, share = location
                 dofs = space.dofmap.list[cell].astype(np.int64)
                 table = space.element.basix_element.tabulate(0, share[None, 1:])
-                self._mine.append((k, of_region[region], dofs, table.ravel()[: len(dofs)]))
+                self._local_probes.append((k, of_region[region], dofs, table.ravel()[: len(dofs)]))
         self._components = space.dofmap.bs
 
     def values(self, functions: Sequence[fem.Function]) -> Floats:
         """Values of the bodies' functions at the probes (p, components); collective."""
         local = np.zeros((len(self.names), self._components))
-        for k, body, dofs, shape in self._mine:
+        for k, body, dofs, shape in self._local_probes:
             local[k] = shape @ functions[body].x.array.reshape(-1, self._components)[dofs]
         return np.asarray(self._comm.allreduce(local, MPI.SUM))
 
@@ -150,15 +150,15 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
     # Columns in the order of gmsh.
     nodes: Ints = np.empty((len(cells), geometry.dofmap.shape[1]), dtype=np.int64)
     nodes[:, cell_perm_array(CellType.tetrahedron, nodes.shape[1])] = geometry.dofmap[cells]
-    places = place(np.asarray(geometry.x, np.float64), nodes, np.array([at]))
-    best, rank = comm.allreduce((places.inside[0], -comm.rank), MPI.MAX)
-    if best == -np.inf:
+    located = place(np.asarray(geometry.x, np.float64), nodes, np.array([at]))
+    inside_margin, rank = comm.allreduce((located.inside[0], -comm.rank), MPI.MAX)
+    if inside_margin == -np.inf:
         raise InputError(outside_text(probed, probe))
     if rank != -comm.rank:
         return None
     names = {tag: name for name, tag in tagged.regions.items()}
-    cell = int(cells[places.cell[0]])
-    return cell, names[int(tags[cell])], places.share[0]
+    cell = int(cells[located.cell[0]])
+    return cell, names[int(tags[cell])], located.share[0]
 
 
 def outside_text(name: str, probe: Probe) -> str:

@@ -34,7 +34,7 @@ from meshes.distribute import TaggedMesh
 
 # Ratios of capacity and conduction until a node is close. Measured, as parts of the difference of
 # the temperatures: 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, for any size of the cells.
-TIMES = 10.0
+RELAXATION_TIMES = 10.0
 
 
 class HeatOperators:
@@ -75,8 +75,8 @@ class HeatOperators:
         # A reference near all temperatures: less of the heat is lost to rounding.
         self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
-        rubbing = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
-        self.friction = FrictionHeating(forms.zeros(), rubbing) if rubbing else None
+        friction_flows = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
+        self.friction = FrictionHeating(forms.zeros(), friction_flows) if friction_flows else None
         self.exchange: MeanExchange | None = None
         K = forms.conduction_by_body(scene.conductors)
         data = [c.initial_temperature for c in scene.conductors]
@@ -84,7 +84,7 @@ class HeatOperators:
         heated = bool(scene.cures or scene.friction_heat)
         self.principle = MaximumPrinciple(K, self.capacity, data, heated)
         self._work: PETSc.Vec = K[0].createVecLeft()
-        self._θ = fem.Function(forms.space, name="temperature")
+        self._continuous = fem.Function(forms.space, name="temperature")
         self._by_body = {
             b: fem.Function(forms.space, name=f"temperature {self.bodies.names[b]}")
             for b in (self.jumps.moves if self.jumps else ())
@@ -97,7 +97,7 @@ class HeatOperators:
 
     def block_keys(self) -> list[Ints]:
         """Keys of temperatures, and of jumps and degrees of cure if there are any."""
-        jumps = [self.jumps.mine] if self.jumps else []
+        jumps = [self.jumps.owned_rows] if self.jumps else []
         curing = [self.row_keys[n.dof] for n in self.cure.nodes] if self.cure else []
         return [self.row_keys, *jumps, *curing]
 
@@ -116,7 +116,7 @@ class HeatOperators:
         fixed = self.fixed
         return np.where(fixed.of_body >= 0, fixed.by_body(fixed.values(0.0)), T)
 
-    def added(self, τ: PETSc.Vec | None) -> Floats:
+    def temperature_by_jumps(self, τ: PETSc.Vec | None) -> Floats:
         """Temperature of owned nodes of each body due to jumps (b, n) [K]."""
         added = self.forms.zeros()
         if self.jumps is not None:
@@ -131,7 +131,7 @@ class HeatOperators:
         Args:
             x: Temperature of owned nodes, with jumps also of owned points.
         """
-        return x[0].array_r + self.added(x[-1])
+        return x[0].array_r + self.temperature_by_jumps(x[-1])
 
     def stored(self, x: Sequence[PETSc.Vec]) -> float:
         """Stored heat above an arbitrary but fixed temperature [N mm]; collective."""
@@ -142,14 +142,14 @@ class HeatOperators:
         """Temperature of each body as a function, overwritten by the next call."""
         T = self.nodal(x)
         by_body = [(f, T[b]) for b, f in self._by_body.items()]
-        for function, nodal in ((self._θ, x[0].array_r), *by_body):
+        for function, nodal in ((self._continuous, x[0].array_r), *by_body):
             function.x.array[: self.forms.owned] = nodal
             function.x.scatter_forward()
-        return [self._by_body.get(b, self._θ) for b in range(len(T))]
+        return [self._by_body.get(b, self._continuous) for b in range(len(T))]
 
     def of_region(self, region: str) -> fem.Function:
         """Temperature of a region as last set by ``temperatures``."""
-        return self._by_body.get(self.bodies.of_region[region], self._θ)
+        return self._by_body.get(self.bodies.of_region[region], self._continuous)
 
 
 class InitialJump:
@@ -165,25 +165,36 @@ class InitialJump:
     def __init__(self, operators: HeatOperators) -> None:
         forms, principle = operators.forms, operators.principle
         effusivity, sums = forms.zeros(), forms.zeros()
-        low, high = forms.zeros() + np.inf, forms.zeros() - np.inf
+        lowest, highest = forms.zeros() + np.inf, forms.zeros() - np.inf
         for c in operators.scene.conductors:
-            at = operators.bodies.of_region[c.region], forms.volumes(c.region) > 0
-            effusivity[at] += c.effusivity
-            sums[at] += c.effusivity * c.initial_temperature
-            low[at] = np.minimum(low[at], c.initial_temperature)
-            high[at] = np.maximum(high[at], c.initial_temperature)
-        meet = (low < high) & (operators.fixed.of_body < 0)
+            body_nodes = operators.bodies.of_region[c.region], forms.volumes(c.region) > 0
+            effusivity[body_nodes] += c.effusivity
+            sums[body_nodes] += c.effusivity * c.initial_temperature
+            lowest[body_nodes] = np.minimum(lowest[body_nodes], c.initial_temperature)
+            highest[body_nodes] = np.maximum(highest[body_nodes], c.initial_temperature)
+        is_initial_contact = (lowest < highest) & (operators.fixed.of_body < 0)
         diagonal = np.array([k.getDiagonal().array for k in principle.matrices])
-        self._contact = np.divide(sums, effusivity, out=forms.zeros(), where=meet)
+        self._contact_temperature = np.divide(
+            sums, effusivity, out=forms.zeros(), where=is_initial_contact
+        )
         # Zero at all other nodes.
-        self._until = np.divide(TIMES * operators.capacity, diagonal, out=forms.zeros(), where=meet)
-        self._last = forms.comm.allreduce(float(self._until.max(initial=0.0)), MPI.MAX)
+        self._settled_at = np.divide(
+            RELAXATION_TIMES * operators.capacity,
+            diagonal,
+            out=forms.zeros(),
+            where=is_initial_contact,
+        )
+        self._all_settled_at = forms.comm.allreduce(
+            float(self._settled_at.max(initial=0.0)), MPI.MAX
+        )
 
-    def put(self, temperatures: Sequence[fem.Function], seconds: float) -> None:
+    def set_reported(self, temperatures: Sequence[fem.Function], seconds: float) -> None:
         """Set the reported values in the temperatures of the bodies at a time; collective."""
-        if seconds >= self._last:
+        if seconds >= self._all_settled_at:
             return
-        for T, contact, until in zip(temperatures, self._contact, self._until, strict=True):
-            now = np.flatnonzero(seconds < until)
-            T.x.array[now] = contact[now]
+        for T, contact, settled_at in zip(
+            temperatures, self._contact_temperature, self._settled_at, strict=True
+        ):
+            unsettled = np.flatnonzero(seconds < settled_at)
+            T.x.array[unsettled] = contact[unsettled]
             T.x.scatter_forward()

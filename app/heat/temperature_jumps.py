@@ -35,7 +35,7 @@ class TemperatureJumps:
 
     Attributes:
         points: All points, replicated; component 0 of data by component.
-        mine: Rows of ``points`` that this rank owns (n,).
+        owned_rows: Rows of ``points`` that this rank owns (n,).
         dof: Owned node of each owned point (n,).
         interface: Number of the owned points' interfaces in ``scene.thermal_contacts`` (n,).
         bodies: Thermal bodies (master, slave) of owned points (n, 2).
@@ -60,16 +60,16 @@ class TemperatureJumps:
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
-        holds = _holds(forms, facets, held)
+        holds = _held_vertices(forms, facets, held)
         self.points, entries = contact_points(facets, holds, [c.name for c in contacts], {})
-        self.mine, place = owners(comm, index_map, self.points.dof)
+        self.owned_rows, number_of_point = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
-        n = len(self.mine)
-        self.dof = self.points.dof[self.mine] - begin
-        self.interface = self.points.interface[self.mine]
-        self.bodies = self.points.bodies[self.mine]
-        self.weight = self.points.weight[self.mine]
-        self.given = self.points.given[self.mine, 0]
+        n = len(self.owned_rows)
+        self.dof = self.points.dof[self.owned_rows] - begin
+        self.interface = self.points.interface[self.owned_rows]
+        self.bodies = self.points.bodies[self.owned_rows]
+        self.weight = self.points.weight[self.owned_rows]
+        self.given = self.points.given[self.owned_rows, 0]
         self.held = self.given[:, 0] >= 0
         # Temperature has one component where displacement has three.
         owned = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
@@ -78,7 +78,7 @@ class TemperatureJumps:
         self.moves: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
             i = body == b
-            columns = place[column[i]]
+            columns = number_of_point[column[i]]
             self.moves[b] = from_triplets(comm, forms.owned, n, row[i], columns, value[i])
         self.pressure: Floats = np.zeros(n)
         self.friction: Floats = np.zeros(n)
@@ -101,7 +101,7 @@ class TemperatureJumps:
         return q, by_jump, by_pressure
 
 
-def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
+def _held_vertices(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
     """Given temperatures at the vertices of interfaces, as supports hold displacement."""
     start = forms.space.dofmap.index_map.local_range[0]
     dof, first = np.unique(facets.dofs[:, :3], return_index=True)

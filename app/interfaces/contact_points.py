@@ -93,7 +93,7 @@ def contact_points(
         doubt=doubt[:n],
         given=given,
         axes=local_axes,
-        along=along,
+        held_tangents=along,
         surface=surface,
     )
     entries = _entries(facets, points, signs)

@@ -136,15 +136,15 @@ class ContactPoints(Corners):
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
-        along: Projectors on prescribed directions that are tangential to all faces: friction acts
-            along them, too (n, 3, 3).
+        held_tangents: Projectors on prescribed directions that are tangential to all faces:
+            friction acts along them, too (n, 3, 3).
         surface: All corners of the facets, also the dependent ones.
     """
 
     doubt: Floats
     given: Ints
     axes: Floats
-    along: Floats
+    held_tangents: Floats
     surface: ContactSurface
 
     @property

@@ -173,9 +173,11 @@ class BodyForms:
         if changing:
             self.density_at_start = np.array([self._density(e) for e in changing]).T
             self.density = self.density_at_start.copy()
-        self._relative = {e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies}
+        self._relative_stiffness_fields = {
+            e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies
+        }
         self.springs = [self.constant(f.stiffness) for f in scene.foundations]
-        self._amplitude = {
+        self._eigenstrain_amplitudes = {
             (e.region, k): self.constant(0.0)
             for e in scene.elastic
             for k in range(len(e.eigenstrains))
@@ -199,10 +201,10 @@ class BodyForms:
         """Volume measure by region tag, over all owned cells."""
         return ufl.Measure("dx", domain=self.mesh, subdomain_data=self._domains())
 
-    def _domains(self, pick: NDArray[np.bool_] | None = None) -> Domains:
+    def _domains(self, picked: NDArray[np.bool_] | None = None) -> Domains:
         """Owned cells of each region tag, all or those picked."""
         owned = self.mesh.topology.index_map(3).size_local
-        mask = np.ones(owned, dtype=bool) if pick is None else pick[:owned]
+        mask = np.ones(owned, dtype=bool) if picked is None else picked[:owned]
         return [
             (tag, np.flatnonzero(mask & (self._tags[:owned] == tag)).astype(np.int32))
             for tag in sorted(self.tagged.regions.values())
@@ -243,12 +245,17 @@ class BodyForms:
         """
         mean = self.scene.order == 1 or (e.modulus_field and e.modulus_field.per_cell)
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
-        at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
-        x, volumes = self.places(e.region, at, weights)
-        changing = e._density
-        if changing:
+        points_of_rule, weights = (
+            (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
+        )
+        x, volumes = self.places(e.region, points_of_rule, weights)
+        changing_density = e._density
+        if changing_density:
             values = (
-                modulus(changing.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
+                modulus(
+                    changing_density.law, self.density_at(e.region, points_of_rule, self.density)
+                )
+                / e.moduli[0]
             )
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
@@ -280,19 +287,19 @@ class BodyForms:
     def density_at(self, region: str, points: Floats, density: Floats) -> Floats:
         """A density at the vertices (n, r) at points of a region's owned cells (cells, points)."""
         nodal = density[:, self.by_density.index(region)]
-        return np.asarray(nodal[self.vertices(region)] @ hats(points).T)
+        return np.asarray(nodal[self.vertices(region)] @ linear_shape_functions(points).T)
 
     def follow_density(self) -> None:
         """Update the moduli that follow densities; collective."""
         for e in self.scene.elastic:
             if e._density:
-                self._relative_stiffness(e, self._relative[e.region])
+                self._relative_stiffness(e, self._relative_stiffness_fields[e.region])
 
     def _relative_stiffness(self, e: Elastic, g: fem.Function | None = None) -> fem.Function:
         """Stiffness over its largest at the points of the quadrature."""
-        element = basix.ufl.quadrature_element("tetrahedron", degree=self._degree(e))
+        element = basix.ufl.quadrature_element("tetrahedron", degree=self._quadrature_degree(e))
         g = g or fem.Function(fem.functionspace(self.mesh, element))
-        points, _ = basix.make_quadrature(basix.CellType.tetrahedron, self._degree(e))
+        points, _ = basix.make_quadrature(basix.CellType.tetrahedron, self._quadrature_degree(e))
         rows = g.function_space.dofmap.list[self.region_cells(e.region)]
         g.x.array[rows] = self.relative_stiffness(e, np.asarray(points))
         return g
@@ -301,7 +308,9 @@ class BodyForms:
 
     def energy_density(self, e: Elastic, ε: Expr) -> Expr:
         """Strain energy density of a region for an elastic strain [MPa]."""
-        return self._relative.get(e.region, 1) * e.energy(ε, *self._constants[e.region])
+        return self._relative_stiffness_fields.get(e.region, 1) * e.energy(
+            ε, *self._constants[e.region]
+        )
 
     def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
         """Measure of a region, by its tag or another one.
@@ -311,9 +320,9 @@ class BodyForms:
         """
         measure = dx(self.tagged.regions[e.region] if tag is None else tag)
         varies = e.varies or (e.fibre and e.fibre.curved)
-        return measure(degree=self._degree(e)) if varies else measure
+        return measure(degree=self._quadrature_degree(e)) if varies else measure
 
-    def _degree(self, e: Elastic) -> int:
+    def _quadrature_degree(self, e: Elastic) -> int:
         by_density = e.modulus_field or e._density
         return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
@@ -321,7 +330,7 @@ class BodyForms:
         """Strain of a displacement minus the region's eigenstrains and thermal strain."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
-            ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.strain)
+            ε = ε - self._eigenstrain_amplitudes[e.region, k] * elasticity.symmetric(s.strain)
         if e.region in self.free_strain:
             ε = ε - elasticity.isotropic_strain(self.free_strain[e.region])
         return ε
@@ -356,7 +365,7 @@ class BodyForms:
 
     def set_amplitudes(self, value: dict[tuple[str, int], float]) -> None:
         """Set the amplitudes of the eigenstrains by (region, number); the others are zero."""
-        for key, constant in self._amplitude.items():
+        for key, constant in self._eigenstrain_amplitudes.items():
             constant.value = value.get(key, 0.0)
 
     # Loads
@@ -370,7 +379,7 @@ class BodyForms:
         x, _ = facet_coordinates(self.tagged, boundary_facets(self.tagged, boundary))
         rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
-        L = hats(points)
+        L = linear_shape_functions(points)
         _, size = surface(x, L)
         at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
 
@@ -426,19 +435,19 @@ class BodyForms:
             return fem.form(form)
 
 
-def hats(points: Floats) -> Floats:
+def linear_shape_functions(points: Floats) -> Floats:
     """Linear functions of the vertices at points of the reference simplex (p, vertices)."""
     return np.column_stack([1 - points.sum(axis=1), points])
 
 
-def assembled_vector(form: fem.Form) -> PETSc.Vec:
+def assemble_form_vector(form: fem.Form) -> PETSc.Vec:
     """Assemble a compiled linear form; collective."""
     vector = assemble_vector(form)
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     return vector
 
 
-def assembled_matrix(form: fem.Form) -> PETSc.Mat:
+def assemble_form_matrix(form: fem.Form) -> PETSc.Mat:
     """Assemble a compiled bilinear form; collective."""
     matrix = assemble_matrix(form)
     matrix.assemble()

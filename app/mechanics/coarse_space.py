@@ -15,19 +15,19 @@ from app.numerics.sparse import from_triplets, matrix_sum
 from app.scene.bodies import cell_tags, touched_nodes
 
 # A direction is free if a law resists less than this part of it.
-RESISTED = 0.5
+FREE_SLOPE = 0.5
 # Large boxes about the interfaces over the cube root of the number of contact points.
-BOXES = 1.5
+LARGE_BOXES = 1.5
 # Small ones: their edge over that of the mesh, by the order of the displacement.
-SMALL = {1: 5.0, 2: 2.5}
+SMALL_BOX_EDGE = {1: 5.0, 2: 2.5}
 # Halvings of their edge.
-SMALLER = 0.95
+BOX_SHRINKAGE = 0.95
 
 
 def free_directions(slope: Floats) -> Floats:
     """Projectors on the jumps that a law of slope P' does not resist; both (n, 3, 3)."""
     values, vectors = np.linalg.eigh(slope.transpose(0, 2, 1) @ slope)
-    free = np.where(values < RESISTED**2, 1.0, 0.0)
+    free = np.where(values < FREE_SLOPE**2, 1.0, 0.0)
     return np.asarray(np.einsum("pik,pk,pjk->pij", vectors, free, vectors))
 
 
@@ -42,9 +42,9 @@ class Boxes:
     def __init__(self, x: Floats, edge: float = 0.0) -> None:
         low, high = x.min(axis=0), x.max(axis=0)
         longest = np.max(high - low) or 1.0
-        edges = longest * SMALLER ** np.arange(100)
+        edges = longest * BOX_SHRINKAGE ** np.arange(100)
         counts = np.maximum(1, np.ceil((high - low) / edges[:, None])).astype(int)
-        last = np.flatnonzero(counts.prod(axis=1) <= max(BOXES * np.cbrt(len(x)), 1))[-1]
+        last = np.flatnonzero(counts.prod(axis=1) <= max(LARGE_BOXES * np.cbrt(len(x)), 1))[-1]
         self.edge = edge or edges[last]
         self._count = np.maximum(1, np.ceil((high - low) / self.edge)).astype(int)
         self._low = (low + high - self._count * self.edge) / 2
@@ -67,19 +67,21 @@ class Boxes:
 Triplets = tuple[Ints, Ints, Floats]
 
 
-def _hats(at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> Triplets:
+def _hat_entries(
+    functions_at_points: tuple[Ints, Floats], first_column: Ints, is_used: Bools, factor: Floats
+) -> Triplets:
     """Used functions along each axis at n points, times a factor (n, 3), from a column each."""
-    functions, values = at
-    values = np.where(used[functions], values, 0.0)
+    functions, values = functions_at_points
+    values = np.where(is_used[functions], values, 0.0)
     shape, axes = (*functions.shape, 3), np.arange(3)
     rows = np.broadcast_to((3 * np.arange(len(values)))[:, None, None] + axes, shape)
-    columns = place[functions][:, :, None] + axes
+    columns = first_column[functions][:, :, None] + axes
     entries = values[:, :, None] * factor[:, None, :]
-    keep = entries != 0
-    return rows[keep], columns[keep], entries[keep]
+    nonzero = entries != 0
+    return rows[nonzero], columns[nonzero], entries[nonzero]
 
 
-def _dense(values: Floats, first: int) -> Triplets:
+def _dense_entries(values: Floats, first: int) -> Triplets:
     """All entries of columns (rows, m), from a column on."""
     rows, columns = np.nonzero(values)
     return rows, first + columns, values[rows, columns]
@@ -98,39 +100,51 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     nodes = space.dofmap.index_map.size_local
     x, y = space.tabulate_dof_coordinates()[:nodes], contact.local.x
     large = Boxes(contact.points.x)
-    edge = SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
+    edge = SMALL_BOX_EDGE[problem.scene.order] * float(np.mean(contact.edge_lengths))
     small = Boxes(contact.points.x, edge)
     grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
-    frame, modes = _frame(contact.points.x), constraints.modes
+    frame, modes = _scaled_rigid_motions(contact.points.x), constraints.modes
     rigid = {r.region for r in problem.scene.rigid}
     # Rows of nodal components, of owned unknowns and of jumps.
-    triplets: list[list[Triplets]] = [[_dense(np.zeros((0, 0)), 0)] for _ in range(3)]
-    nodal, others, jumps = triplets
-    first, stiffest = 0, _stiffest(problem)
+    triplets: list[list[Triplets]] = [[_dense_entries(np.zeros((0, 0)), 0)] for _ in range(3)]
+    node_entries, unknown_entries, jump_entries = triplets
+    next_column, stiffest = 0, _stiffest_body(problem)
     for body, name in enumerate(problem.bodies.names):
-        of_body = _components(problem, contact, body)
+        of_body = _unmoved_components(problem, contact, body)
         master, slave = (contact.local.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
-            others.append(_dense(_unknowns(problem, of_body)[:, None] * (modes.T @ frame), first))
+            unknown_entries.append(
+                _dense_entries(
+                    _unknowns_of_components(problem, of_body)[:, None] * (modes.T @ frame),
+                    next_column,
+                )
+            )
             slides = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
-            jumps.append(_dense(slides, first))
-            first += 6
+            jump_entries.append(_dense_entries(slides, next_column))
+            next_column += 6
             continue
         for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
             inside = at_nodes[0][of_body.any(axis=1)] if boxes is large else at_points[0][sign != 0]
-            used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
-            place = first + 3 * (np.cumsum(used) - 1)
-            nodal.append(_hats(at_nodes, place, used, of_body.astype(float)))
-            jumps.append(_hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1)))
-            first += 3 * int(used.sum())
+            is_used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
+            first_column = next_column + 3 * (np.cumsum(is_used) - 1)
+            node_entries.append(
+                _hat_entries(at_nodes, first_column, is_used, of_body.astype(float))
+            )
+            jump_entries.append(
+                _hat_entries(at_points, first_column, is_used, np.repeat(sign[:, None], 3, axis=1))
+            )
+            next_column += 3 * int(is_used.sum())
     entries = [tuple(map(np.concatenate, zip(*parts, strict=True))) for parts in triplets]
     # A motion belongs to the rank that has most of it; columns are in the order of the ranks.
-    votes = sum(np.bincount(j, minlength=first) for _, j, _ in entries)
+    votes = sum(np.bincount(j, minlength=next_column) for _, j, _ in entries)
     owner = np.argmax(comm.allgather(votes), axis=0)
-    number, columns = np.argsort(np.argsort(owner, kind="stable")), int((owner == comm.rank).sum())
+    column_number, columns = (
+        np.argsort(np.argsort(owner, kind="stable")),
+        int((owner == comm.rank).sum()),
+    )
     of_nodes, of_others, of_jumps = (
-        from_triplets(comm, rows, columns, i, number[j], v)
+        from_triplets(comm, rows, columns, i, column_number[j], v)
         for rows, (i, j, v) in zip((3 * nodes, modes.shape[1], 3 * len(y)), entries, strict=True)
     )
     displacement = matrix_sum([constraints.rows(of_nodes), of_others])
@@ -138,7 +152,7 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     return CoarseSpace(displacement, of_jumps)
 
 
-def displacement_by(problem: Problem, motions: Floats) -> PETSc.Vec:
+def displacement_by_motions(problem: Problem, motions: Floats) -> PETSc.Vec:
     """Displacement by rigid motions of all bodies (6 bodies,), without jumps; collective.
 
     The motions have the components of `ContactInterfaces.rigid_motions`.
@@ -149,11 +163,11 @@ def displacement_by(problem: Problem, motions: Floats) -> PETSc.Vec:
     nodal, R = np.zeros(x.shape), contact.rigid_motions(x)
     for body, motion in enumerate(motions.reshape(-1, 6)):
         if motion.any():  # equal on all ranks
-            nodal += np.where(_components(problem, contact, body), R @ motion, 0.0)
+            nodal += np.where(_unmoved_components(problem, contact, body), R @ motion, 0.0)
     return problem.stiffness.constraints.contract(nodal)
 
 
-def _stiffest(problem: Problem) -> int:
+def _stiffest_body(problem: Problem) -> int:
     """The body with the largest modulus; rigid ones come first."""
     modulus = np.zeros(len(problem.bodies.names))
     for region, value in problem.scene.moduli.items():
@@ -162,7 +176,7 @@ def _stiffest(problem: Problem) -> int:
     return int(modulus.argmax())
 
 
-def _frame(x: Floats) -> Floats:
+def _scaled_rigid_motions(x: Floats) -> Floats:
     """Rigid motions about the centre of points x, rotations scaled as translations."""
     frame = np.eye(6)
     frame[:3, 3:] = -rigid_modes(x.mean(axis=0)[None])[0, :, 3:]
@@ -170,7 +184,7 @@ def _frame(x: Floats) -> Floats:
     return frame
 
 
-def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
+def _unmoved_components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Owned nodal components of a body that no jump moves (n, 3); collective."""
     cells = problem.bodies.of_tag[cell_tags(problem.tagged)] == body
     nodes = touched_nodes(problem.space, cells)
@@ -182,7 +196,7 @@ def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bool
     return unmoved
 
 
-def _unknowns(problem: Problem, components: Bools) -> Bools:
+def _unknowns_of_components(problem: Problem, components: Bools) -> Bools:
     """Owned unknowns that the given nodal components depend on."""
     reached = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
     vector = problem.stiffness.K.createVecLeft()

@@ -27,7 +27,7 @@ from app.scene.scene import Scene
 
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
-_HELD = 1e-9
+HELD_RESISTANCE = 1e-9
 # In place of a rigid region: nodes that move freely.
 FREE = -1
 # The same: nodes that follow others.
@@ -44,8 +44,8 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
     space, index_map = body_forms.space, body_forms.space.dofmap.index_map
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
     rows, places = frames.owned(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
-    of_frames = support[rows]
-    holding = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
+    support_of_frames = support[rows]
+    active_supports = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
     rigid = {r.region for r in scene.rigid}
@@ -54,17 +54,17 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
         for region in sorted(rigid.intersection(bodies.names[body].split(" + "))):
             moved = touched_nodes(space, tags == tagged.regions[region])
             support[: len(moved)][moved] = -1
-            of_frames[moved[rows]] = -1
-        for s in holding:
-            f = patches[s]
-            mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
-            nodes = fem.locate_dofs_topological(space, 2, mine.astype(np.int32))
+            support_of_frames[moved[rows]] = -1
+        for s in active_supports:
+            patch = patches[s]
+            facets_of_body = patch.facets[bodies.of_tag[tags[patch.cells]] == body]
+            nodes = fem.locate_dofs_topological(space, 2, facets_of_body.astype(np.int32))
             for c in np.flatnonzero(scene.supports[s].components):
                 support[nodes, c] = s
         if frames:
-            mine = frames.support(places, body, holding)
-            of_frames = np.where(mine >= 0, mine, of_frames)
-    support[rows] = of_frames
+            facets_of_body = frames.support(places, body, active_supports)
+            support_of_frames = np.where(facets_of_body >= 0, facets_of_body, support_of_frames)
+    support[rows] = support_of_frames
     return support[: index_map.size_local]
 
 
@@ -117,16 +117,16 @@ class Constraints:
     ) -> None:
         scene, space = body_forms.scene, body_forms.space
         support_of = _support_of_dofs(body_forms, stage, frames)
-        self._bases: dict[int, Floats] = {}
+        self._rigid_bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
-        self._P0: PETSc.Mat | None = None
+        self._P_without_followers: PETSc.Mat | None = None
         self._comm = body_forms.mesh.comm
         self._followers = followers
         self.follows = bool(followers and followers.deformable)
         self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
-            self._transform(body_forms, support_of, frames)
-            self._P0 = self._P
+            self._build_transformation(body_forms, support_of, frames)
+            self._P_without_followers = self._P
             self.follow()
             return
         self.constrained: Bools = support_of.ravel() >= 0
@@ -136,7 +136,9 @@ class Constraints:
         x = space.tabulate_dof_coordinates()[: len(support_of)]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
-    def _transform(self, body_forms: BodyForms, support_of: Ints, frames: Frames | None) -> None:
+    def _build_transformation(
+        self, body_forms: BodyForms, support_of: Ints, frames: Frames | None
+    ) -> None:
         """Build P, from the supports that hold owned components (nodes, 3); collective.
 
         The unknowns of a rank are three for each free node. Rank 0 has six more for each region
@@ -149,8 +151,8 @@ class Constraints:
         moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
         free = np.flatnonzero(region == FREE)
         free_unknowns = 3 * len(free)
-        n = free_unknowns + (6 * len(moving) if comm.rank == 0 else 0)
-        start, first_rigid = comm.exscan(n) or 0, comm.bcast(free_unknowns)
+        unknowns = free_unknowns + (6 * len(moving) if comm.rank == 0 else 0)
+        start, first_rigid = comm.exscan(unknowns) or 0, comm.bcast(free_unknowns)
 
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         oblique = np.zeros(nodes, dtype=bool)
@@ -160,11 +162,11 @@ class Constraints:
 
         # Free nodes: supports, prescribed values and rigid modes.
         prescribed = _prescribed_values(scene, space, support_of, axes)
-        self.constrained = np.zeros(n, dtype=bool)
+        self.constrained = np.zeros(unknowns, dtype=bool)
         self.constrained[:free_unknowns] = (support_of[free] >= 0).ravel()
-        self.unit = np.zeros((len(prescribed), n))
+        self.unit = np.zeros((len(prescribed), unknowns))
         self.unit[:, :free_unknowns] = prescribed[:, free].reshape(len(prescribed), free_unknowns)
-        self.modes = np.zeros((6, n))
+        self.modes = np.zeros((6, unknowns))
         modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
         self.modes[:, :free_unknowns] = modes.reshape(-1, 6).T
         reacting = (support_of >= 0) & (region == FREE)[:, None]
@@ -178,18 +180,25 @@ class Constraints:
         columns[oblique, :, :3] = columns[oblique, :, 0][:, None]
         entries[oblique, :, :3] = axes[oblique]
         for k, name in enumerate(moving):
-            here, place = np.flatnonzero(region == k), first_rigid + 6 * k
-            columns[here] = place + np.arange(6)
-            entries[here], rank = self._add_rigid(
-                comm, scene, name, place, x[here], axes[here], support_of[here], prescribed[:, here]
+            nodes_of_region, first_unknown = np.flatnonzero(region == k), first_rigid + 6 * k
+            columns[nodes_of_region] = first_unknown + np.arange(6)
+            entries[nodes_of_region], rank = self._add_rigid(
+                comm,
+                scene,
+                name,
+                first_unknown,
+                x[nodes_of_region],
+                axes[nodes_of_region],
+                support_of[nodes_of_region],
+                prescribed[:, nodes_of_region],
             )
-            reacting[here] |= rank > 0
+            reacting[nodes_of_region] |= rank > 0
         self.reacting = reacting.ravel()
 
-        used = columns.reshape(-1, 6) >= 0
-        pointer = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-        places, values = columns.reshape(-1, 6)[used], entries.reshape(-1, 6)[used]
-        self._P = from_rows(comm, (3 * nodes, n), pointer, places, values)
+        is_entry = columns.reshape(-1, 6) >= 0
+        pointer = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))])
+        places, values = columns.reshape(-1, 6)[is_entry], entries.reshape(-1, 6)[is_entry]
+        self._P = from_rows(comm, (3 * nodes, unknowns), pointer, places, values)
 
     def _rigid_region_of(self, body_forms: BodyForms, nodes: int) -> Ints:
         """Rigid region or driven boundary of owned nodes by number, FREE or FOLLOWS (nodes,)."""
@@ -198,10 +207,10 @@ class Constraints:
         for k, body in enumerate(scene.rigid):
             region[touched_nodes(space, cell_tags(tagged) == tagged.regions[body.region])] = k
         for k, motion in enumerate(scene.driven, len(scene.rigid)):
-            there = nodes_on(tagged, space, str(motion.boundary))
-            region[there[there < nodes]] = k
+            driven_nodes = nodes_on(tagged, space, str(motion.boundary))
+            region[driven_nodes[driven_nodes < nodes]] = k
         if self._followers:
-            region[self._followers.owned_following] = FOLLOWS
+            region[self._followers.owned_followers] = FOLLOWS
         return region
 
     def _add_rigid(
@@ -209,7 +218,7 @@ class Constraints:
         comm: MPI.Comm,
         scene: Scene,
         region: str,
-        place: int,
+        first_unknown: int,
         x: Floats,
         axes: Floats,
         support_of: Ints,
@@ -221,7 +230,7 @@ class Constraints:
             comm: Communicator of the mesh.
             scene: The scene.
             region: Name of the region.
-            place: Number of the first of the six unknowns.
+            first_unknown: Number of the first of the six unknowns.
             x: Positions of the nodes (n, 3) [mm].
             axes: Axes of their components (n, 3, 3).
             support_of: Support of each component (n, 3).
@@ -233,49 +242,55 @@ class Constraints:
         points = gather(comm, x)[0]
         centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
         local = rigid_modes((x - centre) / scale)
-        held = support_of >= 0
-        along = (axes.swapaxes(1, 2) @ local)[held]
-        rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
+        is_held = support_of >= 0
+        held_rows = (axes.swapaxes(1, 2) @ local)[is_held]
+        rows, *prescribed_values = gather(
+            comm, held_rows, *(values[is_held] for values in prescribed)
+        )
         motion = scene.motion_of((region,))
         if motion:
             # The rotation is prescribed, and so is the translation if `translation: held`.
-            place_of = rigid_modes((np.array(motion.about) - centre)[None] / scale)[0]
-            given = (
+            motions_of_centre = rigid_modes((np.array(motion.about) - centre)[None] / scale)[0]
+            prescribed_motions = (
                 np.eye(6)[3:]
                 if motion.translation == "free"
-                else np.vstack([place_of, np.eye(6)[3:]])
+                else np.vstack([motions_of_centre, np.eye(6)[3:]])
             )
-            rows = np.vstack([rows, given])
-            wanted = [np.concatenate([w, np.zeros(len(given))]) for w in wanted]
-        basis, rank, amounts = _constrained_motions(scene, region, rows, wanted)
+            rows = np.vstack([rows, prescribed_motions])
+            prescribed_values = [
+                np.concatenate([w, np.zeros(len(prescribed_motions))]) for w in prescribed_values
+            ]
+        basis, rank, amounts = _constrained_motions(scene, region, rows, prescribed_values)
         if comm.rank == 0:
-            self._bases[place] = basis
-            self.constrained[place : place + rank] = True
-            self.unit[:, place : place + rank] = amounts[:, :rank]
+            self._rigid_bases[first_unknown] = basis
+            self.constrained[first_unknown : first_unknown + rank] = True
+            self.unit[:, first_unknown : first_unknown + rank] = amounts[:, :rank]
             # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
-            whole = np.eye(6)
-            whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
-            whole[3:] *= scale
-            self.modes[:, place : place + 6] = (basis.T @ whole).T
+            model_modes = np.eye(6)
+            model_modes[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
+            model_modes[3:] *= scale
+            self.modes[:, first_unknown : first_unknown + 6] = (basis.T @ model_modes).T
         return local @ basis, rank
 
     def follow(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
         if self._followers:
-            self._P = self._followers.matrix().matMult(self._P0)
+            self._P = self._followers.matrix().matMult(self._P_without_followers)
 
-    def pushed(self, f: PETSc.Vec) -> PETSc.Vec:
+    def rigid_motion_along(self, f: PETSc.Vec) -> PETSc.Vec:
         """Motion of the rigid regions alone, along forces f on the unknowns, where free.
 
         Deformable bodies that rotate move like their driven boundaries; collective.
         """
         u = f.duplicate()
-        for place in self._bases:
-            here = slice(place, place + 6)
-            u.array[here] = np.where(self.constrained[here], 0.0, f.array_r[here])
+        for first_unknown in self._rigid_bases:
+            six_unknowns = slice(first_unknown, first_unknown + 6)
+            u.array[six_unknowns] = np.where(
+                self.constrained[six_unknowns], 0.0, f.array_r[six_unknowns]
+            )
         if self._followers:
             nodal = self.expand(u).array_r.reshape(-1, 3)
-            u = self.contract(self._followers.following_driven(nodal))
+            u = self.contract(self._followers.move_with_boundaries(nodal))
         return u
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -297,7 +312,7 @@ class Constraints:
         rows_of_P.diagonalScale(None, free)
         return rows_of_P
 
-    def given(self, nodes: Ints, axes: Floats) -> Bools:
+    def prescribed_components(self, nodes: Ints, axes: Floats) -> Bools:
         """Mask of the components of owned nodes that supports prescribe (n, 3); collective.
 
         Args:
@@ -314,7 +329,7 @@ class Constraints:
         blocks = axes.swapaxes(1, 2), np.arange(len(nodes)), np.arange(len(nodes) + 1)
         to_axes = bsr_array(blocks, shape=(shape[0], shape[0])).tocsr()
         sizes = abs(to_axes @ rows).max(axis=1).toarray()
-        return np.asarray(sizes.reshape(-1, 3) < _HELD)
+        return np.asarray(sizes.reshape(-1, 3) < HELD_RESISTANCE)
 
     def vector(self, f: PETSc.Vec) -> PETSc.Vec:
         """P^T f, a new vector."""
@@ -328,11 +343,11 @@ class Constraints:
         """P ũ, a new vector."""
         return self._P * u if self._P else u.copy()
 
-    def carry(self, u: PETSc.Vec, old: Constraints) -> None:
+    def transfer_rotated_axes(self, u: PETSc.Vec, old: Constraints) -> None:
         """Transform the motions of rigid regions from the old axes to these."""
-        for place, basis in self._bases.items():
+        for place, basis in self._rigid_bases.items():
             six = slice(place, place + 6)
-            u.array[six] = basis.T @ old._bases[place] @ u.array[six]
+            u.array[six] = basis.T @ old._rigid_bases[place] @ u.array[six]
 
     def contract(self, nodal: Floats) -> PETSc.Vec:
         """Find ũ from U = P ũ at owned nodes (3 nodes) by the normal equations; collective.
@@ -340,27 +355,27 @@ class Constraints:
         Nodes that follow others do not count: P^T P is the identity then but for a 6 x 6 block on
         rank 0 per rigid region, which block Jacobi solves exactly.
         """
-        given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self._comm)
-        P = self._P0
+        nodal_vector = PETSc.Vec().createWithArray(nodal.ravel(), comm=self._comm)
+        P = self._P_without_followers
         if not P:
-            return given.copy()
+            return nodal_vector.copy()
         solver = PETSc.KSP().create(P.comm)
         solver.setOperators(P.transposeMatMult(P))
         solver.setType("preonly")
         solver.getPC().setType("bjacobi")
-        u, right = P.createVecRight(), P.createVecRight()
-        P.multTranspose(given, right)
-        solver.solve(right, u)
+        u, right_side = P.createVecRight(), P.createVecRight()
+        P.multTranspose(nodal_vector, right_side)
+        solver.solve(right_side, u)
         return u
 
 
 def _constrained_motions(
-    scene: Scene, region: str, rows: Floats, wanted: list[Floats]
+    scene: Scene, region: str, rows: Floats, prescribed_values: list[Floats]
 ) -> tuple[Floats, int, Floats]:
     """Basis (6, 6) of a body's motions, constrained ones first, their number, and amounts (s, 6).
 
     ``rows`` are the displacements of the constrained components by the six motions (m, 6),
-    ``wanted`` their values at full amplitude by each support (m,).
+    ``prescribed_values`` their values at full amplitude by each support (m,).
 
     Raises:
         InputError: The supports prescribe no rigid motion.
@@ -369,19 +384,23 @@ def _constrained_motions(
     if not len(rows):
         return np.eye(6), 0, amounts
     _, singular, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
-    rank = int((singular > _HELD * singular[0]).sum())
+    rank = int((singular > HELD_RESISTANCE * singular[0]).sum())
     basis = vt.T
-    inverse = np.linalg.pinv(rows, rcond=_HELD)
+    inverse = np.linalg.pinv(rows, rcond=HELD_RESISTANCE)
     # Supports with the same load history count as one: only their sum has to be a rigid motion.
     for load_history in dict.fromkeys(s.history for s in scene.supports):
-        alike = [s for s, term in enumerate(scene.supports) if term.history == load_history]
-        whole = np.sum([wanted[s] for s in alike], axis=0)
-        motion = inverse @ whole
-        if np.abs(rows @ motion - whole).max() > 1e-9 * max(np.abs(whole).max(), 1.0):
-            names = ", ".join(scene.supports[s].name for s in alike if wanted[s].any())
+        same_history = [s for s, term in enumerate(scene.supports) if term.history == load_history]
+        prescribed_sum = np.sum([prescribed_values[s] for s in same_history], axis=0)
+        motion = inverse @ prescribed_sum
+        if np.abs(rows @ motion - prescribed_sum).max() > 1e-9 * max(
+            np.abs(prescribed_sum).max(), 1.0
+        ):
+            names = ", ".join(
+                scene.supports[s].name for s in same_history if prescribed_values[s].any()
+            )
             raise InputError(
                 f"supports.{names}: the rigid region '{region}' cannot satisfy these values "
                 "together with its other supports; expected values of one rigid motion"
             )
-        amounts[alike[0]] = basis.T @ motion
+        amounts[same_history[0]] = basis.T @ motion
     return basis, rank, amounts

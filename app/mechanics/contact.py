@@ -42,10 +42,10 @@ from app.mechanics.contact_state import (
     refuse_supports,
     with_rigid_regions,
 )
-from app.mechanics.finite_sliding import ACCURACY, FiniteSliding
+from app.mechanics.finite_sliding import PAIRING_ACCURACY, FiniteSliding
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.stiffness import Stiffness, support_resistance
-from app.numerics.rigid_motions import relative_resistance, rigid_modes, without
+from app.numerics.rigid_motions import motions_outside, relative_resistance, rigid_modes
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
@@ -53,20 +53,20 @@ from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 
 # Rounding of times of a run.
-ROUNDING = 1e-9
+TIME_ROUNDING = 1e-9
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
-CLOSED = 1e-6
+CLOSED_GAP = 1e-6
 # Bodies without contact are moved by this multiple of the distance to the first contact, so that
 # some points are in contact.
-BEYOND = 1.25
+APPROACH_FACTOR = 1.25
 # Points count for this distance if the cosine of normal and direction of motion is above this.
-FACING = 0.1
+FACING_COSINE = 0.1
 # A rigid motion of bodies is free if its resistance is below this part of the largest one.
-FREE = 1e-10
+FREE_RESISTANCE = 1e-10
 # A body takes part in a free motion of unit size if its components have at least this size.
-MOVES = 1e-3
+MOVING_SIZE = 1e-3
 # A motion changes no gap if its resistance, a slope squared, is below this part of the largest one.
-UNRESISTED = 1e-14
+ZERO_RESISTANCE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -84,29 +84,32 @@ class TrialState:
     jump: Floats
     law: PointForces
 
-    def rubbing(self) -> tuple[Floats, Floats]:
+    def friction_and_slip(self) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
         Both are exactly zero where a point is open or sticks, without errors of the solver.
         """
-        c, law = self.contact, self.law
-        force = law.force + np.einsum("pk,pki->pi", law.pressures, c.local.normals)
-        missing = c.local.project_free(c.multiplier(self.equilibrium) - force)
-        slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
-        slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
-        closed = self._closed(slip)
-        force, slip = (np.where(slides, c.local.tangential(v, closed), 0.0) for v in (force, slip))
+        contact, law = self.contact, self.law
+        force = law.force + np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
+        force_deficit = contact.local.project_free(contact.multiplier(self.equilibrium) - force)
+        slip = self.jump - contact.reference + force_deficit / contact.law.stiffness[:, None]
+        is_slipping = (contact.law.frictional & contact.law.slides & (law.status == SLIP))[:, None]
+        closed_faces = self._closed_faces(slip)
+        force, slip = (
+            np.where(is_slipping, contact.local.tangential(vector, closed_faces), 0.0)
+            for vector in (force, slip)
+        )
         return force, slip
 
-    def _closed(self, step: Floats) -> Bools:
+    def _closed_faces(self, step: Floats) -> Bools:
         """Faces that are closed after a step (n, 3).
 
         At an edge the tangential direction is along the edge. If friction on one face holds the
         point against another face, there is a force across the edge too, but no slip.
         """
         gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.local.normals)
-        nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
-        return np.asarray((self.law.pressures > 0) | nearly)
+        is_nearly_closed = gap <= CLOSED_GAP * np.linalg.norm(step, axis=1)[:, None]
+        return np.asarray((self.law.pressures > 0) | is_nearly_closed)
 
     def slip(self, friction: Floats) -> Floats:
         """Irreversible tangential motion (n, 3) [mm] under a friction (n, 3) [MPa].
@@ -114,22 +117,24 @@ class TrialState:
         In contact it is d_T of eq. 3 without its elastic part. It is a state and has no history. In
         finite sliding it is the sum over the steps.
         """
-        c = self.contact
-        slid = self.sliding(self.jump - self._elastic(friction))
-        slip = np.where(c.law.slides[:, None], slid, self.law.outputs["slip"])
-        if c.finite_sliding is not None:
-            rows = c.finite_sliding.rows
-            slip[rows] = c.state.slip[rows] + self.sliding(self.jump - c.reference)[rows]
+        contact = self.contact
+        sliding_motion = self.sliding(self.jump - self._layer_stretch(friction))
+        slip = np.where(contact.law.slides[:, None], sliding_motion, self.law.outputs["slip"])
+        if contact.finite_sliding is not None:
+            rows = contact.finite_sliding.rows
+            slip[rows] = (
+                contact.state.slip[rows] + self.sliding(self.jump - contact.reference)[rows]
+            )
         return slip
 
-    def _elastic(self, friction: Floats) -> Floats:
+    def _layer_stretch(self, friction: Floats) -> Floats:
         return np.einsum("pij,pj->pi", self.contact.law.compliance, friction)
 
     def sliding(self, motion: Floats) -> Floats:
         """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
-        touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
-        along = self.contact.local.tangential(motion, self._closed(motion))
-        return np.where(touching, along, 0.0)
+        is_touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
+        tangential = self.contact.local.tangential(motion, self._closed_faces(motion))
+        return np.where(is_touching, tangential, 0.0)
 
     def committed(self) -> ContactState:
         """State of the points after a converged step: jump, tractions, path, dissipation.
@@ -146,33 +151,44 @@ class TrialState:
         steps in which points close or open. It contains the normal energy of a layer, which is
         released when the layer opens.
         """
-        c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.local.weight
-        step, opening = self.jump - c.reference, c.opening(self.jump)
-        force = c.forces(self.equilibrium) + c.local.tangential_held(law.force)
-        normal = np.einsum("pk,pki->pi", law.pressures, c.local.normals)
+        contact, law, before, weight = (
+            self.contact,
+            self.law,
+            self.contact.state,
+            self.contact.local.weight,
+        )
+        step, opening = self.jump - contact.reference, contact.opening(self.jump)
+        force = contact.forces(self.equilibrium) + contact.local.tangential_held(law.force)
+        normal = np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
         friction = force + normal
         outputs, slip = law.outputs, self.slip(friction)
-        rubbed = np.einsum("pi,pi->p", *self.rubbing())
-        dissipated = weight * (outputs["dissipated"] + law.rubbed + rubbed)
-        soft = np.einsum("pi,pij,pj->p", force, c.law.compliance, force) / 2
-        slid = self.sliding(step - self._elastic(friction - old.friction))
-        slid = np.linalg.norm(np.where(c.law.slides[:, None], slid, slip - old.slip), axis=1)
-        pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
+        friction_work = np.einsum("pi,pi->p", *self.friction_and_slip())
+        dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
+        layer_energy = np.einsum("pi,pij,pj->p", force, contact.law.compliance, force) / 2
+        slip_length = self.sliding(step - self._layer_stretch(friction - before.friction))
+        slip_length = np.linalg.norm(
+            np.where(contact.law.slides[:, None], slip_length, slip - before.slip), axis=1
+        )
+        contact_work = (
+            np.einsum("pi,pi->p", before.force - before.friction - normal, opening - before.opening)
+            / 2
+        )
         return ContactState(
             jump=self.jump.copy(),
-            inserted=old.inserted,
+            inserted=before.inserted,
             force=force,
             friction=friction,
             opening=opening,
             slip=slip,
-            slid=slid,
-            path=old.path + slid,
-            stored=weight * (outputs["stored"] + soft),
-            dissipation=old.dissipation + dissipated,
-            least=np.minimum(old.least, dissipated),
-            contact_work=old.contact_work + weight * pushed,
-            work=old.work
-            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - c.carried),
+            step_slip=slip_length,
+            path=before.path + slip_length,
+            stored=weight * (outputs["stored"] + layer_energy),
+            dissipation=before.dissipation + dissipated,
+            smallest_dissipation=np.minimum(before.smallest_dissipation, dissipated),
+            contact_work=before.contact_work + weight * contact_work,
+            work=before.work
+            + weight
+            * np.einsum("pi,pi->p", (force + before.force) / 2, self.jump - contact.carried),
             internal_variables=law.internal_variables,
         )
 
@@ -190,7 +206,7 @@ class ContactInterfaces:
         state: Committed state of the local points.
         gap: Initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
-        inserted_at: Time up to which the gap of press fits changes.
+        insertion_time: Time up to which the gap of press fits changes.
         committed_at: Jumps at the last pairing of the committed state (n, 3) [mm]; None with small
             sliding.
         carried: Committed jumps relative to the current pairs (n, 3) [mm].
@@ -204,7 +220,7 @@ class ContactInterfaces:
     saved = ("state", "committed_at")
     committed_at: Floats | None = None
     # Resistance of the active supports to rigid motions, by body.
-    _held: dict[int, Floats] | None = None
+    _support_resistance: dict[int, Floats] | None = None
 
     def __init__(
         self,
@@ -213,33 +229,35 @@ class ContactInterfaces:
         augmentation_factor: float,
     ) -> None:
         scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
-        self._body_forms, self._bodies = body_forms, len(bodies.names)
+        self._body_forms, self._body_count = body_forms, len(bodies.names)
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = body_forms.mesh.comm
-        space, parts = body_forms.space, len(scene.contacts)
+        space, interfaces = body_forms.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
         if scene.rigid:
-            every = stiffness.constraints_of_stages()
-            holds = with_rigid_regions(body_forms, every, self.facets, holds, axes)
+            constraints_of_stages = stiffness.constraints_of_stages()
+            holds = with_rigid_regions(body_forms, constraints_of_stages, self.facets, holds, axes)
             refuse_loose_regions(scene, bodies, holds, self.facets, axes)
         self.points, entries = contact_points(
             self.facets, holds, [c.name for c in scene.contacts], axes
         )
         refuse_supports(scene, self.points)
-        apart = np.isin(
-            self.points.interface, [i for i in range(parts) if scene.contacts[i].between]
+        slides_finitely = np.isin(
+            self.points.interface, [i for i in range(interfaces) if scene.contacts[i].between]
         )
         # A point with finite sliding has one face: the surface under it.
-        self.points.faces[apart], self.points.normals[apart, 1:] = 1, 0.0
-        rows, self._number = owners(self.comm, space.dofmap.index_map, self.points.dof)
+        self.points.faces[slides_finitely], self.points.normals[slides_finitely, 1:] = 1, 0.0
+        rows, self._number_of_point = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.local = LocalPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
-        self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
+        self.edge_lengths = [
+            float(edges[self.facets.interface == i].mean()) for i in range(interfaces)
+        ]
         self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
-        self._by_supports = self._jumps_by_supports()
+        self._unit_jumps = self._jumps_by_supports()
         self.coupling = JumpCoupling(
-            body_forms, stiffness.constraints, entries, self._number, len(rows)
+            body_forms, stiffness.constraints, entries, self._number_of_point, len(rows)
         )
         self.finite_sliding: FiniteSliding | None = None
         if stiffness.followers:
@@ -255,30 +273,32 @@ class ContactInterfaces:
         """
         contacts = self._contacts = scene.contacts
         fields = [{"gap": c.gap, **c.values} for c in contacts]
-        values = {name: np.zeros(len(self.points.weight)) for every in fields for name in every}
-        for i, (c, every) in enumerate(zip(contacts, fields, strict=True)):
+        values = {
+            name: np.zeros(len(self.points.weight)) for constants in fields for name in constants
+        }
+        for i, (c, constants) in enumerate(zip(contacts, fields, strict=True)):
             # On every rank at all points, so that an error is raised on every rank.
-            here = self.points.interface == i
-            for name, at in every.items():
-                values[name][here] = at(self.points.x[here])
+            at_interface = self.points.interface == i
+            for name, value_at in constants.items():
+                values[name][at_interface] = value_at(self.points.x[at_interface])
             try:
-                c.law.check({name: values[name][here] for name in c.values})
+                c.law.check({name: values[name][at_interface] for name in c.values})
             except PydanticCustomError as error:
                 key = ".".join(("interfaces", c.name, *(error.context or {})["at"]))
                 raise InputError(f"{key}: {error}") from error
-        of_rank = {name: full[self.local.rows] for name, full in values.items()}
+        of_rank = {name: of_all_points[self.local.rows] for name, of_all_points in values.items()}
         self._full_gap = of_rank["gap"]
-        settled = (
+        settling_times = (
             gap_settled(values["gap"][self.points.interface == i], c.gap_history)
             for i, c in enumerate(contacts)
             if c.press_fit
         )
-        self.inserted_at = max(settled, default=0.0) + ROUNDING
+        self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
         laws = [c.law for c in contacts]
         self.law.begin(laws, of_rank, augmentation_factor, self.coupling.local_stiffness())
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
-        self._committed = 0.0
+        self._committed_time = 0.0
         self.state: ContactState = ContactState.at_rest(
             self.local.x * 0.0, self.law.internal_variables
         )
@@ -291,17 +311,17 @@ class ContactInterfaces:
         constraints, local = self._stiffness.constraints, self.local
         jumps = []
         for k, support in enumerate(self._supports):
-            moved = np.zeros((len(local), 3))
+            unit_displacement = np.zeros((len(local), 3))
             if (self.points.given == RIGIDLY).any():
                 unit = PETSc.Vec().createWithArray(constraints.unit[k].copy(), comm=self.comm)
-                moved = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
-            jumps.append(prescribed_jump(self.points, local.rows, k, support, moved))
+                unit_displacement = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
+            jumps.append(prescribed_jump(self.points, local.rows, k, support, unit_displacement))
         return jumps
 
     def update_stiffness(self) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
-        self._held = None
-        self._by_supports = self._jumps_by_supports()
+        self._support_resistance = None
+        self._unit_jumps = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
 
@@ -309,15 +329,15 @@ class ContactInterfaces:
         """Set gaps and prescribed jumps to a time."""
         gap = self._clearance = np.zeros(len(self.local))
         for i, c in enumerate(self._contacts):
-            here = self.local.interface == i
-            gap[here] = gap_at(self._full_gap[here], c.gap_history, time)
+            at_interface = self.local.interface == i
+            gap[at_interface] = gap_at(self._full_gap[at_interface], c.gap_history, time)
         if self.finite_sliding is None:
             self.gap = gap_vectors(self.local.normals, gap)
         else:
-            self.finite_sliding.set_time(self._committed, time)
+            self.finite_sliding.set_time(self._committed_time, time)
             self.pair_at(self.state.jump)
         self.prescribed = np.zeros((len(self.local), 3))
-        for support, jump in zip(self._supports, self._by_supports, strict=True):
+        for support, jump in zip(self._supports, self._unit_jumps, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
 
     def pair_at(self, jump: Floats) -> None:
@@ -327,7 +347,7 @@ class ContactInterfaces:
         closest = self.finite_sliding.pair(jump)
         local.normals[rows, 0] = closest.normal
         self.law.set_normals(rows)
-        self._paired_at, gap = jump.copy(), self._clearance.copy()
+        self._paired_jump, gap = jump.copy(), self._clearance.copy()
         gap[rows] += closest.gap - np.einsum("pi,pi->p", closest.normal, jump[rows])
         self.gap = gap_vectors(local.normals, gap)
 
@@ -337,24 +357,24 @@ class ContactInterfaces:
             return False
         rows = self.finite_sliding.rows
         pressure = trial.law.pressures[rows, 0]
-        gap_error = self.finite_sliding.error(self._paired_at, trial.jump)
+        gap_error = self.finite_sliding.error(self._paired_jump, trial.jump)
         error = self.law.local_stiffness[rows] * gap_error
         local = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
         largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
-        if largest_error <= ACCURACY * largest_pressure:
+        if largest_error <= PAIRING_ACCURACY * largest_pressure:
             return False
         self.pair_at(trial.jump)
         return True
 
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
-        if time <= self.inserted_at:
+        if time <= self.insertion_time:
             state.inserted = state.jump
-        self.state, self._committed = state, time
+        self.state, self._committed_time = state, time
         self.carried = state.jump
         if self.finite_sliding is not None:
             self.finite_sliding.set_time(time, time)
-            self.committed_at = self._paired_at
+            self.committed_at = self._paired_jump
 
     @property
     def reference(self) -> Floats:
@@ -386,35 +406,38 @@ class ContactInterfaces:
         constrained = self.law.constrained = np.zeros(len(self.local), dtype=bool)
         if not on:
             return False
-        apart = self._clearance.copy()
+        gap = self._clearance.copy()
         if self.finite_sliding is not None:
-            apart[self.finite_sliding.rows] += self.finite_sliding.paired.gap
-        touched = (apart <= 0) | self.state.force.any(axis=1)
+            gap[self.finite_sliding.rows] += self.finite_sliding.paired.gap
+        is_touching = (gap <= 0) | self.state.force.any(axis=1)
         floating: set[int] | None = None
         for i in range(len(self._contacts)):
-            here = self.local.interface == i
-            touching, open_ = (
-                bool(self.comm.allreduce(int(t[here].sum()), MPI.SUM)) for t in (touched, ~touched)
+            at_interface = self.local.interface == i
+            has_touching, has_open = (
+                bool(self.comm.allreduce(int(mask[at_interface].sum()), MPI.SUM))
+                for mask in (is_touching, ~is_touching)
             )
-            if touching and not open_:
+            if has_touching and not has_open:
                 continue
-            if touching:
+            if has_touching:
                 if floating is None:
-                    floating = self._floating(touched)
+                    floating = self._floating_bodies(is_touching)
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
                 if bodies.isdisjoint(floating):
                     continue
-            constrained |= here
+            constrained |= at_interface
         return bool(self.comm.allreduce(bool(constrained.any()), MPI.LOR))
 
-    def _floating(self, touched: Bools) -> set[int]:
+    def _floating_bodies(self, touched: Bools) -> set[int]:
         """Bodies with a rigid motion that neither supports nor touching points hold; collective.
 
         Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
         """
-        free = self._unresisted(touched & self._sticks, touched & ~self._sticks, FREE)
-        moves = np.linalg.norm(free.reshape(self._bodies, -1), axis=1) > MOVES
-        return {int(body) for body in np.flatnonzero(moves)}
+        free = self._weakly_resisted_motions(
+            touched & self._resists_all_jumps, touched & ~self._resists_all_jumps, FREE_RESISTANCE
+        )
+        takes_part = np.linalg.norm(free.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
+        return {int(body) for body in np.flatnonzero(takes_part)}
 
     def free_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
@@ -428,9 +451,9 @@ class ContactInterfaces:
             status: States of local points (n,).
         """
         if self.finite_sliding is not None or self.points.surface.jumps is not None:
-            return np.zeros((6 * self._bodies, 0))
-        stick = self._touching(status) & self._sticks
-        return self._unresisted(stick, ~stick, UNRESISTED)
+            return np.zeros((6 * self._body_count, 0))
+        stick = self._touching_points(status) & self._resists_all_jumps
+        return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
 
     def loose_motions(self, status: Ints) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective.
@@ -438,21 +461,23 @@ class ContactInterfaces:
         The motions of `free_motions`, which no point resists, are not among them.
         """
         if self.finite_sliding is not None or self.points.surface.jumps is not None:
-            return np.zeros((6 * self._bodies, 0))
-        touch = self._touching(status)
-        loose = self._unresisted(touch & self._sticks, touch & ~self._sticks, FREE)
-        return without(loose, self.free_motions(status))
+            return np.zeros((6 * self._body_count, 0))
+        touch = self._touching_points(status)
+        loose = self._weakly_resisted_motions(
+            touch & self._resists_all_jumps, touch & ~self._resists_all_jumps, FREE_RESISTANCE
+        )
+        return motions_outside(loose, self.free_motions(status))
 
-    def _touching(self, status: Ints) -> Bools:
+    def _touching_points(self, status: Ints) -> Bools:
         """Mask of points that touch in a state, or are constrained (n,)."""
         return (status != OPEN) | self.law.constrained
 
     @property
-    def _sticks(self) -> Bools:
+    def _resists_all_jumps(self) -> Bools:
         """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
         return self.law.frictional | ~self.law.slides | self.law.constrained
 
-    def _unresisted(self, stick: Bools, slide: Bools, part: float) -> Floats:
+    def _weakly_resisted_motions(self, stick: Bools, slide: Bools, part: float) -> Floats:
         """Rigid motions resisted by less than a part of the largest (6 bodies, k); collective.
 
         Args:
@@ -465,16 +490,18 @@ class ContactInterfaces:
         B *= self.local.weight[:, None, None]
         R = self.rigid_motions(self.local.x)
         at_points = R.transpose(0, 2, 1) @ B @ R
-        local = relative_resistance(at_points, self.local.bodies, self._bodies)
+        local = relative_resistance(at_points, self.local.bodies, self._body_count)
         resistance = self.comm.allreduce(local)
-        total = float(self.points.weight.sum())
-        if self._held is None:
-            self._held = support_resistance(self._body_forms, self._stiffness, *self.frame)
-        for body, held in self._held.items():
+        area = float(self.points.weight.sum())
+        if self._support_resistance is None:
+            self._support_resistance = support_resistance(
+                self._body_forms, self._stiffness, *self.frame
+            )
+        for body, body_resistance in self._support_resistance.items():
             of_body = slice(6 * body, 6 * body + 6)
-            resistance[of_body, of_body] += total * held
+            resistance[of_body, of_body] += area * body_resistance
         sizes, motions = np.linalg.eigh(resistance)
-        return np.asarray(motions[:, sizes <= part * max(sizes[-1], total)])
+        return np.asarray(motions[:, sizes <= part * max(sizes[-1], area)])
 
     @property
     def frame(self) -> tuple[Floats, float]:
@@ -489,11 +516,11 @@ class ContactInterfaces:
 
     def relative_motion(self, motions: Floats) -> Floats:
         """Jumps of local points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
-        of_bodies = motions.reshape(self._bodies, 6, -1)
+        of_bodies = motions.reshape(self._body_count, 6, -1)
         master, slave = self.local.bodies.T
         return self.rigid_motions(self.local.x) @ (of_bodies[slave] - of_bodies[master])
 
-    def apart(self) -> bool:
+    def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
         opening = self.opening(self.state.jump)
         gaps = np.einsum("pi,pki->pk", opening, self.local.normals)
@@ -521,27 +548,29 @@ class ContactInterfaces:
         if self.finite_sliding is None:
             return
         rows, constraints = self.finite_sliding.rows, self._stiffness.constraints
-        pushed = constraints.pushed(f)
-        direction = constraints.expand(pushed).array_r.reshape(-1, 3)[self.finite_sliding.nodes]
+        rigid_motion = constraints.rigid_motion_along(f)
+        direction = constraints.expand(rigid_motion).array_r.reshape(-1, 3)[
+            self.finite_sliding.nodes
+        ]
         gap = self._clearance[rows] + self.finite_sliding.paired.gap
-        along = np.einsum("pi,pi->p", self.local.normals[rows, 0], direction)
-        ahead = along > FACING * np.linalg.norm(direction, axis=1)
-        nearest = float(np.min(gap[ahead] / along[ahead], initial=np.inf))
+        closing_speed = np.einsum("pi,pi->p", self.local.normals[rows, 0], direction)
+        is_closing = closing_speed > FACING_COSINE * np.linalg.norm(direction, axis=1)
+        nearest = float(np.min(gap[is_closing] / closing_speed[is_closing], initial=np.inf))
         touches = (gap <= 0).any() or self.state.force[rows].any()
         # Multiple of the direction up to the first contact.
         distance = self.comm.allreduce(0.0 if touches else nearest, MPI.MIN)
         if np.isfinite(distance):
-            u.axpy(BEYOND * distance, pushed)
-            q.array.reshape(-1, 3)[rows] -= BEYOND * distance * direction
+            u.axpy(APPROACH_FACTOR * distance, rigid_motion)
+            q.array.reshape(-1, 3)[rows] -= APPROACH_FACTOR * distance * direction
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation of each interface that can open [MPa/mm], by name; collective."""
         values = self.law.augmentation()
         return {self._contacts[i].name: value for i, value in values.items()}
 
-    def whole(self, values: Floats) -> Floats:
+    def gather(self, values: Floats) -> Floats:
         """Gather values (n, ...) of local points to the values of all points; collective."""
-        return np.asarray(gather(self.comm, values)[0][self._number])
+        return np.asarray(gather(self.comm, values)[0][self._number_of_point])
 
     @property
     def row_keys(self) -> Ints:

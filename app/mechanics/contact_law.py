@@ -37,11 +37,11 @@ OUTPUTS: dict[str, tuple[int, ...]] = {
     "broken_by_jump": (3,),
 }
 # A prescribed slip, or an error of its force, below this part of its size counts as zero.
-AT_REST = 1e-13
+REST_TOLERANCE = 1e-13
 # Start of the local Newton iterations for that force, as a multiple of the trial force.
-FAR = 1e3
+START_FACTOR = 1e3
 # Most local Newton iterations.
-LOCAL = 50
+LOCAL_ITERATIONS = 50
 # The modules that define a law, together with the module of its class. If their text changes, the
 # law is compiled again.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
@@ -59,8 +59,8 @@ class PointForces:
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         internal_variables: New values of the internal variables of the laws, by name: (n, ...).
-        rubbed: Energy per area that friction of the debonded area dissipates in the step
-            (n,) [N/mm].
+        debonded_friction_work: Energy per area that friction of the debonded area dissipates in the
+            step (n,) [N/mm].
         outputs: Values of `OUTPUTS`, by name: (n, ...); 0 for laws without them.
     """
 
@@ -71,7 +71,7 @@ class PointForces:
     pressures: Floats
     status: Ints
     internal_variables: Mapping[str, Floats]
-    rubbed: Floats
+    debonded_friction_work: Floats
     outputs: Mapping[str, Floats]
 
     @property
@@ -122,7 +122,7 @@ class PointLaw:
 
     def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
         self._comm, self._points, self._timing = comm, points, timing
-        self._known: dict[tuple[Hashable, ...], list[Group]] = {}
+        self._groups_by_form: dict[tuple[Hashable, ...], list[Group]] = {}
 
     def begin(
         self,
@@ -140,10 +140,10 @@ class PointLaw:
             local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         points, forms = self._points, tuple(law.form for law in laws)
-        if forms not in self._known:
+        if forms not in self._groups_by_form:
             with self._timing.phase("compile", "contact"):
-                self._known[forms] = self._compiled(laws)
-        self._factor, self._groups = factor, self._known[forms]
+                self._groups_by_form[forms] = self._compile_groups(laws)
+        self._factor, self._groups = factor, self._groups_by_form[forms]
         self._laws = [(law, points.interface == i) for i, law in enumerate(laws)]
         for rows, law, compiled, _ in self._groups:
             constants = {name: values[name][rows] for name in law.values}
@@ -154,37 +154,45 @@ class PointLaw:
         self.can_open = np.array([law.can_open for law in laws])[points.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[points.interface]
         self.slides = np.array([law.is_contact for law in laws])[points.interface]
-        touch = [law.is_contact or law.debonded_contact is not None for law in laws]
-        self.has_contact = np.array(touch)[points.interface]
+        has_contact = [law.is_contact or law.debonded_contact is not None for law in laws]
+        self.has_contact = np.array(has_contact)[points.interface]
         self.dissipates = np.array([law.dissipates for law in laws])[points.interface]
         # Friction coefficient of the debonded area.
         self._friction = values.get("friction_coefficient", np.zeros(len(points)))
         self.constrained = np.zeros(len(points), dtype=bool)
         self.opened = np.zeros(len(points), dtype=bool)
-        self._scale = 1.0
-        self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[points.interface]
+        self._augmentation_scale = 1.0
+        self._layer_stiffness = np.array([min(law.layer or (np.inf,)) for law in laws])[
+            points.interface
+        ]
         self.compliance = np.zeros((len(points), 3, 3))
-        for law, here in self._laws:
+        for law, at_points in self._laws:
             if law.layer is not None:
-                self.compliance[here] = _compliance(
-                    points.normals[here], points.faces[here], *law.layer
+                self.compliance[at_points] = _compliance(
+                    points.normals[at_points], points.faces[at_points], *law.layer
                 )
         self.update_stiffness(local_stiffness)
 
-    def _compiled(self, laws: Sequence[InterfaceLaw]) -> list[Group]:
+    def _compile_groups(self, laws: Sequence[InterfaceLaw]) -> list[Group]:
         points, forms = self._points, list(dict.fromkeys(law.form for law in laws))
-        form = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[points.interface]
-        here = {(int(m), int(k)) for m, k in zip(points.faces, form, strict=True) if m}
+        form_of_point = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[
+            points.interface
+        ]
+        local_groups = {
+            (int(face_count), int(form_number))
+            for face_count, form_number in zip(points.faces, form_of_point, strict=True)
+            if face_count
+        }
         groups = []
-        for m, k in sorted(set().union(*self._comm.allgather(here))):
-            rows = np.flatnonzero((points.faces == m) & (form == k))
-            law = next(law for law in laws if law.form == forms[k])
-            normals = points.normals[rows, :m]
-            compiled = _compile(self._comm, normals, law)
+        for face_count, form_number in sorted(set().union(*self._comm.allgather(local_groups))):
+            rows = np.flatnonzero((points.faces == face_count) & (form_of_point == form_number))
+            law = next(law for law in laws if law.form == forms[form_number])
+            normals = points.normals[rows, :face_count]
+            compiled = _compile_law(self._comm, normals, law)
             debonded = (
                 None
                 if law.debonded_contact is None
-                else _compile(self._comm, normals, law.debonded_contact)
+                else _compile_law(self._comm, normals, law.debonded_contact)
             )
             groups.append((rows, law, compiled, debonded))
         return groups
@@ -208,12 +216,12 @@ class PointLaw:
             stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         self.local_stiffness = np.linalg.eigvalsh(stiffness)[:, 0] / self._points.weight
-        self.default_stiffness = self._softest.copy()
-        for law, here in self._laws:
+        self.default_stiffness = self._layer_stiffness.copy()
+        for law, at_points in self._laws:
             # Above the stiffness of a layer the multiplier would enter with a negative sign.
-            r = law.trial_stiffness(self.local_stiffness[here], self._factor)
-            self.default_stiffness[here] = np.minimum(r, self._softest[here])
-        self.scale_augmentation(self._scale)
+            r = law.trial_stiffness(self.local_stiffness[at_points], self._factor)
+            self.default_stiffness[at_points] = np.minimum(r, self._layer_stiffness[at_points])
+        self.scale_augmentation(self._augmentation_scale)
 
     def freeze(self, on: bool) -> bool:
         """Freeze the internal variables, or let them change; return True if there are any."""
@@ -222,20 +230,22 @@ class PointLaw:
 
     def scale_augmentation(self, factor: float) -> None:
         """Multiply the default augmentation by a factor, until the next call."""
-        self._scale = factor
+        self._augmentation_scale = factor
         self.stiffness = factor * self.default_stiffness
         layers = self.stiffness[:, None, None] * self.compliance
         self.multiplier_share = np.eye(3) - layers
 
     def default_augmentation_ratio(self) -> float:
         """Geometric mean of the default augmentation over the one of the case [-]; collective."""
-        here = np.array([law.augmented for law, _ in self._laws])[self._points.interface]
-        usual = np.minimum(DEFAULT_AUGMENTATION * self.local_stiffness, self._softest)[here]
-        default = np.array_equal(usual, self.default_stiffness[here])
-        if self._comm.allreduce(default, MPI.LAND):
+        is_augmented = np.array([law.augmented for law, _ in self._laws])[self._points.interface]
+        default_stiffness = np.minimum(
+            DEFAULT_AUGMENTATION * self.local_stiffness, self._layer_stiffness
+        )[is_augmented]
+        is_default = np.array_equal(default_stiffness, self.default_stiffness[is_augmented])
+        if self._comm.allreduce(is_default, MPI.LAND):
             return 1.0
-        logs = float(np.log(usual / self.default_stiffness[here]).sum())
-        total, count = self._comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
+        logs = float(np.log(default_stiffness / self.default_stiffness[is_augmented]).sum())
+        total, count = self._comm.allreduce(np.array([logs, is_augmented.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
 
     @property
@@ -250,9 +260,9 @@ class PointLaw:
     def augmentation(self) -> dict[int, float]:
         """Augmentation of each interface that can open [MPa/mm]; collective."""
         values = {}
-        for i, (law, here) in enumerate(self._laws):
+        for i, (law, at_points) in enumerate(self._laws):
             if law.can_open:
-                local = float(self.stiffness[here].max(initial=0.0))
+                local = float(self.stiffness[at_points].max(initial=0.0))
                 values[i] = float(self._comm.allreduce(local, MPI.MAX))
         return values
 
@@ -281,40 +291,40 @@ class PointLaw:
             internal_variables={
                 name: values.copy() for name, values in state.internal_variables.items()
             },
-            rubbed=np.zeros(n),
+            debonded_friction_work=np.zeros(n),
             outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
         )
         for rows, law, compiled, debonded in self._groups:
-            known = inputs | {
+            law_inputs = inputs | {
                 name: state.internal_variables[name] for name in law.internal_variables
             }
-            known = {k: v[rows] for k, v in known.items()}
-            response = self._respond(rows, compiled, known, state.friction[rows])
+            law_inputs = {k: v[rows] for k, v in law_inputs.items()}
+            response = self._evaluate_law(rows, compiled, law_inputs, state.friction[rows])
             out.force[rows] = response["force"]
-            slope = response.get("by_multiplier", 0.0)
-            out.by_multiplier[rows] = slope
-            out.by_jump[rows] = response.get("by_jump", r[rows, None, None] * slope)
-            p = response["pressures"]
-            out.pressures[rows, : p.shape[1]] = p
+            by_multiplier = response.get("by_multiplier", 0.0)
+            out.by_multiplier[rows] = by_multiplier
+            out.by_jump[rows] = response.get("by_jump", r[rows, None, None] * by_multiplier)
+            pressures = response["pressures"]
+            out.pressures[rows, : pressures.shape[1]] = pressures
             out.status[rows] = np.rint(response["status"]).astype(np.int64)
             for name in law.internal_variables:
                 out.internal_variables[name][rows] = response[f"new {name}"]
             for name in OUTPUTS.keys() & response.keys():
                 out.outputs[name][rows] = response[name]
             if debonded is not None:
-                some = {name: known[name] for name in inputs}
-                self._touch(rows, law, debonded, some, state, out)
+                contact_inputs = {name: law_inputs[name] for name in inputs}
+                self._add_debonded_contact(rows, law, debonded, contact_inputs, state, out)
         if self.constrained.any():
             self._constrain(out, force, jump + gap, state.jump)
-        open_ = self.opened & self.slides
-        if open_.any():
+        is_opened = self.opened & self.slides
+        if is_opened.any():
             for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
-                values[open_] = 0.0
-            out.status[open_] = OPEN
+                values[is_opened] = 0.0
+            out.status[is_opened] = OPEN
         return out
 
-    def _respond(
-        self, rows: Ints, compiled: Pointwise, inputs: dict[str, Floats], last: Floats
+    def _evaluate_law(
+        self, rows: Ints, compiled: Pointwise, inputs: dict[str, Floats], last_friction: Floats
     ) -> dict[str, Floats]:
         r"""Evaluate a law, with its force along prescribed tangential jumps.
 
@@ -331,17 +341,17 @@ class PointLaw:
             rows: Local points of the law (n,).
             compiled: The law.
             inputs: Inputs of the law by name, without F_h in the force.
-            last: Friction in the last converged state (n, 3) [MPa].
+            last_friction: Friction in the last converged state (n, 3) [MPa].
 
         Returns:
             Outputs of the law, with total derivatives.
         """
-        H = self._points.along[rows]
+        H = self._points.held_tangents[rows]
         if not H.any():
             return compiled.named(**inputs)
         M = self.multiplier_share[rows]
-        slides, scale, F_h = _held_force(H, inputs, last)
-        for _ in range(LOCAL):
+        slides, scale, F_h = _start_of_held_force(H, inputs, last_friction)
+        for _ in range(LOCAL_ITERATIONS):
             force = inputs["force"] + np.einsum("pij,pj->pi", M, F_h)
             response = compiled.named(**(inputs | {"force": force}))
             if "by_jump" in response:
@@ -351,14 +361,14 @@ class PointLaw:
             jacobian = np.eye(3) - np.where(slides[:, None, None], H @ P_F @ M @ H, 0.0)
             residual = np.einsum("pij,pj->pi", H, response["force"]) - F_h
             residual = np.where(slides[:, None], residual, 0.0)
-            if (np.abs(residual).max(axis=1) <= AT_REST * scale).all():
+            if (np.abs(residual).max(axis=1) <= REST_TOLERANCE * scale).all():
                 break
             F_h = F_h + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0]
         # Implicit derivative of F_h by the multiplier F.
         F_h_by_F = np.where(slides[:, None, None], np.linalg.solve(jacobian, H @ P_F), 0.0)
         return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
 
-    def _touch(
+    def _add_debonded_contact(
         self,
         rows: Ints,
         law: InterfaceLaw,
@@ -375,48 +385,56 @@ class PointLaw:
         """
         points, r = self._points, inputs["r"]
         share = out.outputs["broken"][rows]
-        on = (share > 0) & ~self.opened[rows]
-        T, T_by_jump = out.force[rows], out.by_jump[rows]
-        free = np.eye(3) - points.along[rows]
-        inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, T)
+        in_contact = (share > 0) & ~self.opened[rows]
+        traction, traction_by_jump = out.force[rows], out.by_jump[rows]
+        free = np.eye(3) - points.held_tangents[rows]
+        inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, traction)
         if law.friction > 0:
             inputs["μ"] = self._friction[rows] * share
-        response = self._respond(rows, contact, inputs, state.friction[rows])
-        P, slope, p = response["force"], response["by_multiplier"], response["pressures"]
+        response = self._evaluate_law(rows, contact, inputs, state.friction[rows])
+        contact_force, by_multiplier, pressures = (
+            response["force"],
+            response["by_multiplier"],
+            response["pressures"],
+        )
         status = np.rint(response["status"]).astype(np.int64)
-        friction = P + np.einsum("pk,pki->pi", p, points.normals[rows, : p.shape[1]])
-        rubs = on & (status == SLIP)
-        by_jump = slope @ (r[:, None, None] * np.eye(3) - free @ T_by_jump)
+        friction = contact_force + np.einsum(
+            "pk,pki->pi", pressures, points.normals[rows, : pressures.shape[1]]
+        )
+        is_slipping = in_contact & (status == SLIP)
+        by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - free @ traction_by_jump)
         # The disc of friction grows with the broken share.
-        grown = np.where(rubs, 1 / np.where(on, share, 1.0), 0.0)[:, None, None]
-        by_jump += grown * friction[:, :, None] * out.outputs["broken_by_jump"][rows][:, None, :]
-        here = rows[on]
-        out.force[here] += P[on]
-        out.by_multiplier[here] = slope[on]
-        out.by_jump[here] += by_jump[on]
-        out.pressures[here, : p.shape[1]] += p[on]
-        out.status[here] = status[on]
-        missing = np.einsum("pij,pj->pi", free, inputs["force"] - P)
-        slid = inputs["jump"] - inputs["old"] + missing / r[:, None]
-        out.rubbed[rows] = np.where(rubs, np.einsum("pi,pi->p", friction, slid), 0.0)
+        by_share = np.where(is_slipping, 1 / np.where(in_contact, share, 1.0), 0.0)[:, None, None]
+        by_jump += by_share * friction[:, :, None] * out.outputs["broken_by_jump"][rows][:, None, :]
+        contact_rows = rows[in_contact]
+        out.force[contact_rows] += contact_force[in_contact]
+        out.by_multiplier[contact_rows] = by_multiplier[in_contact]
+        out.by_jump[contact_rows] += by_jump[in_contact]
+        out.pressures[contact_rows, : pressures.shape[1]] += pressures[in_contact]
+        out.status[contact_rows] = status[in_contact]
+        force_deficit = np.einsum("pij,pj->pi", free, inputs["force"] - contact_force)
+        slip = inputs["jump"] - inputs["old"] + force_deficit / r[:, None]
+        out.debonded_friction_work[rows] = np.where(
+            is_slipping, np.einsum("pi,pi->p", friction, slip), 0.0
+        )
         motion = np.zeros_like(out.force)
         motion[rows] = inputs["jump"] + inputs["gap"]
-        slip = points.tangential(motion, out.pressures > 0)
-        closed = here[status[on] != OPEN]
-        out.outputs["slip"][closed] = slip[closed]
+        tangential_motion = points.tangential(motion, out.pressures > 0)
+        closed = contact_rows[status[in_contact] != OPEN]
+        out.outputs["slip"][closed] = tangential_motion[closed]
 
     def _constrain(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
         points, constrained = self._points, self.constrained
-        slid = points.tangential(old, np.ones((len(points), 3), dtype=bool))
-        trial = force + self.stiffness[:, None] * (opening - slid)
+        old_slip = points.tangential(old, np.ones((len(points), 3), dtype=bool))
+        trial = force + self.stiffness[:, None] * (opening - old_slip)
         out.force[constrained] = points.project_free(trial)[constrained]
         out.by_multiplier[constrained] = np.eye(3)
         out.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
         out.status[constrained] = STICK
 
 
-def _held_force(
-    H: Floats, inputs: Mapping[str, Floats], last: Floats
+def _start_of_held_force(
+    H: Floats, inputs: Mapping[str, Floats], last_friction: Floats
 ) -> tuple[Bools, Floats, Floats]:
     """Start of Newton's method for the force along prescribed tangential jumps.
 
@@ -425,7 +443,7 @@ def _held_force(
     Args:
         H: Projectors on the prescribed directions (n, 3, 3).
         inputs: Inputs of the law by name.
-        last: Friction in the last converged state (n, 3) [MPa].
+        last_friction: Friction in the last converged state (n, 3) [MPa].
 
     Returns:
         Mask of the points whose prescribed jump changes (n,), size of the trial force (n,) [MPa],
@@ -434,15 +452,21 @@ def _held_force(
     jump, old = inputs["jump"], inputs["old"]
     slip = np.einsum("pij,pj->pi", H, jump - old)
     size = np.linalg.norm(slip, axis=1)
-    slides = size > AT_REST * (np.linalg.norm(jump, axis=1) + np.linalg.norm(old, axis=1))
+    is_sliding = size > REST_TOLERANCE * (
+        np.linalg.norm(jump, axis=1) + np.linalg.norm(old, axis=1)
+    )
     opening = np.linalg.norm(jump + inputs["gap"], axis=1)
     scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
-    direction = slip / np.where(slides, size, 1.0)[:, None]
-    at_rest = np.einsum("pij,pj->pi", H, last)
-    return slides, scale, np.where(slides[:, None], FAR * scale[:, None] * direction, at_rest)
+    direction = slip / np.where(is_sliding, size, 1.0)[:, None]
+    at_rest = np.einsum("pij,pj->pi", H, last_friction)
+    return (
+        is_sliding,
+        scale,
+        np.where(is_sliding[:, None], START_FACTOR * scale[:, None] * direction, at_rest),
+    )
 
 
-def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
+def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     """The law of n points with the same number m of faces, normals (n, m, 3)."""
     faces = [f"normal_{k}" for k in range(normals.shape[1])]
     duals = [f"dual_{k}" for k in range(normals.shape[1])]

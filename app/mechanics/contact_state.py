@@ -32,7 +32,7 @@ class LocalPoints:
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
         weight: Area (n,) [mm2].
         projector: Projectors on the part of the jump that supports prescribe (n, 3, 3).
-        along: Projectors on the prescribed part that is tangential to all faces (n, 3, 3).
+        held_tangents: Projectors on the prescribed part that is tangential to all faces (n, 3, 3).
     """
 
     rows: Ints
@@ -43,12 +43,12 @@ class LocalPoints:
     normals: Floats
     weight: Floats
     projector: Floats
-    along: Floats
+    held_tangents: Floats
 
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> LocalPoints:
         """Select the points that a rank owns."""
-        names = ("interface", "x", "bodies", "faces", "normals", "weight", "along")
+        names = ("interface", "x", "bodies", "faces", "normals", "weight", "held_tangents")
         kept = {name: getattr(points, name)[rows] for name in names}
         return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **kept)
 
@@ -62,7 +62,7 @@ class LocalPoints:
 
     def tangential_held(self, vectors: Floats) -> Floats:
         """Return the prescribed tangential components of vectors (n, 3): friction acts there."""
-        return np.asarray(np.einsum("pij,pj->pi", self.along, vectors))
+        return np.asarray(np.einsum("pij,pj->pi", self.held_tangents, vectors))
 
     def acting(self, vectors: Floats) -> Floats:
         """Remove prescribed components in which the law does not act from vectors (n, 3)."""
@@ -85,11 +85,11 @@ class ContactState:
         friction: Friction part of the force (n, 3) [MPa].
         opening: Jump plus initial gap (n, 3) [mm].
         slip: Irreversible tangential motion, 0 where open (n, 3) [mm].
-        slid: Length of sliding in contact in the last step (n,) [mm].
+        step_slip: Length of sliding in contact in the last step (n,) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
         stored: Energy stored by laws of interfaces (n,) [N mm].
         dissipation: Dissipation so far (n,) [N mm].
-        least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
+        smallest_dissipation: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].
         internal_variables: Internal variables of the laws, by name: (n, ...).
@@ -101,11 +101,11 @@ class ContactState:
     friction: Floats
     opening: Floats
     slip: Floats
-    slid: Floats
+    step_slip: Floats
     path: Floats
     stored: Floats
     dissipation: Floats
-    least: Floats
+    smallest_dissipation: Floats
     contact_work: Floats
     work: Floats
     internal_variables: Mapping[str, Floats]
@@ -134,14 +134,14 @@ def prescribed_jump(
     given, axes, x = points.given[rows], points.axes[rows], points.x[rows]
     jump = np.zeros(x.shape)
     for side, sign in ((0, -1.0), (1, 1.0)):
-        for who, values in ((number, None), (RIGIDLY, moved)):
-            here = np.flatnonzero((given[:, :, side] == who).any(axis=1))
-            if not len(here):
+        for support_index, values in ((number, None), (RIGIDLY, moved)):
+            rows_of_side = np.flatnonzero((given[:, :, side] == support_index).any(axis=1))
+            if not len(rows_of_side):
                 continue
-            of_side = support.values(x[here]) if values is None else values[here]
-            along = np.einsum("pic,pi->pc", axes[here], of_side)
-            along = np.where(given[here][:, :, side] == who, along, 0.0)
-            jump[here] += sign * np.einsum("pic,pc->pi", axes[here], along)
+            of_side = support.values(x[rows_of_side]) if values is None else values[rows_of_side]
+            along = np.einsum("pic,pi->pc", axes[rows_of_side], of_side)
+            along = np.where(given[rows_of_side][:, :, side] == support_index, along, 0.0)
+            jump[rows_of_side] += sign * np.einsum("pic,pc->pi", axes[rows_of_side], along)
     return jump
 
 
@@ -164,22 +164,28 @@ def with_rigid_regions(
     parts = [(holds.vertex, holds.body, holds.support, holds.rigid)]
     for rigid in scene.rigid:
         region = rigid.region
-        mine = np.flatnonzero(touched_nodes(space, tags == body_forms.tagged.regions[region]))
-        here = np.flatnonzero(np.isin(dof, mine + low))
-        of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[here]]).reshape(-1, 3, 3)
-        given = np.ones((len(here), 3), dtype=bool)
-        for each in constraints:
-            given &= each.given(dof[here] - low, of_node)
-        body = np.full(len(here), bodies.of_region[region])
-        support = np.where(given, RIGIDLY, -1)
-        rows = vertex[here], body, support, np.ones(len(here), dtype=bool)
+        region_nodes = np.flatnonzero(
+            touched_nodes(space, tags == body_forms.tagged.regions[region])
+        )
+        held_vertices = np.flatnonzero(np.isin(dof, region_nodes + low))
+        of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[held_vertices]]).reshape(
+            -1, 3, 3
+        )
+        is_prescribed = np.ones((len(held_vertices), 3), dtype=bool)
+        for stage_constraints in constraints:
+            is_prescribed &= stage_constraints.prescribed_components(
+                dof[held_vertices] - low, of_node
+            )
+        body = np.full(len(held_vertices), bodies.of_region[region])
+        support = np.where(is_prescribed, RIGIDLY, -1)
+        rows = vertex[held_vertices], body, support, np.ones(len(held_vertices), dtype=bool)
         vertices, of_bodies, supports, at_rigid = gather(body_forms.mesh.comm, *rows)
         parts.append((vertices, of_bodies, supports, at_rigid))
     # A rigid region replaces supports of its body at the same vertex.
     columns = [np.concatenate(column) for column in zip(*reversed(parts), strict=True)]
     sides = np.column_stack(columns[:2])
-    kept = np.unique(sides, axis=0, return_index=True)[1]
-    return Holds(*(column[kept] for column in columns))
+    first_rows = np.unique(sides, axis=0, return_index=True)[1]
+    return Holds(*(column[first_rows] for column in columns))
 
 
 def refuse_loose_regions(
@@ -190,20 +196,24 @@ def refuse_loose_regions(
     Raises:
         InputError: There is such a support; the message has the first one and its place.
     """
-    for r in np.flatnonzero(holds.rigid):
-        there = (holds.vertex == holds.vertex[r]) & ~holds.rigid
-        held = np.where(holds.support[r] < 0, holds.support[there].max(axis=0, initial=-1), -1)
-        if not (held >= 0).any():
+    for row in np.flatnonzero(holds.rigid):
+        at_vertex = (holds.vertex == holds.vertex[row]) & ~holds.rigid
+        holding_supports = np.where(
+            holds.support[row] < 0, holds.support[at_vertex].max(axis=0, initial=-1), -1
+        )
+        if not (holding_supports >= 0).any():
             continue
-        component = int(np.argmax(held >= 0))
+        component = int(np.argmax(holding_supports >= 0))
         # At a vertex with local axes components are not along x, y, z.
-        oblique = int(holds.vertex[r]) in axes
-        along = "" if oblique else f"along {'xyz'[component]} "
-        at = np.flatnonzero(facets.vertices.ravel() == holds.vertex[r])[0]
-        x, y, z = facets.x.reshape(-1, 3)[at]
+        oblique = int(holds.vertex[row]) in axes
+        direction_text = "" if oblique else f"along {'xyz'[component]} "
+        facet_row = np.flatnonzero(facets.vertices.ravel() == holds.vertex[row])[0]
+        x, y, z = facets.x.reshape(-1, 3)[facet_row]
         raise InputError(
-            f"supports.{scene.supports[held[component]].name}: holds {along}a body that touches "
-            f"the rigid region '{bodies.names[holds.body[r]]}' at ({x:.4g}, {y:.4g}, {z:.4g}) mm, "
+            f"supports.{scene.supports[holding_supports[component]].name}: "
+            f"holds {direction_text}a body that touches "
+            f"the rigid region '{bodies.names[holds.body[row]]}' "
+            f"at ({x:.4g}, {y:.4g}, {z:.4g}) mm, "
             "where the region is free; hold the region in the same direction in all stages"
         )
 

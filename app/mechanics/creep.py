@@ -18,7 +18,7 @@ from mpi4py import MPI
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from app.mechanics.body_forms import BodyForms, hats
+from app.mechanics.body_forms import BodyForms, linear_shape_functions
 
 # Equivalent creep strain (n,) [-], cycles or seconds so far, dissipated work [N mm].
 CreepValues = tuple[Floats, float, float]
@@ -28,20 +28,20 @@ NO_STRAIN = 1e-30
 # Stress that counts as none [MPa].
 NO_STRESS = 1e-12
 # Least exponent m.
-LEAST_M = 0.01
+SMALLEST_M = 0.01
 # Most Newton iterations.
 ITERATIONS = 60
 # Their tolerance in log s.
-CONVERGED = 1e-13
+LOG_TOLERANCE = 1e-13
 # The stress s is at most this far below the trial stress, in log s.
-DEEPEST = 80.0
+LOWEST_LOG_STRESS = 80.0
 # Shear components count twice.
-TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+COMPONENT_WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 
 
 def von_mises(σ: Floats) -> Floats:
     """Equivalent stress (n,) of stresses by components (n, 6)."""
-    return np.asarray(np.sqrt(1.5 * (deviator(σ) ** 2 @ TWICE)))
+    return np.asarray(np.sqrt(1.5 * (deviator(σ) ** 2 @ COMPONENT_WEIGHTS)))
 
 
 def deviator(σ: Floats) -> Floats:
@@ -54,12 +54,12 @@ class CreepState:
 
     Attributes:
         rows: Number of each among all quadrature points (n,).
-        of: Slice of the points of each region.
+        points_of_region: Slice of the points of each region.
         strain: Equivalent creep strain (n,).
         elapsed: Cycles or seconds so far.
         measure, unit: Of what elapses: cycles or time.
         dissipated: Work that creep has lost so far, on all ranks [N mm].
-        taken: Stress that creep takes in the current step (n, 6) [MPa].
+        relaxed_stress: Stress that creep takes in the current step (n, 6) [MPa].
         length: Cycles or seconds of the current step.
         row_keys: Keys of the points (n,).
 
@@ -80,17 +80,19 @@ class CreepState:
         self.rows = np.concatenate([rows[c.region].ravel() for c in laws])
         sizes = [rows[c.region].size for c in laws]
         ends = np.cumsum([0, *sizes])
-        self.of = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(laws)}
+        self.points_of_region = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(laws)}
         volumes = [body_forms.places(c.region, points, weights)[1].ravel() for c in laws]
         self._volumes = np.concatenate(volumes)
-        self._shape = hats(points)
+        self._shape_functions = linear_shape_functions(points)
         values = {k: [getattr(c, k) for c in laws] for k in ("A", "p", "m0", "m1")}
         values["unit"] = [c.per or 1.0 for c in laws]
-        self._law: dict[str, Floats] = {k: np.repeat(v, sizes) for k, v in values.items()}
+        self._law_values: dict[str, Floats] = {k: np.repeat(v, sizes) for k, v in values.items()}
         self._modulus = np.repeat([elastic[c.region].moduli[0] for c in laws], sizes)
-        self._stiff = np.repeat([1.5 * elastic[c.region].coefficients[1] for c in laws], sizes)
+        self._final_three_G = np.repeat(
+            [1.5 * elastic[c.region].coefficients[1] for c in laws], sizes
+        )
         self.strain: Floats = np.zeros(ends[-1])
-        self.taken: Floats = np.zeros((ends[-1], 6))
+        self.relaxed_stress: Floats = np.zeros((ends[-1], 6))
         self.elapsed = self.dissipated = self.length = 0.0
 
     def elastic_strain(self, stress: Floats) -> float:
@@ -98,16 +100,16 @@ class CreepState:
         strain = (von_mises(stress) / self._modulus).max(initial=0.0)
         return float(self._comm.allreduce(max(strain, NO_STRAIN), MPI.MAX))
 
-    def crept(self, taken: Floats) -> Floats:
+    def equivalent_strain(self, taken: Floats) -> Floats:
         """Equivalent creep strain (n,) that takes a stress (n, 6) [MPa]."""
         return von_mises(taken) / self.three_G
 
     def numbers(self, region: str) -> dict[str, float]:
         """Published creep strain of a region that creeps; collective."""
-        here = self.of.get(region)
-        if here is None:
+        points = self.points_of_region.get(region)
+        if points is None:
             return {}
-        strain, volumes = self.strain[here], self._volumes[here]
+        strain, volumes = self.strain[points], self._volumes[points]
         total, volume = self._comm.allreduce(np.array([strain @ volumes, volumes.sum()]))
         largest = self._comm.allreduce(strain.max(initial=0.0), MPI.MAX)
         return {"creep_strain_max": float(largest), "creep_strain_mean": float(total / volume)}
@@ -115,71 +117,75 @@ class CreepState:
     @property
     def three_G(self) -> Floats:
         """Three times the shear modulus at the current cure (n,) [MPa]."""
-        modulus = self._stiff.copy()
-        for region, here in self.of.items():
-            g = self._body_forms.growth.get(region)
-            if g is not None:
+        modulus = self._final_three_G.copy()
+        for region, points in self.points_of_region.items():
+            growth = self._body_forms.growth.get(region)
+            if growth is not None:
                 cells = self._body_forms.region_cells(region)
-                at = g.function_space.dofmap.list[cells]
-                modulus[here] *= (g.x.array[at] @ self._shape.T).ravel()
+                vertices = growth.function_space.dofmap.list[cells]
+                modulus[points] *= (growth.x.array[vertices] @ self._shape_functions.T).ravel()
         return modulus
 
-    def relaxed(self, trial: Floats, length: float) -> Floats:
+    def stress_relaxation(self, trial: Floats, length: float) -> Floats:
         """Stress that creep takes in a step, from its trial stress (n, 6) [MPa]."""
         s, G3 = np.maximum(von_mises(trial), NO_STRESS), self.three_G
-        Δe = self._increment(s, np.asarray(length / self._law["unit"]), G3)
+        Δe = self._strain_increment(s, np.asarray(length / self._law_values["unit"]), G3)
         return (G3 * Δe / s)[:, None] * deviator(trial)
 
-    def _clock(self, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _hardening_time(self, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return m, dm/dy, log τ of the strain so far and -m d(log τ)/dy at y = log s (n,)."""
-        law = self._law
+        law = self._law_values
         slope = law["m1"] / np.log(10)
         m = law["m0"] + slope * y
-        slope = np.where((m > LEAST_M) & (m < 1), slope, 0.0)
-        m = np.clip(m, LEAST_M, 1.0)
+        slope = np.where((m > SMALLEST_M) & (m < 1), slope, 0.0)
+        m = np.clip(m, SMALLEST_M, 1.0)
         e = np.log(np.maximum(self.strain, NO_STRAIN))
         τ = (e - np.log(law["A"]) - law["p"] * y) / m
         return m, slope, τ, law["p"] + slope * τ
 
-    def _increment(self, trial: Floats, N: Floats, G3: Floats) -> Floats:
+    def _strain_increment(self, trial: Floats, N: Floats, G3: Floats) -> Floats:
         """Creep strain of a step (n,): the root of log(s + 3 G Δe(s)) = log s_trial in y = log s.
 
         In these terms the equation is nearly linear: Newton within bounds, halved where it leaves.
         """
         e = np.maximum(self.strain, NO_STRAIN)
-        goal, N = np.log(trial), np.log(N)
-        y, low, high = goal, goal - DEEPEST, goal
+        log_trial, N = np.log(trial), np.log(N)
+        y, lower, upper = log_trial, log_trial - LOWEST_LOG_STRESS, log_trial
         for _ in range(ITERATIONS):
-            m, slope, τ, falls = self._clock(y)
+            m, slope, τ, by_log_stress = self._hardening_time(y)
             w = N - τ
             g = np.logaddexp(0.0, w)
             Δe = e * np.expm1(m * g)
             total = np.exp(y) + G3 * Δe
-            f = np.log(total) - goal
-            low, high = np.where(f < 0, y, low), np.where(f < 0, high, y)
-            share = np.exp(-np.logaddexp(0.0, -w))
-            by_y = np.exp(y) + G3 * e * np.exp(m * g) * (slope * g + share * falls)
-            new = y - f * total / by_y
-            new = np.where((new > low) & (new < high), new, (low + high) / 2)
-            new = np.where(np.abs(f) < CONVERGED, y, new)
-            if np.array_equal(new, y):
+            f = np.log(total) - log_trial
+            lower, upper = np.where(f < 0, y, lower), np.where(f < 0, upper, y)
+            elapsed_share = np.exp(-np.logaddexp(0.0, -w))
+            by_y = np.exp(y) + G3 * e * np.exp(m * g) * (slope * g + elapsed_share * by_log_stress)
+            next_y = y - f * total / by_y
+            next_y = np.where((next_y > lower) & (next_y < upper), next_y, (lower + upper) / 2)
+            next_y = np.where(np.abs(f) < LOG_TOLERANCE, y, next_y)
+            if np.array_equal(next_y, y):
                 break
-            y = new
+            y = next_y
         return Δe
 
-    def first(self, stress: Floats, part: float) -> float:
+    def first_step(self, stress: Floats, part: float) -> float:
         """Cycles or seconds after which creep is a part of the elastic strain; collective."""
         s = np.maximum(von_mises(stress), NO_STRESS)
-        m, _, τ, _ = self._clock(np.log(s))
+        m, _, τ, _ = self._hardening_time(np.log(s))
         e = np.maximum(self.strain, NO_STRAIN)
-        N = np.exp(τ) * np.expm1(np.log1p(part * s / self._modulus / e) / m) * self._law["unit"]
+        N = (
+            np.exp(τ)
+            * np.expm1(np.log1p(part * s / self._modulus / e) / m)
+            * self._law_values["unit"]
+        )
         return float(self._comm.allreduce(N.min(initial=np.inf), MPI.MIN))
 
     def commit(self, before: Floats, after: Floats) -> None:
         """Commit the current step, between two stresses (n, 6) [MPa]; collective."""
-        self.strain = self.strain + self.crept(self.taken)
-        strain = 1.5 * self.taken / self.three_G[:, None]
-        work = self._volumes * ((before + after) / 2 * strain @ TWICE)
+        self.strain = self.strain + self.equivalent_strain(self.relaxed_stress)
+        strain = 1.5 * self.relaxed_stress / self.three_G[:, None]
+        work = self._volumes * ((before + after) / 2 * strain @ COMPONENT_WEIGHTS)
         self.dissipated += float(self._comm.allreduce(work.sum()))
         self.elapsed += self.length
 

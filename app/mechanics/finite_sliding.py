@@ -34,7 +34,7 @@ from app.numerics.rigid_motions import rotation_vector
 from app.scene.scene import Scene
 
 # Points are paired anew if the pressure may be wrong by this part of the largest.
-ACCURACY = 1e-3
+PAIRING_ACCURACY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class FiniteSliding:
     Attributes:
         rows: Rows of these points among all points of this rank (m,).
         nodes: Local node of each (m,).
-        of: Interface of each (m,).
+        interface_of_point: Interface of each (m,).
         followers: Sides of the interfaces, and the nodes that follow them.
         paired: The last pairing.
         step_rotation: Rotation vector of the master of each point since the last committed step
@@ -76,52 +76,56 @@ class FiniteSliding:
         self._interfaces = list(followers.sides)
         self.rows: Ints = np.flatnonzero(np.isin(points.interface, self._interfaces))
         self.nodes: Ints = dof[self.rows] - body_forms.space.dofmap.index_map.local_range[0]
-        self.of = points.interface[self.rows]
+        self.interface_of_point = points.interface[self.rows]
         self._points, self._comm = points, body_forms.mesh.comm
         self.begin(body_forms.scene)
 
     @property
     def on_deformable(self) -> Bools:
         """Mask of the points whose masters deform (m,)."""
-        return np.isin(self.of, self.followers.deformable)
+        return np.isin(self.interface_of_point, self.followers.deformable)
 
     def begin(self, scene: Scene) -> None:
         """Set the motions of a run."""
         self._scene, contacts = scene, scene.contacts
         self._motion = {i: scene.motion_of(contacts[i].master) for i in self._interfaces}
         centres = {i: np.array(m.about if m else np.zeros(3)) for i, m in self._motion.items()}
-        self._centre = self._each(centres)
+        self._centre = self._of_points(centres)
         self._arm = self._points.x[self.rows] - self._centre
         self.set_time(0.0, 0.0)
 
-    def _each(self, values: dict[int, Floats]) -> Floats:
+    def _of_points(self, values: dict[int, Floats]) -> Floats:
         """Values of the interfaces at their points."""
         shape = values[self._interfaces[0]].shape
-        return np.array([values[i] for i in self.of]).reshape(-1, *shape)
+        return np.array([values[i] for i in self.interface_of_point]).reshape(-1, *shape)
 
     def set_time(self, committed: float, time: float) -> None:
         """Set rotations to a time, and those since the time of the last committed step."""
-        now, before = (
+        rotations, committed_rotations = (
             {i: self._scene.rotation(m, t) for i, m in self._motion.items()}
             for t in (time, committed)
         )
-        self.rotation = self._each(now)
-        self.step_rotation = self._each({i: rotation_vector(now[i] @ before[i].T) for i in now})
+        self.rotation = self._of_points(rotations)
+        self.step_rotation = self._of_points(
+            {i: rotation_vector(rotations[i] @ committed_rotations[i].T) for i in rotations}
+        )
 
     def pair(self, jump: Floats) -> Paired:
         """Pair the points, at jumps of all points of this rank (n, 3) [mm]; collective."""
-        self.paired = self._at(jump)
+        self.paired = self._pair_with_surfaces(jump)
         places = self.places(jump)
         for i in self.followers.deformable:
-            here = self.of == i
-            number = self._points.rows[self.rows[here]]  # in the order of the vertices
-            number, x = gather(self._comm, number, places[here])
-            self.followers.pair(i, x[np.argsort(number)])
+            at_interface = self.interface_of_point == i
+            point_number = self._points.rows[
+                self.rows[at_interface]
+            ]  # in the order of the vertices
+            point_number, x = gather(self._comm, point_number, places[at_interface])
+            self.followers.pair(i, x[np.argsort(point_number)])
         return self.paired
 
     def touching(self, time: float) -> Floats:
         """Points of the surfaces touched last, in axes of the bodies at a time (m, 3) [mm]."""
-        R = self._each({i: self._scene.rotation(m, time) for i, m in self._motion.items()})
+        R = self._of_points({i: self._scene.rotation(m, time) for i, m in self._motion.items()})
         return self._centre + np.einsum("pji,pj->pi", R, self.paired.arm)
 
     def places(self, jump: Floats) -> Floats:
@@ -129,12 +133,12 @@ class FiniteSliding:
         from_centre = self._arm + jump[self.rows]
         return self._centre + np.einsum("pji,pj->pi", self.rotation, from_centre)
 
-    def _at(self, jump: Floats) -> Paired:
+    def _pair_with_surfaces(self, jump: Floats) -> Paired:
         from_centre, x = self._arm + jump[self.rows], self.places(jump)
         gap, normal = np.zeros(len(x)), np.zeros(x.shape)
         for i, (master, _) in self.followers.sides.items():
-            here = self.of == i
-            gap[here], normal[here] = master.surface.gap(x[here])
+            at_interface = self.interface_of_point == i
+            gap[at_interface], normal[at_interface] = master.surface.gap(x[at_interface])
         normal = np.einsum("pij,pj->pi", self.rotation, normal)
         return Paired(gap, normal, from_centre - gap[:, None] * normal)
 
@@ -146,6 +150,6 @@ class FiniteSliding:
 
     def error(self, before: Floats, jump: Floats) -> Floats:
         """Error at jumps (n, 3) of the gap linearized about jumps before (n, 3): (m,) [mm]."""
-        known, change = self.paired, (jump - before)[self.rows]
-        linear = known.gap + np.einsum("pi,pi->p", known.normal, change)
-        return np.abs(self._at(jump).gap - linear)
+        paired, change = self.paired, (jump - before)[self.rows]
+        linear_gap = paired.gap + np.einsum("pi,pi->p", paired.normal, change)
+        return np.abs(self._pair_with_surfaces(jump).gap - linear_gap)

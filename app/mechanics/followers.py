@@ -34,7 +34,7 @@ from app.scene.bodies import cell_tags, facets_by_body, nodes_on, touched_nodes
 from app.scene.scene import Interface, Scene
 
 # Points further from the master than this part of an edge have rows of shape functions.
-REACH = 0.1
+MORTAR_REACH = 0.1
 
 
 def finitely_sliding(scene: Scene) -> dict[int, Interface]:
@@ -57,13 +57,15 @@ def refuse_motions(body_forms: BodyForms) -> None:
             )
         body = bodies.of_region[m.region]
         for load in scene.loads:
-            on: set[int] = set()
+            loaded_bodies: set[int] = set()
             if load.volume_regions is not None:
-                on |= {bodies.of_region[r] for r in load.volume_regions or bodies.of_region}
+                loaded_bodies |= {
+                    bodies.of_region[r] for r in load.volume_regions or bodies.of_region
+                }
             for boundary in load.boundaries:
                 if boundary != m.boundary:
-                    on |= set(facets_by_body(body_forms.tagged, bodies, boundary))
-            if load.fixed_in_space and body in on:
+                    loaded_bodies |= set(facets_by_body(body_forms.tagged, bodies, boundary))
+            if load.fixed_in_space and body in loaded_bodies:
                 raise InputError(
                     f"loads.{load.name}: acts on {m.region}, which rotates; expected forces on "
                     f"'{m.boundary}' alone, or pressures"
@@ -80,7 +82,7 @@ class Followers:
         deformable: Numbers of the interfaces whose masters deform: their pairs change G.
         slaves: Body and owned nodes of the slave of each interface.
         masters: Owned vertices of the masters that deform.
-        following: Global dofs of nodes that follow others, rising (n,).
+        follower_dofs: Global dofs of nodes that follow others, rising (n,).
         rotating: Owned nodes of each deformable body that rotates, and of its driven boundary, by
             motion.
         rotations: Rotation of each motion (3, 3).
@@ -102,7 +104,7 @@ class Followers:
             self.sides[i] = master, slave
         slaves = [np.concatenate([s.dofs, s.edges[:, 0]]) for _, s in self.sides.values()]
         middles = [self.sides[i][0].edges[:, 0] for i in self.deformable]
-        self.following = np.unique(np.concatenate([*slaves, *middles]))
+        self.follower_dofs = np.unique(np.concatenate([*slaves, *middles]))
         self.slaves = [
             (bodies.of_region[c.slave[0]], self._owned(dofs))
             for c, dofs in zip(interfaces.values(), slaves, strict=True)
@@ -132,7 +134,7 @@ class Followers:
         master, slave = self.sides[i]
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
         points = self._scene.contacts[i].law.mortar_points
-        pairs = mortar(x, slave.triangles, master.smooth, points, REACH * float(edge))
+        pairs = mortar(x, slave.triangles, master.smooth, points, MORTAR_REACH * float(edge))
         before = self.pairs.get(i)
         if before:
             parts = zip(pairs[:3], before[:3], strict=True)
@@ -145,9 +147,9 @@ class Followers:
         return dofs[(dofs >= low) & (dofs < high)] - low
 
     @property
-    def owned_following(self) -> Ints:
+    def owned_followers(self) -> Ints:
         """Local numbers of owned nodes that follow others."""
-        return self._owned(self.following)
+        return self._owned(self.follower_dofs)
 
     def set_time(self, time: float) -> None:
         """Set the rotations to a time."""
@@ -156,20 +158,20 @@ class Followers:
             self.changed |= not np.array_equal(R, before)
             self.rotations[m.name] = R
 
-    def without_motion(self, nodal: Floats) -> tuple[Floats, dict[str, Floats]]:
+    def split_translations(self, nodal: Floats) -> tuple[Floats, dict[str, Floats]]:
         """Split displacements of owned nodes (n, 3) [mm] from translations of rotating bodies.
 
         Returns:
             Displacements without the translations (n, 3), and the translation of each rotating
             body along x, y, z (3,), by motion; collective.
         """
-        rest, translations = nodal.copy(), {}
+        displacements, translations = nodal.copy(), {}
         for name, (moved, driven) in self.rotating.items():
             R = self.rotations[name]
             total = self._comm.allreduce(np.append(nodal[driven].sum(axis=0), len(driven)))
             translations[name] = R @ total[:3] / total[3]
-            rest[moved] -= R.T @ translations[name]
-        return rest, translations
+            displacements[moved] -= R.T @ translations[name]
+        return displacements, translations
 
     def totals(self, forces: Floats) -> dict[str, Floats]:
         """Sum of forces on each rotating body along x, y, z (3,), by motion; collective."""
@@ -178,34 +180,38 @@ class Followers:
             for name, (moved, _) in self.rotating.items()
         }
 
-    def with_motion(self, rest: Floats, translations: Mapping[str, Floats]) -> Floats:
-        """Join displacements of owned nodes (n, 3) and translations, split by `without_motion`."""
-        nodal = rest.copy()
+    def join_translations(
+        self, displacements: Floats, translations: Mapping[str, Floats]
+    ) -> Floats:
+        """Add translations to displacements of owned nodes (n, 3): inverse `split_translations`."""
+        nodal = displacements.copy()
         for name, (moved, _) in self.rotating.items():
             nodal[moved] += self.rotations[name].T @ translations[name]
         return nodal
 
-    def following_driven(self, nodal: Floats) -> Floats:
+    def move_with_boundaries(self, nodal: Floats) -> Floats:
         """Displacements (n, 3) [mm] with rotating bodies moved like their driven boundaries."""
-        rest, translations = nodal.copy(), self.without_motion(nodal)[1]
+        rest, translations = nodal.copy(), self.split_translations(nodal)[1]
         for moved, _ in self.rotating.values():
             rest[moved] = 0
-        return self.with_motion(rest, translations)
+        return self.join_translations(rest, translations)
 
-    def only(self, nodal: Floats) -> Floats:
+    def zero_elsewhere(self, nodal: Floats) -> Floats:
         """Vectors at owned nodes (3 nodes), set to zero at nodes that follow no others."""
-        rows, followers = self.owned_following, np.zeros_like(nodal)
+        rows, followers = self.owned_followers, np.zeros_like(nodal)
         followers.reshape(-1, 3)[rows] = nodal.reshape(-1, 3)[rows]
         return followers
 
-    def handed(self, nodal: Floats) -> Floats:
+    def forces_on_masters(self, nodal: Floats) -> Floats:
         """Forces (3 nodes) [N] that owned nodes hand to those that they follow; collective."""
         sums = self._G.createVecLeft()
-        only = PETSc.Vec().createWithArray(self.only(nodal).ravel(), comm=self._comm)
-        self._G.multTranspose(only, sums)
+        follower_forces = PETSc.Vec().createWithArray(
+            self.zero_elsewhere(nodal).ravel(), comm=self._comm
+        )
+        self._G.multTranspose(follower_forces, sums)
         return np.asarray(sums.array_r.reshape(nodal.shape))
 
-    def in_space(self, nodal: Floats) -> Floats:
+    def to_global_axes(self, nodal: Floats) -> Floats:
         """Vectors at owned nodes (3 nodes), from the axes of their bodies to x, y, z."""
         vectors = nodal.reshape(-1, 3).copy()
         for name, (moved, _) in self.rotating.items():
@@ -224,33 +230,34 @@ class Followers:
         """G: displacements of all nodes from those that follow no other; collective."""
         self.changed = False
         low, high = self._map.local_range
-        free = np.setdiff1d(np.arange(low, high), self.following)
+        free = np.setdiff1d(np.arange(low, high), self.follower_dofs)
         rows, columns, blocks = [free], [free], [np.broadcast_to(np.eye(3), (len(free), 3, 3))]
 
         def add(row: Ints, column: Ints, block: Floats) -> None:
-            here = (row >= low) & (row < high)
+            owned = (row >= low) & (row < high)
             for part, values in zip((rows, columns, blocks), (row, column, block), strict=True):
-                part.append(values[here])
+                part.append(values[owned])
 
         for i, (master, slave) in self.sides.items():
             pairs, R = self.pairs[i], self.rotations.get(self._motions.get(i, ""), np.eye(3))
             blocks_of = pairs.values[:, None, None] * R
-            at = master.dofs[pairs.columns]
-            add(slave.dofs[pairs.rows], at, blocks_of)
+            master_dofs = master.dofs[pairs.columns]
+            add(slave.dofs[pairs.rows], master_dofs, blocks_of)
             # Middles of the slave's edges: half of the rows of either end, about.
             count = np.bincount(pairs.rows, minlength=len(slave.dofs))
-            begin = np.cumsum(count) - count
+            first_entry = np.cumsum(count) - count
             for end in (1, 2):
                 if i in self.deformable:
                     ends = master.dofs[master.edges[:, end]]
                     add(master.edges[:, 0], ends, master.halves[end - 1])
-                of = slave.edges[:, end]
-                edge = np.repeat(np.arange(len(of)), count[of])
+                end_vertex = slave.edges[:, end]
+                edge = np.repeat(np.arange(len(end_vertex)), count[end_vertex])
                 entry = np.arange(len(edge)) + np.repeat(
-                    begin[of] - (np.cumsum(count[of]) - count[of]), count[of]
+                    first_entry[end_vertex] - (np.cumsum(count[end_vertex]) - count[end_vertex]),
+                    count[end_vertex],
                 )
-                half = slave.halves[end - 1, edge]
-                add(slave.edges[edge, 0], at[entry], half @ blocks_of[entry])
+                half_block = slave.halves[end - 1, edge]
+                add(slave.edges[edge, 0], master_dofs[entry], half_block @ blocks_of[entry])
         row, column = np.concatenate(rows), np.concatenate(columns)
         block: Floats = np.concatenate(blocks)
         k, i3, j3 = np.nonzero(block)  # most blocks are multiples of the identity

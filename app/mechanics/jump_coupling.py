@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.interfaces.corners import Entries
-from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.body_forms import BodyForms, assemble_form_matrix
 from app.mechanics.constraints import Constraints
 from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, renew
 
@@ -42,36 +42,40 @@ class JumpCoupling:
         self.jump_to_displacement: dict[int, PETSc.Mat] = {}
         self._strips: dict[int, fem.Form] = {}
         for body in map(int, np.unique(entries.body)):
-            here = entries.body == body
-            row, column, value = entries.row[here], entries.column[here], entries.value[here]
+            of_body = entries.body == body
+            row, column, value = (
+                entries.row[of_body],
+                entries.column[of_body],
+                entries.value[of_body],
+            )
             column = 3 * number[column // 3] + column % 3
             local = (row >= start) & (row < end)
             self.jump_to_displacement[body] = from_triplets(
                 comm, end - start, 3 * owned, row[local] - start, column[local], value[local]
             )
-            moved: Bools = np.isin(
+            touched_nodes: Bools = np.isin(
                 np.concatenate([np.arange(start // 3, end // 3), index_map.ghosts]),
                 np.unique(row // 3),
             )
-            self._strips[body] = body_forms.strip_stiffness(body, moved)
+            self._strips[body] = body_forms.strip_stiffness(body, touched_nodes)
         self._KB: dict[int, PETSc.Mat] = {}
-        self.C, self.D, self.Ct = self._assembled(constraints)
+        self.C, self.D, self.Ct = self._assemble(constraints)
         self._work = self.Ct.createVecLeft()
 
-    def _assembled(
+    def _assemble(
         self, constraints: Constraints, paired: bool = False
     ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         moves, KB = self.jump_to_displacement, self._KB
         if not paired:
             for b, B in moves.items():
-                KB[b] = assembled_matrix(self._strips[b]).matMult(B)
+                KB[b] = assemble_form_matrix(self._strips[b]).matMult(B)
         C = constraints.rows(matrix_sum(list(KB.values())))
         D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
         return C, D, C.copy().transpose()
 
     def update(self, constraints: Constraints, paired: bool = False) -> None:
         """Reassemble, in the same matrices, for changed stiffness, supports, or pairs alone."""
-        new = self._assembled(constraints, paired)
+        new = self._assemble(constraints, paired)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
             renew(matrix, values, constraints.follows)
 

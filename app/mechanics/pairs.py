@@ -22,8 +22,8 @@ from meshes.facets import foot
 
 CANDIDATES = 16  # facets, by the distance of their centres, among which the closest is sought
 NEIGHBOURS = 13  # through which the quadric of a node is fitted
-FACING = 0.5  # -cosine of the angle of two normals that face each other, at least
-BESIDE = 0.01  # of a facet's size: a point beyond the rim by less than this is above it
+FACING_COSINE = 0.5  # -cosine of the angle of two normals that face each other, at least
+RIM_TOLERANCE = 0.01  # of a facet's size: a point beyond the rim by less than this is above it
 # Weights and two coordinates of points that integrate polynomials of degree 6 on a triangle
 # (Dunavant 1985); every permutation of the three coordinates is a point.
 DEGREE_6 = (
@@ -67,21 +67,21 @@ class SmoothSurface:
     def __init__(self, x: Floats, triangles: Ints, outward: Floats) -> None:
         from scipy.spatial import cKDTree  # imported late: few runs need it
 
-        self.x, self.triangles = x, oriented(x, triangles, outward)
+        self.x, self.triangles = x, orient(x, triangles, outward)
         vectors = _area_vectors(x[self.triangles])
         self._area = np.linalg.norm(vectors, axis=1)
-        self.areas = _sums(triangles, np.repeat(self._area / 3, 3), len(x))
-        near = cKDTree(x).query(x, min(NEIGHBOURS + 1, len(x)))[1][:, 1:]
-        self.normals = _fitted_normals(x, self.triangles, vectors, near)
+        self.areas = _sum_by_node(triangles, np.repeat(self._area / 3, 3), len(x))
+        neighbours = cKDTree(x).query(x, min(NEIGHBOURS + 1, len(x)))[1][:, 1:]
+        self.normals = _fitted_normals(x, self.triangles, vectors, neighbours)
         centres = x[triangles].mean(axis=1)
         self._tree = cKDTree(centres)
         self._radius = np.linalg.norm(x[triangles] - centres[:, None], axis=2).max(axis=1)
         # Edges of one facet only, as the edge opposite each vertex (f, 3), and their nodes (n,).
         edges = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-        _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-        rim = count[edge.ravel()] == 1
-        self._rim_edge = rim.reshape(-1, 3)
-        self._rim_node = np.isin(np.arange(len(x)), edges[rim])
+        _, edge_number, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        is_rim = count[edge_number.ravel()] == 1
+        self._rim_edge = is_rim.reshape(-1, 3)
+        self._rim_node = np.isin(np.arange(len(x)), edges[is_rim])
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
         """Closest points of the surface: facet (p,), shape functions (p, 3), distance (p,) [mm].
@@ -89,41 +89,56 @@ class SmoothSurface:
         Distances are positive outside.
         """
         count = min(CANDIDATES, len(self.triangles))
-        reach, nearest = self._tree.query(points, range(1, count + 1))
+        centre_distance, nearest = self._tree.query(points, range(1, count + 1))
         corners = self.x[self.triangles]
-        facet, at = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
-        least = np.full(len(points), np.inf)
-        for candidate, from_centre in zip(nearest.T, reach.T, strict=True):
+        facet, barycentric = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
+        smallest_distance = np.full(len(points), np.inf)
+        for candidate, from_centre in zip(nearest.T, centre_distance.T, strict=True):
             # No facet is closer than its centre less its radius.
-            rows = np.flatnonzero(from_centre - self._radius[candidate] < least)
-            shares = foot(points[rows], corners[candidate[rows]])
-            there = np.einsum("pk,pki->pi", shares, corners[candidate[rows]])
-            off = np.linalg.norm(points[rows] - there, axis=1)
-            better = off < least[rows]
-            here = rows[better]
-            facet[here], at[here], least[here] = candidate[here], shares[better], off[better]
-        out = np.einsum("pi,pi->p", points - self._mean(self.x, facet, at), self.normal(facet, at))
-        return facet, at, np.copysign(least, out)
+            rows = np.flatnonzero(from_centre - self._radius[candidate] < smallest_distance)
+            foot_barycentric = foot(points[rows], corners[candidate[rows]])
+            foot_points = np.einsum("pk,pki->pi", foot_barycentric, corners[candidate[rows]])
+            distance = np.linalg.norm(points[rows] - foot_points, axis=1)
+            is_closer = distance < smallest_distance[rows]
+            closer_rows = rows[is_closer]
+            facet[closer_rows], barycentric[closer_rows], smallest_distance[closer_rows] = (
+                candidate[closer_rows],
+                foot_barycentric[is_closer],
+                distance[is_closer],
+            )
+        outward_distance = np.einsum(
+            "pi,pi->p",
+            points - self._mean(self.x, facet, barycentric),
+            self.normal(facet, barycentric),
+        )
+        return facet, barycentric, np.copysign(smallest_distance, outward_distance)
 
-    def _mean(self, nodal: Floats, facet: Ints, at: Floats) -> Floats:
-        return np.einsum("pk,pki->pi", at, nodal[self.triangles[facet]])
+    def _mean(self, nodal: Floats, facet: Ints, barycentric: Floats) -> Floats:
+        return np.einsum("pk,pki->pi", barycentric, nodal[self.triangles[facet]])
 
-    def normal(self, facet: Ints, at: Floats) -> Floats:
+    def normal(self, facet: Ints, barycentric: Floats) -> Floats:
         """Unit normals of the smooth surface at points of facets (p, 3)."""
-        return _unit(self._mean(self.normals, facet, at))
+        return _unit_vectors(self._mean(self.normals, facet, barycentric))
 
-    def faces(self, points: Floats, normals: Floats, facet: Ints, at: Floats) -> Bools:
+    def faces(self, points: Floats, normals: Floats, facet: Ints, barycentric: Floats) -> Bools:
         """Mask of points (p,) whose outward unit normals (p, 3) face their closest points."""
-        above = self.beyond(points, facet, at) <= BESIDE * np.sqrt(self._area[facet])
-        return above & (np.einsum("pi,pi->p", self.normal(facet, at), normals) < -FACING)
+        is_above = self.distance_beyond_rim(points, facet, barycentric) <= RIM_TOLERANCE * np.sqrt(
+            self._area[facet]
+        )
+        return is_above & (
+            np.einsum("pi,pi->p", self.normal(facet, barycentric), normals) < -FACING_COSINE
+        )
 
-    def beyond(self, points: Floats, facet: Ints, at: Floats) -> Floats:
+    def distance_beyond_rim(self, points: Floats, facet: Ints, barycentric: Floats) -> Floats:
         """Distance of points beyond the rim, along the surface, 0 if above it (p,) [mm]."""
-        n, away = self.normal(facet, at), points - self._mean(self.x, facet, at)
-        along = away - np.einsum("pi,pi,pj->pj", away, n, n)
-        at_rim = ((at == 0) & self._rim_edge[facet]).any(axis=1)
-        at_rim |= ((at == 1) & self._rim_node[self.triangles[facet]]).any(axis=1)
-        return np.where(at_rim, np.linalg.norm(along, axis=1), 0.0)
+        normal, offset = (
+            self.normal(facet, barycentric),
+            points - self._mean(self.x, facet, barycentric),
+        )
+        tangential = offset - np.einsum("pi,pi,pj->pj", offset, normal, normal)
+        at_rim = ((barycentric == 0) & self._rim_edge[facet]).any(axis=1)
+        at_rim |= ((barycentric == 1) & self._rim_node[self.triangles[facet]]).any(axis=1)
+        return np.where(at_rim, np.linalg.norm(tangential, axis=1), 0.0)
 
     def gap(self, points: Floats) -> tuple[Floats, Floats]:
         r"""Distance from the smooth surface (p,) [mm], positive outside, and its normal (p, 3).
@@ -134,20 +149,25 @@ class SmoothSurface:
         surface rises over the facet by about half of the rise of its tangent planes at the
         vertices. On spheres and cylinders the formula is exact.
         """
-        facet, at, _ = self.closest(points)
-        mean, p = self._mean(self.normals, facet, at), self._mean(self.x, facet, at)
+        facet, barycentric, _ = self.closest(points)
+        mean, p = (
+            self._mean(self.normals, facet, barycentric),
+            self._mean(self.x, facet, barycentric),
+        )
         size, nodes = np.linalg.norm(mean, axis=1), self.triangles[facet]
-        rise = np.einsum("pk,pki,pki->p", at, self.x[nodes] - p[:, None], self.normals[nodes])
+        rise = np.einsum(
+            "pk,pki,pki->p", barycentric, self.x[nodes] - p[:, None], self.normals[nodes]
+        )
         n = mean / size[:, None]
         return np.einsum("pi,pi->p", points - p, n) - rise / (1 + size), n
 
     def deposit(self, points: Floats, values: Floats) -> Floats:
         """Sums at the nodes (n, k) of values at points (p, k), by the closest points."""
-        facet, at, _ = self.closest(points)
+        facet, barycentric, _ = self.closest(points)
         nodes, n = self.triangles[facet], len(self.x)
-        return np.column_stack([_sums(nodes, at * v[:, None], n) for v in values.T])
+        return np.column_stack([_sum_by_node(nodes, barycentric * v[:, None], n) for v in values.T])
 
-    def sampled(
+    def sample_density(
         self, density: Floats, quadrature: int = 12, x: Floats | None = None
     ) -> tuple[Floats, Floats]:
         """Points on the facets (p, 3) and the part there of integrals of densities (n, k) (p, k).
@@ -160,15 +180,17 @@ class SmoothSurface:
             quadrature: Points per facet: 12, 48, 192 ...
             x: Moved nodes (n, 3) [mm]; None if they have not moved.
         """
-        at, weight = rule(quadrature)
-        used = density[self.triangles].any(axis=(1, 2))
-        triangles = self.triangles[used]
-        points = np.einsum("qk,fki->fqi", at, (self.x if x is None else x)[triangles])
-        parts = np.einsum("f,q,qk,fkv->fqv", self._area[used], weight, at, density[triangles])
+        barycentric, weight = triangle_rule(quadrature)
+        has_density = density[self.triangles].any(axis=(1, 2))
+        triangles = self.triangles[has_density]
+        points = np.einsum("qk,fki->fqi", barycentric, (self.x if x is None else x)[triangles])
+        parts = np.einsum(
+            "f,q,qk,fkv->fqv", self._area[has_density], weight, barycentric, density[triangles]
+        )
         return points.reshape(-1, 3), parts.reshape(-1, density.shape[1])
 
 
-def oriented(x: Floats, triangles: Ints, outward: Floats) -> Ints:
+def orient(x: Floats, triangles: Ints, outward: Floats) -> Ints:
     """Triangles counterclockwise seen from where vectors (f, 3) point."""
     inverse = np.einsum("fi,fi->f", _area_vectors(x[triangles]), outward) < 0
     return np.where(inverse[:, None], triangles[:, ::-1], triangles)
@@ -189,56 +211,69 @@ def mortar(
         quadrature: Points per facet: 12, 48, 192 ...
         reach: Distance beyond which shape functions do, which have fewer entries [mm].
     """
-    at, weight = rule(quadrature)
+    barycentric, weight = triangle_rule(quadrature)
     vectors = _area_vectors(x[triangles])
-    area, n, q = np.linalg.norm(vectors, axis=1), len(x), len(weight)
-    W = _sums(triangles, np.repeat(area / 3, 3), n)
-    points = np.einsum("qk,fki->fqi", at, x[triangles]).reshape(-1, 3)
-    facet, shares, distance = master.closest(points)
-    faces = master.faces(points, np.repeat(_unit(vectors), q, axis=0), facet, shares)
-    here = np.einsum("f,q,qk,fq->fk", area, weight, at, faces.reshape(-1, q))
-    covered = _sums(triangles, here, n) / W
-    near = (faces & (np.abs(distance) <= reach)).reshape(-1, q).all(axis=1)
-    whole = ~np.isin(np.arange(n), triangles[~near])
-    dual = np.einsum("f,q,qk->fqk", area, weight, 4 * at - 1) / W[triangles][:, None]
-    entries = dual[..., None] * shares.reshape(-1, q, 1, 3)
+    area, node_count, point_count = np.linalg.norm(vectors, axis=1), len(x), len(weight)
+    node_area = _sum_by_node(triangles, np.repeat(area / 3, 3), node_count)
+    points = np.einsum("qk,fki->fqi", barycentric, x[triangles]).reshape(-1, 3)
+    facet, master_barycentric, distance = master.closest(points)
+    faces = master.faces(
+        points, np.repeat(_unit_vectors(vectors), point_count, axis=0), facet, master_barycentric
+    )
+    covered_area = np.einsum(
+        "f,q,qk,fq->fk", area, weight, barycentric, faces.reshape(-1, point_count)
+    )
+    covered = _sum_by_node(triangles, covered_area, node_count) / node_area
+    is_near = (faces & (np.abs(distance) <= reach)).reshape(-1, point_count).all(axis=1)
+    is_mortar = ~np.isin(np.arange(node_count), triangles[~is_near])
+    dual = (
+        np.einsum("f,q,qk->fqk", area, weight, 4 * barycentric - 1) / node_area[triangles][:, None]
+    )
+    entries = dual[..., None] * master_barycentric.reshape(-1, point_count, 1, 3)
     rows = np.broadcast_to(triangles[:, None, :, None], entries.shape)
-    columns = np.broadcast_to(master.triangles[facet].reshape(-1, q, 1, 3), entries.shape)
-    used, others = whole[rows], np.flatnonzero(~whole)
-    facet, shares, _ = master.closest(x[others])
-    key = np.concatenate([rows[used], np.repeat(others, 3)]) * len(master.x)
-    key += np.concatenate([columns[used], master.triangles[facet].ravel()])
+    columns = np.broadcast_to(master.triangles[facet].reshape(-1, point_count, 1, 3), entries.shape)
+    in_mortar_row, other_nodes = is_mortar[rows], np.flatnonzero(~is_mortar)
+    facet, master_barycentric, _ = master.closest(x[other_nodes])
+    key = np.concatenate([rows[in_mortar_row], np.repeat(other_nodes, 3)]) * len(master.x)
+    key += np.concatenate([columns[in_mortar_row], master.triangles[facet].ravel()])
     pair, entry = np.unique(key, return_inverse=True)
-    values = _sums(entry, np.concatenate([entries[used], shares.ravel()]), len(pair))
-    return Pairs(*np.divmod(pair, len(master.x)), values, covered, whole)
+    values = _sum_by_node(
+        entry, np.concatenate([entries[in_mortar_row], master_barycentric.ravel()]), len(pair)
+    )
+    return Pairs(*np.divmod(pair, len(master.x)), values, covered, is_mortar)
 
 
-def rule(points: int) -> tuple[Floats, Floats]:
+def triangle_rule(points: int) -> tuple[Floats, Floats]:
     """Points on a triangle (q, 3), barycentric, and weights that sum to 1 (q,).
 
     Of degree 6 on the triangle (12 points), or on the parts that halved edges make (48, 192 ...).
     """
     orbits = [sorted(set(permutations((a, b, 1 - a - b)))) for _, a, b in DEGREE_6]
-    at = np.concatenate(orbits)
+    barycentric = np.concatenate(orbits)
     weight = np.repeat([w for w, _, _ in DEGREE_6], [len(orbit) for orbit in orbits])
     parts = [(1 - np.eye(3)) / 2, *((np.eye(3) + corner) / 2 for corner in np.eye(3))]
-    while len(at) < points:
-        at, weight = np.concatenate([at @ part for part in parts]), np.tile(weight / 4, 4)
-    return at, weight / weight.sum()
+    while len(barycentric) < points:
+        barycentric, weight = (
+            np.concatenate([barycentric @ part for part in parts]),
+            np.tile(weight / 4, 4),
+        )
+    return barycentric, weight / weight.sum()
 
 
-def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, near: Ints) -> Floats:
+def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, neighbours: Ints) -> Floats:
     """Unit normals (n, 3) at nodes of quadrics through them, fitted to near ones (n, k)."""
-    n = _unit(np.stack([_sums(triangles, np.repeat(v, 3), len(x)) for v in vectors.T], 1))
+    n = _unit_vectors(
+        np.stack([_sum_by_node(triangles, np.repeat(v, 3), len(x)) for v in vectors.T], 1)
+    )
     axes = np.linalg.svd(n[:, None])[2][:, 1:]  # two tangents of each node
-    away = x[near] - x[:, None]
-    away /= np.linalg.norm(away, axis=2).max(axis=1)[:, None, None]
-    a, b = np.einsum("nki,nji->jnk", away, axes)
-    height = np.einsum("nki,ni->nk", away, n)
+    offset = x[neighbours] - x[:, None]
+    offset /= np.linalg.norm(offset, axis=2).max(axis=1)[:, None, None]
+    a, b = np.einsum("nki,nji->jnk", offset, axes)
+    height = np.einsum("nki,ni->nk", offset, n)
     squares = a * a, a * b, b * b, a * height, b * height, height * height
-    fit = np.linalg.pinv(np.stack([a, b, *squares], axis=2))
-    slope = np.einsum("njk,nk->nj", fit[:, :2], height)
-    return _unit(n - np.einsum("nj,nji->ni", slope, axes))
+    inverse_fit = np.linalg.pinv(np.stack([a, b, *squares], axis=2))
+    slope = np.einsum("njk,nk->nj", inverse_fit[:, :2], height)
+    return _unit_vectors(n - np.einsum("nj,nji->ni", slope, axes))
 
 
 def _area_vectors(corners: Floats) -> Floats:
@@ -246,10 +281,10 @@ def _area_vectors(corners: Floats) -> Floats:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
 
 
-def _unit(vectors: Floats) -> Floats:
+def _unit_vectors(vectors: Floats) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=1)[:, None]
 
 
-def _sums(at: Ints, values: Floats, n: int) -> Floats:
+def _sum_by_node(node: Ints, values: Floats, node_count: int) -> Floats:
     """Sums (n,) of values by place."""
-    return np.bincount(at.ravel(), values.ravel(), n).astype(np.float64)
+    return np.bincount(node.ravel(), values.ravel(), node_count).astype(np.float64)

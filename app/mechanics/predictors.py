@@ -25,13 +25,13 @@ from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 
 # Earlier states of the run that are kept.
-KEPT = 3
+KEPT_STATES = 3
 # Other runs whose states are kept, multiples of another one left out.
-RUNS = 6
+KEPT_RUNS = 6
 # States of a run that are kept, its first ones.
-STATES = 20
+STATES_PER_RUN = 20
 # Friction coefficient below which an interface counts as frictionless.
-LITTLE = 1e-3
+SMALLEST_FRICTION = 1e-3
 
 # Unknowns of a converged state and its causes, on this rank: nodal forces of loads, supports and
 # free strains [N], initial gaps at the contact points [mm], and the logarithm of the friction
@@ -66,35 +66,39 @@ class Extrapolation:
 
     def __init__(self, solver: Solver, last_reversal: Callable[[float], float]) -> None:
         self._solver, self._last_reversal = solver, last_reversal
-        self._trail: list[tuple[float, PETSc.Vec]] = []
+        self._past_states: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
         """Store the state at which the first path of loads begins."""
-        if not self._trail:
-            self._trail = [(time, self._solver.x.copy())]
+        if not self._past_states:
+            self._past_states = [(time, self._solver.x.copy())]
 
     def predict(self, time: float) -> None:
         """Use the line or the state of least residual, if it is closer to equilibrium."""
-        if len(self._trail) < 2:
+        if len(self._past_states) < 2:
             return
-        (t0, x0), (t1, x1) = self._trail[-2:]
+        (t0, x0), (t1, x1) = self._past_states[-2:]
         if t0 >= self._last_reversal(time) - 1e-9:
             s = (time - t1) / (t1 - t0)
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)
-        elif len(self._trail) > KEPT and take_better(self._solver, x0 * 2 - self._trail[-4][1]):
+        elif len(self._past_states) > KEPT_STATES and use_if_better(
+            self._solver, x0 * 2 - self._past_states[-4][1]
+        ):
             return
         else:
-            x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
-        take_better(self._solver, x)
+            x = least_residual_mixture(
+                self._solver, x1, [state for _, state in self._past_states[:-1]]
+            )
+        use_if_better(self._solver, x)
 
     def commit(self, time: float) -> None:
         """Store the state; of two at one time, the later."""
         state = (time, self._solver.x.copy())
-        self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
+        self._past_states = [*[p for p in self._past_states if p[0] != time][-KEPT_STATES:], state]
 
 
-def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
+def least_residual_mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
     r"""State of least linearized residual in the span of a state and others; collective.
 
     With x the state and d_i the differences of the others from it, it is x + sum s_i d_i with the
@@ -103,17 +107,17 @@ def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.
     .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
     """
     x = x.copy()
-    here = solver.residual(x)
+    residual = solver.residual(x)
     steps = [x - state for state in others]
-    changes = [solver.residual(x + step) - here for step in steps]
+    changes = [solver.residual(x + step) - residual for step in steps]
     gram = np.array([[a.dot(b) for b in changes] for a in changes])
-    shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
+    shares, *_ = np.linalg.lstsq(gram, [-a.dot(residual) for a in changes], rcond=1e-12)
     for share, step in zip(shares, steps, strict=True):
         x.axpy(share, step)
     return x
 
 
-def take_better(solver: Solver, x: PETSc.Vec) -> bool:
+def use_if_better(solver: Solver, x: PETSc.Vec) -> bool:
     """Set the solver to x, supports imposed, if its residual is smaller; collective."""
     if not imbalance(solver, x) < imbalance(solver, solver.x.copy()):
         return False  # nor is a state that is no number
@@ -126,7 +130,7 @@ def imbalance(solver: Solver, x: PETSc.Vec) -> float:
     return float(solver.residual(x).norm())
 
 
-def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
+def are_equal(a: PETSc.Vec, b: PETSc.Vec) -> bool:
     """Return True if two states are equal; collective."""
     return bool((a - b).norm() == 0.0)
 
@@ -140,66 +144,69 @@ class WarmStart:
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
         self._problem, self._solver = problem, solver
-        self._past: list[dict[float, Neighbour]] = []
-        self._now: dict[float, Neighbour] = {}
-        self._start: PETSc.Vec | None = None
+        self._earlier_runs: list[dict[float, Neighbour]] = []
+        self._states_of_run: dict[float, Neighbour] = {}
+        self._used_start: PETSc.Vec | None = None
         # Whether a state of this run is no multiple of others.
-        self._new = False
+        self._is_new = False
 
     def begin(self) -> None:
         """Begin another run."""
-        if self._new:
-            self._past = [*self._past, self._now][-RUNS:]
-        self._now, self._new = {}, False
+        if self._is_new:
+            self._earlier_runs = [*self._earlier_runs, self._states_of_run][-KEPT_RUNS:]
+        self._states_of_run, self._is_new = {}, False
 
     def predict(self, time: float) -> None:
         """Start from the nearest state of another run, if better."""
-        self._start = None
-        here = self._state()[1]
-        forces, gaps, _ = self._products(here, here)
+        self._used_start = None
+        causes = self._state()[1]
+        forces, gaps, _ = self._inner_products(causes, causes)
         sizes = np.array([forces or 1.0, gaps or 1.0, 1.0])
         # Runs in other load steps have states at other times.
-        known = [
+        candidates = [
             state
-            for states in self._past
+            for states in self._earlier_runs
             for state in ([states[time]] if time in states else states.values())
         ]
-        scaled = [self._scaled(state, here, sizes) for state in known]
+        scaled = [self._scaled(state, causes, sizes) for state in candidates]
         if not scaled:
             return
-        nearest = min(scaled, key=lambda state: self._distance(state[1], here, sizes))[0]
-        if take_better(self._solver, nearest):
-            self._start = nearest.copy()
+        nearest = min(scaled, key=lambda state: self._distance(state[1], causes, sizes))[0]
+        if use_if_better(self._solver, nearest):
+            self._used_start = nearest.copy()
 
     def commit(self, time: float) -> None:
         """Store the state."""
-        if len(self._now) >= STATES:  # a walk has thousands
+        if len(self._states_of_run) >= STATES_PER_RUN:  # a walk has thousands
             return
-        state = self._now[time] = self._state()
-        self._new = self._new or self._start is None or not same(self._start, state[0])
+        state = self._states_of_run[time] = self._state()
+        self._is_new = (
+            self._is_new or self._used_start is None or not are_equal(self._used_start, state[0])
+        )
 
     def _state(self) -> Neighbour:
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
-        friction = np.log([max(c.law.friction, LITTLE) for c in contacts])
+        friction = np.log([max(c.law.friction, SMALLEST_FRICTION) for c in contacts])
         gaps = problem.contact.gap.ravel() if problem.contact else np.zeros(0)
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 
-    def _scaled(self, state: Neighbour, here: Causes, sizes: Floats) -> Neighbour:
+    def _scaled(self, state: Neighbour, target: Causes, sizes: Floats) -> Neighbour:
         """A state times the factor that brings its loads and gaps nearest to those here."""
         x, causes = state
         square, product = (
-            float((self._products(causes, other) / sizes)[:2].sum()) for other in (causes, here)
+            float((self._inner_products(causes, other) / sizes)[:2].sum())
+            for other in (causes, target)
         )
         factor = product / square if square > 0 and product > 0 else 1.0
         forces, gaps, friction = causes
         return x * factor, (factor * forces, factor * gaps, friction)
 
     def _distance(self, a: Causes, b: Causes, sizes: Floats) -> float:
-        apart = [p - q for p, q in zip(a, b, strict=True)]
-        return float(np.sqrt((self._products(apart, apart) / sizes).sum()))
+        differences = [p - q for p, q in zip(a, b, strict=True)]
+        return float(np.sqrt((self._inner_products(differences, differences) / sizes).sum()))
 
-    def _products(self, a: Sequence[Floats], b: Sequence[Floats]) -> Floats:
+    def _inner_products(self, a: Sequence[Floats], b: Sequence[Floats]) -> Floats:
         """Products of the causes of two states, one by one; collective."""
         local = np.array([float(p @ q) for p, q in zip(a, b, strict=True)])
         return np.asarray(self._problem.comm.allreduce(local, MPI.SUM))

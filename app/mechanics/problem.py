@@ -61,7 +61,7 @@ class Problem:
         stress_history: Stress history of regions that set or creep, if any.
         thermal_strain: Thermal expansion of regions with constant moduli, if any.
         u: Displacement, the continuous field.
-        moved: Displacement of each body that jumps move.
+        jump_displacements: Displacement of each body that jumps move.
         followers: Nodes of surfaces with finite sliding, if there are any.
         sliding: State of bodies with such surfaces.
         time: Current time: stage k runs from k to k + 1.
@@ -73,7 +73,8 @@ class Problem:
 
     Args:
         augmentation_factor: Default augmentation over modulus and mesh size.
-        like: Problem with other contacts and the same constant stiffness, whose inverse is shared.
+        same_stiffness: Problem with other contacts and the same constant stiffness, whose inverse
+            is shared.
 
     Raises:
         InputError: The scene does not fit the mesh.
@@ -87,7 +88,7 @@ class Problem:
         tagged: TaggedMesh,
         augmentation_factor: float,
         timing: Timing,
-        like: Problem | None = None,
+        same_stiffness: Problem | None = None,
     ) -> None:
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
@@ -105,18 +106,22 @@ class Problem:
         )
         refuse_motions(self.body_forms)
         self.followers = Followers(self.body_forms) if finitely_sliding(scene) else None
-        shared = like.stiffness if like else None
-        self.stiffness: Stiffness = Stiffness(self.body_forms, shared, self.followers)
-        parts = self.body_forms, self.stiffness
-        self.contact = ContactInterfaces(*parts, augmentation_factor) if scene.contacts else None
-        self.moved = {
+        shared_stiffness = same_stiffness.stiffness if same_stiffness else None
+        self.stiffness: Stiffness = Stiffness(self.body_forms, shared_stiffness, self.followers)
+        discretization = self.body_forms, self.stiffness
+        self.contact = (
+            ContactInterfaces(*discretization, augmentation_factor) if scene.contacts else None
+        )
+        self.jump_displacements = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
         self.sliding: SlidingBodies | None = None
-        on_surfaces = self.contact.finite_sliding if self.contact else None
-        if self.contact and on_surfaces:
-            self.sliding = SlidingBodies(*parts, self.contact, on_surfaces, self.moved)
+        sliding_points = self.contact.finite_sliding if self.contact else None
+        if self.contact and sliding_points:
+            self.sliding = SlidingBodies(
+                *discretization, self.contact, sliding_points, self.jump_displacements
+            )
         self.forces = Forces(scene, self.body_forms, self.contact)
         self.thermal_strain = (
             ThermalStrain(self.body_forms) if self.body_forms.free_strain else None
@@ -132,7 +137,11 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
-        for state in (self.u, *self.moved.values(), *self.body_forms.free_strain.values()):
+        for state in (
+            self.u,
+            *self.jump_displacements.values(),
+            *self.body_forms.free_strain.values(),
+        ):
             state.x.array[:] = 0
         if self.stress_history:
             self.stress_history.begin()
@@ -143,7 +152,7 @@ class Problem:
         self.forces = Forces(scene, self.body_forms, self.contact, self.forces)
         self.set_time(0.0)
 
-    def _renew(self) -> None:
+    def _reassemble(self) -> None:
         self.stiffness.update()
         self._follow_stiffness()
 
@@ -164,14 +173,14 @@ class Problem:
         stage, self.stiffness.stage = self.stiffness.stage, 0
         self.set_stage(stage, self.stiffness.K.createVecRight())
         if self.body_forms.growth:
-            self._renew()
+            self._reassemble()
         self.follow_density()
         self.set_time(self.time)
 
-    def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+    def restore_unknowns(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Set the unknowns to the restored displacement and jumps; collective."""
         owned = 3 * self.space.dofmap.index_map.size_local
-        nodal = self.sliding.taken_up() if self.sliding else self.u.x.array[:owned]
+        nodal = self.sliding.restore_pairs() if self.sliding else self.u.x.array[:owned]
         self.stiffness.constraints.contract(nodal).copy(u)
         if self.contact:
             assert q is not None
@@ -244,8 +253,8 @@ class Problem:
         """
         if self.stress_history is None:
             return
-        if self.stress_history.stiffen():
-            self._renew()
+        if self.stress_history.update_moduli():
+            self._reassemble()
         self.forces.set_eigenforces("stress history", self.stress_history.forces())
         self.set_time(self.time)
 
@@ -256,7 +265,7 @@ class Problem:
             if self.thermal_strain:
                 self.thermal_strain.assemble()
                 self.forces.set_eigenforces("heat", self.thermal_strain.forces())
-            self._renew()
+            self._reassemble()
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the constrained unknowns of a displacement to their current values."""
@@ -284,7 +293,7 @@ class Problem:
             self.contact.coupling.C.multAdd(q, r_u, r_u)
         r_u.axpy(-1.0, self.f)
         held = self.stiffness.constraints.constrained
-        r_u.array[held] = self.stiffness.typical * (u.array_r - self.prescribed)[held]
+        r_u.array[held] = self.stiffness.mean_diagonal * (u.array_r - self.prescribed)[held]
         if self.contact is None or q is None or r_q is None:
             return None
         # Interfaces: equilibrium of the contact points, and the forces of their laws.
@@ -326,10 +335,10 @@ class Problem:
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
         """Residual by rounding alone, large for a stiff body that moves [N]."""
-        lost = rounding(self.stiffness.diagonal, u)
+        error = rounding(self.stiffness.diagonal, u)
         if self.contact and q is not None:
-            lost += rounding(self.contact.coupling.D.getDiagonal(), q)
-        return lost
+            error += rounding(self.contact.coupling.D.getDiagonal(), q)
+        return error
 
     # State
 
@@ -341,11 +350,11 @@ class Problem:
         self.u.x.scatter_forward()
         if self.contact is None:
             return
-        extra = nodal.duplicate()
+        by_jumps = nodal.duplicate()
         for body, B in self.contact.coupling.jump_to_displacement.items():
-            B.mult(q, extra)
-            function = self.moved[body]
-            function.x.petsc_vec.array[:owned] = nodal.array + extra.array
+            B.mult(q, by_jumps)
+            function = self.jump_displacements[body]
+            function.x.petsc_vec.array[:owned] = nodal.array + by_jumps.array
             function.x.scatter_forward()
 
     @property
@@ -361,7 +370,7 @@ class Problem:
 
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
-        return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
+        return [self.jump_displacements.get(b, self.u) for b in range(len(self.bodies.names))]
 
     def commit(self, trial: TrialState | None) -> None:
         """Commit a converged state, after `update_displacements`."""

@@ -10,8 +10,8 @@ from dolfinx import fem
 
 from app.foundation.arrays import Floats, Ints
 from app.interfaces.interface_facets import gather
-from app.mechanics.analytical_surfaces import AnalyticalSurface, fitted
-from app.mechanics.pairs import SmoothSurface, oriented
+from app.mechanics.analytical_surfaces import AnalyticalSurface, fit_surface
+from app.mechanics.pairs import SmoothSurface, orient
 from app.scene.bodies import boundary_facets, facet_nodes
 from meshes.distribute import TaggedMesh
 from meshes.facets import bends
@@ -41,8 +41,8 @@ class Side:
     @classmethod
     def of(cls, tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Side:
         """Gather a boundary on every rank; collective."""
-        f = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
-        numbers, dofs, x, inside = gather(tagged.mesh.comm, *f)
+        nodes = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
+        numbers, dofs, x, inside = gather(tagged.mesh.comm, *nodes)
         # The same on any number of ranks.
         order = np.lexsort(np.sort(numbers, axis=1).T)
         numbers, dofs, x, inside = numbers[order], dofs[order], x[order], inside[order]
@@ -51,13 +51,13 @@ class Side:
         # The middle of an edge of a facet is opposite its vertex of the same number.
         ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
         edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
-        _, one = np.unique(edges[..., 0], return_index=True)
-        edges, middle = edges.reshape(-1, 3)[one], x[:, 3:].reshape(-1, 3)
+        _, first_edge = np.unique(edges[..., 0], return_index=True)
+        edges, middle = edges.reshape(-1, 3)[first_edge], x[:, 3:].reshape(-1, 3)
         outward, x = x[:, 0] - inside, x[:, :3].reshape(-1, 3)[first]
         a, b = x[edges[:, 1:]].transpose(1, 0, 2)
-        bend = bends(a, b, middle[one] if len(middle) else (a + b) / 2)
-        halves = np.eye(3) / 2 + np.stack([-bend, bend])
-        return cls(vertices, x, oriented(x, triangles, outward), outward, edges, halves)
+        bending = bends(a, b, middle[first_edge] if len(middle) else (a + b) / 2)
+        halves = np.eye(3) / 2 + np.stack([-bending, bending])
+        return cls(vertices, x, orient(x, triangles, outward), outward, edges, halves)
 
     @cached_property
     def smooth(self) -> SmoothSurface:
@@ -70,5 +70,5 @@ class Side:
         corners = self.x[self.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        analytical = fitted(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
+        analytical = fit_surface(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0))
         return analytical or self.smooth

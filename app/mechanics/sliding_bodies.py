@@ -22,7 +22,7 @@ from app.mechanics.stiffness import Stiffness
 from app.scene.scene import Scene
 
 # Displacements of owned nodes without translations of rotating bodies, and these by motion.
-Moved = tuple[Floats, dict[str, Floats]]
+SplitVectors = tuple[Floats, dict[str, Floats]]
 
 
 class SlidingBodies:
@@ -54,7 +54,9 @@ class SlidingBodies:
     def begin(self, scene: Scene) -> None:
         """Begin a run at rest; collective."""
         self._followers.begin(scene)
-        self._committed = self._pressed = self._followers.without_motion(self._nodal * 0.0)
+        self._committed = self._committed_forces = self._followers.split_translations(
+            self._nodal * 0.0
+        )
         self.work = 0.0
 
     @property
@@ -63,28 +65,31 @@ class SlidingBodies:
         nodes = self._body_forms.space.dofmap.index_map.size_local
         return np.asarray(self._body_forms.u.x.array[: 3 * nodes].reshape(-1, 3))
 
-    def _by_body(self) -> Moved:
+    def _split_displacements(self) -> SplitVectors:
         """Displacement of owned nodes, on slaves with their jumps; collective."""
         nodal = self._nodal.copy()
         for body, nodes in self._followers.slaves:
             nodal[nodes] = self._moved[body].x.array.reshape(-1, 3)[nodes]
-        return self._followers.without_motion(nodal)
+        return self._followers.split_translations(nodal)
 
-    def _contact_forces(self, trial: TrialState) -> Moved:
+    def _contact_forces(self, trial: TrialState) -> SplitVectors:
         """Forces of finite sliding on owned nodes [N], and their sums on rotating bodies."""
         on_slaves = np.zeros_like(self._nodal)
         on_slaves[self._points.nodes] = trial.equilibrium[self._points.rows]
-        forces = on_slaves - self._followers.handed(on_slaves)
+        forces = on_slaves - self._followers.forces_on_masters(on_slaves)
         return forces, self._followers.totals(forces)
 
-    def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
+    def _set_unknowns(self, displacements: SplitVectors, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Set unknowns and jumps to displacements, in current rotations and pairs; collective."""
-        constraints, nodal = self._stiffness.constraints, self._followers.with_motion(*moved)
+        constraints, nodal = (
+            self._stiffness.constraints,
+            self._followers.join_translations(*displacements),
+        )
         constraints.contract(nodal).copy(u)
-        apart = nodal - constraints.expand(u).array.reshape(-1, 3)
-        q.array.reshape(-1, 3)[self._points.rows] = apart[self._points.nodes]
+        remaining_jump = nodal - constraints.expand(u).array.reshape(-1, 3)
+        q.array.reshape(-1, 3)[self._points.rows] = remaining_jump[self._points.nodes]
 
-    def taken_up(self) -> Floats:
+    def restore_pairs(self) -> Floats:
         """Pair surfaces as in the restored state; its displacement at owned nodes (n, 3) [mm]."""
         jump = self._contact.committed_at
         if jump is not None:
@@ -94,7 +99,10 @@ class SlidingBodies:
 
     def begin_at(self, trial: TrialState) -> None:
         """Begin at a restored state with updated displacements; collective."""
-        self._committed, self._pressed = self._by_body(), self._contact_forces(trial)
+        self._committed, self._committed_forces = (
+            self._split_displacements(),
+            self._contact_forces(trial),
+        )
 
     def follow(self) -> None:
         """Let nodes follow the surfaces that they are paired with now; collective."""
@@ -106,30 +114,30 @@ class SlidingBodies:
         coupling.update(stiffness.constraints, paired=True)
         u, q = stiffness.K.createVecRight(), coupling.D.createVecRight()
         q.array[:] = self._contact.state.jump.ravel()
-        self.carry(u, q)
+        self.set_committed(u, q)
         self._contact.carried = q.array.reshape(-1, 3).copy()
 
-    def carry(self, u: PETSc.Vec, q: PETSc.Vec) -> None:
+    def set_committed(self, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Set unknowns and jumps to the committed displacements, in the current pairs."""
-        self._express(self._committed, u, q)
+        self._set_unknowns(self._committed, u, q)
 
     def pair(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:
         """Pair points anew if their gaps are wrong; return True if so; collective.
 
         Updated displacements are kept; u and q express them in the new pairs.
         """
-        moved = self._by_body()
+        displacements = self._split_displacements()
         if not self._contact.pair(trial):
             return False
         self.follow()
-        self._express(moved, u, q)
+        self._set_unknowns(displacements, u, q)
         return True
 
     def commit(self, trial: TrialState) -> None:
         """Commit a converged state with updated displacements; collective."""
-        (f0, F0), (u0, t0) = self._pressed, self._committed
+        (f0, F0), (u0, t0) = self._committed_forces, self._committed
         self.begin_at(trial)
-        (f1, F1), (u1, t1) = self._pressed, self._committed
+        (f1, F1), (u1, t1) = self._committed_forces, self._committed
         work = float(((f0 + f1) * (u1 - u0)).sum())
         if self._body_forms.mesh.comm.rank == 0:
             work += sum(float((F0[k] + F1[k]) @ (t1[k] - t0[k])) for k in F1)

@@ -15,7 +15,7 @@ from dolfinx.common import IndexMap
 
 from app.foundation.arrays import Floats, Ints
 from app.interfaces.faces import projectors
-from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.body_forms import BodyForms, assemble_form_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.followers import Followers
 from app.numerics.preconditioners import CoarseOrder, Inverse, near_null_space, stiffness_options
@@ -42,7 +42,7 @@ class Stiffness:
         rows: Global numbers of the constrained rows of this rank.
         reactions: These rows before they are constrained: the reactions to displacements.
         diagonal: Diagonal of the matrix.
-        typical: Mean diagonal of the stiffness, set in constrained rows to keep scales alike.
+        mean_diagonal: Mean diagonal of the stiffness, set in constrained rows to keep scales alike.
         inverse: Approximate inverse of K.
 
     Args:
@@ -65,7 +65,7 @@ class Stiffness:
         self._form = body_forms.stiffness()
         self.followers = followers
         self.constraints = Constraints(body_forms, self.stage, self.frames, followers)
-        self.K = self._constrained()
+        self.K = self._assemble_constrained()
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
@@ -73,9 +73,9 @@ class Stiffness:
             self.inverse = reuse.inverse
             return
         nodal = scene.order > 1 and not self.constraints.transforms
-        lower = CoarseOrder(space, lambda: self.constraints.constrained) if nodal else None
-        options = stiffness_options("auto", self.K, lower)
-        self.inverse = Inverse(self.K, lambda: self.version, options, lower)
+        coarse_order = CoarseOrder(space, lambda: self.constraints.constrained) if nodal else None
+        options = stiffness_options("auto", self.K, coarse_order)
+        self.inverse = Inverse(self.K, lambda: self.version, options, coarse_order)
 
     def constraints_of_stages(self) -> list[Constraints]:
         """Constraints of all stages whose supports differ; collective."""
@@ -85,29 +85,29 @@ class Stiffness:
             stages.setdefault(tuple(scene.holds(s, k) for s in scene.supports), k)
         return [Constraints(m, k, self.frames, self.followers) for k in stages.values()]
 
-    def _constrained(self, paired: bool = False) -> PETSc.Mat:
+    def _assemble_constrained(self, paired: bool = False) -> PETSc.Mat:
         if not paired:
-            self._nodal = assembled_matrix(self._form)
-        K = self.constraints.matrix(self._nodal)
+            self._nodal_matrix = assemble_form_matrix(self._form)
+        K = self.constraints.matrix(self._nodal_matrix)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.rows = K.getOwnershipRange()[0] + np.flatnonzero(self.constraints.constrained)
         self.rows = self.rows.astype(PETSc.IntType)
         self.reactions = K.createSubMatrix(PETSc.IS().createGeneral(self.rows, comm=K.comm))
-        self._lifts = []
+        self._support_forces = []
         for unit in self.constraints.unit:
-            given, forces = K.createVecs()
-            given.array[:] = unit
-            K.mult(given, forces)
-            self._lifts.append(forces)
+            unit_vector, forces = K.createVecs()
+            unit_vector.array[:] = unit
+            K.mult(unit_vector, forces)
+            self._support_forces.append(forces)
         diagonal = K.getDiagonal()
-        self.typical = float(diagonal.sum()) / diagonal.getSize()
-        K.zeroRowsColumns(self.rows, diag=self.typical)
+        self.mean_diagonal = float(diagonal.sum()) / diagonal.getSize()
+        K.zeroRowsColumns(self.rows, diag=self.mean_diagonal)
         self.diagonal = K.getDiagonal()
         return K
 
     def update(self, paired: bool = False) -> None:
         """Reassemble in the same matrix, or if surfaces are paired anew that alone; collective."""
-        K = self._constrained(paired)
+        K = self._assemble_constrained(paired)
         renew(self.K, K, self.constraints.follows)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.version += 1
@@ -124,18 +124,20 @@ class Stiffness:
             return False
         old = self.constraints
         self.constraints = Constraints(self._body_forms, stage, self.frames, self.followers)
-        self.constraints.carry(u, old)
+        self.constraints.transfer_rotated_axes(u, old)
         self.update()
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
         return True
 
     def prescribed(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
         """Prescribed displacements at amplitudes (n,); their forces are taken from f [N]."""
-        given = np.zeros(len(f.array_r))
-        for a, unit, lift in zip(amplitudes, self.constraints.unit, self._lifts, strict=True):
-            given += a * unit
-            f.axpy(-a, lift)
-        return given
+        displacement = np.zeros(len(f.array_r))
+        for a, unit, support_force in zip(
+            amplitudes, self.constraints.unit, self._support_forces, strict=True
+        ):
+            displacement += a * unit
+            f.axpy(-a, support_force)
+        return displacement
 
 
 def rounding(diagonal: PETSc.Vec, u: PETSc.Vec) -> float:
@@ -168,29 +170,35 @@ def support_resistance(
     conditions += [
         (f.boundary, np.diag(np.sign(f.stiffness)).astype(float), -1) for f in scene.foundations
     ]
-    held: dict[int, Floats] = {}
+    resistance: dict[int, Floats] = {}
     for boundary, directions, k in conditions:
         for body, facets in facets_by_body(body_forms.tagged, bodies, boundary).items():
             nodes = np.asarray(fem.locate_dofs_topological(space, 2, facets), dtype=np.int64)
             P = np.tile(directions, (len(nodes), 1, 1))
             if k >= 0 and frames is not None:
-                rows, places = _with_axes(frames.node, space.dofmap.index_map, nodes)
+                rows, places = _rows_with_axes(frames.node, space.dofmap.index_map, nodes)
                 P[rows] = projectors(frames.axes[places], frames.along[places, k])
             R = rigid_modes((x[nodes] - centre) / size)
-            part = comm.allreduce(np.einsum("nia,nij,njb->ab", R, P, R))
-            held[body] = held.get(body, 0.0) + part / (comm.allreduce(len(nodes)) or 1)
+            motion_resistance = comm.allreduce(np.einsum("nia,nij,njb->ab", R, P, R))
+            resistance[body] = resistance.get(body, 0.0) + motion_resistance / (
+                comm.allreduce(len(nodes)) or 1
+            )
     for motion in scene.motions:
-        body, part = bodies.of_region[motion.region], np.zeros((6, 6))
-        part[3:, 3:] = np.eye(3)
-        held[body] = np.eye(6) if motion.translation == "held" else held.get(body, 0.0) + part
-    return held
+        body, motion_resistance = bodies.of_region[motion.region], np.zeros((6, 6))
+        motion_resistance[3:, 3:] = np.eye(3)
+        resistance[body] = (
+            np.eye(6)
+            if motion.translation == "held"
+            else resistance.get(body, 0.0) + motion_resistance
+        )
+    return resistance
 
 
-def _with_axes(with_axes: Ints, index_map: IndexMap, nodes: Ints) -> tuple[Ints, Ints]:
-    """Rows of the local nodes that have local axes, and their indices in ``with_axes``.
+def _rows_with_axes(nodes_with_axes: Ints, index_map: IndexMap, nodes: Ints) -> tuple[Ints, Ints]:
+    """Rows of the local nodes that have local axes, and their indices in ``nodes_with_axes``.
 
-    ``with_axes`` are global numbers, rising.
+    ``nodes_with_axes`` are global numbers, rising.
     """
-    every = index_map.local_to_global(nodes.astype(np.int32))
-    rows = np.flatnonzero(np.isin(every, with_axes))
-    return rows, np.searchsorted(with_axes, every[rows])
+    global_nodes = index_map.local_to_global(nodes.astype(np.int32))
+    rows = np.flatnonzero(np.isin(global_nodes, nodes_with_axes))
+    return rows, np.searchsorted(nodes_with_axes, global_nodes[rows])

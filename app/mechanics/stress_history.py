@@ -34,10 +34,10 @@ from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.laws.cure import Cure
 from app.laws.materials import Elastic
-from app.mechanics.body_forms import BodyForms, assembled_vector
+from app.mechanics.body_forms import BodyForms, assemble_form_vector
 from app.mechanics.creep import CreepState, CreepValues
 from app.numerics.pointwise import Pointwise
-from app.numerics.saved_state import LEFT_OUT
+from app.numerics.saved_state import NOT_SAVED
 from forms import cure, elasticity, loads
 
 # Rows of the components of elasticity.symmetric.
@@ -45,7 +45,7 @@ ROWS = np.array([0, 1, 2, 1, 0, 0])
 # Their columns.
 COLUMNS = np.array([0, 1, 2, 2, 2, 1])
 # A modulus that changes by less than this part of the final one counts as unchanged.
-SAME = 1e-12
+MODULUS_TOLERANCE = 1e-12
 
 
 class StressHistory:
@@ -67,8 +67,8 @@ class StressHistory:
     def __init__(self, body_forms: BodyForms) -> None:
         self._body_forms, scene = body_forms, body_forms.scene
         regions = sorted(body_forms.path_dependent_regions)
-        self._body = {r: body_forms.bodies.of_region[r] for r in regions}
-        self.bodies = sorted(set(self._body.values()))
+        self._body_of_region = {r: body_forms.bodies.of_region[r] for r in regions}
+        self.bodies = sorted(set(self._body_of_region.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():
             if e.eigenstrains:
@@ -84,21 +84,32 @@ class StressHistory:
         space = fem.functionspace(body_forms.mesh, element)
         self.stress_at_points = fem.Function(space)
         # The stress that the step begins with: less, by what creep takes in it.
-        self._left = fem.Function(space) if scene.creeps else self.stress_at_points
-        self._before = {b: fem.Function(body_forms.space) for b in self.bodies}
-        self._step = {b: fem.Function(body_forms.space) for b in self.bodies}
+        self._initial_stress = fem.Function(space) if scene.creeps else self.stress_at_points
+        self._committed_displacements = {b: fem.Function(body_forms.space) for b in self.bodies}
+        self._displacement_steps = {b: fem.Function(body_forms.space) for b in self.bodies}
         free = {*body_forms.growth, *body_forms.free_strain}
-        self._rise = {r: fem.Function(body_forms.scalars) for r in regions if r in free}
+        self._free_strain_step = {r: fem.Function(body_forms.scalars) for r in regions if r in free}
         # Growth and free strain of the last converged state, and those to come.
-        nodes = len(next(iter(self._rise.values())).x.array) if self._rise else 0
+        nodes = (
+            len(next(iter(self._free_strain_step.values())).x.array)
+            if self._free_strain_step
+            else 0
+        )
         with body_forms.timing.phase("compile", "cure"):
-            self._growth = {c.region: _growth(body_forms.mesh.comm, c, nodes) for c in scene.cures}
-        self._old = {r: (np.ones(nodes), np.zeros(nodes)) for r in self._rise} | {
-            c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
+            self._modulus_laws = {
+                c.region: _modulus_law(body_forms.mesh.comm, c, nodes) for c in scene.cures
+            }
+        self._committed_cure = {
+            r: (np.ones(nodes), np.zeros(nodes)) for r in self._free_strain_step
+        } | {
+            c.region: (
+                self._modulus_laws[c.region](a=np.full(nodes, c.initial))[0],
+                np.zeros(nodes),
+            )
             for c in scene.cures
         }
-        self._new = dict(self._old)
-        self.stiffen()
+        self._next_cure = dict(self._committed_cure)
+        self.update_moduli()
         self._cells = {r: body_forms.region_cells(r) for r in regions}
         rows = {r: space.dofmap.list[cells] for r, cells in self._cells.items()}
         self.creep = CreepState(body_forms, rows, points, weights) if scene.creeps else None
@@ -110,35 +121,38 @@ class StressHistory:
         with body_forms.timing.phase("compile", "stress of cure"):
             self._increments = {
                 r: fem.Expression(
-                    self._stress_of(e, elasticity.strain(self._step[self._body[r]]), -1),
+                    self._stress_of(
+                        e, elasticity.strain(self._displacement_steps[self._body_of_region[r]]), -1
+                    ),
                     points,
                     comm=body_forms.mesh.comm,
                 )
                 for r, e in self._elastic.items()
             }
-        self._rest = self.state()
+        self._state_at_rest = self.state()
 
     def _stress_of(self, e: Elastic, ε: Expr, sign: int) -> Expr:
         """Stress of a strain, with the step's free strain added or subtracted."""
-        if e.region in self._rise:
-            ε = ε + sign * elasticity.isotropic_strain(self._rise[e.region])
+        if e.region in self._free_strain_step:
+            ε = ε + sign * elasticity.isotropic_strain(self._free_strain_step[e.region])
         return self._body_forms.growth.get(e.region, 1) * elasticity.stress(
             lambda x: self._body_forms.energy_density(e, x), ε
         )
 
-    def _regions(self, body: int) -> list[tuple[Elastic, ufl.Measure]]:
+    def _regions_of_body(self, body: int) -> list[tuple[Elastic, ufl.Measure]]:
         degree = self._body_forms.path_dependent_degree
         return [
             (e, self._measure(self._body_forms.tagged.regions[r], degree=degree))
             for r, e in self._elastic.items()
-            if self._body[r] == body
+            if self._body_of_region[r] == body
         ]
 
     def internal_work(self, body: int, v: Expr, stress: fem.Function | None = None) -> ufl.Form:
         """Work of the stress of a body, or another stress there, in a displacement v [N mm]."""
         σ = elasticity.symmetric(list(self.stress_at_points if stress is None else stress))
         return sum(
-            loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
+            loads.mechanical_work(σ, elasticity.strain(v)) * dx
+            for _, dx in self._regions_of_body(body)
         )
 
     def complementary_energy(self) -> ufl.Form:
@@ -149,51 +163,51 @@ class StressHistory:
             / (2 * body_forms.growth.get(e.region, 1) * body_forms.constant(max(e.moduli)))
             * dx
             for b in self.bodies
-            for e, dx in self._regions(b)
+            for e, dx in self._regions_of_body(b)
         )
 
     def _prestress(self, body: int, v: Expr) -> ufl.Form:
-        ε = elasticity.strain(self._before[body])
-        held = sum(
+        ε = elasticity.strain(self._committed_displacements[body])
+        internal_work = sum(
             loads.mechanical_work(self._stress_of(e, ε, 1), elasticity.strain(v)) * dx
-            for e, dx in self._regions(body)
+            for e, dx in self._regions_of_body(body)
         )
-        return held - self.internal_work(body, v, self._left)
+        return internal_work - self.internal_work(body, v, self._initial_stress)
 
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
-        """Set degrees of cure and free strains at the end of the step, for the next `stiffen`.
+        """Set degrees of cure and free strains at the end of the step, for `update_moduli`.
 
         Args:
             degrees: Degree of cure at the vertices of each curing region [-].
             strains: Free strain since gelation at the vertices of each curing region [-].
         """
-        self._new |= {
+        self._next_cure |= {
             r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
-            for r, growth in self._growth.items()
+            for r, growth in self._modulus_laws.items()
         }
 
     def set_free_strain(self, strains: Mapping[str, fem.Function]) -> None:
         """Set the free strains of regions that do not set, at the vertices [-]."""
         for r, strain in strains.items():
-            if r in self._rise:
-                self._new[r] = self._old[r][0], strain.x.array.copy()
+            if r in self._free_strain_step:
+                self._next_cure[r] = self._committed_cure[r][0], strain.x.array.copy()
 
-    def stiffen(self) -> bool:
+    def update_moduli(self) -> bool:
         """Set the step's mean modulus and free strain; whether a modulus changed; collective."""
         change = 0.0
-        for r, rise in self._rise.items():
-            (g0, e0), (g1, e1) = self._old[r], self._new[r]
+        for r, rise in self._free_strain_step.items():
+            (g0, e0), (g1, e1) = self._committed_cure[r], self._next_cure[r]
             rise.x.array[:] = e1 - e0
             function = self._body_forms.growth.get(r)
             if function is not None:
                 mean = (g0 + g1) / 2
                 change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
                 function.x.array[:] = mean
-        return bool(self._body_forms.mesh.comm.allreduce(change, MPI.MAX) > SAME)
+        return bool(self._body_forms.mesh.comm.allreduce(change, MPI.MAX) > MODULUS_TOLERANCE)
 
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces of the prestress on each body at the start of the step [N]; collective."""
-        return {body: assembled_vector(form) for body, form in self._forces.items()}
+        return {body: assemble_form_vector(form) for body, form in self._forces.items()}
 
     def stress(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's owned cells (cells, points, 3, 3) [MPa]."""
@@ -208,7 +222,7 @@ class StressHistory:
         """Keys of the quadrature points of owned cells."""
         dofs = self.stress_at_points.function_space.dofmap.list
         number = self._body_forms.mesh.topology.original_cell_index
-        keys = np.full(len(self.stress_at_points.x.array) // 6, LEFT_OUT, dtype=np.int64)
+        keys = np.full(len(self.stress_at_points.x.array) // 6, NOT_SAVED, dtype=np.int64)
         for cells in self._cells.values():
             keys[dofs[cells]] = number[cells, None] * dofs.shape[1] + np.arange(dofs.shape[1])
         return keys
@@ -216,12 +230,12 @@ class StressHistory:
     def begin_at(self, displacements: Sequence[fem.Function]) -> None:
         """Continue from restored stresses, at displacements of the bodies and given cure."""
         for b in self.bodies:
-            self._before[b].x.array[:] = displacements[b].x.array
-        self._old = dict(self._new)
-        c = self.creep
-        if c:
+            self._committed_displacements[b].x.array[:] = displacements[b].x.array
+        self._committed_cure = dict(self._next_cure)
+        creep = self.creep
+        if creep:
             # The next step begins with the restored stress.
-            self.relax(np.zeros((len(c.rows), 6)), 0.0)
+            self.relax(np.zeros((len(creep.rows), 6)), 0.0)
 
     def commit(self, displacements: Sequence[fem.Function]) -> None:
         """Commit stress and strain of a converged state.
@@ -229,72 +243,79 @@ class StressHistory:
         Args:
             displacements: Of each body, ghosts included.
         """
-        added, σ = self._added(displacements), self.stress_at_points.x.array.reshape(-1, 6)
+        increment, σ = (
+            self._stress_increment(displacements),
+            self.stress_at_points.x.array.reshape(-1, 6),
+        )
         for b in self.bodies:
-            self._before[b].x.array[:] = displacements[b].x.array
-        c = self.creep
-        if c:
-            before = σ[c.rows]
-            σ[:] = self._left.x.array.reshape(-1, 6) + added
-            c.commit(before, σ[c.rows])
-            self.relax(np.zeros_like(before), 0.0)
+            self._committed_displacements[b].x.array[:] = displacements[b].x.array
+        creep = self.creep
+        if creep:
+            stress_before = σ[creep.rows]
+            σ[:] = self._initial_stress.x.array.reshape(-1, 6) + increment
+            creep.commit(stress_before, σ[creep.rows])
+            self.relax(np.zeros_like(stress_before), 0.0)
         else:
-            σ += added
-        self._old = dict(self._new)
+            σ += increment
+        self._committed_cure = dict(self._next_cure)
 
-    def _added(self, displacements: Sequence[fem.Function]) -> Floats:
+    def _stress_increment(self, displacements: Sequence[fem.Function]) -> Floats:
         """Stress that the step adds by strain and free strain at all points (n, 6) [MPa]."""
         for b in self.bodies:
-            self._step[b].x.array[:] = displacements[b].x.array - self._before[b].x.array
-        added = np.zeros((len(self.stress_at_points.x.array) // 6, 6))
+            self._displacement_steps[b].x.array[:] = (
+                displacements[b].x.array - self._committed_displacements[b].x.array
+            )
+        increment = np.zeros((len(self.stress_at_points.x.array) // 6, 6))
         for region, expression in self._increments.items():
             cells = self._cells[region]
             if len(cells):
                 values = expression.eval(self._body_forms.mesh, cells)
                 values = values.reshape(len(cells), len(self.weights), 3, 3)
                 dofs = self.stress_at_points.function_space.dofmap.list[cells]
-                added[dofs] = values[..., ROWS, COLUMNS]
-        return added
+                increment[dofs] = values[..., ROWS, COLUMNS]
+        return increment
 
     # Creep
 
     def trial(self, displacements: Sequence[fem.Function]) -> Floats:
         """Stress at the points that creep, as if nothing crept in the step (n, 6) [MPa]."""
         assert self.creep is not None
-        σ = self.stress_at_points.x.array.reshape(-1, 6) + self._added(displacements)
+        σ = self.stress_at_points.x.array.reshape(-1, 6) + self._stress_increment(displacements)
         return np.asarray(σ[self.creep.rows])
 
     def relax(self, taken: Floats, length: float) -> None:
         """Set the stress that creep takes in a step of some cycles or seconds (n, 6) [MPa]."""
         assert self.creep is not None
-        self.creep.taken, self.creep.length = taken, length
-        self._left.x.array[:] = self.stress_at_points.x.array
-        self._left.x.array.reshape(-1, 6)[self.creep.rows] -= taken
+        self.creep.relaxed_stress, self.creep.length = taken, length
+        self._initial_stress.x.array[:] = self.stress_at_points.x.array
+        self._initial_stress.x.array.reshape(-1, 6)[self.creep.rows] -= taken
 
     def begin(self) -> None:
         """Return to rest, where nothing sets."""
-        self._old = {r: (g, np.zeros_like(e)) for r, (g, e) in self._old.items()}
-        self._new = dict(self._old)
-        self.return_to(self._rest)
-        c = self.creep
-        if c:
-            self.relax(np.zeros_like(c.taken), 0.0)
+        self._committed_cure = {
+            r: (g, np.zeros_like(e)) for r, (g, e) in self._committed_cure.items()
+        }
+        self._next_cure = dict(self._committed_cure)
+        self.return_to(self._state_at_rest)
+        creep = self.creep
+        if creep:
+            self.relax(np.zeros_like(creep.relaxed_stress), 0.0)
 
     def state(self) -> tuple[list[Floats], CreepValues | None]:
         """The committed state, for `return_to`."""
-        functions = self.stress_at_points, *self._before.values()
+        functions = self.stress_at_points, *self._committed_displacements.values()
         return [f.x.array.copy() for f in functions], self.creep.state() if self.creep else None
 
     def return_to(self, state: tuple[list[Floats], CreepValues | None]) -> None:
         """Return to an earlier state, with the same cure."""
-        functions = self.stress_at_points, *self._before.values()
+        functions = self.stress_at_points, *self._committed_displacements.values()
         for f, values in zip(functions, state[0], strict=True):
             f.x.array[:] = values
         if self.creep and state[1] is not None:
             self.creep.return_to(state[1])
 
 
-def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
+def _modulus_law(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
     """Compiled modulus over the final one by degree of cure, at every vertex of this rank."""
     constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(

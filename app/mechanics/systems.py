@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from app.mechanics.coarse_space import displacement_by, free_directions, sliding_motions
+from app.mechanics.coarse_space import displacement_by_motions, free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import Problem
@@ -21,7 +21,7 @@ from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill, renew
-from app.numerics.system import Measure, System, size
+from app.numerics.system import Measure, System, block_norm
 
 if TYPE_CHECKING:
     from app.numerics.condensed import Condensed
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 log = logging.getLogger("mantle")
 
 # Stiffness of weak springs between bodies that nothing holds, as a part of the diagonal of D.
-SPRINGS = 1e-2
+SPRING_STIFFNESS = 1e-2
 # Motions that nothing resists are rounding below this part of the jumps of a step.
-STILL = 1e-12
+MOTION_ROUNDING = 1e-12
 # Forces are in balance if their work in motions of unit size is below this part of their size.
-UNBALANCED = 1e-8
+UNBALANCED_WORK = 1e-8
 # Shear counts as an effect of uncertain normals up to this multiple of their uncertainty.
-LIKELY = 3.0
+UNCERTAINTY_FACTOR = 3.0
 
 
-def mechanical(
+def mechanical_system(
     problem: Problem, solves: float = 1.0, memory: float = math.inf
 ) -> BondedSystem | ContactSystem:
     """Return the system of a mechanical problem.
@@ -78,7 +78,9 @@ class BondedSystem(System):
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
         stiffness = self._problem.stiffness
-        return {"displacement": stiffness_options(linear, stiffness.K, stiffness.inverse.lower)}
+        return {
+            "displacement": stiffness_options(linear, stiffness.K, stiffness.inverse.coarse_order)
+        }
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements into a state."""
@@ -92,7 +94,7 @@ class BondedSystem(System):
         """Out-of-balance forces, with their scale [N]."""
         problem, (u, *q) = self._problem, x
         scale = problem.force_scale(u, q[0] if q else None)
-        return [Measure(size(f), scale, problem.rounding(u, *q))]
+        return [Measure(block_norm(f), scale, problem.rounding(u, *q))]
 
 
 class ContactSystem(BondedSystem):
@@ -123,11 +125,11 @@ class ContactSystem(BondedSystem):
         contact = self.contact = problem.contact
         self._C = contact.coupling.C.copy()
         self._C.zeroRows(problem.stiffness.rows, diag=0.0)
-        self._coupled = problem.stiffness.version
-        self.times = block_diagonal(contact.comm, len(contact.local))
-        self._A_qu = self.times.matMult(contact.coupling.Ct)
-        self._A_qq = self.times.matMult(contact.coupling.D)
-        self._added = block_diagonal(contact.comm, len(contact.local))
+        self._coupling_version = problem.stiffness.version
+        self.equilibrium_factors = block_diagonal(contact.comm, len(contact.local))
+        self._A_qu = self.equilibrium_factors.matMult(contact.coupling.Ct)
+        self._A_qq = self.equilibrium_factors.matMult(contact.coupling.D)
+        self._added_blocks = block_diagonal(contact.comm, len(contact.local))
         self._coarse_version = -1
 
     def blocks(self) -> dict[str, PETSc.Vec]:
@@ -153,9 +155,9 @@ class ContactSystem(BondedSystem):
         assert trial is not None
         self.trial = trial
         r = f[1].array_r.reshape(-1, 3)
-        f[1].array[:] = self._without_doubt(r, trial.equilibrium, trial.law)
+        f[1].array[:] = self._without_uncertain_loads(r, trial.equilibrium, trial.law)
 
-    def _without_doubt(self, r: Floats, e: Floats, law: PointForces) -> Floats:
+    def _without_uncertain_loads(self, r: Floats, e: Floats, law: PointForces) -> Floats:
         """Residual of contact (3 n,) [N] without small loads along free motions; collective.
 
         If normals are uncertain, so is the axis of their surface, and the moment of the loads about
@@ -163,47 +165,49 @@ class ContactSystem(BondedSystem):
         points bear it.
         """
         contact, problem = self.contact, self._problem
-        doubt = contact.points.doubt[contact.local.rows]
+        normal_doubt = contact.points.doubt[contact.local.rows]
         if not contact.points.doubt.any():
             return r.ravel()
         motions = contact.free_motions(law.status)
         if not motions.shape[1]:
             return r.ravel()
-        moved, w = contact.relative_motion(motions), contact.local.weight
+        jumps, w = contact.relative_motion(motions), contact.local.weight
         # Products of the motions, the same weighted by the squared uncertainty, squared forces.
-        local = (
-            np.einsum("p,pik,pil->kl", w, moved, moved),
-            np.einsum("p,pik,pik,p->", w, moved, moved, doubt**2),
+        local_sums = (
+            np.einsum("p,pik,pil->kl", w, jumps, jumps),
+            np.einsum("p,pik,pik,p->", w, jumps, jumps, normal_doubt**2),
             np.einsum("pi,pi->", e, e),
         )
-        products, uncertain, forces = (self.comm.allreduce(v) for v in local)
+        products, weighted_doubt, forces = (self.comm.allreduce(v) for v in local_sums)
         work = self._work(motions, problem.f_q.reshape(-1, 3))
         # Forces at the points that do the work of the loads in these motions.
-        borne = w[:, None] * (moved @ np.linalg.lstsq(products, work, rcond=None)[0])
-        squared = self.comm.allreduce(np.einsum("pi,pi->", borne, borne))
-        limit = LIKELY**2 * uncertain / np.trace(products) * forces
-        return (r + borne if squared <= limit else r).ravel()
+        borne_forces = w[:, None] * (jumps @ np.linalg.lstsq(products, work, rcond=None)[0])
+        squared = self.comm.allreduce(np.einsum("pi,pi->", borne_forces, borne_forces))
+        limit = UNCERTAINTY_FACTOR**2 * weighted_doubt / np.trace(products) * forces
+        return (r + borne_forces if squared <= limit else r).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         contact = self.contact
         self.parts()
         self.trial = self._problem.trial(*x)
-        times, added = contact.row_factors(self.trial.law)
+        factors, added_blocks = contact.row_factors(self.trial.law)
         self.law_status = self.trial.law.status
         if self._moves_loosely():
-            springs = SPRINGS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
-            added = added + springs[:, :, None] * np.eye(3)
-        self.factors = times, added
-        fill(self.times, times)
-        fill(self._added, added)
+            springs = SPRING_STIFFNESS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
+            added_blocks = added_blocks + springs[:, :, None] * np.eye(3)
+        self.factors = factors, added_blocks
+        fill(self.equilibrium_factors, factors)
+        fill(self._added_blocks, added_blocks)
         for product, A in ((self._A_qu, contact.coupling.Ct), (self._A_qq, contact.coupling.D)):
             if self._problem.stiffness.constraints.follows:
                 # On several ranks a product keeps the pattern of its former factors.
-                renew(product, self.times.matMult(A), anew=True)
+                renew(product, self.equilibrium_factors.matMult(A), new_pattern=True)
             else:
-                self.times.matMult(A, result=product)
-        self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+                self.equilibrium_factors.matMult(A, result=product)
+        self._A_qq.axpy(
+            1.0, self._added_blocks, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+        )
 
     def _moves_loosely(self) -> bool:
         """Return True if forces move bodies that only open points resist; collective."""
@@ -213,16 +217,16 @@ class ContactSystem(BondedSystem):
             return False
         forces = self._problem.f_q.reshape(-1, 3) - contact.local.weight[:, None] * law.force
         work = self._work(motions, forces)
-        return bool(np.abs(work).max() > UNBALANCED * self._problem.interface_scale(forces))
+        return bool(np.abs(work).max() > UNBALANCED_WORK * self._problem.interface_scale(forces))
 
     def _work(self, motions: Floats, forces: Floats) -> Floats:
         """Work of the loads, and of forces on jumps (n, 3) [N], in motions (k,); collective.
 
         ``motions`` are rigid motions of all bodies (6 bodies, k).
         """
-        moved = self.contact.relative_motion(motions)
-        loads = [displacement_by(self._problem, m).dot(self._problem.f) for m in motions.T]
-        return np.asarray(self.comm.allreduce(np.einsum("pik,pi->k", moved, forces)) + loads)
+        jumps = self.contact.relative_motion(motions)
+        loads = [displacement_by_motions(self._problem, m).dot(self._problem.f) for m in motions.T]
+        return np.asarray(self.comm.allreduce(np.einsum("pik,pi->k", jumps, forces)) + loads)
 
     def exact(self, linear: str) -> Condensed | None:
         """Condensed onto the jumps, if that is asked for or takes less time; collective."""
@@ -230,8 +234,8 @@ class ContactSystem(BondedSystem):
         if not self._solves or linear not in ("auto", "condensed"):
             return None
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
-        foreseen = self._solves, problem.scene.stiffens, self._memory, comm.size
-        choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
+        expected_solves = self._solves, problem.scene.stiffens, self._memory, comm.size
+        choice = SolverChoice(problem.scene.order, *sizes, *expected_solves)
         condensed: Condensed | None = None
         if choice.condenses(linear):
             from app.numerics.condensed import Condensed, available  # scipy: few need it
@@ -241,14 +245,14 @@ class ContactSystem(BondedSystem):
                 choice = replace(choice, entries=condensed.entries)
                 if not choice.fits:
                     condensed = None
-        log.info("solver: %s", choice.words(linear, condensed is not None))
+        log.info("solver: %s", choice.description(linear, condensed is not None))
         return condensed
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """Stiffness, coupling without constrained rows, stiffness of the jumps."""
-        if self._coupled != self._problem.stiffness.version:
-            self._coupled = self._problem.stiffness.version
-            renew(self._C, self.contact.coupling.C, anew=True)
+        if self._coupling_version != self._problem.stiffness.version:
+            self._coupling_version = self._problem.stiffness.version
+            renew(self._C, self.contact.coupling.C, new_pattern=True)
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 
@@ -282,7 +286,7 @@ class ContactSystem(BondedSystem):
         contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
         law = contact.evaluate(e, q)
         self.factors, self.law_status = contact.row_factors(law), law.status
-        r = self._without_doubt(contact.residual(e, q, law), e, law)
+        r = self._without_uncertain_loads(contact.residual(e, q, law), e, law)
         return r, self._problem.interface_scale(e)
 
     def free_jumps(self) -> Floats:
@@ -301,17 +305,17 @@ class ContactSystem(BondedSystem):
         motions = contact.free_motions(self.trial.law.status)
         if not motions.shape[1]:
             return False
-        moved, w = contact.relative_motion(motions), contact.local.weight
-        since = x[1].array_r.reshape(-1, 3) - contact.reference
-        gram = np.einsum("p,pik,pil->kl", w, moved, moved)
-        work = np.einsum("p,pik,pi->k", w, moved, since)
-        size = np.einsum("p,pi,pi->", w, since, since)
-        gram, work, size = (self.comm.allreduce(v) for v in (gram, work, size))
-        amounts = np.linalg.lstsq(gram, work, rcond=None)[0]
-        if work @ amounts <= STILL**2 * size:
+        jumps, w = contact.relative_motion(motions), contact.local.weight
+        step_jumps = x[1].array_r.reshape(-1, 3) - contact.reference
+        gram = np.einsum("p,pik,pil->kl", w, jumps, jumps)
+        work = np.einsum("p,pik,pi->k", w, jumps, step_jumps)
+        block_norm = np.einsum("p,pi,pi->", w, step_jumps, step_jumps)
+        gram, work, block_norm = (self.comm.allreduce(v) for v in (gram, work, block_norm))
+        amplitudes = np.linalg.lstsq(gram, work, rcond=None)[0]
+        if work @ amplitudes <= MOTION_ROUNDING**2 * block_norm:
             return False
-        x[1].array[:] -= (moved @ amounts).ravel()
-        x[0].axpy(-1.0, displacement_by(problem, motions @ amounts))
+        x[1].array[:] -= (jumps @ amplitudes).ravel()
+        x[0].axpy(-1.0, displacement_by_motions(problem, motions @ amplitudes))
         ContactSystem.impose(self, x)  # a system with heat has more blocks
         return True
 
@@ -322,19 +326,19 @@ class ContactSystem(BondedSystem):
         """
         prescribed = float(np.abs(self._problem.prescribed).max(initial=0.0))
         jumps = float(np.abs(x[-1].array_r).max(initial=0.0))
-        largest, given = (self.comm.allreduce(v, MPI.MAX) for v in (jumps, prescribed))
-        return not largest <= self._problem.size + given  # True if it is not finite
+        largest, largest_prescribed = (self.comm.allreduce(v, MPI.MAX) for v in (jumps, prescribed))
+        return not largest <= self._problem.size + largest_prescribed  # True if it is not finite
 
     def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""
         version = self._problem.stiffness.version
         if self._coarse_version != version:
-            self._coarse, self._coarse_version = sliding_motions(self._problem), version
-        allowing, law = np.eye(3) - self.contact.local.projector, self.trial.law
+            self._coarse_motions, self._coarse_version = sliding_motions(self._problem), version
+        free_projector, law = np.eye(3) - self.contact.local.projector, self.trial.law
         resisted = law.resisted @ self.contact.law.layer_share
-        free = allowing @ free_directions(resisted) @ allowing
-        self._coarse.update(free, np.linalg.norm(law.by_law, axis=(1, 2)))
-        return self._coarse
+        free = free_projector @ free_directions(resisted) @ free_projector
+        self._coarse_motions.update(free, np.linalg.norm(law.by_law, axis=(1, 2)))
+        return self._coarse_motions
 
     @property
     def status(self) -> Ints:

@@ -17,7 +17,7 @@ import ufl
 from dolfinx import fem
 
 from app.laws.materials import Elastic
-from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.body_forms import BodyForms, assemble_form_matrix
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.stiffness import Stiffness
 
@@ -27,17 +27,17 @@ class ThermalStrain:
 
     def __init__(self, body_forms: BodyForms) -> None:
         self._body_forms, scene = body_forms, body_forms.scene
-        self._terms = [x for x in scene.expansions if x.region in body_forms.free_strain]
-        self.body = {x.region: body_forms.bodies.of_region[x.region] for x in self._terms}
+        self._expansions = [x for x in scene.expansions if x.region in body_forms.free_strain]
+        self.body = {x.region: body_forms.bodies.of_region[x.region] for x in self._expansions}
         self._elastic = {e.region: e for e in scene.elastic}
         self.assemble()
 
     def assemble(self) -> None:
         """Assemble the forces of unit strain at the present moduli; collective."""
         # In path-dependent regions free strain is a part of the stress history.
-        self._forces = {
-            x.region: _forces(self._body_forms, self._elastic[x.region])
-            for x in self._terms
+        self._force_matrices = {
+            x.region: _force_matrix(self._body_forms, self._elastic[x.region])
+            for x in self._expansions
             if x.region not in self._body_forms.path_dependent_regions
         }
 
@@ -47,7 +47,7 @@ class ThermalStrain:
         Args:
             temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
-        for x in self._terms:
+        for x in self._expansions:
             e = self._body_forms.free_strain[x.region]
             e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
         return self.forces()
@@ -55,7 +55,7 @@ class ThermalStrain:
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces of the present thermal strain on each body [N]."""
         parts: dict[int, PETSc.Vec] = {}
-        for region, G in self._forces.items():
+        for region, G in self._force_matrices.items():
             e, body = self._body_forms.free_strain[region], self.body[region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
@@ -65,21 +65,26 @@ class ThermalStrain:
 
     def stiffness(
         self,
-        moves: Mapping[str, PETSc.Mat],
+        jump_to_temperature: Mapping[str, PETSc.Mat],
         stiffness: Stiffness,
         contact: ContactInterfaces | None,
     ) -> list[list[PETSc.Mat | None]]:
         """Derivatives of the forces by temperature [N/K]; zero in supported rows; collective.
 
-        ``moves`` are matrices from temperature jumps to nodal temperatures, by region moved.
+        ``jump_to_temperature`` are matrices from temperature jumps to nodal temperatures, by region
+        moved.
 
         Returns:
             Rows of displacement and jumps, columns of temperatures and temperature jumps; None
             where the scene has no such unknowns.
         """
-        terms = [x for x in self._terms if x.region in self._forces]
-        scaled = {x.region: self._forces[x.region] * x.expansion for x in terms}
-        by_jumps = {r: G.matMult(moves[r]) for r, G in scaled.items() if r in moves}
+        expansions = [x for x in self._expansions if x.region in self._force_matrices]
+        scaled = {x.region: self._force_matrices[x.region] * x.expansion for x in expansions}
+        by_jumps = {
+            r: G.matMult(jump_to_temperature[r])
+            for r, G in scaled.items()
+            if r in jump_to_temperature
+        }
         columns = []
         for of_region in (scaled, by_jumps):
             parts: dict[int, PETSc.Mat] = {}
@@ -87,15 +92,17 @@ class ThermalStrain:
                 body = self.body[region]
                 parts[body] = parts[body] + part if body in parts else part
             by_body = contact.coupling.jump_to_displacement if contact else {}
-            on_q = [B.transposeMatMult(parts[b]) for b, B in by_body.items() if b in parts]
-            on_u = stiffness.constraints.rows(reduce(add, parts.values())) if parts else None
-            if on_u is not None:
-                on_u.zeroRows(stiffness.rows, diag=0.0)
-            columns.append((on_u, reduce(add, on_q) if on_q else None))
+            jump_forces = [B.transposeMatMult(parts[b]) for b, B in by_body.items() if b in parts]
+            displacement_forces = (
+                stiffness.constraints.rows(reduce(add, parts.values())) if parts else None
+            )
+            if displacement_forces is not None:
+                displacement_forces.zeroRows(stiffness.rows, diag=0.0)
+            columns.append((displacement_forces, reduce(add, jump_forces) if jump_forces else None))
         return [list(row) for row in zip(*columns, strict=True)]
 
 
-def _forces(body_forms: BodyForms, e: Elastic) -> PETSc.Mat:
+def _force_matrix(body_forms: BodyForms, e: Elastic) -> PETSc.Mat:
     """Nodal forces of the bodies by the nodal thermal strain of a region, both of this rank."""
     v, free = ufl.TestFunction(body_forms.space), ufl.TrialFunction(body_forms.scalars)
     # One constant for any region: all isotropic ones share a compiled form.
@@ -105,4 +112,4 @@ def _forces(body_forms: BodyForms, e: Elastic) -> PETSc.Mat:
     energy = body_forms.energy_density(e, strain) * body_forms.over(e, dx, 1)
     forces = -ufl.derivative(energy, body_forms.u, v)
     form = ufl.derivative(forces, body_forms.free_strain[e.region], free)
-    return assembled_matrix(body_forms.form(form))
+    return assemble_form_matrix(body_forms.form(form))

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 from app.system.layout import count
 
 # Unknowns of displacement of second order up to which one solve is faster condensed.
-SECOND_ORDER = 60_000
+SECOND_ORDER_LIMIT = 60_000
 # For n solves the limit is n to this power times as high: 2 at 90,000 unknowns, 4 at 120,000.
 SOLVES_POWER = 2 / 3
 # Unknowns of first order, where jumps are a quarter of all, up to which several solves are faster.
-FIRST_ORDER = 8_000
+FIRST_ORDER_LIMIT = 8_000
 # Number of solves from which they are.
 FIRST_ORDER_SOLVES = 4
 # Unknowns whose first solve by a Krylov method takes as long as condensation takes to start, 0.3 s.
-LEAST = 3_500
+SMALLEST_CONDENSED = 3_500
 # A later solve by a Krylov method over the first.
-LATER = 0.4
+LATER_SOLVE_RATIO = 0.4
 # Part of the memory that factors may take.
-MEMORY = 0.5
+MEMORY_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class SolverChoice:
         size: Unknowns of displacement.
         jumps: Unknowns of jumps.
         solves: Number of solves.
-        setting: True if the stiffness changes, so that the bodies are factored for each solve.
+        changes_stiffness: True if the stiffness changes and bodies are factored for each solve.
         memory: Memory of a rank [byte].
         ranks: Number of ranks.
         entries: Entries of all factors of the bodies; estimated if they are not known.
@@ -46,7 +46,7 @@ class SolverChoice:
     size: float
     jumps: float
     solves: float
-    setting: bool = False
+    changes_stiffness: bool = False
     memory: float = math.inf
     ranks: int = 1
     entries: float = 0.0
@@ -54,13 +54,13 @@ class SolverChoice:
     @property
     def limit(self) -> float:
         """Unknowns of displacement up to which the bodies are condensed."""
-        solves = 1.0 if self.setting else self.solves
+        solves = 1.0 if self.changes_stiffness else self.solves
         if self.order == 1:
-            return FIRST_ORDER if solves >= FIRST_ORDER_SOLVES else 0.0
-        return SECOND_ORDER * solves**SOLVES_POWER
+            return FIRST_ORDER_LIMIT if solves >= FIRST_ORDER_SOLVES else 0.0
+        return SECOND_ORDER_LIMIT * solves**SOLVES_POWER
 
     @property
-    def needed(self) -> float:
+    def memory_needed(self) -> float:
         """Memory of condensation on rank 0 [byte]; estimated entries are right to a tenth."""
         entries = self.entries or 6 * self.size**1.44 + 1.1 * self.jumps**1.95
         return 1.3 * 8 * entries / self.ranks + 20 * self.jumps**2
@@ -68,36 +68,38 @@ class SolverChoice:
     @property
     def fits(self) -> bool:
         """True if the memory suffices for condensation."""
-        return self.needed < MEMORY * self.memory
+        return self.memory_needed < MEMORY_SHARE * self.memory
 
     def condenses(self, linear: str) -> bool:
         """Return True if bodies are condensed; ``linear`` is auto, condensed or another method."""
-        large = self.size * (1 + LATER * (self.solves - 1)) > LEAST
-        fast = linear == "auto" and large and self.size <= self.limit
-        return self.fits and (fast or linear == "condensed")
+        worth_condensing = (
+            self.size * (1 + LATER_SOLVE_RATIO * (self.solves - 1)) > SMALLEST_CONDENSED
+        )
+        is_faster = linear == "auto" and worth_condensing and self.size <= self.limit
+        return self.fits and (is_faster or linear == "condensed")
 
-    def words(self, linear: str, condensed: bool) -> str:
+    def description(self, linear: str, condensed: bool) -> str:
         """Return the chosen method and the reason, as text.
 
         Args:
-            linear: What is asked for: auto, condensed or another method.
+            linear: Method in the case: auto, condensed or another one.
             condensed: True if bodies are condensed.
         """
         solves = "1 solve" if self.solves == 1 else f"{self.solves:g} solves"
         if condensed:
             return f"{solves}, by condensation onto the jumps, {self._gigabytes}"
-        return f"{solves} by a Krylov method, because {self._against(linear)}"
+        return f"{solves} by a Krylov method, because {self._reason_against(linear)}"
 
     @property
     def _gigabytes(self) -> str:
-        return f"{self.needed / 1e9:.2g} GB"
+        return f"{self.memory_needed / 1e9:.2g} GB"
 
-    def _against(self, linear: str) -> str:
-        """Why bodies are not condensed."""
+    def _reason_against(self, linear: str) -> str:
+        """Reason why bodies are not condensed, as text."""
         if linear not in ("auto", "condensed"):
             return f"solver.linear is {linear}"
         if not self.fits:
-            allowed = f"{MEMORY * self.memory / 1e9:.2g} GB"
+            allowed = f"{MEMORY_SHARE * self.memory / 1e9:.2g} GB"
             return f"condensation needs {self._gigabytes} of memory and may take {allowed}"
         if self.condenses(linear):
             return "there is no library for the factors of condensation"

@@ -29,7 +29,7 @@ from app.foundation.captured import captured
 from app.numerics.dense import mirror_upper
 
 # What is used of CHOLMOD; cffi finds what the dots stand for in its header.
-CALLS = """
+C_DECLARATIONS = """
 struct cholmod_method_struct { int ordering; ...; };
 typedef struct { int supernodal, nmethods, status, postorder; double fl, lnz; double zrelax[3];
                  struct cholmod_method_struct method[...]; ...; } cholmod_common;
@@ -59,7 +59,7 @@ size_t factorize_but_last(cholmod_sparse *, cholmod_factor *, double *, size_t, 
 """
 HEADER = "suitesparse/cholmod.h"
 # The handler of CHOLMOD's errors has no user argument: the place that it copies is static.
-SOURCE = """
+C_SOURCE = """
 #include <string.h>
 static struct { cholmod_factor *L; double *to; size_t start, count; } last;
 static void copy_last(int status, const char *file, int line, const char *message)
@@ -89,7 +89,7 @@ static size_t factorize_but_last(cholmod_sparse *A, cholmod_factor *L, double *t
 }
 """
 # Columns of the last supernode that CHOLMOD never joins with others (its nrelax[2] is 48).
-ALONE = 49
+SEPARATE_COLUMNS = 49
 
 
 @cache
@@ -98,14 +98,14 @@ def library() -> Any:
     folder = Path(jit.get_options()["cache_dir"])
     try:
         header = (Path("/usr/include") / HEADER).read_text()
-        key = hashlib.sha256((CALLS + SOURCE + header).encode()).hexdigest()[:12]
+        key = hashlib.sha256((C_DECLARATIONS + C_SOURCE + header).encode()).hexdigest()[:12]
         name = f"mantle_cholmod_{key}"
         path = folder / (name + EXTENSION_SUFFIXES[0])
         if not path.exists():
             folder.mkdir(parents=True, exist_ok=True)
             ffi = cffi.FFI()
-            ffi.cdef(CALLS)
-            ffi.set_source(name, f"#include <{HEADER}>\n{SOURCE}", libraries=["cholmod"])
+            ffi.cdef(C_DECLARATIONS)
+            ffi.set_source(name, f"#include <{HEADER}>\n{C_SOURCE}", libraries=["cholmod"])
             with tempfile.TemporaryDirectory(dir=folder) as build, captured("cffi"):
                 os.replace(ffi.compile(tmpdir=build), path)
         spec = importlib.util.spec_from_file_location(name, path)
@@ -117,7 +117,7 @@ def library() -> Any:
     return module
 
 
-def _free(ffi: Any, lib: Any, common: Any, L: Any) -> None:
+def _free_factors(ffi: Any, lib: Any, common: Any, L: Any) -> None:
     lib.cholmod_l_free_factor(ffi.new("cholmod_factor **", L), common)
     lib.cholmod_l_finish(common)
 
@@ -142,29 +142,33 @@ class Cholesky:
         self._ffi, self._lib = module.ffi, module.lib
         common = self._common = self._ffi.new("cholmod_common *")
         self._lib.cholmod_l_start(common)
-        self._n, self._m = rows.shape[0], rows.shape[1] - rows.shape[0]
-        self._empty = max(1, ALONE - self._m)
+        self._eliminated, self._kept = rows.shape[0], rows.shape[1] - rows.shape[0]
+        self._empty_columns = max(1, SEPARATE_COLUMNS - self._kept)
         self._pattern = rows.indptr, rows.indices
-        self._order = self._ordering(rows)
+        self._elimination_order = self._ordering(rows)
         common.nmethods, common.supernodal = 1, self._lib.CHOLMOD_SUPERNODAL
         common.method[0].ordering = self._lib.CHOLMOD_GIVEN
         common.postorder, common.zrelax[2] = 0, 0.0
-        matrix, kept = self._sparse(self._whole(rows))
+        matrix, referenced = self._sparse(self._with_empty_columns(rows))
         none = self._ffi.NULL
-        L = self._lib.cholmod_l_analyze_p(matrix, self._ints(self._order), none, 0, common)
+        L = self._lib.cholmod_l_analyze_p(
+            matrix, self._int_pointer(self._elimination_order), none, 0, common
+        )
         # Nothing that refers to this object: in a circle the factors would never be freed.
-        self._L = self._ffi.gc(L, partial(_free, self._ffi, self._lib, common))
-        del kept
-        last = self._empty + self._m
-        self.operations = float(common.fl) - last**3 / 3
+        self._L = self._ffi.gc(L, partial(_free_factors, self._ffi, self._lib, common))
+        del referenced
+        last_size = self._empty_columns + self._kept
+        self.operations = float(common.fl) - last_size**3 / 3
         self.entries = float(common.lnz)
-        starts = (self._array("int64_t", p, L.nsuper + 1) for p in (L.super, L.px))
-        (first, start) = (int(v[-2]) for v in starts)
-        if first != self._n:
-            raise ArithmeticError(f"CHOLMOD: the last supernode begins at {first}, not {self._n}")
-        self._start = start
+        last_starts = (self._array("int64_t", p, L.nsuper + 1) for p in (L.super, L.px))
+        (first, start) = (int(v[-2]) for v in last_starts)
+        if first != self._eliminated:
+            raise ArithmeticError(
+                f"CHOLMOD: the last supernode begins at {first}, not {self._eliminated}"
+            )
+        self._last_block_start = start
 
-    def _ints(self, values: Ints) -> Any:
+    def _int_pointer(self, values: Ints) -> Any:
         return self._ffi.cast("int64_t *", values.ctypes.data)
 
     def _array(self, kind: str, pointer: Any, size: int) -> Any:
@@ -173,20 +177,20 @@ class Cholesky:
             self._ffi.buffer(self._ffi.cast(f"{kind} *", pointer), 8 * size), dtype
         )
 
-    def _whole(self, rows: csr_array) -> csc_array:
+    def _with_empty_columns(self, rows: csr_array) -> csc_array:
         """The whole matrix, with the empty columns; entries below its diagonal are not read."""
-        n, last = self._n, self._empty + self._m
+        n, last_size = self._eliminated, self._empty_columns + self._kept
         E = rows[:, n:]
         # Row n has entries in all columns from n on.
-        data = np.concatenate([E.data, [-1.0], np.zeros(last - 1)])
-        columns = np.concatenate([E.indices + self._empty, np.arange(last)])
-        ends = np.append(E.indptr, E.nnz + last)
-        E = csr_array((data, columns, ends), shape=(n + 1, last)).tocsc()
+        data = np.concatenate([E.data, [-1.0], np.zeros(last_size - 1)])
+        columns = np.concatenate([E.indices + self._empty_columns, np.arange(last_size)])
+        row_ends = np.append(E.indptr, E.nnz + last_size)
+        E = csr_array((data, columns, row_ends), shape=(n + 1, last_size)).tocsc()
         # Rows of a symmetric matrix are its columns.
         data = np.concatenate([rows.data, E.data])
         indices = np.concatenate([rows.indices, E.indices])
-        ends = np.concatenate([rows.indptr, rows.nnz + E.indptr[1:]])
-        return csc_array((data, indices, ends), shape=(n + last, n + last))
+        row_ends = np.concatenate([rows.indptr, rows.nnz + E.indptr[1:]])
+        return csc_array((data, indices, row_ends), shape=(n + last_size, n + last_size))
 
     def _sparse(self, A: csc_array, pattern: bool = False) -> tuple[Any, Any]:
         """The upper triangle for CHOLMOD, and arrays that have to live as long."""
@@ -206,24 +210,26 @@ class Cholesky:
 
         CHOLMOD's postorder of the whole matrix would move these.
         """
-        n, nodes = self._n, self._n // 3
+        n, nodes = self._eliminated, self._eliminated // 3
         row = np.repeat(np.arange(n) // 3, np.diff(rows.indptr))
         inside = rows.indices < n
-        at = row[inside], rows.indices[inside] // 3
-        graph = csc_array((np.ones(len(at[0]), dtype=np.int8), at), shape=(nodes, nodes))
-        graph.sum_duplicates()
-        order, parent, post = np.empty((3, nodes), dtype=np.int64)
-        none = self._ffi.NULL
-        matrix, kept = self._sparse(graph, pattern=True)
-        self._lib.cholmod_l_metis(matrix, none, 0, 1, self._ints(order), self._common)
-        matrix, kept = self._sparse(graph[:, order][order], pattern=True)
-        self._lib.cholmod_l_etree(matrix, self._ints(parent), self._common)
-        self._lib.cholmod_l_postorder(
-            self._ints(parent), nodes, none, self._ints(post), self._common
+        node_pairs = row[inside], rows.indices[inside] // 3
+        graph = csc_array(
+            (np.ones(len(node_pairs[0]), dtype=np.int8), node_pairs), shape=(nodes, nodes)
         )
-        del kept
-        unknowns = (3 * order[post][:, None] + np.arange(3)).ravel()
-        return np.append(unknowns, np.arange(n, n + self._empty + self._m))
+        graph.sum_duplicates()
+        order, parent, postorder = np.empty((3, nodes), dtype=np.int64)
+        none = self._ffi.NULL
+        matrix, referenced = self._sparse(graph, pattern=True)
+        self._lib.cholmod_l_metis(matrix, none, 0, 1, self._int_pointer(order), self._common)
+        matrix, referenced = self._sparse(graph[:, order][order], pattern=True)
+        self._lib.cholmod_l_etree(matrix, self._int_pointer(parent), self._common)
+        self._lib.cholmod_l_postorder(
+            self._int_pointer(parent), nodes, none, self._int_pointer(postorder), self._common
+        )
+        del referenced
+        unknowns = (3 * order[postorder][:, None] + np.arange(3)).ravel()
+        return np.append(unknowns, np.arange(n, n + self._empty_columns + self._kept))
 
     def fits(self, rows: csr_array) -> bool:
         """Return True if a matrix has the pattern that was analysed."""
@@ -238,43 +244,51 @@ class Cholesky:
         Raises:
             ArithmeticError: A is not positive definite, or memory does not suffice.
         """
-        matrix, kept = self._sparse(self._whole(rows))
-        size = self._empty + self._m
+        matrix, referenced = self._sparse(self._with_empty_columns(rows))
+        size = self._empty_columns + self._kept
         block = np.empty((size, size))
-        to = self._ffi.cast("double *", block.ctypes.data)
-        arguments = matrix, self._L, to, self._start, size, self._common
+        target = self._ffi.cast("double *", block.ctypes.data)
+        arguments = matrix, self._L, target, self._last_block_start, size, self._common
         stopped = self._lib.factorize_but_last(*arguments)
-        del kept
-        if stopped != self._n:
-            why = f"status {self._common.status}" if stopped > self._n else f"pivot {stopped}"
-            raise ArithmeticError(f"CHOLMOD: {why} of {self._n:,} unknowns")
+        del referenced
+        if stopped != self._eliminated:
+            reason = (
+                f"status {self._common.status}"
+                if stopped > self._eliminated
+                else f"pivot {stopped}"
+            )
+            raise ArithmeticError(f"CHOLMOD: {reason} of {self._eliminated:,} unknowns")
         # LAPACK's lower triangle, by columns, is the upper one by rows.
-        S = np.ascontiguousarray(block[self._empty :, self._empty :])
+        S = np.ascontiguousarray(block[self._empty_columns :, self._empty_columns :])
         return mirror_upper(S)
 
     def reduce(self, b: Floats) -> Floats:
         """Forces on the last unknowns that b (n,) causes, :math:`-E^T A^{-1} b` (m,)."""
-        self._half = np.concatenate([b, np.zeros(self._empty + self._m)])[self._order]
+        self._forward_solution = np.concatenate([b, np.zeros(self._empty_columns + self._kept)])[
+            self._elimination_order
+        ]
         if b.any():  # between the cycles of a load there are no such forces
-            self._half = self._solve(self._lib.CHOLMOD_L, self._half)
-        return self._half[self._n + self._empty :].copy()
+            self._forward_solution = self._solve(self._lib.CHOLMOD_L, self._forward_solution)
+        return self._forward_solution[self._eliminated + self._empty_columns :].copy()
 
     def expand(self, x: Floats) -> Floats:
         """The first unknowns :math:`A^{-1} (b - E x)` (n,), with b as last reduced."""
-        self._half[self._n : self._n + self._empty] = 0.0
-        self._half[self._n + self._empty :] = x
-        unknowns = np.empty(self._n)
-        unknowns[self._order[: self._n]] = self._solve(self._lib.CHOLMOD_Lt, self._half)[: self._n]
+        self._forward_solution[self._eliminated : self._eliminated + self._empty_columns] = 0.0
+        self._forward_solution[self._eliminated + self._empty_columns :] = x
+        unknowns = np.empty(self._eliminated)
+        unknowns[self._elimination_order[: self._eliminated]] = self._solve(
+            self._lib.CHOLMOD_Lt, self._forward_solution
+        )[: self._eliminated]
         return unknowns
 
-    def _solve(self, which: int, b: Floats) -> Floats:
+    def _solve(self, factor: int, b: Floats) -> Floats:
         """Solution of L x = b or L^T x = b, in the order of the factors."""
         ffi, lib = self._ffi, self._lib
-        right = ffi.new("cholmod_dense *")
-        right.nrow = right.nzmax = right.d = len(b)
-        right.ncol, right.xtype = 1, lib.CHOLMOD_REAL
-        right.x = ffi.cast("void *", b.ctypes.data)
-        solution = lib.cholmod_l_solve(which, self._L, right, self._common)
+        right_side = ffi.new("cholmod_dense *")
+        right_side.nrow = right_side.nzmax = right_side.d = len(b)
+        right_side.ncol, right_side.xtype = 1, lib.CHOLMOD_REAL
+        right_side.x = ffi.cast("void *", b.ctypes.data)
+        solution = lib.cholmod_l_solve(factor, self._L, right_side, self._common)
         x = self._array("double", solution.x, len(b)).copy()
         lib.cholmod_l_free_dense(ffi.new("cholmod_dense **", solution), self._common)
         return np.asarray(x)

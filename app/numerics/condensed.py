@@ -45,25 +45,25 @@ from scipy.sparse import bsr_array, csr_array, diags_array, vstack
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import on_root
-from app.numerics.factor import library
+from app.numerics.factor import factor_class
 from app.numerics.lifetime import python_mat
 from app.numerics.paired_compliance import PairedCompliance
-from app.numerics.root_work import blas_threads, cores, wait
+from app.numerics.root_work import blas_threads, usable_cores, wait
 from app.numerics.substructures import Substructures, owned_rows, unknowns_of
 from app.numerics.system import MatrixFree, Measure, Reduced
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
-NOTHING = 1e-10
+ROUNDING = 1e-10
 # Residual that a step may leave, relative to its right-hand side: with factors in single precision.
-ROUGH = 1e-2
+SINGLE_TOLERANCE = 1e-2
 # The same with factors in double precision.
-SINGULAR = 1e-4
+DOUBLE_TOLERANCE = 1e-4
 # The factors are kept for the next step if the residual has fallen to this part of itself.
-CHORD = 1e-2
+REUSE_RATIO = 1e-2
 # Stiffness of the weak springs of a singular step, as a part of the diagonal of S.
-SPRINGS = 1e-2
+SPRING_STIFFNESS = 1e-2
 # Part of the tolerance that out-of-balance forces of a start may have without being removed.
-LITTLE = 0.01
+NEGLIGIBLE_IMBALANCE = 0.01
 
 
 class Condensable(Protocol):
@@ -120,13 +120,13 @@ class Condensed:
         self.reduced = JumpSystem(self, contact)
         matrices = contact.parts()
         self._comm = matrices[0].comm.tompi4py()
-        self._threads = cores(self._comm)
+        self._threads = usable_cores(self._comm)
         self._jumps, self._local_size = matrices[2].getSize()[0], matrices[2].getLocalSize()[0]
         self._sizes = self._comm.gather(self._local_size)
-        self._kept = self._followed()
-        self._bodies = Substructures(matrices, self._kept)
-        self._current = self._factored = -1
-        self._paired: PairedCompliance | None = None
+        self._followed_nodes = self._find_followed_nodes()
+        self._bodies = Substructures(matrices, self._followed_nodes)
+        self._matrix_version = self._body_version = -1
+        self._paired_compliance: PairedCompliance | None = None
 
     @property
     def entries(self) -> float:
@@ -135,41 +135,41 @@ class Condensed:
 
     # Factors
 
-    def _followed(self) -> Ints:
+    def _find_followed_nodes(self) -> Ints:
         """Nodes that points may follow, sorted, on all ranks; collective."""
-        ties = self._contact.pair_matrices()
-        if ties is None:
+        pair_matrices = self._contact.pair_matrices()
+        if pair_matrices is None:
             return np.zeros(0, dtype=np.int64)
-        columns = np.unique(ties[1].getValuesCSR()[1] // 3)
+        columns = np.unique(pair_matrices[1].getValuesCSR()[1] // 3)
         return np.unique(np.concatenate(self._comm.allgather(columns)))
 
     def _pair_matrix(self) -> csr_array | None:
         """Displacement of points by the nodes that they follow, on rank 0; collective."""
-        ties = self._contact.pair_matrices()
-        if ties is None:
+        pair_matrices = self._contact.pair_matrices()
+        if pair_matrices is None:
             return None
-        parts = self._comm.gather(owned_rows(ties[0]))
-        return vstack(parts, format="csr")[:, unknowns_of(self._kept)] if parts else None
+        parts = self._comm.gather(owned_rows(pair_matrices[0]))
+        return vstack(parts, format="csr")[:, unknowns_of(self._followed_nodes)] if parts else None
 
     def renew(self) -> None:
         """Condense the bodies if their stiffness has changed; collective."""
-        now = self._contact.version
-        if self._current == now:
+        matrix_version = self._contact.version
+        if self._matrix_version == matrix_version:
             return
-        bodies = now - self._contact.pairings
+        body_version = matrix_version - self._contact.pairings
         pairs = self._pair_matrix()
-        if self._factored != bodies:
-            if self._factored >= 0:
+        if self._body_version != body_version:
+            if self._body_version >= 0:
                 self._bodies.renew(self._contact.parts())
             S = self._bodies.factorize()
             if S is not None:
                 self._S = S
-                self._paired = None if pairs is None else PairedCompliance(S, pairs)
-        if self._paired is not None:
-            self._S = self._paired.constrain(pairs)
+                self._paired_compliance = None if pairs is None else PairedCompliance(S, pairs)
+        if self._paired_compliance is not None:
+            self._S = self._paired_compliance.constrain(pairs)
         if self._comm.rank == 0:
-            self._single = self._S.astype(np.float32)
-        self._current, self._factored = now, bodies
+            self._S_single = self._S.astype(np.float32)
+        self._matrix_version, self._body_version = matrix_version, body_version
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Set up for the current Jacobian; collective."""
@@ -178,22 +178,22 @@ class Condensed:
 
     def factor(self) -> None:
         """Factor T S + B, with the blocks of the last state; collective."""
-        rows = [self._gathered(v) for v in self._contact.factors]
+        blocks = [self._gathered(v) for v in self._contact.factors]
         unresisted = self._contact.free_jumps()
-        number = unresisted.shape[2]
+        motion_count = unresisted.shape[2]
         unresisted = self._gathered(unresisted)
         if self._comm.rank == 0:
-            self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
-            self._unresisted = np.linalg.qr(unresisted.reshape(self._jumps, number))[0]
+            self._set_rows(*(v.reshape(-1, 3, 3) for v in blocks))
+            self._unresisted = np.linalg.qr(unresisted.reshape(self._jumps, motion_count))[0]
             with blas_threads(self._threads):
-                self._factor(self._single, self._B)
+                self._factor(self._S_single, self._B)
 
     def _gathered(self, local: Floats) -> Floats:
         """Values of all ranks one after the other, on rank 0; collective."""
         if self._comm.size == 1:
             return local
-        every = self._comm.gather(local.ravel())
-        return np.concatenate(every) if every else local
+        of_all_ranks = self._comm.gather(local.ravel())
+        return np.concatenate(of_all_ranks) if of_all_ranks else local
 
     def _set_rows(self, T: Floats, B: Floats) -> None:
         """Set the blocks, and divide the directions u of the jumps into direct and coupled ones.
@@ -203,16 +203,16 @@ class Condensed:
         have the coupled directions only.
         """
         # Left singular vectors of T, as rows of u (n, 3, 3).
-        left, singular, _ = np.linalg.svd(T)
-        u = left.transpose(0, 2, 1)
+        left_vectors, singular, _ = np.linalg.svd(T)
+        u = left_vectors.transpose(0, 2, 1)
         uB = u @ B
         b = np.einsum("pai,pai->pa", uB, u)
-        rest = np.linalg.norm(uB - b[..., None] * u, axis=2)
-        parallel = (rest <= NOTHING * np.abs(b)) & (b != 0)
-        direct = ((singular <= NOTHING) & parallel).ravel()
+        off_direction = np.linalg.norm(uB - b[..., None] * u, axis=2)
+        is_eigenvector = (off_direction <= ROUNDING * np.abs(b)) & (b != 0)
+        is_direct = ((singular <= ROUNDING) & is_eigenvector).ravel()
         self._T, self._B, directions = _blocks(T), _blocks(B), _blocks(u)
-        self._direct, self._coupled = directions[direct], directions[~direct]
-        self._b = b.ravel()[direct]
+        self._direct, self._coupled = directions[is_direct], directions[~is_direct]
+        self._direct_stiffness = b.ravel()[is_direct]
 
     def _factor(self, S: NDArray[np.floating], B: csr_array) -> None:
         """Factor T S + B in the coupled directions, in the precision of S."""
@@ -224,39 +224,41 @@ class Condensed:
         G += (u @ B @ u.T).toarray().astype(S.dtype)
         if self._unresisted.shape[1]:
             Z = (u @ self._unresisted).astype(S.dtype)
-            G += S.dtype.type(SPRINGS * np.abs(self._S.diagonal()).mean()) * (Z @ Z.T)
+            G += S.dtype.type(SPRING_STIFFNESS * np.abs(self._S.diagonal()).mean()) * (Z @ Z.T)
         getrf, self._getrs = get_lapack_funcs(("getrf", "getrs"), (G,))
-        self._lu, self._pivots, _ = getrf(G.T, overwrite_a=True)  # in Fortran's order
+        self._lu_factors, self._pivots, _ = getrf(G.T, overwrite_a=True)  # in Fortran's order
 
     # Solution
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Solve J z = r; collective."""
         (ru, rq), (u, q) = (v.getNestSubVecs() for v in (r, z))
-        pulled = self.pulled(ru.array_r)
-        dq = self._on_root(lambda a, b: self._step(a - self._T @ b), rq.array_r, pulled)
-        u.array = self.moved(dq)
+        from_displacement = self.forces_on_jumps(ru.array_r)
+        dq = self._solve_on_root(
+            lambda a, b: self._step(a - self._T @ b), rq.array_r, from_displacement
+        )
+        u.array = self.displacement(dq)
         q.array = dq
 
     def step(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r at local points; collective."""
-        return self._on_root(self._step, r)
+        return self._solve_on_root(self._step, r)
 
     def times(self, dq: Floats) -> Floats:
         """(T S + B) dq at local points; collective."""
-        return self._on_root(self._times, dq)
+        return self._solve_on_root(self._times, dq)
 
     def forces(self, dq: Floats) -> Floats:
         """S dq, the forces at local points by jumps of the bodies in equilibrium; collective."""
-        return self._on_root(lambda every: self._S @ every, dq)
+        return self._solve_on_root(lambda every: self._S @ every, dq)
 
-    def _on_root(self, function: Callable[..., Floats], *local: Floats) -> Floats:
+    def _solve_on_root(self, function: Callable[..., Floats], *local: Floats) -> Floats:
         """Owned part of jumps that rank 0 computes from the values of all ranks; collective."""
-        every = [self._gathered(v) for v in local]
+        gathered = [self._gathered(v) for v in local]
         if self._comm.rank:
             return self._scattered(None)
         with blas_threads(self._threads):
-            return self._scattered(function(*every))
+            return self._scattered(function(*gathered))
 
     def _scattered(self, jumps: Floats | None) -> Floats:
         """Owned part of the jumps of all ranks, which rank 0 has; collective."""
@@ -268,55 +270,57 @@ class Condensed:
         self._comm.Scatterv([jumps, self._sizes] if jumps is not None else None, local)
         return local
 
-    def pulled(self, ru: Floats) -> Floats:
+    def forces_on_jumps(self, ru: Floats) -> Floats:
         """Forces C^T K^-1 r_u on owned jumps by forces on owned displacements; collective."""
-        self._given = self._bodies.reduce(ru)
-        if self._given is None:
+        self._reduced_forces = self._bodies.reduce(ru)
+        if self._reduced_forces is None:
             return self._scattered(None)
-        if self._paired is None:
-            return self._scattered(-self._given)
-        return self._scattered(self._paired.solve(self._given, np.zeros(self._jumps))[0])
+        if self._paired_compliance is None:
+            return self._scattered(-self._reduced_forces)
+        return self._scattered(
+            self._paired_compliance.solve(self._reduced_forces, np.zeros(self._jumps))[0]
+        )
 
-    def moved(self, dq: Floats) -> Floats:
-        """The displacement K^-1 (r_u - C dq), r_u as last given to `pulled`; collective."""
-        every = self._gathered(dq)
-        if self._given is None:
+    def displacement(self, dq: Floats) -> Floats:
+        """The displacement K^-1 (r_u - C dq), r_u as last in `forces_on_jumps`; collective."""
+        gathered = self._gathered(dq)
+        if self._reduced_forces is None:
             return self._bodies.expand(None)
-        if self._paired is None:
-            return self._bodies.expand(every)
-        return self._bodies.expand(self._paired.solve(self._given, every)[1])
+        if self._paired_compliance is None:
+            return self._bodies.expand(gathered)
+        return self._bodies.expand(self._paired_compliance.solve(self._reduced_forces, gathered)[1])
 
     # On rank 0
 
     def _step(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r, with weak springs if it is singular."""
-        dq = self._by_factors(r)
-        if self._solves(dq, r, ROUGH):
+        dq = self._solve_by_factors(r)
+        if self._is_solution(dq, r, SINGLE_TOLERANCE):
             return dq
         self._factor(self._S, self._B)
-        dq = self._by_factors(r)
-        if self._solves(dq, r, SINGULAR):
+        dq = self._solve_by_factors(r)
+        if self._is_solution(dq, r, DOUBLE_TOLERANCE):
             return dq
-        springs = diags_array(SPRINGS * np.abs(self._S.diagonal()))
+        springs = diags_array(SPRING_STIFFNESS * np.abs(self._S.diagonal()))
         self._factor(self._S, csr_array(self._B + springs))
-        return self._by_factors(r)
+        return self._solve_by_factors(r)
 
-    def _solves(self, dq: Floats, r: Floats, tolerance: float) -> bool:
+    def _is_solution(self, dq: Floats, r: Floats, tolerance: float) -> bool:
         """Return True if the residual of a step is a small part of r."""
-        left = np.linalg.norm(r - self._times(dq))
-        return bool(left <= tolerance * np.linalg.norm(r))  # False if it is not finite
+        remaining = np.linalg.norm(r - self._times(dq))
+        return bool(remaining <= tolerance * np.linalg.norm(r))  # False if it is not finite
 
     def _times(self, dq: Floats) -> Floats:
         return np.asarray(self._T @ (self._S @ dq) + self._B @ dq)
 
-    def _by_factors(self, r: Floats) -> Floats:
+    def _solve_by_factors(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r: the direct directions, then the coupled ones."""
-        dq = self._direct.T @ ((self._direct @ r) / self._b)
+        dq = self._direct.T @ ((self._direct @ r) / self._direct_stiffness)
         if self._coupled.shape[0]:
             # Beyond the range of single precision no step solves, and double precision takes over.
             with np.errstate(over="ignore", invalid="ignore"):
-                rest = (self._coupled @ (r - self._times(dq))).astype(self._lu.dtype)
-            solved, _ = self._getrs(self._lu, self._pivots, rest, trans=1)
+                remaining = (self._coupled @ (r - self._times(dq))).astype(self._lu_factors.dtype)
+            solved, _ = self._getrs(self._lu_factors, self._pivots, remaining, trans=1)
             dq += self._coupled.T @ solved.astype(float)
         return np.asarray(dq)
 
@@ -329,7 +333,7 @@ class JumpSystem(MatrixFree, Reduced):
 
     prefix = "mantle_jump_"
     # One step at least: states that are only just in balance would drift from cycle to cycle.
-    least_iterations = 1
+    min_iterations = 1
 
     def __init__(self, condensed: Condensed, contact: Condensable) -> None:
         self._condensed, self._contact = condensed, contact
@@ -337,23 +341,23 @@ class JumpSystem(MatrixFree, Reduced):
         self.comm = D.comm.tompi4py()
         self._jumps = D.createVecLeft()
         self.operator = python_mat(self, self._jumps.getSizes(), self.comm)
-        self._start = self._forces = np.zeros(self._jumps.getLocalSize())
+        self._initial_jumps = self._initial_equilibrium = np.zeros(self._jumps.getLocalSize())
         self._scale = self._norm = self._norm_before = 0.0
 
     def begin(self, x: list[PETSc.Vec], tolerance: float) -> PETSc.Vec:
         """Bring the bodies of a state into equilibrium with its jumps; return these; collective."""
         self._condensed.renew()
         forces, e, scale = self._contact.forces(x)
-        if self._size(forces) <= LITTLE * tolerance * scale:
+        if self._size(forces) <= NEGLIGIBLE_IMBALANCE * tolerance * scale:
             forces = np.zeros_like(forces)
-        self._start = x[1].array.copy()
-        self._forces = e - self._condensed.pulled(forces)
+        self._initial_jumps = x[1].array.copy()
+        self._initial_equilibrium = e - self._condensed.forces_on_jumps(forces)
         self._norm_before = 0.0
         return x[1]
 
     def end(self, x: list[PETSc.Vec], q: PETSc.Vec) -> None:
         """Set a state to jumps, and to the displacement in equilibrium with them; collective."""
-        x[0].array[:] -= self._condensed.moved(self._start - q.array_r)
+        x[0].array[:] -= self._condensed.displacement(self._initial_jumps - q.array_r)
         q.copy(x[1])
 
     def _size(self, local: Floats) -> float:
@@ -376,13 +380,13 @@ class JumpSystem(MatrixFree, Reduced):
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Residual of the law at the jumps and at the equilibrium that they lead to."""
         q = x[0].array_r
-        e = self._forces - self._condensed.forces(self._start - q)
+        e = self._initial_equilibrium - self._condensed.forces(self._initial_jumps - q)
         f[0].array, self._scale = self._contact.law(e, q.copy())
         self._norm = self._size(f[0].array_r)
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Factor the Jacobian at the state of the last residual, unless the last step was short."""
-        if self._norm >= CHORD * self._norm_before:
+        if self._norm >= REUSE_RATIO * self._norm_before:
             self._condensed.factor()
         self._norm_before = self._norm
 
@@ -419,7 +423,7 @@ class JumpSystem(MatrixFree, Reduced):
 
 def available(comm: MPI.Comm) -> bool:
     """Return True if there is a library for the factors; collective."""
-    return bool(on_root(comm, lambda: library() is not None))
+    return bool(on_root(comm, lambda: factor_class() is not None))
 
 
 def _blocks(values: Floats) -> csr_array:

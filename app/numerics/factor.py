@@ -1,6 +1,6 @@
 """Sparse factors of a block of a symmetric matrix, with the Schur complement of the rest.
 
-`Factor` is the interface of the libraries, `library` chooses one of them.
+`Factor` is the interface of the libraries, `factor_class` chooses one of them.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Factor(Protocol):
 
 
 @cache
-def library() -> type[Factor] | None:
+def factor_class() -> type[Factor] | None:
     """CHOLMOD where it can be compiled against, else MUMPS where PETSc has it, else None."""
     from app.numerics import cholesky, mumps  # compiles the calls of CHOLMOD
 

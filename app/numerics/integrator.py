@@ -22,13 +22,13 @@ Solve = Callable[[State, float, float, State], State | None]
 Norm = Callable[[State], float]
 
 # Share of the tolerance that steps aim at, and limits of their growth and shrinkage.
-_SAFETY = 0.9
-_GROWTH = 3.0
-_CUT = 0.2
+_AIM = 0.9
+_MAX_GROWTH = 3.0
+_MIN_GROWTH = 0.2
 # Relative difference up to which times count as equal.
-_SAME = 1e-9
+_SAME_TIME = 1e-9
 # Relative difference up to which steps count as equal.
-_NEAR = 1e-6
+_SAME_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -96,24 +96,29 @@ def step(
 
     ``y``, ``slope`` and ``seconds`` are state, rate of change and time [s] at the start.
     """
-    before, slopes, end = slope, list[State](), y
-    known = [(0.0, slope)]
-    for i, c in enumerate(method.c):
+    previous_slope, slopes, end = slope, list[State](), y
+    slopes_at = [(0.0, slope)]
+    for i, time_fraction in enumerate(method.c):
         weights = dt * method.a[i]
         h = float(weights[i])
         start = _add(y, weights[:i], slopes)
-        solution = solve(start, h, seconds + c * dt, _add(start, *_along(known, c, h)))
+        solution = solve(
+            start,
+            h,
+            seconds + time_fraction * dt,
+            _add(start, *_interpolated_slopes(slopes_at, time_fraction, h)),
+        )
         if solution is None:
             return None
         end = solution
         slope = _slope(start, end, h)
         slopes.append(slope)
-        known.append((c, slope))
+        slopes_at.append((time_fraction, slope))
     zero = [np.zeros_like(part) for part in y]
     if len(method.embedded):
         error = _add(zero, dt * (method.a[-1] - method.embedded), slopes)
     else:
-        error = _add(zero, np.array([dt / 2, -dt / 2]), [slope, before])
+        error = _add(zero, np.array([dt / 2, -dt / 2]), [slope, previous_slope])
     return StageStep(end, error, slope)
 
 
@@ -158,23 +163,23 @@ class Controller:
     def propose(self, seconds: float) -> float:
         """Step to try at a time [s]: it ends at the next event or well before it."""
         dt = self.next_step
-        ahead = [e - seconds for e in self.events if e - seconds > _SAME * e]
-        if not ahead or dt < ahead[0] / 2:
+        until_events = [e - seconds for e in self.events if e - seconds > _SAME_TIME * e]
+        if not until_events or dt < until_events[0] / 2:
             return dt
-        return ahead[0] if dt >= ahead[0] * (1 - _NEAR) else ahead[0] / 2
+        return until_events[0] if dt >= until_events[0] * (1 - _SAME_STEP) else until_events[0] / 2
 
     def judge(self, dt: float, ratio: float) -> bool:
         """Return True if a step is accepted, by its error over the tolerance; choose the next."""
         ratio = max(ratio, 1e-10)
-        factor = _SAFETY * ratio**-self._power
+        factor = _AIM * ratio**-self._power
         if not ratio <= 1:
-            self.next_step = dt * max(_CUT, factor)
+            self.next_step = dt * max(_MIN_GROWTH, factor)
             return False
         if self.last_step is not None:
             last_dt, last_ratio = self.last_step
             factor = min(factor, factor * dt / last_dt * (last_ratio / ratio) ** self._power)
         self.last_step = dt, max(ratio, 1e-2)
-        grown = dt * min(_GROWTH, max(_CUT, factor))
+        grown = dt * min(_MAX_GROWTH, max(_MIN_GROWTH, factor))
         # A step shortened by an event says little about a longer one.
         self.next_step = max(grown, self.next_step) if dt < self.next_step else grown
         return True
@@ -184,19 +189,21 @@ class Controller:
         self.next_step = dt / 2
 
 
-def _along(
-    known: Sequence[tuple[float, State]], c: float, h: float
+def _interpolated_slopes(
+    slopes_at: Sequence[tuple[float, State]], time_fraction: float, h: float
 ) -> tuple[Floats, Sequence[State]]:
     """Weights of slopes in a step of length h [s] at c: on the line through the two nearest.
 
-    ``known`` are times, as parts of the step, and the slopes there.
+    ``slopes_at`` are times, as parts of the step, and the slopes there.
     """
-    nearest = sorted(known, key=lambda k: abs(k[0] - c))[:2]
+    nearest = sorted(slopes_at, key=lambda k: abs(k[0] - time_fraction))[:2]
     slopes = [slope for _, slope in nearest]
     if len(nearest) < 2:
         return np.array([h]), slopes
     (a, _), (b, _) = nearest
-    weights: Floats = np.array([c - b, a - c], dtype=np.float64) * (h / (a - b))
+    weights: Floats = np.array([time_fraction - b, a - time_fraction], dtype=np.float64) * (
+        h / (a - b)
+    )
     return weights, slopes
 
 

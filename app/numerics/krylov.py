@@ -21,21 +21,25 @@ from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
-KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
-SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
+KRYLOV_OPTIONS: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
+SYMMETRIC_OPTIONS: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
 # For several blocks: Gauss-Seidel. A block's preconditioner is kept until it is rebuilt on purpose.
-SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
+SPLIT_OPTIONS: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
 # Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
-KEPT = ("displacement", "temperature")
+REUSED_BLOCKS = ("displacement", "temperature")
 # Excess Krylov iterations that cost as much as new preconditioners.
-PRICE = 30
+SETUP_ITERATIONS = 30
 # Krylov iterations per digit of the residual.
-USUAL = 8
+USUAL_ITERATIONS = 8
 # Iterations of the estimate of a condition number.
 CONDITION_ITERATIONS = 20
 # Names of the blocks and methods in the log.
-BLOCKS = {"displacement": "bodies", "jump": "contact", "temperature_jump": "jumps of temperature"}
-METHODS = {
+BLOCK_NAMES = {
+    "displacement": "bodies",
+    "jump": "contact",
+    "temperature_jump": "jumps of temperature",
+}
+METHOD_NAMES = {
     "cg": "CG",
     "fgmres": "FGMRES",
     "gamg": "algebraic multigrid",
@@ -57,7 +61,7 @@ class Linear:
         exact: The inverse of the Jacobian, if the system has one.
     """
 
-    def __init__(self, system: System, linear: str, given: Options, timing: Timing) -> None:
+    def __init__(self, system: System, linear: str, raw_options: Options, timing: Timing) -> None:
         self._system, self._timing = system, timing
         blocks = system.blocks()
         self._names = list(blocks)
@@ -68,31 +72,31 @@ class Linear:
             self.matrix = PETSc.Mat().createNest(matrices, comm=system.comm)
             self.matrix.assemble()
         # Options for parts of a Krylov method ask for one.
-        krylov = any(key.startswith(("ksp_", "pc_", "fieldsplit_")) for key in given)
-        self.exact = None if krylov else system.exact(linear)
+        asks_for_krylov = any(key.startswith(("ksp_", "pc_", "fieldsplit_")) for key in raw_options)
+        self.exact = None if asks_for_krylov else system.exact(linear)
         if self.exact:
             self.options: Options = {"ksp_type": "preonly"}
-        parts = {} if self.exact else system.options(linear)
+        options_by_block = {} if self.exact else system.options(linear)
         # Options by block, or of all blocks at once.
-        self._split = len(blocks) > 1 and set(parts) == set(blocks)
+        self._is_split = len(blocks) > 1 and set(options_by_block) == set(blocks)
         if not self.exact:
-            self.options = dict(KRYLOV)
-        for name, of_block in parts.items():
-            prefix = f"fieldsplit_{name}_" if self._split else ""
-            self.options |= {f"{prefix}{key}": value for key, value in of_block.items()}
+            self.options = dict(KRYLOV_OPTIONS)
+        for name, block_options in options_by_block.items():
+            prefix = f"fieldsplit_{name}_" if self._is_split else ""
+            self.options |= {f"{prefix}{key}": value for key, value in block_options.items()}
             if prefix:
-                self.options |= dict(SPLIT) | {f"{prefix}ksp_type": "preonly"}
+                self.options |= dict(SPLIT_OPTIONS) | {f"{prefix}ksp_type": "preonly"}
         if len(blocks) == 1 and system.inverses:
-            self.options |= SYMMETRIC
+            self.options |= SYMMETRIC_OPTIONS
         self._inverses: list[Inverse] = []
-        self._separate: list[PETSc.PC] = []
+        self._reused: list[PETSc.PC] = []
         # Preconditioners of contact blocks, by SOR unless they are factored.
-        self._interfaces: list[PETSc.PC] = []
+        self._swept: list[PETSc.PC] = []
         self.factored = False
         self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
-        self._pending = False
-        self._excess = self._spent = self._gained = 0.0
+        self._is_unrated = False
+        self._excess_iterations = self._iterations = self._digits = 0.0
 
     def attach(self, ksp: PETSc.KSP, x: list[PETSc.Vec]) -> None:
         """Set up the preconditioners for the Jacobian at a state, after the options; collective."""
@@ -106,18 +110,20 @@ class Linear:
         pc = ksp.getPC()
         self._system.jacobian(x)
         self.matrix.assemble()
-        given = PETSc.Options(ksp.getOptionsPrefix()).getAll()
-        separate: list[PETSc.PC] = []
+        options = PETSc.Options(ksp.getOptionsPrefix()).getAll()
+        reused: list[PETSc.PC] = []
         with self._timing.phase("factorize"):
-            if self._split and pc.getType() == "fieldsplit":
-                parts = self._gauss_seidel(pc, given)
-                separate = [parts[n] for n in KEPT if n in parts and n not in self._system.inverses]
+            if self._is_split and pc.getType() == "fieldsplit":
+                parts = self._set_up_gauss_seidel(pc, options)
+                reused = [
+                    parts[n] for n in REUSED_BLOCKS if n in parts and n not in self._system.inverses
+                ]
             elif len(self._names) == 1 and self._system.inverses:
-                pc = self._shared(self._names[0], given)
+                pc = self._use_shared_inverse(self._names[0], options)
                 parts = {self._names[0]: pc}
             else:
-                separate, parts = [pc], {" and ".join(BLOCKS.get(n, n) for n in self._names): pc}
-            coarse = self._system.coarse_space() if self._split else None
+                reused, parts = [pc], {" and ".join(BLOCK_NAMES.get(n, n) for n in self._names): pc}
+            coarse = self._system.coarse_space() if self._is_split else None
             if coarse is not None:
                 self._deflated = Deflated(pc, self._names, self._system.coarse_space)
                 pc = python_pc(self._deflated, self._system.comm)
@@ -125,27 +131,31 @@ class Linear:
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
-        self._interfaces = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
-        for part in separate:
+        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
+        for part in reused:
             part.setReusePreconditioner(True)
-        self._separate = separate
+        self._reused = reused
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
-        log.info("solver: %s%s", self._described(parts), deflated)
+        log.info("solver: %s%s", self._description(parts), deflated)
 
-    def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
+    def _set_up_gauss_seidel(self, pc: PETSc.PC, options: Options) -> dict[str, PETSc.PC]:
         """Gauss-Seidel over the blocks, each with a separate or a shared preconditioner."""
         fields = self.matrix.getNestISs()[0]
         pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
         parts = {}
-        for name, inner in zip(self._names, pc.getFieldSplitSubKSP(), strict=True):
+        for name, block_solver in zip(self._names, pc.getFieldSplitSubKSP(), strict=True):
             if name in self._system.inverses:
                 prefix = f"fieldsplit_{name}_"
-                options = {k[len(prefix) :]: v for k, v in given.items() if k.startswith(prefix)}
-                inner.setPC(self._shared(name, options))
-            parts[name] = inner.getPC()
+                block_options = {
+                    key[len(prefix) :]: value
+                    for key, value in options.items()
+                    if key.startswith(prefix)
+                }
+                block_solver.setPC(self._use_shared_inverse(name, block_options))
+            parts[name] = block_solver.getPC()
         return parts
 
-    def _shared(self, name: str, options: Options) -> PETSc.PC:
+    def _use_shared_inverse(self, name: str, options: Options) -> PETSc.PC:
         inverse = self._system.inverses[name]
         inverse.use({k: v for k, v in options.items() if not k.startswith(("ksp_", "snes_"))})
         inverse.make()
@@ -157,58 +167,62 @@ class Linear:
         self.observe()
         self._system.jacobian(x)
         self.matrix.assemble()
-        if self._excess > PRICE:
+        if self._excess_iterations > SETUP_ITERATIONS:
             self._version = self._system.version
-            self._excess = self._spent = self._gained = 0.0
+            self._excess_iterations = self._iterations = self._digits = 0.0
             for inverse in self._inverses:
                 inverse.refresh()
-            for pc in self._separate:
+            for pc in self._reused:
                 pc.setReusePreconditioner(False)
                 pc.setUp()
                 pc.setReusePreconditioner(True)
-        self._pending = True
+        self._is_unrated = True
 
     def observe(self) -> None:
         """Rate the preconditioners by the iterations of the last linear solve, once for each.
 
         They are kept until the excess of iterations costs more than rebuilding them.
         """
-        if not self._pending:
+        if not self._is_unrated:
             return
-        self._pending = False
+        self._is_unrated = False
         failed = self._ksp.getConvergedReason() < 0
         norms = self._ksp.getConvergenceHistory()
-        spent = max(len(norms) - 1, 0)
+        iterations = max(len(norms) - 1, 0)
         if self._version == self._system.version:
             remedy = self._fall_back() if failed else ""
             if remedy:
                 log.info("     linear solver did not converge: %s", remedy)
-            if spent and norms[-1] > 0:
-                self._spent += spent
-                self._gained += math.log10(norms[0] / norms[-1])
+            if iterations and norms[-1] > 0:
+                self._iterations += iterations
+                self._digits += math.log10(norms[0] / norms[-1])
         elif failed:
-            self._excess = math.inf
-        elif spent and norms[-1] > 0:
-            usual = self._spent / self._gained if self._gained > 0 else USUAL
-            self._excess += spent - usual * math.log10(norms[0] / norms[-1])
+            self._excess_iterations = math.inf
+        elif iterations and norms[-1] > 0:
+            usual_iterations = (
+                self._iterations / self._digits if self._digits > 0 else USUAL_ITERATIONS
+            )
+            self._excess_iterations += iterations - usual_iterations * math.log10(
+                norms[0] / norms[-1]
+            )
 
     def renew(self) -> None:
         """Rebuild the preconditioners at the next Jacobian."""
-        self._excess = math.inf
+        self._excess_iterations = math.inf
 
     def factor_interfaces(self) -> bool:
         """Factorize contact blocks preconditioned by SOR so far; return whether there are any."""
-        if self.factored or not self._interfaces:
+        if self.factored or not self._swept:
             return False
         self.factored = True
-        for pc in self._interfaces:
+        for pc in self._swept:
             pc.setType(str(INTERFACE["pc_type"]))
             pc.setFactorSolverType(str(INTERFACE["pc_factor_mat_solver_type"]))
         return True
 
     def sweep_interfaces(self) -> None:
         """Use SOR again for the contact blocks that `factor_interfaces` has factorized."""
-        for pc in self._interfaces if self.factored else ():
+        for pc in self._swept if self.factored else ():
             pc.setType(str(SWEEP["pc_type"]))
         self.factored = False
 
@@ -220,14 +234,14 @@ class Linear:
             return "factorizing the stiffness"
         return ""
 
-    def _described(self, parts: Mapping[str, PETSc.PC]) -> str:
+    def _description(self, parts: Mapping[str, PETSc.PC]) -> str:
         krylov, *kinds = [
-            METHODS.get(kind, kind)
+            METHOD_NAMES.get(kind, kind)
             for kind in (self._ksp.getType(), *(pc.getType() for pc in parts.values()))
         ]
         sizes = dict(zip(self._names, self._sizes, strict=True))
         blocks = [
-            f"{BLOCKS.get(name, name)} ({sizes.get(name, sum(self._sizes)):,} dofs): {kind}"
+            f"{BLOCK_NAMES.get(name, name)} ({sizes.get(name, sum(self._sizes)):,} dofs): {kind}"
             for name, kind in zip(parts, kinds, strict=True)
         ]
         return "; ".join([krylov + (" with field split" if len(parts) > 1 else ""), *blocks])

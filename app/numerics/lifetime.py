@@ -21,9 +21,9 @@ from dolfinx.mesh import Mesh
 
 _runs = count()  # of this process
 # Meshes and spaces of several ranks, each with an object that keeps its communicator.
-_followed: list[tuple[ref[Mesh | fem.FunctionSpace], PETSc.IS]] = []
+_communicators: list[tuple[ref[Mesh | fem.FunctionSpace], PETSc.IS]] = []
 # Objects that Python drops may be the last to refer to others: solver, preconditioner, its factors.
-ROUNDS = 3
+COLLECTIONS = 3
 
 
 def weak(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -86,20 +86,20 @@ def python_mat(operator: Operator, size: tuple[int, int], comm: MPI.Comm) -> PET
     return matrix
 
 
-def follow(owner: Mesh | fem.FunctionSpace) -> None:
+def register(owner: Mesh | fem.FunctionSpace) -> None:
     """Have `release` clean up a communicator; collective.
 
     Matrices and solvers have that of their mesh, assembled vectors that of their space.
     """
     comm = owner.comm if isinstance(owner, Mesh) else owner.dofmap.index_map.comm
     if comm.size > 1:
-        _followed.append((ref(owner), PETSc.IS().createStride(0, comm=comm)))
+        _communicators.append((ref(owner), PETSc.IS().createStride(0, comm=comm)))
 
 
 def function_space(mesh: Mesh, element: Any) -> fem.FunctionSpace:
     """Make a function space for PETSc's vectors, which `release` cleans up; collective."""
     space = fem.functionspace(mesh, element)
-    follow(space)
+    register(space)
     return space
 
 
@@ -114,13 +114,17 @@ def begin_run(comm: MPI.Comm) -> None:
 
 def release(comm: MPI.Comm) -> None:
     """Destroy all objects of PETSc and DOLFINx that nothing refers to any more; collective."""
-    for _ in range(ROUNDS):
+    for _ in range(COLLECTIONS):
         gc.collect()
         comm.barrier()
-        for _, keeper in _followed:
+        for _, keeper in _communicators:
             PETSc.garbage_cleanup(keeper.comm)
-    gone = [comm.allreduce(owner() is None, MPI.LAND) for owner, _ in _followed]
-    for (_, keeper), done in zip(_followed, gone, strict=True):
-        if done:
+    is_gone = [comm.allreduce(owner() is None, MPI.LAND) for owner, _ in _communicators]
+    for (_, keeper), owner_is_gone in zip(_communicators, is_gone, strict=True):
+        if owner_is_gone:
             keeper.destroy()
-    _followed[:] = [kept for kept, done in zip(_followed, gone, strict=True) if not done]
+    _communicators[:] = [
+        entry
+        for entry, owner_is_gone in zip(_communicators, is_gone, strict=True)
+        if not owner_is_gone
+    ]

@@ -24,9 +24,9 @@ import numpy as np
 
 from app.foundation.arrays import Ints
 from app.foundation.errors import InputError, StoppedError
-from app.numerics.krylov import BLOCKS, Linear
+from app.numerics.krylov import BLOCK_NAMES, Linear
 from app.numerics.lifetime import weak
-from app.numerics.preconditioners import PETSC, USED, Options, options_set
+from app.numerics.preconditioners import PETSC, USED_OPTIONS, Options, options_set
 from app.numerics.system import Measure, Reduced, System
 from app.system.timing import Timing
 
@@ -48,33 +48,33 @@ NEWTON: Options = {
     "snes_max_linear_solve_fail": 3,
 }
 # Tolerance of the linear solver while contact points change their states.
-ROUGH = 0.1
+LOOSE_TOLERANCE = 0.1
 # Part of the contact points that counts as few.
-FEW = 0.01
+FEW_POINTS = 0.01
 # Largest tolerance of the linear solver while few change.
-FINE = 0.01
+FINE_TOLERANCE = 0.01
 # Power with which the tolerance falls with the residual (Eisenstat and Walker 1996).
-POWER = (1 + math.sqrt(5)) / 2
+TOLERANCE_POWER = (1 + math.sqrt(5)) / 2
 # Residual below which the next is a multiple of its square, if no states change.
-NEAR = 0.01
+QUADRATIC_RANGE = 0.01
 # That multiple.
-SQUARE = 100.0
+QUADRATIC_FACTOR = 100.0
 # Absolute tolerance of the linear solver over that of Newton.
-ENOUGH = 0.3
+ABSOLUTE_TOLERANCE = 0.3
 # Tolerance of the linear solver that suffices for the last iteration, over that of Newton.
-SUFFICES = 0.2
+LAST_TOLERANCE = 0.2
 # Newton stalls if the residual has not fallen to this part of itself in a number of iterations.
-HARDLY = 0.5
+STALLED_RATIO = 0.5
 # The number of iterations, by line search.
-STUCK = {"bt": 4}
+STALLED_ITERATIONS = {"bt": 4}
 # The number with full steps, with which the residual may rise before it falls.
-STUCK_WHOLE = 15
+STALLED_FULL_STEPS = 15
 # Residuals that differ by less than this part after a cycle of the states repeat.
-CYCLING = 1e-2
+SAME_RESIDUAL = 1e-2
 # Iterations whose states are kept.
-KEPT = 12
+KEPT_ITERATES = 12
 # The longest cycle that is recognized.
-LONGEST = 5
+LONGEST_CYCLE = 5
 
 
 class ActiveSet:
@@ -82,35 +82,35 @@ class ActiveSet:
 
     def __init__(self, comm: MPI.Comm) -> None:
         self._comm = comm
-        self._known: list[Ints] = []
+        self._states: list[Ints] = []
 
     def forget(self) -> None:
         """Forget all states before a new run."""
-        self._known = []
+        self._states = []
 
     def add(self, status: Ints) -> None:
         """Append the states (n,) at an iterate."""
-        self._known = [*self._known[-KEPT:], status.copy()]
+        self._states = [*self._states[-KEPT_ITERATES:], status.copy()]
 
     def points(self) -> int:
         """Number of points on all ranks; collective."""
-        return int(self._comm.allreduce(len(self._known[-1]) if self._known else 0, MPI.SUM))
+        return int(self._comm.allreduce(len(self._states[-1]) if self._states else 0, MPI.SUM))
 
     def changes(self) -> int:
         """Number of points whose state changed between the last two iterates; collective."""
-        changed = int((self._known[-1] != self._known[-2]).sum()) if len(self._known) > 1 else 0
+        changed = int((self._states[-1] != self._states[-2]).sum()) if len(self._states) > 1 else 0
         return int(self._comm.allreduce(changed, MPI.SUM))
 
     def period(self) -> int:
         """Length of the cycle in which all states repeat, seen twice; 0 without; collective."""
-        known = self._known
-        for p in range(2, LONGEST + 1):
-            again = len(known) > 2 * p and all(
-                np.array_equal(known[-1 - k], known[-1 - k - p]) for k in range(p + 1)
+        states = self._states
+        for period in range(2, LONGEST_CYCLE + 1):
+            repeats = len(states) > 2 * period and all(
+                np.array_equal(states[-1 - k], states[-1 - k - period]) for k in range(period + 1)
             )
-            if self._comm.allreduce(again, MPI.LAND):
-                moves = not np.array_equal(known[-1], known[-2])
-                return p if self._comm.allreduce(moves, MPI.LOR) else 0
+            if self._comm.allreduce(repeats, MPI.LAND):
+                changes = not np.array_equal(states[-1], states[-2])
+                return period if self._comm.allreduce(changes, MPI.LOR) else 0
         return 0
 
     def oscillating(self) -> list[tuple[int, int, int, tuple[int, ...]]]:
@@ -119,13 +119,15 @@ class ActiveSet:
         Each with its row, the number of its changes, the iterations in which they were counted, and
         the states it alternates between.
         """
-        if len(self._known) < 2:
+        if len(self._states) < 2:
             return []
-        states = np.array(self._known)
+        states = np.array(self._states)
         changes = (states[1:] != states[:-1]).sum(axis=0)
         # Points without recent changes are left out.
-        late = (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
-        rows = np.flatnonzero(late)
+        changed_recently = (
+            (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
+        )
+        rows = np.flatnonzero(changed_recently)
         return [
             (
                 int(k),
@@ -202,26 +204,26 @@ class Solver:
         self.system, self.tolerance = system, tolerance
         self.active = ActiveSet(system.comm)
         self.timing, self.stop = timing, stop
-        self._templates = system.blocks()
+        self._block_templates = system.blocks()
         self.linear = Linear(system, linear, options, timing)
         defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
         self.options = defaults | self.linear.options | options
-        self._search = self.usual_search
+        self._line_search = self.usual_search
         self.x, self.failed_state, self.first_state = (self.vector() for _ in range(3))
         # It takes the place of a solution that an interrupted solve leaves locked. An error on one
         # rank lets no new vector be made: that is collective.
-        self._spare: PETSc.Vec | None = None
+        self._spare_vector: PETSc.Vec | None = None
         self.residuals: list[float] = []
         self.changes: list[int] = []
         self.scales: list[float] = []
         self.converged = False
         self.augmentation = 1.0
         inverse = self.linear.exact
-        self._reducing = inverse.reduced if inverse else None
+        self._reduced_system = inverse.reduced if inverse else None
         self.reduced: Solver | None = None
-        if self._reducing is not None:
+        if self._reduced_system is not None:
             settings = tolerance, max_iterations, linear, options, timing, stop
-            self.reduced = Solver(self._reducing, *settings)
+            self.reduced = Solver(self._reduced_system, *settings)
         snes = self.snes = PETSc.SNES().create(system.comm)
         snes.setOptionsPrefix(system.prefix)
         snes.setFunction(weak(self._function), self.vector())
@@ -233,21 +235,21 @@ class Solver:
             with options_set(system.prefix, self.options):
                 snes.setFromOptions()
                 self.linear.attach(snes.getKSP(), self.blocks())
-            if len(self._templates) == 1 and system.inverses:
+            if len(self._block_templates) == 1 and system.inverses:
                 # SNES would set the shared inverse up once more; petsc4py has no such call.
                 PETSC.SNESSetLagPreconditioner(ctypes.c_void_p(snes.handle), -1)
         except PETSc.Error as error:
             if not options or error.ierr == OUT_OF_MEMORY:
                 raise
-            given = " ".join(f"-{key} {value}".rstrip() for key, value in options.items())
-            why = str(error).strip().splitlines()[-1].removeprefix("[0] ")
-            raise InputError(f"PETSc cannot use its options ({given}): {why}") from error
+            option_text = " ".join(f"-{key} {value}".rstrip() for key, value in options.items())
+            reason = str(error).strip().splitlines()[-1].removeprefix("[0] ")
+            raise InputError(f"PETSc cannot use its options ({option_text}): {reason}") from error
 
     # States
 
     def vector(self) -> PETSc.Vec:
         """A new vector of unknowns, zero."""
-        vectors = [v.duplicate() for v in self._templates.values()]
+        vectors = [v.duplicate() for v in self._block_templates.values()]
         for v in vectors:
             v.zeroEntries()
         if len(vectors) == 1:
@@ -257,11 +259,11 @@ class Solver:
     def blocks(self, x: PETSc.Vec | None = None) -> list[PETSc.Vec]:
         """Blocks of a state, by default the current one."""
         x = self.x if x is None else x
-        return [x] if len(self._templates) == 1 else list(x.getNestSubVecs())
+        return [x] if len(self._block_templates) == 1 else list(x.getNestSubVecs())
 
     def blocks_by_name(self, x: PETSc.Vec | None = None) -> dict[str, PETSc.Vec]:
         """Blocks of a state by name, by default the current one."""
-        return dict(zip(self._templates, self.blocks(x), strict=True))
+        return dict(zip(self._block_templates, self.blocks(x), strict=True))
 
     def u_and_q(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
         """Displacement and jumps, if any, of a state, by default the current one."""
@@ -271,7 +273,7 @@ class Solver:
     @property
     def block_sizes(self) -> dict[str, int]:
         """Unknowns by block."""
-        return {name: v.getSize() for name, v in self._templates.items()}
+        return {name: v.getSize() for name, v in self._block_templates.items()}
 
     def begin(self, tolerance: float) -> None:
         """Reset to the unloaded state, with a tolerance of the residual; matrices are kept."""
@@ -297,10 +299,10 @@ class Solver:
     def measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
         """Residual by part, with the scale of this state or of earlier converged ones."""
         parts = self.system.measure(self.blocks(x), self.blocks(f))
-        known = self.scales or [0.0] * len(parts)
+        earlier_scales = self.scales or [0.0] * len(parts)
         return [
             replace(p, scale=max(p.scale, s)) if p.lasting else p
-            for p, s in zip(parts, known, strict=True)
+            for p, s in zip(parts, earlier_scales, strict=True)
         ]
 
     # Iterations
@@ -309,23 +311,26 @@ class Solver:
         """Iterate from the current state; return Newton and Krylov iterations."""
         self.active.forget()
         self.converged = False
-        self._spare = self._spare or self.vector()
-        reduced = 0
+        self._spare_vector = self._spare_vector or self.vector()
+        reduced_iterations = 0
         with self.timing.phase("solve"):
-            if self.reduced and self._reducing:
-                reduced = self._run_reduced(self.reduced, self._reducing)
+            if self.reduced and self._reduced_system:
+                reduced_iterations = self._run_reduced(self.reduced, self._reduced_system)
             try:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
                 # Exceptions raised in a callback come back wrapped, and leave the solution locked.
-                self.x.copy(self._spare)
-                self.x, self._spare = self._spare, None
+                self.x.copy(self._spare_vector)
+                self.x, self._spare_vector = self._spare_vector, None
                 raise error.__cause__ or error from None
         if self.snes.getConvergedReason() == NOT_FINITE:
             # PETSc calls neither monitor nor test if the residual is not finite.
             self.residuals.append(math.nan)
             self.changes.append(0)
-        return reduced + self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+        return (
+            reduced_iterations + self.snes.getIterationNumber(),
+            self.snes.getLinearSolveIterations(),
+        )
 
     def _run_reduced(self, solver: Solver, system: Reduced) -> int:
         """Iterate on the reduced system, from and to the current state; return the iterations."""
@@ -346,9 +351,9 @@ class Solver:
         """Use a line search of PETSc: ``bt``, or ``basic`` for full steps."""
         if self.reduced:
             self.reduced.use_search(kind)
-        if kind == self._search:
+        if kind == self._line_search:
             return
-        self._search = kind
+        self._line_search = kind
         # A new line search has PETSc's defaults: it needs all options again.
         settings = {k: v for k, v in self.options.items() if k.startswith("snes_linesearch_")}
         with options_set(self.system.prefix, settings | {"snes_linesearch_type": kind}):
@@ -383,44 +388,49 @@ class Solver:
         self.active.add(self.system.status)
         self.changes.append(self.active.changes())
         limits = [p.limit(self.tolerance) for p in parts]
-        small = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
-        if iteration < self.system.least_iterations:
-            small = all(p.norm == 0.0 for p in parts)
-        self.converged = small and not self.system.runs_away(self.blocks(snes.getSolution()))
+        is_small = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
+        if iteration < self.system.min_iterations:
+            is_small = all(p.norm == 0.0 for p in parts)
+        self.converged = is_small and not self.system.runs_away(self.blocks(snes.getSolution()))
         if self.converged:
             return REASONS.CONVERGED_FNORM_ABS
         if "ksp_atol" not in self.options:
-            snes.getKSP().setTolerances(atol=ENOUGH * min(limits))
-        if self._adapts:
+            snes.getKSP().setTolerances(atol=ABSOLUTE_TOLERANCE * min(limits))
+        if self._adapts_tolerance:
             snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
-        last, window = self.residuals, STUCK.get(self._search, STUCK_WHOLE)
-        stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
+        residuals, window = (
+            self.residuals,
+            STALLED_ITERATIONS.get(self._line_search, STALLED_FULL_STEPS),
+        )
+        has_stalled = iteration >= window and residuals[-1] > STALLED_RATIO * residuals[-1 - window]
         # Full steps from the same states lead to the same states again.
-        period = self.active.period() if self._search == "basic" and not stuck else 0
-        stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
-        return REASONS.DIVERGED_LINE_SEARCH if stuck else REASONS.ITERATING
+        period = self.active.period() if self._line_search == "basic" and not has_stalled else 0
+        has_stalled |= (
+            period > 0 and abs(residuals[-1] / residuals[-1 - period] - 1) < SAME_RESIDUAL
+        )
+        return REASONS.DIVERGED_LINE_SEARCH if has_stalled else REASONS.ITERATING
 
     @property
-    def _adapts(self) -> bool:
+    def _adapts_tolerance(self) -> bool:
         """True if the tolerance of the linear solver follows the residual."""
         return self.system.contact is not None and "ksp_rtol" not in self.options
 
     def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
         """Relative tolerance of the next linear solve, looser if a step changes contact states."""
-        last = self.residuals
-        if not iteration or self.changes[-1] >= FEW * self.active.points():
-            return ROUGH
-        eta = min(FINE, (last[-1] / last[-2]) ** POWER)
-        if self.changes[-1] or last[-1] > NEAR:
-            return eta
-        suffices = SUFFICES / max(p.norm / p.limit(self.tolerance) for p in parts)
-        return min(eta, max(suffices, SQUARE * last[-1]))
+        residuals = self.residuals
+        if not iteration or self.changes[-1] >= FEW_POINTS * self.active.points():
+            return LOOSE_TOLERANCE
+        tolerance = min(FINE_TOLERANCE, (residuals[-1] / residuals[-2]) ** TOLERANCE_POWER)
+        if self.changes[-1] or residuals[-1] > QUADRATIC_RANGE:
+            return tolerance
+        last_tolerance = LAST_TOLERANCE / max(p.norm / p.limit(self.tolerance) for p in parts)
+        return min(tolerance, max(last_tolerance, QUADRATIC_FACTOR * residuals[-1]))
 
 
 def unused(options: Iterable[str]) -> list[str]:
     """Raw options that no solver made so far has asked for: misspelt, or of another method."""
-    block = re.compile(f"fieldsplit_({'|'.join(BLOCKS)}|temperature)_")
-    return [f"-{key}" for key in options if not {key, block.sub("", key, count=1)} & USED]
+    block = re.compile(f"fieldsplit_({'|'.join(BLOCK_NAMES)}|temperature)_")
+    return [f"-{key}" for key in options if not {key, block.sub("", key, count=1)} & USED_OPTIONS]
 
 
 def raw_options(arguments: Sequence[str]) -> dict[str, str]:

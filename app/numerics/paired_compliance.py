@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from app.foundation.arrays import Floats
 
 # Part of the largest pivot below which nothing resists a motion.
-LOOSE = 1e-9
+LOOSE_PIVOT = 1e-9
 
 
 class PairedCompliance:
@@ -31,30 +31,30 @@ class PairedCompliance:
     """
 
     def __init__(self, S: Floats, Q: csr_array) -> None:
-        self._first, n = Q, Q.shape[1]
+        self._first_pairs, n = Q, Q.shape[1]
         S[:, :n] -= S[:, n:] @ Q
         S[:n] -= Q.T @ S[n:]
         spring = S.diagonal().max()
-        _, pivots, rank, _ = lapack.dpstrf(S, tol=LOOSE * spring)
-        self._loose = pivots[rank:] - 1
-        S[self._loose, self._loose] += spring
-        self._A = _inverse(S)
-        held = self._A[np.ix_(self._loose, self._loose)]
-        self._freed = np.eye(len(held)) / spring - held
+        _, pivots, rank, _ = lapack.dpstrf(S, tol=LOOSE_PIVOT * spring)
+        self._spring_rows = pivots[rank:] - 1
+        S[self._spring_rows, self._spring_rows] += spring
+        self._compliance = _inverse(S)
+        spring_compliance = self._compliance[np.ix_(self._spring_rows, self._spring_rows)]
+        self._spring_removal = np.eye(len(spring_compliance)) / spring - spring_compliance
 
     def constrain(self, Q: csr_array) -> Floats:
         """Return the stiffness S of the jumps for other pairs Q (p, p) [N/mm]."""
-        self._Q, n, used = Q, Q.shape[1], np.unique(Q.indices)
-        V = Q[:, used] @ self._A[np.ix_(used, used)]
-        half = Q[:, used] @ V.T / 2 - Q @ self._A[:n, n:]
-        S = _inverse(self._A[n:, n:] + half + half.T)
-        N = self._apart(self._A[:, self._loose])
+        self._Q, n, followed = Q, Q.shape[1], np.unique(Q.indices)
+        V = Q[:, followed] @ self._compliance[np.ix_(followed, followed)]
+        half_term = Q[:, followed] @ V.T / 2 - Q @ self._compliance[:n, n:]
+        S = _inverse(self._compliance[n:, n:] + half_term + half_term.T)
+        N = self._jumps_by_motions(self._compliance[:, self._spring_rows])
         self._Y = S @ N
-        self._H = np.linalg.inv(self._freed + N.T @ self._Y)
+        self._H = np.linalg.inv(self._spring_removal + N.T @ self._Y)
         self._S = S - self._Y @ self._H @ self._Y.T
         return self._S
 
-    def _apart(self, v: Floats) -> Floats:
+    def _jumps_by_motions(self, v: Floats) -> Floats:
         """Return F v: jumps of the points by motions v of the unknowns."""
         n = self._Q.shape[1]
         return np.asarray(v[n:] - self._Q @ v[:n])
@@ -64,13 +64,19 @@ class PairedCompliance:
 
         Forces g and the motions of the jumps refer to the first pairs.
         """
-        n, loose = self._Q.shape[1], self._loose
-        free = self._A @ np.concatenate([g[:n] - self._first.T @ g[n:], g[n:]])
-        left = q - self._apart(free)
-        forces = self._S @ left - self._Y @ (self._H @ free[loose])
-        m = free[:n] + self._A[:n] @ np.concatenate([-(self._Q.T @ forces), forces])
-        m += self._A[:n, loose] @ (self._H @ (free[loose] + self._Y.T @ left))
-        return forces, np.concatenate([m, q + self._Q @ m - self._first @ m])
+        n, spring_rows = self._Q.shape[1], self._spring_rows
+        motion_by_forces = self._compliance @ np.concatenate(
+            [g[:n] - self._first_pairs.T @ g[n:], g[n:]]
+        )
+        remaining_jumps = q - self._jumps_by_motions(motion_by_forces)
+        forces = self._S @ remaining_jumps - self._Y @ (self._H @ motion_by_forces[spring_rows])
+        m = motion_by_forces[:n] + self._compliance[:n] @ np.concatenate(
+            [-(self._Q.T @ forces), forces]
+        )
+        m += self._compliance[:n, spring_rows] @ (
+            self._H @ (motion_by_forces[spring_rows] + self._Y.T @ remaining_jumps)
+        )
+        return forces, np.concatenate([m, q + self._Q @ m - self._first_pairs @ m])
 
 
 def _inverse(S: Floats) -> Floats:

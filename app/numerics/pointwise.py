@@ -109,10 +109,10 @@ class Pointwise:
         self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
         for function in self._inputs.values():
             function.x.array[:] = 1
-        compiled = find(comm, note)
+        compiled = load_noted(comm, note)
         if compiled is None:
             compiled = self._compile(comm, build)
-            _keep(comm, note, compiled[0])
+            _write_note(comm, note, compiled[0])
         kernel, symbol, self._module = compiled
         inputs = [self._inputs[name]._cpp_object for name in kernel.inputs]
         self._expression = CompiledExpression(self._module.ffi, symbol, inputs)
@@ -126,17 +126,17 @@ class Pointwise:
             built = {str(k): e for k, e in enumerate(built)}
         built = {name: ufl.as_ufl(e) for name, e in built.items()}  # some are numbers
         # The labels of variables differ from run to run; without them compiled code is used again.
-        every = map_expr_dags(_WithoutVariables(), list(built.values()))
-        together = ufl.as_vector([c for e in every for c in _components(e)])
+        without_labels = map_expr_dags(_WithoutVariables(), list(built.values()))
+        all_components = ufl.as_vector([c for e in without_labels for c in _components(e)])
         options = {"scalar_type": np.float64}
-        symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
-        used = extract_coefficients(together)
+        symbol, module, _ = jit.ffcx_jit(comm, (all_components, np.array([[0.5]])), options)
+        coefficients = extract_coefficients(all_components)
         names = {function: name for name, function in self._inputs.items()}
         kernel = Kernel(
             module=module.__name__,
             symbol=next(name for name in dir(module.lib) if name.startswith("expression_")),
             inputs=tuple(
-                names[used[symbol.original_coefficient_positions[i]]]
+                names[coefficients[symbol.original_coefficient_positions[i]]]
                 for i in range(symbol.num_coefficients)
             ),
             shapes=tuple(e.ufl_shape for e in built.values()),
@@ -206,17 +206,25 @@ def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
     return folder / f"law-{digest.hexdigest()[:24]}.json"
 
 
-def find(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | None:
+def load_noted(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | None:
     """Noted code of a law, its expression and module; None if missing on any rank; collective."""
     compiled = None
-    damaged = OSError, ValueError, TypeError, KeyError, AttributeError, ImportError, RecursionError
-    with suppress(*damaged):
+    errors_of_damaged_notes = (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        ImportError,
+        RecursionError,
+    )
+    with suppress(*errors_of_damaged_notes):
         if note is not None:
-            compiled = _load(json.loads(note.read_text()))
+            compiled = _load_kernel(json.loads(note.read_text()))
     return compiled if comm.allreduce(compiled is not None, MPI.LAND) else None
 
 
-def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
+def _load_kernel(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
     shapes = tuple(tuple(int(k) for k in shape) for shape in noted["shapes"])
     names = tuple(noted["inputs"]), shapes, tuple(noted["outputs"])
     kernel = Kernel(noted["module"], noted["symbol"], *names)
@@ -235,7 +243,7 @@ def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
     return kernel, getattr(module.lib, kernel.symbol), module
 
 
-def _keep(comm: MPI.Comm, note: Path | None, kernel: Kernel) -> None:
+def _write_note(comm: MPI.Comm, note: Path | None, kernel: Kernel) -> None:
     if note is not None and comm.rank == 0:
         with suppress(OSError):  # it is made again at the next start
             files.clear(note.parent, note.name)

@@ -22,15 +22,15 @@ from app.numerics.rigid_motions import rigid_modes
 Options = dict[str, str | int | float | bool]
 PETSC = ctypes.CDLL(PETSc.__file__)
 # Names of options that PETSc has asked for, without prefix.
-USED: set[str] = set()
+USED_OPTIONS: set[str] = set()
 
 # Unknowns above which a block of nodal unknowns is solved by multigrid. With MUMPS, which several
 # ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns of first order, 7.1
 # against 6.2 at 35 000; with CHOLMOD 2.5 against 2.3 at 24 000 of second, 6.4 against 5.2 at
 # 46 000. Bonded bodies, which need one solve, lose less than a tenth by multigrid up to 90 000.
 DIRECT_LIMIT = 25_000
-FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-FACTORED_SERIALLY: Options = {
+CHOLESKY: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+SERIAL_CHOLESKY: Options = {
     "pc_type": "cholesky",
     # Wheels have no CHOLMOD.
     "pc_factor_mat_solver_type": (
@@ -53,21 +53,21 @@ MULTIGRID: Options = {
 # Second order: a smoother, and first order on the same mesh below, factored or by two cycles
 # of the above. The smoother needs products with the matrix alone, which blocks of three make twice
 # as fast: 70 iterations of a bonded hip of 153 000 unknowns take 3.5 CPU s, 87 with sweeps 6.9.
-BY_DEGREE: Options = {
+MULTIGRID_BY_DEGREE: Options = {
     "pc_type": "mg",
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_ksp_chebyshev_kind": "opt_fourth",
     "mg_levels_ksp_max_it": 4,
     "mg_levels_pc_type": "pbjacobi",
 }
-FACTORED_BELOW: Options = {"ksp_type": "preonly"}
-MULTIGRID_BELOW: Options = {"ksp_type": "richardson", "ksp_max_it": 2}
+FACTORED_COARSE: Options = {"ksp_type": "preonly"}
+MULTIGRID_COARSE: Options = {"ksp_type": "richardson", "ksp_max_it": 2}
 # A block of interface unknowns: one symmetric sweep over the points does what factors do, in a
 # fifth of the time; where conductance lets temperatures jump, factors are needed.
 SWEEP: Options = {"pc_type": "sor"}
 INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # Largest number of unknowns of a matrix that is factored where multigrid fails.
-FACTORABLE = 300_000
+FACTOR_LIMIT = 300_000
 
 
 def is_direct(linear: str, size: int) -> bool:
@@ -75,24 +75,26 @@ def is_direct(linear: str, size: int) -> bool:
     return linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
 
 
-def stiffness_options(linear: str, K: PETSc.Mat, lower: CoarseOrder | None) -> Options:
+def stiffness_options(linear: str, K: PETSc.Mat, coarse_order: CoarseOrder | None) -> Options:
     """Options for a stiffness; ``linear`` is direct, multigrid or auto (by size)."""
     if is_direct(linear, K.getSize()[0]):
-        return factors(K)
-    if lower is None:
+        return factor_options(K)
+    if coarse_order is None:
         return MULTIGRID
-    if is_direct("auto", lower.size):
-        below = FACTORED_BELOW | on_one_rank(FACTORED_SERIALLY, K.comm.size)
+    if is_direct("auto", coarse_order.size):
+        coarse_options = FACTORED_COARSE | on_one_rank(SERIAL_CHOLESKY, K.comm.size)
     else:
-        below = MULTIGRID_BELOW | MULTIGRID
-    return BY_DEGREE | {f"mg_coarse_{key}": value for key, value in below.items()}
+        coarse_options = MULTIGRID_COARSE | MULTIGRID
+    return MULTIGRID_BY_DEGREE | {
+        f"mg_coarse_{key}": value for key, value in coarse_options.items()
+    }
 
 
-def factors(matrix: PETSc.Mat) -> Options:
+def factor_options(matrix: PETSc.Mat) -> Options:
     """Options that factor a symmetric positive definite matrix."""
     if matrix.comm.size > 1 and matrix.getSize()[0] > DIRECT_LIMIT:
-        return FACTORED
-    return on_one_rank(FACTORED_SERIALLY, matrix.comm.size)
+        return CHOLESKY
+    return on_one_rank(SERIAL_CHOLESKY, matrix.comm.size)
 
 
 def on_one_rank(options: Options, ranks: int) -> Options:
@@ -133,18 +135,18 @@ class CoarseOrder:
         The stiffness decouples them too, so constrained vertices keep a diagonal.
         """
         fine, coarse = fem.Function(self._fine), fem.Function(self.space)
-        held, below = (f.x.petsc_vec for f in (fine, coarse))
-        held.array[:] = self._constrained()
+        held_fine, held_coarse = (f.x.petsc_vec for f in (fine, coarse))
+        held_fine.array[:] = self._constrained()
         fine.x.scatter_forward()
         coarse.interpolate(fine)
-        of_held, of_free = self._interpolation.copy(), self._interpolation.copy()
-        of_held.diagonalScale(held, below)
-        for vector in (held, below):
+        held_part, free_part = self._interpolation.copy(), self._interpolation.copy()
+        held_part.diagonalScale(held_fine, held_coarse)
+        for vector in (held_fine, held_coarse):
             vector.scale(-1.0)
             vector.shift(1.0)
-        of_free.diagonalScale(held, below)
-        of_free.axpy(1.0, of_held, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        return of_free
+        free_part.diagonalScale(held_fine, held_coarse)
+        free_part.axpy(1.0, held_part, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        return free_part
 
 
 def near_null_space(K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
@@ -165,7 +167,7 @@ class Inverse:
 
     Attributes:
         pc: The preconditioner, set up once, and again only by `refresh`.
-        lower: First-order displacements, if usable.
+        coarse_order: First-order displacements, if usable.
 
     Args:
         matrix: The matrix, which may change in place.
@@ -178,11 +180,11 @@ class Inverse:
         matrix: PETSc.Mat,
         version: Callable[[], int],
         options: Options,
-        lower: CoarseOrder | None = None,
+        coarse_order: CoarseOrder | None = None,
     ) -> None:
-        self._matrix, self._version, self.lower = matrix, version, lower
+        self._matrix, self._version, self.coarse_order = matrix, version, coarse_order
         self._options = dict(options)
-        self._made: int | None = None
+        self._set_up_version: int | None = None
         self._operator = matrix  # in blocks of three where that is faster
         self.pc = PETSc.PC().create(matrix.comm)
         self._krylov = PETSc.KSP().create(matrix.comm)
@@ -198,16 +200,16 @@ class Inverse:
     @property
     def outdated(self) -> bool:
         """True if the matrix has changed since the last setup."""
-        return self._made != self._version()
+        return self._set_up_version != self._version()
 
     def use(self, options: Options) -> None:
         """Choose PETSc options; other ones than before require a new setup."""
         if dict(options) != self._options:
-            self._options, self._made = dict(options), None
+            self._options, self._set_up_version = dict(options), None
 
     def make(self) -> None:
         """Set up on first use; collective."""
-        if self._made is None:
+        if self._set_up_version is None:
             self.pc.reset()
             self.refresh()
 
@@ -217,7 +219,7 @@ class Inverse:
         pc.setReusePreconditioner(False)
         pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
         self._operator = self._matrix
-        if self._options["pc_type"] == BY_DEGREE["pc_type"]:
+        if self._options["pc_type"] == MULTIGRID_BY_DEGREE["pc_type"]:
             pc.reset()  # levels would keep the diagonal blocks of the matrix before
             self._set_coarse_level()
             self._operator = self._matrix.convert("baij", PETSc.Mat())
@@ -226,27 +228,27 @@ class Inverse:
         if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
             raise MemoryError(f"factorization of a matrix of {self.size:,} unknowns")
         pc.setReusePreconditioner(True)
-        self._made = self._version()
+        self._set_up_version = self._version()
 
     def _set_coarse_level(self) -> None:
-        assert self.lower is not None
-        P = self.lower.prolongation()
+        assert self.coarse_order is not None
+        P = self.coarse_order.prolongation()
         below = self._matrix.PtAP(P)
         below.setBlockSize(3)
         below.setOption(PETSc.Mat.Option.SPD, True)
-        x = self.lower.space.tabulate_dof_coordinates()[: below.getLocalSize()[0] // 3]
+        x = self.coarse_order.space.tabulate_dof_coordinates()[: below.getLocalSize()[0] // 3]
         below.setNearNullSpace(near_null_space(below, rigid_modes(x).reshape(-1, 6).T))
-        self.pc.setType(BY_DEGREE["pc_type"])
+        self.pc.setType(MULTIGRID_BY_DEGREE["pc_type"])
         self.pc.setMGLevels(2)
         self.pc.setMGInterpolation(1, P)
         self.pc.getMGCoarseSolve().setOperators(below)
 
     def fall_back(self) -> bool:
         """Factor the matrix instead of approximating its inverse, if it is not too large."""
-        multigrid = (MULTIGRID["pc_type"], BY_DEGREE["pc_type"])
-        if self._options.get("pc_type") not in multigrid or self.size > FACTORABLE:
+        multigrid = (MULTIGRID["pc_type"], MULTIGRID_BY_DEGREE["pc_type"])
+        if self._options.get("pc_type") not in multigrid or self.size > FACTOR_LIMIT:
             return False
-        self.use(factors(self._matrix))
+        self.use(factor_options(self._matrix))
         self.make()
         return True
 
@@ -282,9 +284,9 @@ def options_set(prefix: str | None, options: Options) -> Iterator[None]:
     try:
         yield
     finally:
-        asked = ctypes.c_int()  # petsc4py cannot report whether PETSc has asked for an option
+        is_asked = ctypes.c_int()  # petsc4py cannot report whether PETSc has asked for an option
         for key in options:
             name = f"{database.prefix or ''}{key}".encode()
-            PETSC.PetscOptionsUsed(None, name, ctypes.byref(asked))
-            USED.update([key] * asked.value)
+            PETSC.PetscOptionsUsed(None, name, ctypes.byref(is_asked))
+            USED_OPTIONS.update([key] * is_asked.value)
             database.delValue(key)

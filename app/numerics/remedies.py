@@ -20,7 +20,7 @@ AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), 
 # Factors of the default augmentation, tried last if the case sets another one.
 DEFAULT_FACTORS = (1.0, 0.1, 0.01)
 # Part of the default augmentation below which a solution is refined with the default.
-SMALL = 0.05
+SMALL_AUGMENTATION = 0.05
 
 
 def solve(solver: Solver) -> NewtonResult:
@@ -48,7 +48,7 @@ def solve(solver: Solver) -> NewtonResult:
     if (
         contact
         and solver.converged
-        and augmentation < SMALL * contact.law.default_augmentation_ratio()
+        and augmentation < SMALL_AUGMENTATION * contact.law.default_augmentation_ratio()
     ):
         augmentation, spent = _refine(solver, contact)
         runs.append(spent)
@@ -83,7 +83,7 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
     Returns:
         The augmentation of the solution; Newton and Krylov iterations.
     """
-    coarse, reached = solver.x.copy(), len(solver.residuals)
+    coarse, iterations_before = solver.x.copy(), len(solver.residuals)
     default = contact.law.default_augmentation_ratio()
     contact.law.scale_augmentation(default)
     log.info("     converged: refining with augmentation %.3g r, the default", default)
@@ -92,7 +92,7 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
         return default, spent
     coarse.copy(solver.x)
     contact.law.scale_augmentation(solver.augmentation)
-    del solver.residuals[reached:], solver.changes[reached:]
+    del solver.residuals[iterations_before:], solver.changes[iterations_before:]
     solver.converged = True
     return solver.augmentation, spent
 
@@ -115,9 +115,13 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     contact = solver.system.contact
     if contact:
         closed = "constraining open interfaces of bodies that nothing else holds"
-        yield from _switched(solver, start, contact.constrain, closed, "releasing these interfaces")
+        yield from _with_switched_interfaces(
+            solver, start, contact.constrain, closed, "releasing these interfaces"
+        )
         overlap = "closing interfaces where the open bodies overlap"
-        yield from _switched(solver, start, contact.open, "opening all interfaces", overlap)
+        yield from _with_switched_interfaces(
+            solver, start, contact.open, "opening all interfaces", overlap
+        )
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
         yield "factorizing the contact block"
@@ -128,20 +132,20 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         if solver.converged:
             return
         if remedy is None:
-            if not hopeless(solver):
+            if not cannot_continue(solver):
                 solver.use_search(other)
                 yield "full Newton steps" if other == "basic" else "line search"
             solver.use_search(solver.usual_search)
             continue
         factor, continues = remedy
-        if continues and hopeless(solver):
+        if continues and cannot_continue(solver):
             continue
         if factor != solver.augmentation:
             contact.law.scale_augmentation(factor)
             if not continues:
                 start.copy(solver.x)
             solver.augmentation = factor
-            yield f"augmentation {factor:g} r{_values(contact)}"
+            yield f"augmentation {factor:g} r{_augmentation_text(contact)}"
     if solver.converged:
         return
     default = contact.law.default_augmentation_ratio()
@@ -149,15 +153,15 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         return
     start.copy(solver.x)
     for share in DEFAULT_FACTORS:
-        if hopeless(solver):
+        if cannot_continue(solver):
             return
         solver.augmentation = share * default
         contact.law.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
-        yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(contact)}"
+        yield f"augmentation {solver.augmentation:.3g} r, {times}{_augmentation_text(contact)}"
 
 
-def _switched(
+def _with_switched_interfaces(
     solver: Solver, start: PETSc.Vec, switch: Callable[[bool], bool], first: str, then: str
 ) -> Iterator[str]:
     """Solve from the start with switched interfaces, then from this state with the usual ones.
@@ -182,7 +186,7 @@ def _switched(
         yield then
 
 
-def hopeless(solver: Solver) -> bool:
+def cannot_continue(solver: Solver) -> bool:
     """Return True if there is nothing to continue: converged, not finite, or a body runs away."""
     if solver.converged or not np.isfinite(solver.x.norm()):
         return True
@@ -202,6 +206,6 @@ def failure_text(solver: Solver) -> str:
     return f"not converging (residual {solver.residuals[-1]:.1e}{changing})"
 
 
-def _values(contact: Contact) -> str:
+def _augmentation_text(contact: Contact) -> str:
     values = contact.augmentation().values()
     return f" (up to {max(values):.3g} MPa/mm)" if values else ""

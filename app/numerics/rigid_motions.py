@@ -12,15 +12,15 @@ from app.foundation.arrays import Floats, Ints
 
 DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "rotate about") for axis in "xyz"]
 # Part (squared) of a named motion among the free ones from which it is free.
-WITHIN = 0.9
+FREE_SHARE = 0.9
 # Part outside the motions already named from which it is named too.
-NEW = 0.2
+NEW_SHARE = 0.2
 # A motion of unit size is one of others if its part outside them is below this.
-OTHER = 1e-3
+INDEPENDENT_SIZE = 1e-3
 # Cosine of the angle to an axis up to which a direction is along it.
-ALIGNED = 0.9999
+ALIGNED_COSINE = 0.9999
 # Number of bodies up to which all subsets are searched.
-MOST = 6
+SUBSET_BODIES = 6
 
 
 def rigid_modes(x: NDArray[np.floating]) -> Floats:
@@ -55,19 +55,19 @@ def relative_resistance(resistance: Floats, bodies: Ints, count: int) -> Floats:
     """
     A = np.zeros((6 * count, 6 * count))
     for a, b in np.unique(bodies, axis=0):
-        here = (bodies == (a, b)).all(axis=1)
-        add_relative(A, int(a), int(b), resistance[here].sum(axis=0))
+        is_pair = (bodies == (a, b)).all(axis=1)
+        add_relative(A, int(a), int(b), resistance[is_pair].sum(axis=0))
     return A
 
 
-def without(motions: Floats, others: Floats) -> Floats:
+def motions_outside(motions: Floats, others: Floats) -> Floats:
     """Return the motions (m, k) that are not in the span of others (m, l).
 
     All are orthonormal columns.
     """
-    left = motions - others @ (others.T @ motions)
-    parts, sizes, _ = np.linalg.svd(left, full_matrices=False)
-    return np.asarray(parts[:, sizes > OTHER])
+    remaining = motions - others @ (others.T @ motions)
+    parts, sizes, _ = np.linalg.svd(remaining, full_matrices=False)
+    return np.asarray(parts[:, sizes > INDEPENDENT_SIZE])
 
 
 def describe(
@@ -85,60 +85,68 @@ def describe(
     if not free.shape[1]:
         return []
     Q = np.linalg.qr(free)[0]
-    known = np.zeros((len(Q), 0))
+    named = np.zeros((len(Q), 0))
     motions_of: dict[tuple[int, ...], list[str]] = {}
-    for bodies, k, v in _named(centres, origin, size):
-        if known.shape[1] == Q.shape[1]:
+    for bodies, k, v in _named_motions(centres, origin, size):
+        if named.shape[1] == Q.shape[1]:
             break
-        rest = v - known @ (known.T @ v)
-        if np.linalg.norm(Q.T @ v) ** 2 < WITHIN or np.linalg.norm(rest) ** 2 < NEW:
+        unnamed_part = v - named @ (named.T @ v)
+        if (
+            np.linalg.norm(Q.T @ v) ** 2 < FREE_SHARE
+            or np.linalg.norm(unnamed_part) ** 2 < NEW_SHARE
+        ):
             continue
-        known = np.column_stack([known, rest / np.linalg.norm(rest)])
+        named = np.column_stack([named, unnamed_part / np.linalg.norm(unnamed_part)])
         motions_of.setdefault(bodies, []).append(DIRECTIONS[k])
     # Motions along no axis.
-    left = Q - known @ (known.T @ Q)
-    u, s, _ = np.linalg.svd(left, full_matrices=False)
-    for v in u.T[: Q.shape[1] - known.shape[1]][s[: Q.shape[1] - known.shape[1]] > NEW]:
+    unnamed = Q - named @ (named.T @ Q)
+    directions, sizes, _ = np.linalg.svd(unnamed, full_matrices=False)
+    for v in directions.T[: Q.shape[1] - named.shape[1]][
+        sizes[: Q.shape[1] - named.shape[1]] > NEW_SHARE
+    ]:
         body = int(np.argmax(np.linalg.norm(v.reshape(-1, 6), axis=1)))
-        motions_of.setdefault((body,), []).append(_oblique(v[6 * body : 6 * body + 6]))
-    return [_sentence([names[b] for b in bodies], words) for bodies, words in motions_of.items()]
+        motions_of.setdefault((body,), []).append(_oblique_motion(v[6 * body : 6 * body + 6]))
+    return [
+        _free_body_sentence([names[b] for b in bodies], words)
+        for bodies, words in motions_of.items()
+    ]
 
 
-def _named(
+def _named_motions(
     centres: Floats, origin: Floats, size: float
 ) -> Iterator[tuple[tuple[int, ...], int, Floats]]:
     """Named motions, of few bodies first: bodies, number, unit vector (6 n,)."""
     n = len(centres)
-    for count in range(1, n + 1 if n <= MOST else 2):
+    for count in range(1, n + 1 if n <= SUBSET_BODIES else 2):
         for bodies in combinations(range(n), count):
             arm = (origin - centres[list(bodies)].mean(axis=0)) / size
             for k in range(6):
-                one = np.zeros(6)
-                one[k] = 1.0
+                motion = np.zeros(6)
+                motion[k] = 1.0
                 if k >= 3:
-                    one[:3] = np.cross(one[3:], arm)
+                    motion[:3] = np.cross(motion[3:], arm)
                 v = np.zeros((n, 6))
-                v[list(bodies)] = one
+                v[list(bodies)] = motion
                 yield bodies, k, v.ravel() / np.linalg.norm(v)
 
 
-def _oblique(v: Floats) -> str:
+def _oblique_motion(v: Floats) -> str:
     rotates = np.linalg.norm(v[3:]) > np.linalg.norm(v[:3])
     axis = v[3:] if rotates else v[:3]
     axis = axis / np.linalg.norm(axis)
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))]) + 0.0
     k = int(np.argmax(axis))
-    text = "xyz"[k] if axis[k] > ALIGNED else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
+    text = "xyz"[k] if axis[k] > ALIGNED_COSINE else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
     return f"rotate about an axis along {text}" if rotates else f"move along {text}"
 
 
-def _sentence(names: Sequence[str], words: Sequence[str]) -> str:
-    doing = []
+def _free_body_sentence(names: Sequence[str], directions: Sequence[str]) -> str:
+    motions = []
     for verb in ("move along", "rotate about"):
-        axes = [w.removeprefix(verb).strip() for w in words if w.startswith(verb)]
+        axes = [w.removeprefix(verb).strip() for w in directions if w.startswith(verb)]
         if axes:
-            doing.append(f"{verb} {', '.join(axes)}")
-    text = " and to ".join(doing)
+            motions.append(f"{verb} {', '.join(axes)}")
+    text = " and to ".join(motions)
     if len(names) == 1:
         return f"nothing holds body {names[0]}: it is free to {text}"
     return f"nothing holds bodies {' and '.join(names)}: they are free to {text} together"

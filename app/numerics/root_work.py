@@ -13,10 +13,10 @@ from mpi4py import MPI
 from threadpoolctl import ThreadpoolController
 
 # Time between two looks at whether all ranks have come [s].
-NAP = 2e-4
+POLLING_INTERVAL = 2e-4
 
 
-def cores(comm: MPI.Comm) -> int:
+def usable_cores(comm: MPI.Comm) -> int:
     """Number of cores that all ranks on this node may use together; collective."""
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     number = min(node.size, len(os.sched_getaffinity(0)))
@@ -40,4 +40,4 @@ def wait(comm: MPI.Comm) -> None:
     """Wait for all ranks asleep: blocking calls of MPI keep a core busy; collective."""
     request = comm.Ibarrier()
     while not request.Test():
-        time.sleep(NAP)
+        time.sleep(POLLING_INTERVAL)

@@ -24,9 +24,9 @@ from app.foundation.arrays import Ints
 
 Array = NDArray[Any]
 # Key of rows that are not saved.
-LEFT_OUT = -1
+NOT_SAVED = -1
 # Vertices of each node of a tetrahedron in basix's order: a vertex, or the ends of an edge.
-ENDS = np.array(
+NODE_VERTICES = np.array(
     [*((v, v) for v in range(4)), *basix.topology(basix.CellType.tetrahedron)[1]], dtype=np.int64
 )
 
@@ -55,19 +55,19 @@ def collect(value: Any, keys: Any = None) -> Any:
     ``keys`` are the keys of the rows of its arrays, unless it has `row_keys`.
     """
     if isinstance(value, fem.Function):
-        return _rows(_by_node(value), keys)
+        return _saved_rows(_values_by_node(value), keys)
     if isinstance(value, np.ndarray):
-        return _rows(value, keys)
+        return _saved_rows(value, keys)
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, dict):
-        return {name: collect(v, _inner(keys, name)) for name, v in value.items()}
+        return {name: collect(v, _inner_keys(keys, name)) for name, v in value.items()}
     if isinstance(value, list | tuple):
-        return [collect(v, _inner(keys, k)) for k, v in enumerate(value)]
-    names = _names(value)
+        return [collect(v, _inner_keys(keys, k)) for k, v in enumerate(value)]
+    names = _saved_names(value)
     if names:
         keys = getattr(value, "row_keys", keys)
-        return {name: collect(getattr(value, name), _inner(keys, name)) for name in names}
+        return {name: collect(getattr(value, name), _inner_keys(keys, name)) for name in names}
     return value
 
 
@@ -78,18 +78,20 @@ def fill(value: Any, state: Any, keys: Any = None) -> Any:
         AttributeError, LookupError, TypeError, ValueError: The state does not fit the object.
     """
     if isinstance(value, fem.Function):
-        saved = keys != LEFT_OUT
-        _by_node(value)[saved] = state.of(keys[saved])
+        saved = keys != NOT_SAVED
+        _values_by_node(value)[saved] = state.of(keys[saved])
         return value
     if isinstance(value, np.ndarray) or isinstance(state, Rows):
         rows = state.of(keys)
         if value is not None and rows.shape != value.shape:
             raise ValueError("rows have another shape")
         return rows
-    names = _names(value)
+    names = _saved_names(value)
     if names:
         keys = getattr(value, "row_keys", keys)
-        new = {name: fill(getattr(value, name), state[name], _inner(keys, name)) for name in names}
+        new = {
+            name: fill(getattr(value, name), state[name], _inner_keys(keys, name)) for name in names
+        }
         if not hasattr(value, "saved"):
             return replace(value, **new)
         for name, v in new.items():
@@ -97,11 +99,11 @@ def fill(value: Any, state: Any, keys: Any = None) -> Any:
         return value
     if isinstance(state, dict):
         old = value or {}
-        return {name: fill(old.get(name), v, _inner(keys, name)) for name, v in state.items()}
+        return {name: fill(old.get(name), v, _inner_keys(keys, name)) for name, v in state.items()}
     if isinstance(state, list):
-        here = [*(value or ()), *[None] * (len(state) - len(value or ()))]
-        items = enumerate(zip(here, state, strict=True))
-        new_items = [fill(v, f, _inner(keys, k)) for k, (v, f) in items]
+        current = [*(value or ()), *[None] * (len(state) - len(value or ()))]
+        items = enumerate(zip(current, state, strict=True))
+        new_items = [fill(v, f, _inner_keys(keys, k)) for k, (v, f) in items]
         return tuple(new_items) if isinstance(value, tuple) else new_items
     return state
 
@@ -121,25 +123,25 @@ def restore(value: Any) -> None:
         value.restored()
 
 
-def _names(value: Any) -> tuple[str, ...]:
+def _saved_names(value: Any) -> tuple[str, ...]:
     if is_dataclass(value) and not hasattr(value, "saved"):
         return tuple(f.name for f in fields(value))
     return getattr(value, "saved", ())
 
 
-def _inner(keys: Any, name: str | int) -> Any:
+def _inner_keys(keys: Any, name: str | int) -> Any:
     if isinstance(keys, dict):
         return keys.get(name)
     return keys[int(name)] if isinstance(keys, list) else keys
 
 
-def _rows(values: Array, keys: Ints) -> Rows:
+def _saved_rows(values: Array, keys: Ints) -> Rows:
     assert len(values) == len(keys)
-    saved = keys != LEFT_OUT
+    saved = keys != NOT_SAVED
     return Rows(keys[saved], values[saved])
 
 
-def _by_node(function: fem.Function) -> Array:
+def _values_by_node(function: fem.Function) -> Array:
     """Values of a function at the nodes of this rank with ghosts (n, components)."""
     values: Array = function.x.array.reshape(-1, function.function_space.dofmap.bs)
     return values
@@ -150,7 +152,7 @@ def node_keys(space: fem.FunctionSpace) -> Ints:
     geometry, index_map = space.mesh.geometry, space.dofmap.index_map
     dofs = space.dofmap.list
     vertices = geometry.input_global_indices[geometry.dofmap[:, :4]]
-    ends = vertices[:, ENDS[: dofs.shape[1]]]
+    ends = vertices[:, NODE_VERTICES[: dofs.shape[1]]]
     stride = geometry.index_map().size_global
     keys = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
     keys[dofs] = ends.min(axis=2) * stride + ends.max(axis=2)

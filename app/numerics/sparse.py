@@ -23,9 +23,9 @@ def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
     ends = np.array(comm.allgather(index_map.local_range[1]))
     owner = np.searchsorted(ends, dof, side="right")
     order = np.argsort(owner, kind="stable")
-    place = np.empty(len(order), dtype=np.int64)
-    place[order] = np.arange(len(order))
-    return order[owner[order] == comm.rank], place
+    number_of_point = np.empty(len(order), dtype=np.int64)
+    number_of_point[order] = np.arange(len(order))
+    return order[owner[order] == comm.rank], number_of_point
 
 
 def from_triplets(
@@ -34,9 +34,9 @@ def from_triplets(
     """Matrix from triplets (owned local rows, global columns), duplicates summed; collective."""
     order = np.lexsort((j, i))
     i, j = i[order], j[order]
-    new = np.ones(len(i), dtype=bool)
-    new[1:] = (i[1:] != i[:-1]) | (j[1:] != j[:-1])
-    first = np.flatnonzero(new)
+    is_first = np.ones(len(i), dtype=bool)
+    is_first[1:] = (i[1:] != i[:-1]) | (j[1:] != j[:-1])
+    first = np.flatnonzero(is_first)
     start = np.searchsorted(i[first], np.arange(rows + 1))
     values = np.add.reduceat(v[order], first) if len(first) else v
     return from_rows(comm, (rows, columns), start, j[first], values)
@@ -61,9 +61,9 @@ def from_rows(
     return A
 
 
-def renew(A: PETSc.Mat, B: PETSc.Mat, anew: bool) -> None:
+def renew(A: PETSc.Mat, B: PETSc.Mat, new_pattern: bool) -> None:
     """Give a matrix the values of another one in place, and if asked its pattern; collective."""
-    if anew:
+    if new_pattern:
         A.setPreallocationCSR(B.getValuesCSR())
         A.assemble()
     else:

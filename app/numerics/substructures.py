@@ -25,8 +25,8 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from app.foundation.arrays import Floats, Ints
 from app.numerics.dense import mirror_upper
-from app.numerics.factor import library
-from app.numerics.root_work import blas_threads, cores, wait
+from app.numerics.factor import factor_class
+from app.numerics.root_work import blas_threads, usable_cores, wait
 
 # K, C and D, distributed by rows.
 Matrices = tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]
@@ -45,7 +45,7 @@ class Substructures:
 
     def __init__(self, matrices: Matrices, kept: Ints) -> None:
         self.comm = matrices[0].comm.tompi4py()
-        self._threads, self._kept = cores(self.comm), kept
+        self._threads, self._kept_nodes = usable_cores(self.comm), kept
         self._pattern: tuple[Ints, ...] | None = None
         self.renew(matrices)
 
@@ -53,81 +53,102 @@ class Substructures:
         """Set the matrices; collective. The factors are analysed if the pattern is another."""
         k, c, d = (owned_rows(A) for A in matrices)
         pattern = k.indptr, k.indices, c.indptr, c.indices
-        known = self._pattern is not None and all(map(np.array_equal, self._pattern, pattern))
-        known = self.comm.allreduce(known, MPI.LAND)
-        if not known:
+        is_analysed = self._pattern is not None and all(map(np.array_equal, self._pattern, pattern))
+        is_analysed = self.comm.allreduce(is_analysed, MPI.LAND)
+        if not is_analysed:
             self._pattern = pattern
-            self._divide(k, c, matrices[0].getOwnershipRanges() // 3)
-        inside = self._interior(k), self._interior(c)
-        if not known:
-            self._meet(*inside)
-        self._rows = self._interior_rows(*inside)
+            self._divide_nodes(k, c, matrices[0].getOwnershipRanges() // 3)
+        interior = self._select_interior(k), self._select_interior(c)
+        if not is_analysed:
+            self._find_touched_border(*interior)
+        self._rows = self._interior_rows(*interior)
         self._entries = self._border_entries(k, c, d, matrices[2].getOwnershipRange()[0])
-        if not known:
+        if not is_analysed:
             self._analyse()
 
-    def _divide(self, k: csr_array, c: csr_array, starts: Ints) -> None:
+    def _divide_nodes(self, k: csr_array, c: csr_array, starts: Ints) -> None:
         """Divide the nodes into interiors and the border; ``starts`` are the ranks' first ones."""
         low, high = starts[self.comm.rank : self.comm.rank + 2]
-        shared = unknowns_of(_shared_nodes(self.comm, k, starts, self._kept))
-        self._shared, kept = len(shared), unknowns_of(self._kept)
-        self._first_jump = self._shared + len(kept)
-        self._border = self._first_jump + c.shape[1]
+        shared_unknowns = unknowns_of(_shared_nodes(self.comm, k, starts, self._kept_nodes))
+        self._shared_unknowns, kept_unknowns = len(shared_unknowns), unknowns_of(self._kept_nodes)
+        self._first_jump = self._shared_unknowns + len(kept_unknowns)
+        self._border_size = self._first_jump + c.shape[1]
         # Place in the border of all unknowns of K, -1 of those inside.
-        self._place = np.full(k.shape[1], -1)
-        self._place[shared] = np.arange(self._shared)
-        self._place[kept] = np.arange(self._shared, self._first_jump)
-        owned = self._place[3 * low : 3 * high]
-        self._inside, self._outside = np.flatnonzero(owned < 0), np.flatnonzero(owned >= 0)
-        self._owned_place = owned[self._outside]
-        self._column = np.full(k.shape[1], -1, dtype=np.int32)
-        self._column[3 * low + self._inside] = np.arange(len(self._inside))
+        self._place_in_border = np.full(k.shape[1], -1)
+        self._place_in_border[shared_unknowns] = np.arange(self._shared_unknowns)
+        self._place_in_border[kept_unknowns] = np.arange(self._shared_unknowns, self._first_jump)
+        owned = self._place_in_border[3 * low : 3 * high]
+        self._interior_rows_owned, self._border_rows_owned = (
+            np.flatnonzero(owned < 0),
+            np.flatnonzero(owned >= 0),
+        )
+        self._border_place_of_owned = owned[self._border_rows_owned]
+        self._column_of_unknown = np.full(k.shape[1], -1, dtype=np.int32)
+        self._column_of_unknown[3 * low + self._interior_rows_owned] = np.arange(
+            len(self._interior_rows_owned)
+        )
 
-    def _interior(self, A: csr_array) -> csr_array:
+    def _select_interior(self, A: csr_array) -> csr_array:
         """The interior's rows of the owned ones; on one rank often all."""
-        return A[self._inside] if len(self._outside) else A
+        return A[self._interior_rows_owned] if len(self._border_rows_owned) else A
 
-    def _meet(self, k: csr_array, c: csr_array) -> None:
+    def _find_touched_border(self, k: csr_array, c: csr_array) -> None:
         """Find the part of the border that the interior's rows of K and C meet."""
-        place = self._place[k.indices]
-        met = np.zeros(self._border, dtype=bool)
-        met[place[place >= 0]] = True
-        met[self._first_jump + c.indices] = True
-        self._met = np.flatnonzero(met.reshape(-1, 3).any(axis=1).repeat(3))
-        n, outside = len(self._inside), np.flatnonzero(self._place >= 0)
-        self._local = np.full(self._border, -1, dtype=np.int32)
-        self._local[self._met] = np.arange(len(self._met))
-        self._column[outside] = n + self._local[self._place[outside]]
+        border_place = self._place_in_border[k.indices]
+        is_touched = np.zeros(self._border_size, dtype=bool)
+        is_touched[border_place[border_place >= 0]] = True
+        is_touched[self._first_jump + c.indices] = True
+        self._touched_border = np.flatnonzero(is_touched.reshape(-1, 3).any(axis=1).repeat(3))
+        interior_size, outside = (
+            len(self._interior_rows_owned),
+            np.flatnonzero(self._place_in_border >= 0),
+        )
+        self._interior_column = np.full(self._border_size, -1, dtype=np.int32)
+        self._interior_column[self._touched_border] = np.arange(len(self._touched_border))
+        self._column_of_unknown[outside] = (
+            interior_size + self._interior_column[self._place_in_border[outside]]
+        )
 
     def _interior_rows(self, k: csr_array, c: csr_array) -> csr_array:
         """The interior's rows; its columns first, then the columns of the border that it meets."""
-        n, first = len(self._inside), int(np.searchsorted(self._met, self._first_jump))
-        k = csr_array((k.data, self._column[k.indices], k.indptr), shape=(n, n + first))
-        columns = self._local[self._first_jump + c.indices] - first
-        c = csr_array((c.data, columns, c.indptr), shape=(n, len(self._met) - first))
+        n, first = (
+            len(self._interior_rows_owned),
+            int(np.searchsorted(self._touched_border, self._first_jump)),
+        )
+        k = csr_array((k.data, self._column_of_unknown[k.indices], k.indptr), shape=(n, n + first))
+        columns = self._interior_column[self._first_jump + c.indices] - first
+        c = csr_array((c.data, columns, c.indptr), shape=(n, len(self._touched_border) - first))
         return csr_array(hstack([k, c], format="csr"))
 
     def _border_entries(self, k: csr_array, c: csr_array, d: csr_array, low: int) -> coo_array:
         """Entries of the border's rows and columns: all on rank 0, else owned ones; collective."""
-        a, b, e = k[self._outside].tocoo(), c[self._outside].tocoo(), d.tocoo()
-        column = self._place[a.col]
-        keep = column >= 0
-        coupled = self._owned_place[b.row], self._first_jump + b.col
-        rows = [self._owned_place[a.row[keep]], *coupled, self._first_jump + low + e.row]
-        columns = [column[keep], *coupled[::-1], self._first_jump + e.col]
-        data = [a.data[keep], b.data, b.data, e.data]
+        k_entries, c_entries, d_entries = (
+            k[self._border_rows_owned].tocoo(),
+            c[self._border_rows_owned].tocoo(),
+            d.tocoo(),
+        )
+        column = self._place_in_border[k_entries.col]
+        in_border = column >= 0
+        coupled = self._border_place_of_owned[c_entries.row], self._first_jump + c_entries.col
+        rows = [
+            self._border_place_of_owned[k_entries.row[in_border]],
+            *coupled,
+            self._first_jump + low + d_entries.row,
+        ]
+        columns = [column[in_border], *coupled[::-1], self._first_jump + d_entries.col]
+        data = [k_entries.data[in_border], c_entries.data, c_entries.data, d_entries.data]
         arrays = tuple(np.concatenate(v) for v in (rows, columns, data))
-        every = self.comm.gather(arrays) or [arrays]
-        i, j, values = (np.concatenate(v) for v in zip(*every, strict=True))
-        entries = coo_array((values, (i, j)), shape=(self._border, self._border))
+        of_all_ranks = self.comm.gather(arrays) or [arrays]
+        i, j, values = (np.concatenate(v) for v in zip(*of_all_ranks, strict=True))
+        entries = coo_array((values, (i, j)), shape=(self._border_size, self._border_size))
         entries.sum_duplicates()
         return entries
 
     def _analyse(self) -> None:
-        kind = library()
+        kind = factor_class()
         assert kind is not None
         self._factor = kind(self._rows)
-        s, last = self._shared, self._border - self._shared
+        s, last = self._shared_unknowns, self._border_size - self._shared_unknowns
         of_shared = s**3 / 3 + s**2 * last + s * last**2
         self.operations = of_shared + self.comm.allreduce(self._factor.operations, MPI.MAX)
         self.entries = self.comm.allreduce(self._factor.entries) + s * (s / 2 + last)
@@ -142,39 +163,43 @@ class Substructures:
             ArithmeticError: The matrix of an interior is not positive definite.
         """
         comm = self.comm
-        part = self._factor.factorize(self._rows)
+        complement = self._factor.factorize(self._rows)
         del self._rows
-        places = comm.gather(self._met)
+        places = comm.gather(self._touched_border)
         wait(comm)
         if places is None:
-            comm.Send(part, 0)
+            comm.Send(complement, 0)
             return None
-        if len(part) == self._border:
-            S = part
+        if len(complement) == self._border_size:
+            S = complement
         else:
-            S = np.zeros((self._border, self._border))
-            S[np.ix_(self._met, self._met)] = part
+            S = np.zeros((self._border_size, self._border_size))
+            S[np.ix_(self._touched_border, self._touched_border)] = complement
         for rank in range(1, comm.size):
-            met = places[rank]
-            part = np.empty((len(met), len(met)))
-            comm.Recv(part, rank)
-            S[np.ix_(met, met)] += part
+            touched = places[rank]
+            complement = np.empty((len(touched), len(touched)))
+            comm.Recv(complement, rank)
+            S[np.ix_(touched, touched)] += complement
         entries = self._entries
         S[entries.row, entries.col] += entries.data
-        return self._without_shared(S) if self._shared else S
+        return self._eliminate_shared(S) if self._shared_unknowns else S
 
-    def _without_shared(self, A: Floats) -> Floats:
+    def _eliminate_shared(self, A: Floats) -> Floats:
         """Eliminate the shared nodes from the matrix of the border (b, b)."""
-        s = self._shared
+        s = self._shared_unknowns
         with blas_threads(self._threads):
             # The transpose of an array in C's order is in Fortran's.
-            self._L, bad = lapack.dpotrf(A[:s, :s].T, lower=1)
-            if bad:
-                raise ArithmeticError(f"LAPACK: pivot {bad} of the shared nodes")
-            right = np.asfortranarray(A[:s, s:])
-            self._X = blas.dtrsm(1.0, self._L, right, lower=1, overwrite_b=1)
-            rest = np.ascontiguousarray(A[s:, s:])
-            S = blas.dsyrk(-1.0, self._X, 1.0, rest.T, trans=1, lower=1, overwrite_c=1).T
+            self._shared_factor, failed_pivot = lapack.dpotrf(A[:s, :s].T, lower=1)
+            if failed_pivot:
+                raise ArithmeticError(f"LAPACK: pivot {failed_pivot} of the shared nodes")
+            coupling = np.asfortranarray(A[:s, s:])
+            self._shared_coupling = blas.dtrsm(
+                1.0, self._shared_factor, coupling, lower=1, overwrite_b=1
+            )
+            border_block = np.ascontiguousarray(A[s:, s:])
+            S = blas.dsyrk(
+                -1.0, self._shared_coupling, 1.0, border_block.T, trans=1, lower=1, overwrite_c=1
+            ).T
         return mirror_upper(S)
 
     def reduce(self, r: Floats) -> Floats | None:
@@ -186,17 +211,17 @@ class Substructures:
         Returns:
             They are :math:`r_l - E^T A^{-1} r` on rank 0, None elsewhere.
         """
-        total = np.zeros(self._border)
-        total[self._met] = self._factor.reduce(r[self._inside])
-        total[self._owned_place] += r[self._outside]
+        total = np.zeros(self._border_size)
+        total[self._touched_border] = self._factor.reduce(r[self._interior_rows_owned])
+        total[self._border_place_of_owned] += r[self._border_rows_owned]
         forces = np.empty_like(total) if self.comm.rank == 0 else None
         self.comm.Reduce(total, forces)
         if forces is None:
             return None
-        shared, last = forces[: self._shared], forces[self._shared :]
-        if self._shared:
-            self._half = blas.dtrsv(self._L, shared, lower=1)
-            last = last - self._X.T @ self._half
+        shared, last = forces[: self._shared_unknowns], forces[self._shared_unknowns :]
+        if self._shared_unknowns:
+            self._shared_forces = blas.dtrsv(self._shared_factor, shared, lower=1)
+            last = last - self._shared_coupling.T @ self._shared_forces
         return last
 
     def expand(self, x: Floats | None) -> Floats:
@@ -205,17 +230,19 @@ class Substructures:
         Args:
             x: Last unknowns on rank 0, None elsewhere.
         """
-        border = np.empty(self._border)
+        border = np.empty(self._border_size)
         if x is not None:
-            border[self._shared :] = x
-            if self._shared:
-                left = self._half - self._X @ x
-                border[: self._shared] = blas.dtrsv(self._L, left, lower=1, trans=1)
+            border[self._shared_unknowns :] = x
+            if self._shared_unknowns:
+                remaining = self._shared_forces - self._shared_coupling @ x
+                border[: self._shared_unknowns] = blas.dtrsv(
+                    self._shared_factor, remaining, lower=1, trans=1
+                )
         wait(self.comm)
         self.comm.Bcast(border)
-        unknowns = np.empty(len(self._inside) + len(self._outside))
-        unknowns[self._inside] = self._factor.expand(border[self._met])
-        unknowns[self._outside] = border[self._owned_place]
+        unknowns = np.empty(len(self._interior_rows_owned) + len(self._border_rows_owned))
+        unknowns[self._interior_rows_owned] = self._factor.expand(border[self._touched_border])
+        unknowns[self._border_rows_owned] = border[self._border_place_of_owned]
         return unknowns
 
 
@@ -238,18 +265,18 @@ def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Int
     """
     if comm.size == 1:
         return np.zeros(0, dtype=np.int64)
-    low, high = starts[comm.rank : comm.rank + 2]
+    first_node, end_node = starts[comm.rank : comm.rank + 2]
     columns = k.indices // 3
-    crossing = (columns < low) | (columns >= high)
-    rows = low + np.repeat(np.arange(k.shape[0]) // 3, np.diff(k.indptr))[crossing]
+    crossing = (columns < first_node) | (columns >= end_node)
+    rows = first_node + np.repeat(np.arange(k.shape[0]) // 3, np.diff(k.indptr))[crossing]
     pairs = np.unique(np.stack([rows, columns[crossing]], axis=1), axis=0)
     # Both ranks have each pair.
     pairs = pairs[(pairs[:, 0] < pairs[:, 1]) & ~np.isin(pairs, kept).any(axis=1)]
     pairs = np.concatenate(comm.allgather(pairs))
     ranks = np.searchsorted(starts, pairs, side="right") - 1
     covers: list[Ints] = [np.zeros(0, dtype=np.int64)]
-    for of in np.unique(ranks, axis=0):
-        covers.append(vertex_cover(pairs[(ranks == of).all(axis=1)]))
+    for rank_pair in np.unique(ranks, axis=0):
+        covers.append(vertex_cover(pairs[(ranks == rank_pair).all(axis=1)]))
     return np.unique(np.concatenate(covers))
 
 
@@ -261,17 +288,22 @@ def vertex_cover(pairs: Ints) -> Ints:
     any pair, and back by pairs of the matching. The set consists of the first nodes that are not
     reached, and of the second nodes that are reached.
     """
-    (a, i), (b, j) = (np.unique(v, return_inverse=True) for v in pairs.T)
-    graph = csr_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(a), len(b)))
-    second = maximum_bipartite_matching(graph, perm_type="column")
-    first = np.full(len(b), -1)
-    first[second[second >= 0]] = np.flatnonzero(second >= 0)
-    reached_a, reached_b = second < 0, np.zeros(len(b), dtype=bool)
-    front = np.flatnonzero(reached_a)
-    while len(front):
-        there = np.unique(graph[front].indices)
-        there = there[~reached_b[there]]
-        reached_b[there] = True
-        front = first[there]  # matched: else the matching could grow
-        reached_a[front] = True
-    return np.concatenate([a[~reached_a], b[reached_b]])
+    (first_nodes, first_index), (second_nodes, second_index) = (
+        np.unique(v, return_inverse=True) for v in pairs.T
+    )
+    graph = csr_array(
+        (np.ones(len(first_index), dtype=np.int8), (first_index, second_index)),
+        shape=(len(first_nodes), len(second_nodes)),
+    )
+    second_of_first = maximum_bipartite_matching(graph, perm_type="column")
+    first_of_second = np.full(len(second_nodes), -1)
+    first_of_second[second_of_first[second_of_first >= 0]] = np.flatnonzero(second_of_first >= 0)
+    first_reached, second_reached = second_of_first < 0, np.zeros(len(second_nodes), dtype=bool)
+    frontier = np.flatnonzero(first_reached)
+    while len(frontier):
+        neighbours = np.unique(graph[frontier].indices)
+        neighbours = neighbours[~second_reached[neighbours]]
+        second_reached[neighbours] = True
+        frontier = first_of_second[neighbours]  # matched: else the matching could grow
+        first_reached[frontier] = True
+    return np.concatenate([first_nodes[~first_reached], second_nodes[second_reached]])

@@ -96,7 +96,7 @@ class System(Protocol):
     inverses: Mapping[str, Inverse] = {}
     contact: Contact | None = None
     # Newton iterations that are taken from a state that is in balance, if its residual is not zero.
-    least_iterations: int = 0
+    min_iterations: int = 0
 
     @property
     def version(self) -> int:
@@ -195,6 +195,6 @@ class MatrixFree(System, Exact, Protocol):
         return self
 
 
-def size(vectors: list[PETSc.Vec]) -> float:
+def block_norm(vectors: list[PETSc.Vec]) -> float:
     """Norm of a state or residual in several blocks; collective."""
     return math.sqrt(sum(v.norm() ** 2 for v in vectors))

@@ -37,7 +37,7 @@ class AfterInsertion(Record):
         def step(accepted: LoadStep, trial: TrialState | None) -> None:
             contact = self._followed.problem.contact
             assert contact is not None
-            at_end = abs(accepted.time - contact.inserted_at) < 1e-6
+            at_end = abs(accepted.time - contact.insertion_time) < 1e-6
             if at_end and trial is not None:
                 self.inserted = {"interfaces": self._pressures(trial), "regions": self._strains()}
             on_step(accepted, trial)
@@ -67,7 +67,7 @@ class AfterInsertion(Record):
             stresses = self._followed.stresses
             x, volume = stresses.places(region)
             strain = stresses.hoop_strain(region).ravel()
-            values, weight, beside = stresses.whole(
+            values, weight, beside = stresses.gather(
                 np.stack([strain, volume.ravel(), self._beside(x)])
             )
             rows = beside > 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from app.case.summary import Summary, Zone
 from app.foundation.arrays import Floats
-from app.mechanics.body_forms import hats
+from app.mechanics.body_forms import linear_shape_functions
 from app.results.hip import zone_integrals
 from app.results.records import Followed, Record
 
@@ -47,7 +47,10 @@ class BoneMass(Record):
     def integrals(self, density: Callable[[str], Floats | float]) -> Floats:
         """Integrals of a region's density (cells, points) times the hat functions of vertices."""
         m, s = self.forms, self.stresses
-        cells = {r: density(r) * s.places(r)[1] @ hats(s.points[r]) for r in m.by_density}
+        cells = {
+            r: density(r) * s.places(r)[1] @ linear_shape_functions(s.points[r])
+            for r in m.by_density
+        }
         return np.array([m.vertex_sums(m.vertices(r), sums) for r, sums in cells.items()]).T
 
     @property

@@ -28,7 +28,7 @@ def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
 
 def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
     """Stimulus of the intact femur at the vertices of a model (n, r) [J/g]; collective."""
-    intact = model.apart(intact_case(law, model.case, ours.by_density), "intact femur")
+    intact = model.separate_model(intact_case(law, model.case, ours.by_density), "intact femur")
     loads, bone = intact.analysis.load_stepper(), intact.records["bone"]
     assert loads is not None and isinstance(bone, BoneMass)
     stages = intact.scene.stages

@@ -32,7 +32,7 @@ from app.stepping.load_steps import LoadStepper
 
 # Largest change of the density in a step [g/cm3].
 LARGEST_CHANGE = 0.3
-GROWTH = Growth(safety=0.9, least=0.2, most=2.0, failed=0.5)
+GROWTH = Growth(safety=0.9, smallest=0.2, largest=2.0, after_failure=0.5)
 # Length of a repeated step over the length of the refused one, at most.
 SHORTER = 0.9
 # Part of a stage below which a step is too short.
@@ -177,7 +177,7 @@ class Remodeller:
             p.step = min(factor, SHORTER) * step.length
             return False
         # A step shortened by the end of an increment says little about a longer one.
-        p.step = max(factor * step.length, p.step if step.whole else 0.0)
+        p.step = max(factor * step.length, p.step if step.ends_increment else 0.0)
         p.done = step.end
         return True
 
@@ -232,6 +232,6 @@ class Remodeller:
         self.density_rate = self._next
         time = self._k + step.end
         self._problem.set_time(time)
-        stepper.commit(self._stage, time, self._stimulus.outcome, started, step.whole)
+        stepper.commit(self._stage, time, self._stimulus.outcome, started, step.ends_increment)
         self._committed = m.density.copy(), stepper.solver.x.copy()
         self._limit(self.density_rate)

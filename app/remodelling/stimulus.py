@@ -13,7 +13,7 @@ import numpy as np
 import ufl
 
 from app.foundation.arrays import Floats
-from app.mechanics.body_forms import assembled_matrix
+from app.mechanics.body_forms import assemble_form_matrix
 from app.numerics.newton import NewtonResult
 from app.numerics.preconditioners import Inverse
 from app.numerics.remedies import solve
@@ -48,7 +48,7 @@ class Stimulus:
         owned = m.scalars.dofmap.index_map.size_local
         slopes = [ufl.grad(f(m.scalars)) for f in (ufl.TrialFunction, ufl.TestFunction)]
         dx = m.cells()(m.tagged.regions[region])
-        A = assembled_matrix(m.form(m.constant(length**2) * ufl.inner(*slopes) * dx))
+        A = assemble_form_matrix(m.form(m.constant(length**2) * ufl.inner(*slopes) * dx))
         # Vertices of other regions have no entries yet.
         A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         volume = self.bone.volume[:, m.by_density.index(region)]

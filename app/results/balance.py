@@ -26,7 +26,7 @@ from ufl.core.expr import Expr
 from app.foundation.arrays import Floats
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
-from app.mechanics.body_forms import assembled_vector
+from app.mechanics.body_forms import assemble_form_vector
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from forms import elasticity, loads
@@ -47,7 +47,7 @@ class _State:
     energy: float  # stored [N mm]
     outer: Floats  # loads, reactions, of springs and between bodies meshed apart (3 nodes,) [N]
     reaction: Floats  # reactions alone (3 nodes,) [N]
-    left: Floats  # forces on unknowns and jumps that nothing balances [N]
+    unbalanced: Floats  # forces on unknowns and jumps that nothing balances [N]
 
 
 class Balance:
@@ -95,8 +95,10 @@ class Balance:
         energy = {b: e for b, e in enumerate(energies) if e != 0}
         # Energy of all bodies, and its derivatives by body; a rigid body has none. Without free
         # strains it is half the work of the derivatives.
-        free = body_forms.free_strain or any(e.eigenstrains for e in scene.elastic)
-        self._elastic = body_forms.form(sum(energy.values())) if energy and free else None
+        has_free_strain = body_forms.free_strain or any(e.eigenstrains for e in scene.elastic)
+        self._elastic = (
+            body_forms.form(sum(energy.values())) if energy and has_free_strain else None
+        )
         self._internal = [
             (b, body_forms.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
         ]
@@ -108,8 +110,8 @@ class Balance:
         elastic = {e.region: e for e in scene.elastic}
         swelling = elasticity.isotropic_strain(ufl.TestFunction(body_forms.scalars))
         self._swelling = [
-            (free, body_forms.form(self._work_of(elastic[region], swelling)))
-            for region, free in body_forms.free_strain.items()
+            (has_free_strain, body_forms.form(self._work_of(elastic[region], swelling)))
+            for region, has_free_strain in body_forms.free_strain.items()
             if region not in body_forms.path_dependent_regions
         ]
         if body_forms.by_density:
@@ -132,18 +134,18 @@ class Balance:
             : len(problem.stiffness.constraints.reacting) // 3
         ]
         self._nodes, self._about = nodes, about
-        self._rest = self._measure(problem.stiffness.K.createVecLeft(), None)
+        self._state_at_rest = self._measure(problem.stiffness.K.createVecLeft(), None)
         self.begin()
 
     def begin(self) -> None:
         """Reset to the unloaded state."""
         self.external_work = self.setting_work = self.energy_scale = self.force_scale = 0.0
-        self._last = self._rest
+        self._last_state = self._state_at_rest
         self.force = self.moment = self.energy = 0.0
 
-    def go_on(self, u: PETSc.Vec, trial: TrialState | None) -> None:
+    def continue_from(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Measure a restored state with updated displacements; collective."""
-        self._last = self._measure(u, trial)
+        self._last_state = self._measure(u, trial)
 
     def _work_of(self, e: Elastic, strain: Expr) -> ufl.Form:
         body_forms, problem = self._problem.body_forms, self._problem
@@ -156,24 +158,24 @@ class Balance:
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
         problem, constraints = self._problem, self._problem.stiffness.constraints
         displacements = problem.displacements()
-        setting = [(b, assembled_vector(form)) for b, form in self._setting]
-        elastic = [(b, assembled_vector(form)) for b, form in self._internal]
+        setting = [(b, assemble_form_vector(form)) for b, form in self._setting]
+        elastic = [(b, assemble_form_vector(form)) for b, form in self._internal]
         if self._elastic:
             energy = fem.assemble_scalar(self._elastic)
         else:
-            moved = ((f.array_r, displacements[b].x.array) for b, f in elastic)
-            energy = sum(float(f @ v[: len(f)]) for f, v in moved) / 2
+            load_motions = ((f.array_r, displacements[b].x.array) for b, f in elastic)
+            energy = sum(float(f @ v[: len(f)]) for f, v in load_motions) / 2
         inner = problem.forces.action([*elastic, *setting])
         if problem.body_forms.by_density:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
-        left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
-        handed = passed = 0.0 * left
+        unbalanced, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
+        on_masters = passed = 0.0 * unbalanced
         followers = problem.followers
         if followers:
-            handed = followers.handed(left)
-        reaction = np.where(constraints.reacting, left + handed, 0.0)
-        loose = constraints.vector(PETSc.Vec().createWithArray(left, comm=problem.comm))
+            on_masters = followers.forces_on_masters(unbalanced)
+        reaction = np.where(constraints.reacting, unbalanced + on_masters, 0.0)
+        loose = constraints.vector(PETSc.Vec().createWithArray(unbalanced, comm=problem.comm))
         missing = held_q = jump
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
@@ -183,63 +185,74 @@ class Balance:
             missing = inner.jump - acting.jump - e.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
         if followers:
-            passed = followers.only(left) - handed
-            outer, displacement, passed = map(followers.in_space, (outer, displacement, passed))
+            passed = followers.zero_elsewhere(unbalanced) - on_masters
+            outer, displacement, passed = map(
+                followers.to_global_axes, (outer, displacement, passed)
+            )
         external = [(outer, displacement), (acting.jump + held_q, jump)]
-        for free, form in self._swelling:
-            work = assembled_vector(form).array.copy()
-            external.append((work, free.x.array[: len(work)].copy()))
+        for free_strain, form in self._swelling:
+            work = assemble_form_vector(form).array.copy()
+            external.append((work, free_strain.x.array[: len(work)].copy()))
         for load_history, form in self._strain_work:
             strain = np.array([amplitude(load_history, problem.load_time)])
             external.append((np.array([fem.assemble_scalar(form)]), strain))
-        springs = assembled_vector(self._springs).array if self._springs else 0.0
+        springs = assemble_form_vector(self._springs).array if self._springs else 0.0
         set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]
         total = np.concatenate([loose.array[~constraints.constrained], missing])
         return _State(external, set_in, float(energy), outer - springs + passed, reaction, total)
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Add a committed step with updated displacements; collective."""
-        old, new = self._last, self._measure(u, trial)
-        self._last = new
+        previous, current = self._last_state, self._measure(u, trial)
+        self._last_state = current
         problem, comm = self._problem, self._problem.comm
         contact = problem.contact_work
-        works = (_work(a, b) for a, b in ((old.external, new.external), (old.setting, new.setting)))
-        local = [*works, contact, new.energy]
+        works = (
+            _work(a, b)
+            for a, b in ((previous.external, current.external), (previous.setting, current.setting))
+        )
+        local = [*works, contact, current.energy]
         work, set_in, *stored = comm.allreduce(np.array(local)).tolist()
         self.external_work += work
         self.setting_work += set_in
-        spent = (self.setting_work, *stored)
-        (_, displacement), (_, jump), *_ = new.external
-        free = problem.forces.free_work(problem.load_time, displacement, jump)
-        held = comm.allreduce(fem.assemble_scalar(self._set)) if self._set else 0.0
+        used_work = (self.setting_work, *stored)
+        (_, displacement), (_, jump), *_ = current.external
+        free_strain_work = problem.forces.free_work(problem.load_time, displacement, jump)
+        cure_work = comm.allreduce(fem.assemble_scalar(self._set)) if self._set else 0.0
         q = PETSc.Vec().createWithArray(jump, comm=comm) if trial else None
         rounding = problem.rounding(u, q) / ROUNDING
-        far = comm.allreduce(np.abs(displacement).max(initial=0.0), MPI.MAX)
-        sizes = (self.external_work, *spent, free, held, rounding * far)
+        largest_displacement = comm.allreduce(np.abs(displacement).max(initial=0.0), MPI.MAX)
+        sizes = (
+            self.external_work,
+            *used_work,
+            free_strain_work,
+            cure_work,
+            rounding * largest_displacement,
+        )
         self.energy_scale = max(self.energy_scale, *map(abs, sizes))
-        self.energy = _relative(self.external_work - sum(spent), self.energy_scale)
-        self._forces(new, max(problem.force_scale(u, q), rounding))
+        self.energy = _relative(self.external_work - sum(used_work), self.energy_scale)
+        self._forces(current, max(problem.force_scale(u, q), rounding))
 
-    def _forces(self, new: _State, scale: float) -> None:
+    def _forces(self, current: _State, scale: float) -> None:
         problem, comm = self._problem, self._problem.comm
-        outer = new.outer.reshape(-1, 3)
+        outer = current.outer.reshape(-1, 3)
         followers = problem.followers
         arm = (followers.places(self._nodes) if followers else self._nodes) - self._about
         sums = np.array([outer.sum(axis=0), np.cross(arm, outer).sum(axis=0)])
         force, moment = comm.allreduce(sums)
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))
-        reactions = comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM)
+        reactions = comm.allreduce(np.abs(current.reaction).sum(), MPI.SUM)
         # After unloading only forces of rounding are left.
         scale = self.force_scale = max(self.force_scale, scale, float(loads), float(reactions))
-        left = float(np.sqrt(comm.allreduce(new.left @ new.left)))
-        self.force = _relative(max(left, float(np.linalg.norm(force))), scale)
-        far = comm.allreduce(np.linalg.norm(arm, axis=1).max(initial=0.0), MPI.MAX)
-        self.moment = _relative(float(np.linalg.norm(moment)), scale * float(far))
+        unbalanced_size = float(np.sqrt(comm.allreduce(current.unbalanced @ current.unbalanced)))
+        self.force = _relative(max(unbalanced_size, float(np.linalg.norm(force))), scale)
+        largest_arm = comm.allreduce(np.linalg.norm(arm, axis=1).max(initial=0.0), MPI.MAX)
+        self.moment = _relative(float(np.linalg.norm(moment)), scale * float(largest_arm))
 
 
-def _work(old: Pairs, new: Pairs) -> float:
+def _work(previous: Pairs, current: Pairs) -> float:
     """Work of forces in the motions between two states, by the trapezoidal rule [N mm]."""
-    pairs = zip(old, new, strict=True)
+    pairs = zip(previous, current, strict=True)
     return sum(float(np.dot((f0 + f1) / 2, u1 - u0)) for (f0, u0), (f1, u1) in pairs)
 
 
@@ -290,7 +303,7 @@ class HeatBalance:
             end: Flows at the end [N mm/s].
             stored: Heat stored then [N mm].
             moved: Heat that moved within the model in the step [N mm], the scale of the balances
-                (`ThermalRecord.moved`).
+                (`ThermalRecord.moved_heat`).
             least: Heat moved so far below which only rounding would be compared [N mm].
         """
         for name, heat in heats.items():

@@ -26,8 +26,8 @@ from app.interfaces.corners import ContactPoints, ContactSurface, Entries
 from app.interfaces.faces import projectors
 from app.laws.interface_laws import InterfaceStrength
 from app.laws.loads import Load
-from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assembled_vector
-from app.mechanics.external_forces import at_full
+from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assemble_form_vector
+from app.mechanics.external_forces import at_full_amplitude
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import failing, normal_pressure
 from app.results.records import Borders
@@ -86,7 +86,7 @@ class _Place:
         cells: By region: its rank-local cells with such nodes (c,). The indices of their nodes in
             ``nodes``, m for others (c, nodes). Gradients of the shape functions times volume at the
             points of the stress (c, points, nodes, 3) [mm2].
-        near: Measures of the boundaries that have such nodes, on the pieces.
+        near_boundaries: Measures of the boundaries that have such nodes, on the pieces.
         springs: Forces of elastic foundations on these boundaries by piece, with opposite sign.
     """
 
@@ -97,7 +97,7 @@ class _Place:
     rigid: Ints
     nodes: Ints
     cells: dict[str, tuple[Ints, Ints, Floats]]
-    near: SurfaceMeasure
+    near_boundaries: SurfaceMeasure
     springs: list[tuple[int, fem.Form]]
 
 
@@ -117,8 +117,8 @@ class BondForces:
             return None
         surface, (pressures, shear) = self._place.points.surface, self._tractions()
         loads = normal_pressure(pressures, surface.normals), shear
-        known = [(i, b) for i, b in enumerate(self._bonds) if b.law.strength]
-        return surface, {b.name: (i, _strength(b).index(*loads)) for i, b in known}
+        with_strength = [(i, b) for i, b in enumerate(self._bonds) if b.law.strength]
+        return surface, {b.name: (i, _strength(b).index(*loads)) for i, b in with_strength}
 
     def numbers(self, strong: bool = False) -> dict[str, Numbers]:
         """Published numbers by interface; collective.
@@ -126,12 +126,12 @@ class BondForces:
         Args:
             strong: Only interfaces of known strength.
         """
-        wanted = [b for b in self._bonds if b.law.strength or not strong]
-        if not wanted:
+        selected_bonds = [b for b in self._bonds if b.law.strength or not strong]
+        if not selected_bonds:
             return {}
         pressures, shear = self._tractions()
         by_interface = dict[str, Numbers]()
-        for b in wanted:
+        for b in selected_bonds:
             surface = self._place.surfaces[b.name]
             means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
             values = tuple(map(surface.sharpened, means))
@@ -146,7 +146,7 @@ class BondForces:
                 ):
                     field = surface.field(sign * value, part)
                     numbers |= {
-                        "area": field.whole,
+                        "area": field.area,
                         f"{name}_mean": sign * surface.field(mean, part).mean(),
                         f"{name}_max": field.maximum()[0],
                     }
@@ -183,10 +183,10 @@ class BondForces:
             np.add.at(nodal[place.pieces.of_region[region]], nodes, forces)
         exerted = p.comm.allreduce(nodal)[:, :-1]
         for load in p.scene.loads:
-            if place.near.has(load.boundaries):
+            if place.near_boundaries.has(load.boundaries):
                 exerted -= load.amplitude(p.load_time) * self._forces(load)
         for piece, form in place.springs:
-            exerted[piece] += self._at_nodes(assembled_vector(form))
+            exerted[piece] += self._at_nodes(assemble_form_vector(form))
         # The stress of a rigid piece is not known: it bears the opposite of all other forces.
         exerted[place.rigid] = 0.0
         exerted[place.rigid] = -exerted.sum(axis=0)
@@ -207,9 +207,10 @@ class BondForces:
         """All interfaces as contact would have them; all states and variations share it."""
         p, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
         conforming = [c for c in scene.contacts if not c.between]
-        pieces, others = pieces_of(p.tagged, [*self._bonds, *conforming])
+        pieces, other_pieces = pieces_of(p.tagged, [*self._bonds, *conforming])
         unnamed = [
-            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,)) for a, b in others
+            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
+            for a, b in other_pieces
         ]
         interfaces = [*self._bonds, *conforming, *unnamed]
         # The body of the mechanics of each piece.
@@ -226,7 +227,7 @@ class BondForces:
         names = [bond.name for bond in self._bonds]
         surfaces = dict(zip(names, in_parts(surface, names, levels), strict=True))
         nodes = np.unique(entries.row // 3)
-        near = self._boundaries_near(pieces, nodes)
+        near_boundaries = self._boundaries_near(pieces, nodes)
         return _Place(
             points=replace(points, surface=replace(surface, bodies=body[surface.bodies])),
             entries=entries,
@@ -235,28 +236,28 @@ class BondForces:
             rigid=np.unique([pieces.of_region[r.region] for r in scene.rigid]).astype(np.int64),
             nodes=nodes,
             cells={r: self._cells(r, nodes) for r in self._stresses.cells},
-            near=near,
-            springs=self._springs(near, body),
+            near_boundaries=near_boundaries,
+            springs=self._springs(near_boundaries, body),
         )
 
     def _boundaries_near(self, pieces: Bodies, nodes: Ints) -> SurfaceMeasure:
         """Measures of loaded and supported boundaries that have some of the nodes; collective."""
         p, scene = self._problem, self._problem.scene
 
-        def near(boundary: str) -> bool:
+        def is_near(boundary: str) -> bool:
             dofs = facet_nodes(p.tagged, p.space, boundary_facets(p.tagged, boundary))[1]
             return bool(p.comm.allreduce(int(np.isin(dofs, nodes).any())))
 
-        names = [name for name in sorted(scene.loaded_boundaries) if near(name)]
+        names = [name for name in sorted(scene.loaded_boundaries) if is_near(name)]
         return SurfaceMeasure(p.tagged, pieces, names)
 
-    def _springs(self, near: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
+    def _springs(self, near_boundaries: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
         """Forces of elastic foundations by piece; ``body`` is the body of each piece."""
         p, forms = self._problem, list[tuple[int, fem.Form]]()
         U, v = p.displacements(), ufl.TestFunction(p.space)
         for f, k in zip(p.scene.foundations, p.body_forms.springs, strict=True):
             for piece, b in enumerate(body):
-                ds = near.on(f.boundary, piece)
+                ds = near_boundaries.on(f.boundary, piece)
                 if ds is not None:
                     work = sum(k[i] * U[b][i] * v[i] for i in range(3)) * ds
                     forms.append((piece, p.body_forms.form(work)))
@@ -264,15 +265,15 @@ class BondForces:
 
     def _forces(self, load: Load) -> Floats:
         """Forces of a load on the pieces at the nodes (pieces, m, 3) at full amplitude [N]."""
-        key = at_full(load)
+        key = at_full_amplitude(load)
         if key not in self._at_full:
             p, place = self._problem, self._place
             v = ufl.TestFunction(p.space)
             forces = self._at_full[key] = np.zeros((len(place.pieces.names), len(place.nodes), 3))
             for piece in range(len(forces)):
-                work = key.work(v, _OnPiece(p.body_forms, piece, place.near))
+                work = key.work(v, _OnPiece(p.body_forms, piece, place.near_boundaries))
                 if work != 0:
-                    vector = assembled_vector(p.body_forms.form(work))
+                    vector = assemble_form_vector(p.body_forms.form(work))
                     forces[piece] = self._at_nodes(vector)
         return self._at_full[key]
 
@@ -280,17 +281,19 @@ class BondForces:
         """Values of a vector at the nodes (m, 3), on all ranks; collective."""
         nodes = self._place.nodes
         low, high = self._problem.space.dofmap.index_map.local_range
-        mine = (nodes >= low) & (nodes < high)
+        is_owned = (nodes >= low) & (nodes < high)
         values = np.zeros((len(nodes), 3))
-        values[mine] = vector.array_r.reshape(-1, 3)[nodes[mine] - low]
+        values[is_owned] = vector.array_r.reshape(-1, 3)[nodes[is_owned] - low]
         return np.asarray(self._problem.comm.allreduce(values))
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:
         """Return the ``cells`` of a region, as `_Place` has them."""
         s, space = self._stresses, self._problem.space
         dofs = space.dofmap.list[s.cells[region]]
-        of = space.dofmap.index_map.local_to_global(dofs.ravel()).reshape(dofs.shape)
-        place = np.where(np.isin(of, nodes), np.searchsorted(nodes, of), len(nodes))
+        global_nodes = space.dofmap.index_map.local_to_global(dofs.ravel()).reshape(dofs.shape)
+        place = np.where(
+            np.isin(global_nodes, nodes), np.searchsorted(nodes, global_nodes), len(nodes)
+        )
         rows = np.flatnonzero((place < len(nodes)).any(axis=1))
         geometry = space.mesh.geometry
         shapes = [space.ufl_element(), space.mesh.ufl_domain().ufl_coordinate_element()]

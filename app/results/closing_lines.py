@@ -37,7 +37,7 @@ def line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
 
 
 def step_line(
-    step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, left: float
+    step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, time_left: float
 ) -> str:
     """Line of a converged step.
 
@@ -46,12 +46,12 @@ def step_line(
         fractions: Open and slipping fractions of the contact area [-].
         penetration: Largest penetration [mm].
         wall: Wall time since the run began [s].
-        left: Estimated time to the end [s].
+        time_left: Estimated time to the end [s].
     """
     o = step.outcome
     effort = (o.iterations, o.linear_iterations, f"{o.residuals[-1]:.1e}")
     states = (*(f"{100 * part:.1f}%" for part in fractions), f"{penetration:.1e} mm")
-    times = (f"{wall:.1f} s", f"{left:.1f} s")
+    times = (f"{wall:.1f} s", f"{time_left:.1f} s")
     return line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
 
 
@@ -91,8 +91,8 @@ def headline(summary: Summary) -> Iterator[str]:
     interfaces = rows.get("interfaces", {})
     moving = [(name, q) for name, q in interfaces.items() if "motion_p99" in q]
     inserted = [(name, q) for name, q in moving if "micromotion_p99" in q]
-    others = [row for row in moving if row not in inserted]
-    for key, owners in (("motion_p99", others), ("micromotion_p99", inserted)):
+    other_rows = [row for row in moving if row not in inserted]
+    for key, owners in (("motion_p99", other_rows), ("micromotion_p99", inserted)):
         if owners:
             parts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
             since = " since the insertion" if key.startswith("micro") else ""
@@ -221,35 +221,38 @@ def _columns(section: str) -> Mapping[str, str]:
 
 def _table(section: str, rows: Rows) -> list[str]:
     """A table of a section; quantities added by other packages stand on the right."""
-    known = TABLE[section]
-    columns = dict(_columns(section)) | {q.label: key for key, q in known.items() if q.compute}
+    quantities = TABLE[section]
+    columns = dict(_columns(section)) | {q.label: key for key, q in quantities.items() if q.compute}
     templates = list(filter(None, columns.values()))
 
     def cell(template: str, numbers: Numbers) -> str:
-        filled = re.sub(r"\w+", lambda key: known[key[0]].text(numbers), template)
+        filled = re.sub(r"\w+", lambda key: quantities[key[0]].text(numbers), template)
         return filled.replace(NOT_RESOLVED, STAR)
 
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
     cells = [row for row in cells if set(row[1:]) != {"-"}]
-    units = ["", *(known[c.split()[0]].shown for c in templates)]
+    units = ["", *(quantities[c.split()[0]].shown for c in templates)]
     return layout.table(list(columns), cells, units).splitlines() if cells else []
 
 
 def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
     """Regions of bone, and volume and depth of their dead parts by criterion [mm3, mm]."""
-    known = TABLE["thermal.regions"]
+    quantities = TABLE["thermal.regions"]
     bones = [name for name, q in regions.items() if "necrosis_47C_1min_volume" in q]
-    columns = [(regions[name], what) for name in bones for what in ("volume", "depth")]
+    columns = [(regions[name], measure) for name in bones for measure in ("volume", "depth")]
     rows = [
-        [words, *(known[f"necrosis_{rule}_{what}"].text(q) for q, what in columns)]
-        for rule, words in NECROSIS.items()
+        [rule_text, *(quantities[f"necrosis_{rule}_{measure}"].text(q) for q, measure in columns)]
+        for rule, rule_text in NECROSIS.items()
     ]
     return bones, rows
 
 
 def _necrosis(regions: Rows) -> list[str]:
     bones, rows = necrosis(regions)
-    head = ["dead bone", *(f"{name}{what}" for name in bones for what in (", volume", ", depth"))]
+    head = [
+        "dead bone",
+        *(f"{name}{measure}" for name in bones for measure in (", volume", ", depth")),
+    ]
     units = ["", *(["mm^3", "mm"] * len(bones))]
     return layout.table(head, rows, units).splitlines() if bones else []
 

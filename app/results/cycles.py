@@ -30,37 +30,39 @@ class Cycles:
 
     def add(self, stage: str, stem: Numbers, interfaces: Mapping[str, Numbers]) -> None:
         """Keep the numbers where the loads of a stage turn: peaks and valleys in turns."""
-        kept = {
+        interface_numbers = {
             name: {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
             for name, numbers in interfaces.items()
         }
-        spent, last = self.turns.setdefault(stage, ([], []))
-        spent.append(sum(numbers.get("dissipation", 0.0) for numbers in kept.values()))
-        last.append(({"stem": dict(stem)} if stem else {}) | kept)
-        del last[:-3]
+        dissipations, last_turns = self.turns.setdefault(stage, ([], []))
+        dissipations.append(
+            sum(numbers.get("dissipation", 0.0) for numbers in interface_numbers.values())
+        )
+        last_turns.append(({"stem": dict(stem)} if stem else {}) | interface_numbers)
+        del last_turns[:-3]
 
     def summary(self) -> dict[str, StageCycles]:
         """Permanent and inducible motions (`split`) of each stage with at least two peaks."""
         return {
-            stage: split(dissipated, last)
-            for stage, (dissipated, last) in self.turns.items()
+            stage: split(dissipated, last_turns)
+            for stage, (dissipated, last_turns) in self.turns.items()
             if len(dissipated) > 2
         }
 
 
-def split(spent: list[float], last: list[Turn]) -> StageCycles:
+def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
 
     Args:
-        spent: Dissipation at every turn [N mm], peaks and valleys in turns.
-        last: Numbers of the last three.
+        dissipations: Dissipation at every turn [N mm], peaks and valleys in turns.
+        last_turns: Numbers of the last three.
 
     Returns:
         ``permanent``: motions in the last valley, by place and key. ``inducible``: what the load
         adds from there to the next peak; of interfaces the 99th percentile of the way between
         both. ``dissipation`` [N mm] of each cycle after the first peak, and its ``trend``.
     """
-    *_, low, high = last if len(spent) % 2 else last[:-1]
+    *_, low, high = last_turns if len(dissipations) % 2 else last_turns[:-1]
     permanent: Turn = {}
     inducible: Turn = {}
     for place, numbers in low.items():
@@ -72,25 +74,26 @@ def split(spent: list[float], last: list[Turn]) -> StageCycles:
             key = "micromotion_p99" if "micromotion_p99" in numbers else "motion_p99"
             permanent[place] = {key: numbers[key]}
             inducible[place] = {key: high[place]["inducible_p99"]}
-    lost = [b - a for a, b in pairwise(spent[::2])]
+    per_cycle = [b - a for a, b in pairwise(dissipations[::2])]
     return {
         "permanent": permanent,
         "inducible": inducible,
-        "dissipation": lost,
-        "trend": trend(spent[0], lost),
+        "dissipation": per_cycle,
+        "trend": trend(dissipations[0], per_cycle),
     }
 
 
-def trend(first: float, lost: list[float]) -> str:
+def trend(first_dissipation: float, per_cycle: list[float]) -> str:
     """Return the trend of dissipation per cycle: ``vanishes``, ``stays``, ``falls``, ``grows``.
 
-    ``first`` is that up to the first peak, ``lost`` that of each cycle after it [N mm].
+    ``first_dissipation`` is that up to the first peak, ``per_cycle`` that of each cycle after it [N
+    mm].
     """
-    if abs(lost[-1]) <= NOTHING * first:
+    if abs(per_cycle[-1]) <= NOTHING * first_dissipation:
         return "vanishes"
-    if len(lost) < 2 or abs(lost[-1] - lost[-2]) <= SAME * lost[-2]:
+    if len(per_cycle) < 2 or abs(per_cycle[-1] - per_cycle[-2]) <= SAME * per_cycle[-2]:
         return "stays"
-    return "grows" if lost[-1] > lost[-2] else "falls"
+    return "grows" if per_cycle[-1] > per_cycle[-2] else "falls"
 
 
 def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
@@ -105,14 +108,14 @@ def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
 def friction(numbers: StageCycles) -> Iterator[str]:
     """Sentence on the friction of a stage with cycles, if it has peaks and valleys."""
     if "trend" in numbers:
-        lost = ", ".join(f"{d:.3g}" for d in numbers["dissipation"])
-        yield f"dissipation per cycle {numbers['trend']}: {lost} N mm"
+        dissipation_text = ", ".join(f"{d:.3g}" for d in numbers["dissipation"])
+        yield f"dissipation per cycle {numbers['trend']}: {dissipation_text} N mm"
 
 
 def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:
     """A line for the log for each stage."""
     for stage, numbers in cycles.items():
-        parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(numbers))
+        parts = ", ".join(f"{name} {low} / {inducible}" for name, low, inducible in rows(numbers))
         lines = [*friction(numbers)]
         if parts:
             lines.insert(0, f"permanent / inducible: {parts}")

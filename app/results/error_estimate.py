@@ -117,11 +117,11 @@ def companions(case: Case) -> tuple[Companion, ...]:
     """
     if not case.output.error:
         return ()
-    most = max(stage.increments for stage in case.stages)
+    most_increments = max(stage.increments for stage in case.stages)
     frictional = any(law.friction > 0 for law in case.interfaces.values())
     timed = any(stage.duration for stage in case.stages)
     if frictional:
-        half = most // 2 / most if most > 1 else 1.0
+        half = most_increments // 2 / most_increments if most_increments > 1 else 1.0
     else:
         half = 0.5 if timed else 1.0
     # Mesh sizes over that of the run, as far as the geometry can be meshed.
@@ -177,7 +177,7 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
     raised: list[tuple[Numbers, str, Orders]] = []
     tables = list(numbers_of(run, parts=True))
     relatives = [(c, {(s, n): q for s, n, q in numbers_of(o, parts=True)}) for c, o in solved]
-    whole = {(section, name) for section, name, _ in numbers_of(run)}
+    run_numbers = {(section, name) for section, name, _ in numbers_of(run)}
     peaks = [
         ("motion" if k in ALIKE else k, abs(numbers[k]))
         for section, _, numbers in tables
@@ -186,34 +186,39 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
     ]
     largest = largest_of_units(run)
     for section, name, numbers in tables:
-        others = [(c, o.get((section, name), {})) for c, o in relatives]
-        known = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
-        _put(numbers, {q.key: q.order for q in known if q.order}, order, others)
-        for q in known if section in CHANCE or section in ADDED else ():
+        companion_numbers = [(c, o.get((section, name), {})) for c, o in relatives]
+        available = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
+        _add_errors(
+            numbers, {q.key: q.order for q in available if q.order}, order, companion_numbers
+        )
+        for q in available if section in CHANCE or section in ADDED else ():
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
             if error is not None and not q.vector and q.order in FACTORS and value:
                 change = error / (FACTORS[q.order][order][0] * abs(value))
                 if is_zero(value, change * abs(value), largest[q.unit]):
                     continue
-                if (section, name) in whole and section != OUTSIDE_MEDIAN:
+                if (section, name) in run_numbers and section != OUTSIDE_MEDIAN:
                     changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
                 raised.append((numbers, q.key, q.order))
-        for k in (q.key for q in known if q.peak):
-            values = _on_meshes(k, numbers, case, others)
+        for k in (q.key for q in available if q.peak):
+            values = _values_on_meshes(k, numbers, case, companion_numbers)
             value, coarser = values[0][1], values[:2][-1][1]
-            like = "motion" if k in ALIKE else k
+            peak_kind = "motion" if k in ALIKE else k
             # A peak is ignored if it is negligible relative to the same peak on other interfaces.
-            size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
+            size = max(
+                abs(value),
+                UNSETTLED * max(v for kind_of_peak, v in peaks if kind_of_peak == peak_kind),
+            )
             unit, change = TABLE[section][k].unit, abs(value - coarser)
             if is_zero(value, change, largest[unit]) and abs(coarser) < SMALL * largest[unit]:
                 continue
             if change > UNSETTLED * size:
                 unsettled.append((change / max(size, abs(coarser)), f"{name}.{k}", values))
-    _put_in_zones(run, order, solved)
-    typical = {like: float(np.median(of_class)) for like, of_class in changes.items()}
+    _add_zone_errors(run, order, solved)
+    typical = {peak_kind: float(np.median(of_class)) for peak_kind, of_class in changes.items()}
     for numbers, key, p in raised:
-        least = FACTORS[p][order][1] * typical[LIKE.get(p, p)] * abs(numbers[key])
-        numbers[f"{key}_error"] = max(numbers[f"{key}_error"], least)
+        smallest_error = FACTORS[p][order][1] * typical[LIKE.get(p, p)] * abs(numbers[key])
+        numbers[f"{key}_error"] = max(numbers[f"{key}_error"], smallest_error)
     worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in worst}
 
@@ -244,53 +249,65 @@ def is_zero(value: float, change: float, largest: float) -> bool:
     return size <= ROUNDING * largest or (size < SMALL * largest and change >= size)
 
 
-def _put_in_zones(run: Summary, order: int, solved: Solved) -> None:
+def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
     """Put errors beside the means of interfaces and the strain energy of Gruen zones."""
     for zone, numbers in run.get("gruen", {}).items():
-        others = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
+        companion_numbers = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
         for name, at_interface in numbers["interfaces"].items():
             orders = {k: MOTION for k in at_interface if k.endswith("_mean")}
-            relatives = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
-            _put(at_interface, orders, order, relatives)
+            relatives = [(c, o.get("interfaces", {}).get(name, {})) for c, o in companion_numbers]
+            _add_errors(at_interface, orders, order, relatives)
         density = numbers["strain_energy_density"]
-        relatives = [(c, o.get("strain_energy_density", {})) for c, o in others]
+        relatives = [(c, o.get("strain_energy_density", {})) for c, o in companion_numbers]
         errors = {region: _error(region, STRESS, order, density, relatives) for region in density}
         known_errors = {region: e for region, e in errors.items() if isinstance(e, float)}
         if known_errors:
             numbers["strain_energy_density_error"] = known_errors
 
 
-def _put(numbers: Numbers, orders: Mapping[str, Orders], order: int, others: Others) -> None:
+def _add_errors(
+    numbers: Numbers, orders: Mapping[str, Orders], order: int, companion_numbers: Others
+) -> None:
     """Put errors beside the numbers with these orders of convergence."""
-    errors = {key: _error(key, p, order, numbers, others) for key, p in orders.items()}
+    errors = {key: _error(key, p, order, numbers, companion_numbers) for key, p in orders.items()}
     numbers |= {f"{key}_error": error for key, error in errors.items() if error is not None}
 
 
-def _on_meshes(key: str, run: Numbers, case: Case, others: Others) -> list[list[float]]:
+def _values_on_meshes(
+    key: str, run: Numbers, case: Case, companion_numbers: Others
+) -> list[list[float]]:
     """Size and value on each mesh, finest first; of two on one mesh that with the run's steps."""
     values = {case.mesh.size: run[key]}
-    for c, o in sorted(others, key=lambda other: -abs(other[0].steps - 1)):
+    for c, o in sorted(companion_numbers, key=lambda companion: -abs(companion[0].steps - 1)):
         if c.coarsening > LEAST and o.get(key) is not None:
             values[c.case.mesh.size] = o[key]
     return [[size, values[size]] for size in sorted(values)]
 
 
-def _error(key: str, orders: Orders, order: int, run: Numbers, others: Others) -> ErrorValue | None:
+def _error(
+    key: str, orders: Orders, order: int, run: Numbers, companion_numbers: Others
+) -> ErrorValue | None:
     """Error of one number or vector; None if it is unknown."""
     p = orders[order]
     factor = FACTORS[orders][order][0] if orders in FACTORS else 1 / (2**p - 1)
     value = np.asarray(run[key])
-    known = [
-        (c.coarsening, c.steps, np.asarray(o[key])) for c, o in others if o.get(key) is not None
+    values_on_meshes = [
+        (c.coarsening, c.steps, np.asarray(o[key]))
+        for c, o in companion_numbers
+        if o.get(key) is not None
     ]
-    if not known:
+    if not values_on_meshes:
         return None
     # Two on the same mesh show the error of the number of steps: C / n.
-    mesh, steps, last = known[-1]
-    pairs = [(s, o) for c, s, o in [(1.0, 1.0, value), *known[:-1]] if c == mesh and s != steps]
-    path = sum((o - last) / (1 / s - 1 / steps) for s, o in pairs)
+    mesh, steps, finest_value = values_on_meshes[-1]
+    pairs = [
+        (s, o)
+        for c, s, o in [(1.0, 1.0, value), *values_on_meshes[:-1]]
+        if c == mesh and s != steps
+    ]
+    path = sum((o - finest_value) / (1 / s - 1 / steps) for s, o in pairs)
     by_mesh: Floats | float = 0.0
-    coarser = [k for k in known if k[0] > LEAST and (k[1] <= 1 or not pairs)]
+    coarser = [k for k in values_on_meshes if k[0] > LEAST and (k[1] <= 1 or not pairs)]
     if coarser:
         c, s, o = min(coarser, key=lambda k: k[0])
         by_mesh = factor * abs(value - (o - path * (1 / s - 1))) * (2**p - 1) / (c**p - 1)

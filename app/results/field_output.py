@@ -19,7 +19,7 @@ from dolfinx import fem, la
 from app.foundation.arrays import Floats, Ints
 from app.foundation.dolfinx_features import interpolation_points
 from app.mechanics.problem import Problem
-from app.numerics.saved_state import ENDS, node_keys
+from app.numerics.saved_state import NODE_VERTICES, node_keys
 from app.results.bond_forces import BondForces
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
@@ -90,7 +90,7 @@ def output_nodes(
             [region for region, number in of_region.items() if number == b]
             for b in range(len(group.bodies.names))
         ]
-        nodes.append(OutputNodes(body, dof, cell, ENDS[local], parts, body))
+        nodes.append(OutputNodes(body, dof, cell, NODE_VERTICES[local], parts, body))
     return nodes, rows.reshape(dofs.shape), keys
 
 
@@ -178,7 +178,7 @@ class HeatFields:
         """
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
-        fields = {"temperature": self._at(nodes, temperatures, nodes.body)}
+        fields = {"temperature": self._values_on_nodes(nodes, temperatures, nodes.body)}
         regions, bone = self._record.regions, self._record.bone
         peaks = {name: r.peak.value for name, r in regions.items()}
         fields["temperature_peak"] = self._of_regions(nodes, peaks) - CELSIUS
@@ -191,33 +191,37 @@ class HeatFields:
         j = self._operators.jumps
         if j is not None:
             τ = x[1].array
-            every = np.zeros((2, len(j.points.dof)))
-            every[:, j.mine] = τ, W_PER_M2 * j.flux(τ)[0]
-            self._operators.forms.comm.Allreduce(MPI.IN_PLACE, every)
-            at_corners = [j.points.surface.spread(values) for values in every]
+            point_values = np.zeros((2, len(j.points.dof)))
+            point_values[:, j.owned_rows] = τ, W_PER_M2 * j.flux(τ)[0]
+            self._operators.forms.comm.Allreduce(MPI.IN_PLACE, point_values)
+            at_corners = [j.points.surface.spread(values) for values in point_values]
             rows = _contact_rows(j.points.surface, self.space, self.bodies, nodes)
-            for c, at in zip(self._operators.scene.thermal_contacts, rows, strict=True):
+            for c, points in zip(self._operators.scene.thermal_contacts, rows, strict=True):
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
-                for what, values in zip(("temperature_jump", "heat_flux"), at_corners, strict=True):
-                    fields[f"{c.name}_{what}"] = _along(at, values if forward else -values)
+                for quantity, values in zip(
+                    ("temperature_jump", "heat_flux"), at_corners, strict=True
+                ):
+                    fields[f"{c.name}_{quantity}"] = _values_on_rows(
+                        points, values if forward else -values
+                    )
         return fields
 
     def _of_regions(self, nodes: OutputNodes, values: Mapping[str, Floats]) -> Floats:
         """Values by region and node at the nodes of the grid, zero elsewhere; collective."""
         values_of_parts = [np.zeros(len(self._work.x.array)) for _ in nodes.parts]
         for region, of_region in values.items():
-            at = self._record.regions[region].nodes
+            region_nodes = self._record.regions[region].nodes
             self._work.x.array[:] = 0.0
-            self._work.x.array[at.dof] = of_region
+            self._work.x.array[region_nodes.dof] = of_region
             self._work.x.scatter_forward()
             for k, regions in enumerate(nodes.parts):
                 if region in regions:
                     # Regions of one body agree on the nodes that they share.
                     values_of_parts[k] = np.maximum(values_of_parts[k], self._work.x.array)
-        return self._at(nodes, values_of_parts, nodes.part)
+        return self._values_on_nodes(nodes, values_of_parts, nodes.part)
 
-    def _at(self, nodes: OutputNodes, values: Sequence[Floats], which: Ints) -> Floats:
+    def _values_on_nodes(self, nodes: OutputNodes, values: Sequence[Floats], which: Ints) -> Floats:
         """Values at nodes, of the table whose number each has (n,): linear along edges."""
         table = np.stack(values)
         dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]
@@ -269,15 +273,15 @@ class MechanicalFields:
         """
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
-            at = nodes.body == b
-            u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
+            on_body = nodes.body == b
+            u[on_body] = function.x.array.reshape(-1, 3)[nodes.dof[on_body]]
         scene, x = self._problem.scene, self.space.tabulate_dof_coordinates()[nodes.dof]
         for m in scene.motions:
-            at = nodes.body == self.bodies.of_region[m.region]
+            on_body = nodes.body == self.bodies.of_region[m.region]
             R = scene.rotation(m, self._problem.time)
             if np.isfinite(scene.moduli[m.region]):  # its displacement is in rotated axes
-                u[at] = u[at] @ R.T
-            u[at] += (x[at] - m.about) @ (R.T - np.eye(3))
+                u[on_body] = u[on_body] @ R.T
+            u[on_body] += (x[on_body] - m.about) @ (R.T - np.eye(3))
         point: dict[str, Floats] = {"displacement": u, **named_stress(σ)}
         if samples is not None:
             assert self._problem.contact is not None
@@ -287,18 +291,20 @@ class MechanicalFields:
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i])
                 for fields in [part[contact.name] for part in recorded if contact.name in part]:
-                    (there,) = _contact_rows(fields.master, self.space, self.bodies, nodes)
+                    (master_rows,) = _contact_rows(fields.master, self.space, self.bodies, nodes)
                     for key, (slave, master) in fields.values.items():
-                        whole = np.zeros(len(surface.dof))
-                        whole[np.flatnonzero(surface.interface == i)[: len(slave)]] = slave
-                        both = _along(rows[i], whole) + _along(there, master)
-                        point[f"{contact.name}_{key}"] = both
+                        all_values = np.zeros(len(surface.dof))
+                        all_values[np.flatnonzero(surface.interface == i)[: len(slave)]] = slave
+                        side_values = _values_on_rows(rows[i], all_values) + _values_on_rows(
+                            master_rows, master
+                        )
+                        point[f"{contact.name}_{key}"] = side_values
         bonds = self._bonds.indices()
         if bonds:
             surface, indices = bonds
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             for name, (i, index) in indices.items():
-                point[f"{name}_failure_index"] = _along(rows[i], index)
+                point[f"{name}_failure_index"] = _values_on_rows(rows[i], index)
         return point
 
     def of_cells(self, cells: int) -> dict[str, Floats]:
@@ -331,17 +337,17 @@ class MechanicalFields:
                 mean[owned] = self._stresses.shares[region] @ σ
                 at_nodes = extrapolated(σ, self._stresses.points[region], X)
                 volume = self._stresses.places(region)[1].sum(axis=1)
-                at = dofs[owned].ravel()
+                owned_dofs = dofs[owned].ravel()
                 # A column at a time takes a tenth of the time of np.add.at.
                 for c in range(len(COMPONENTS)):
                     weighted = at_nodes[..., c] * volume[:, None]
-                    sums[:, c] += np.bincount(at, weighted.ravel(), len(sums))
-                sums[:, -1] += np.bincount(at, np.repeat(volume, len(X)), len(sums))
+                    sums[:, c] += np.bincount(owned_dofs, weighted.ravel(), len(sums))
+                sums[:, -1] += np.bincount(owned_dofs, np.repeat(volume, len(X)), len(sums))
             self._sums.scatter_reverse(la.InsertMode.add)
             self._sums.scatter_forward()
-            at = nodes.part == k
-            sampled = sums[nodes.dof[at]]
-            nodal[at] = sampled[:, :-1] / np.where(sampled[:, -1:] > 0, sampled[:, -1:], 1.0)
+            on_part = nodes.part == k
+            sampled = sums[nodes.dof[on_part]]
+            nodal[on_part] = sampled[:, :-1] / np.where(sampled[:, -1:] > 0, sampled[:, -1:], 1.0)
         return nodal, mean
 
 
@@ -361,10 +367,10 @@ def named_stress(σ: Floats) -> dict[str, Floats]:
     for k, (i, j) in enumerate(COMPONENTS):
         full[:, i, j] = full[:, j, i] = σ[:, k]
     principal: Floats = np.linalg.eigvalsh(full).astype(np.float64)
-    apart = principal - np.roll(principal, 1, axis=1)
+    differences = principal - np.roll(principal, 1, axis=1)
     return {
         "stress": σ,
-        "von_mises": np.sqrt((apart**2).sum(axis=1) / 2),
+        "von_mises": np.sqrt((differences**2).sum(axis=1) / 2),
         "principal_max": principal[:, 2],
         "principal_min": principal[:, 0],
     }
@@ -385,27 +391,29 @@ def _contact_rows(
     numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
     rows = []
     for i, triangles in enumerate(points.triangles):
-        here = np.flatnonzero(points.interface == i)
+        interface_points = np.flatnonzero(points.interface == i)
         # By node and body.
         point = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
-        point[points.dof[here, None], points.bodies[here]] = here[:, None]
-        rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
+        point[points.dof[interface_points, None], points.bodies[interface_points]] = (
+            interface_points[:, None]
+        )
+        rows.append(_rows_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
     return rows
 
 
-def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
+def _rows_on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
     """Pairs of contact points (n, 2), -1 where no triangle of the interface has both."""
     edges = np.sort(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
     pairs = np.sort(rows, axis=1)
-    on = np.isin(pairs @ [points, 1], edges @ [points, 1]) | (rows[:, 0] == rows[:, 1])
-    return np.where((on & (rows >= 0).all(axis=1))[:, None], rows, -1)
+    is_on_edge = np.isin(pairs @ [points, 1], edges @ [points, 1]) | (rows[:, 0] == rows[:, 1])
+    return np.where((is_on_edge & (rows >= 0).all(axis=1))[:, None], rows, -1)
 
 
-def _along(rows: Ints, values: Floats) -> Floats:
+def _values_on_rows(rows: Ints, values: Floats) -> Floats:
     """Values of contact points at the grid's nodes, linear along edges; 0 away from them."""
-    on = rows[:, 0] >= 0
+    has_point = rows[:, 0] >= 0
     out = np.zeros((len(rows), *values.shape[1:]))
-    out[on] = values[rows[on]].mean(axis=1)
+    out[has_point] = values[rows[has_point]].mean(axis=1)
     return out
 
 
@@ -415,9 +423,9 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     They are linear along edges. In the middle of one the status is the more mobile of its ends:
     open before all, else the higher number.
     """
-    on, status = rows[:, 0] >= 0, np.full(len(rows), -1.0)
-    ends = s.status[rows[on]]
-    status[on] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
+    has_point, status = rows[:, 0] >= 0, np.full(len(rows), -1.0)
+    ends = s.status[rows[has_point]]
+    status[has_point] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
     fields = {
         **{variable: s.internal_variables[variable] for variable in contact.law.internal_variables},
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
@@ -430,7 +438,9 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     strength = contact.law.strength
     if strength:
         fields["failure_index"] = strength.index(s.pressure, s.shear)
-    named = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
+    named = {
+        f"{contact.name}_{key}": _values_on_rows(rows, values) for key, values in fields.items()
+    }
     return named | {f"{contact.name}_status": status}
 
 

@@ -150,17 +150,17 @@ def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _
     corners = CORNERS[bodies.FACET_NODES[surface.local[points.facet], :3]]
     reference = np.einsum("nk,nkc->nc", points.share, corners)
     # On every rank at all points: a rank without points has nothing to tabulate.
-    mine = np.flatnonzero(surface.rank[points.facet] == problem.comm.rank)
+    local_points = np.flatnonzero(surface.rank[points.facet] == problem.comm.rank)
     of_x, of_u = (
-        element.sub_elements[0].tabulate(1, reference)[:, mine]
+        element.sub_elements[0].tabulate(1, reference)[:, local_points]
         for element in (mesh.ufl_domain().ufl_coordinate_element(), space.ufl_element())
     )
-    cell = surface.cell[points.facet[mine]]
+    cell = surface.cell[points.facet[local_points]]
     x = mesh.geometry.x[mesh.geometry.dofmap[cell]].astype(np.float64)
     # Derivatives in the reference cell, then along the grid.
     jacobian = np.einsum("jnk,nki->nij", of_x[1:], x)
-    along = np.linalg.solve(jacobian, np.tile(points.direction[:, None], (len(mine), 1, 1)))
-    weight = points.weight[mine, None]
+    along = np.linalg.solve(jacobian, np.tile(points.direction[:, None], (len(local_points), 1, 1)))
+    weight = points.weight[local_points, None]
     return _Gauge(
         centre=points.centre,
         direction=points.direction,
@@ -173,8 +173,8 @@ def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _
 
 def _measured(problem: Problem, u: Sequence[fem.Function], gauge: _Gauge) -> tuple[Floats, float]:
     """Mean displacement (3,) [mm] and strain [-] of a gauge; collective."""
-    every = np.stack([f.x.array.reshape(-1, 3) for f in u])
-    nodal = every[gauge.body[:, None], gauge.nodes]
+    displacements = np.stack([f.x.array.reshape(-1, 3) for f in u])
+    nodal = displacements[gauge.body[:, None], gauge.nodes]
     displacement = np.einsum("nk,nkc->c", gauge.mean, nodal)
     strain = np.einsum("nk,nkc,c->", gauge.slope, nodal, gauge.direction)
     sums = problem.comm.allreduce(np.array([*displacement, strain]), MPI.SUM)

@@ -45,9 +45,9 @@ class StemMotion:
 
     def __init__(self, problem: Problem, case: Case) -> None:
         self._problem = problem
-        known = problem.tagged.regions
+        regions = problem.tagged.regions
         implant, bone, cement = (
-            [r for r in case.of_tissue(t) if r in known] for t in ("implant", "bone", "cement")
+            [r for r in case.of_tissue(t) if r in regions] for t in ("implant", "bone", "cement")
         )
         self._ends = _ends(problem, implant) if implant and bone else []
         self._nearest: Ints | None = None
@@ -69,14 +69,18 @@ class StemMotion:
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
             ends = np.concatenate(comm.allgather(u[body, rows]))
             displacements[name] = [float(c) for c in ends[first].mean(axis=0)]
-        at = self._nearest
-        if at is None:
+        nearest = self._nearest
+        if nearest is None:
             return displacements
         # The rigid motion of all bone is subtracted, as it moves stem and bone differently where
         # they are apart. The rest, the bone's deformation, is taken at the nearest point.
         stem, bone = self._stem, self._facing
-        moved = bone.moved(u)
-        v = stem.moved(u) - moved[at] - np.cross(bone.rotation(moved), stem.x - bone.x[at])
+        bone_motion = bone.mean_motion(u)
+        v = (
+            stem.mean_motion(u)
+            - bone_motion[nearest]
+            - np.cross(bone.rotation(bone_motion), stem.x - bone.x[nearest])
+        )
         t = np.average(v, axis=0, weights=stem.area)
         ω = np.rad2deg(stem.rotation(v)) * (1 if side == "left" else -1)
         motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
@@ -92,7 +96,7 @@ class FacetSurface:
     area: Floats
     nodes: tuple[Ints, Ints]
 
-    def moved(self, u: Floats) -> Floats:
+    def mean_motion(self, u: Floats) -> Floats:
         """Displacements of the centres (f, 3), from those of `nodal_displacements`; collective."""
         return np.concatenate(self.comm.allgather(u[self.nodes].mean(axis=1)))
 
@@ -122,19 +126,19 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     cells = {r: problem.body_forms.region_cells(r) for r in implant}
     dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}
     dofs = np.concatenate(list(dofs_of.values()))
-    of = problem.bodies.of_region
-    body = np.concatenate([np.full(len(rows), of[r]) for r, rows in dofs_of.items()])
+    body_of_region = problem.bodies.of_region
+    body = np.concatenate([np.full(len(rows), body_of_region[r]) for r, rows in dofs_of.items()])
     x = problem.space.tabulate_dof_coordinates()[dofs]
     low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
     high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
     within = END * (high - low)
     ends = []
     for z in (low, high):
-        here = np.abs(x[:, 2] - z) <= within
-        places = np.concatenate(comm.allgather(x[here]))
+        is_near = np.abs(x[:, 2] - z) <= within
+        places = np.concatenate(comm.allgather(x[is_near]))
         # Ranks and regions share nodes: each counts once.
         first = np.unique(np.round(places / within), axis=0, return_index=True)[1]
-        ends.append((body[here], dofs[here], first))
+        ends.append((body[is_near], dofs[is_near], first))
     return ends
 
 
@@ -166,8 +170,10 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
     f = bodies.boundary_facets(problem.tagged, "bone_surface")
     outside = facet_surface(problem, f)
     strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
-    moved = head.moved(nodal_displacements(problem))
-    numbers: Numbers = {"head_displacement": np.average(moved, axis=0, weights=head.area).tolist()}
+    head_motion = head.mean_motion(nodal_displacements(problem))
+    numbers: Numbers = {
+        "head_displacement": np.average(head_motion, axis=0, weights=head.area).tolist()
+    }
     for side, sign in (("lateral", -1.0), ("medial", 1.0)):
         for name, z in GAUGES.items():
             x, y, up = (outside.x - [0.0, 0.0, z]).T
@@ -254,12 +260,12 @@ def by_zone(
             "interfaces": {},
         }
     if samples is not None:
-        where = zones.at(samples.x)
+        zones_of_points = zones.at(samples.x)
         for i, contact in enumerate(problem.scene.contacts):
             for zone in zones.numbers:
-                at = (samples.interface == i) & (where == zone).any(axis=1)
-                if at.any():
-                    result[str(zone)]["interfaces"][contact.name] = _interface(samples, i, at)
+                in_zone = (samples.interface == i) & (zones_of_points == zone).any(axis=1)
+                if in_zone.any():
+                    result[str(zone)]["interfaces"][contact.name] = _interface(samples, i, in_zone)
     return result
 
 
@@ -278,9 +284,9 @@ def zone_integrals(
     return np.asarray(problem.comm.allreduce(local, MPI.SUM))
 
 
-def _interface(s: ContactSamples, i: int, at: NDArray[np.bool_]) -> dict[str, float]:
+def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, float]:
     """Motion and tractions of the marked points of an interface; means by area."""
-    weight, tractions = s.weight[at], s.tractions[i]
+    weight, tractions = s.weight[mask], s.tractions[i]
     result: dict[str, float] = {}
     names = ["gap", "slip", "motion", "pressure", "shear"]
     if s.contacts[i].press_fit:
@@ -289,6 +295,6 @@ def _interface(s: ContactSamples, i: int, at: NDArray[np.bool_]) -> dict[str, fl
         value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)
         if name in tractions:
             value, mean = tractions[name].value, tractions[name].of_points
-        result[f"{name}_max"] = float(value[at].max())
-        result[f"{name}_mean"] = float(np.average(mean[at], weights=weight))
+        result[f"{name}_max"] = float(value[mask].max())
+        result[f"{name}_mean"] = float(np.average(mean[mask], weights=weight))
     return result | {"area": float(weight.sum())}

@@ -91,7 +91,7 @@ class ContactSamples:
         force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
         status: State (n,).
         dissipation: Dissipated by friction and damage (n,) [N mm].
-        least: Smallest dissipation of any step, 0 at most (n,) [N mm].
+        smallest_dissipation: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
         stored: Energy stored by layers and cohesion (n,) [N mm].
         internal_variables: Internal variables of the laws, by name: (n, ...).
@@ -114,7 +114,7 @@ class ContactSamples:
         surface = points.surface
 
         def whole(values: Floats) -> Floats:
-            return surface.spread(contact.whole(values))
+            return surface.spread(contact.gather(values))
 
         def total(values: Floats) -> Floats:
             """Amounts at the corners from amounts at the points, by area."""
@@ -122,15 +122,15 @@ class ContactSamples:
 
         self.all_corners = surface
         self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
-        motion = surface.true_jumps(contact.whole(trial.jump))
+        motion = surface.true_jumps(contact.gather(trial.jump))
         opening = np.einsum("pi,pki->pk", motion + whole(contact.gap), surface.normals)
-        used = np.arange(3)[None, :] < surface.faces[:, None]
-        self.gap = np.where(used, opening, 0.0)
-        self.opening = np.max(opening, axis=1, where=used, initial=-np.inf)
+        is_face = np.arange(3)[None, :] < surface.faces[:, None]
+        self.gap = np.where(is_face, opening, 0.0)
+        self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the points, some of which have the mean jump of several corners.
         of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, local.normals)
         within = np.arange(3)[None, :] < local.faces[:, None]
-        self.penetration = contact.whole(np.where(within, np.maximum(-of_points, 0.0), 0.0))
+        self.penetration = contact.gather(np.where(within, np.maximum(-of_points, 0.0), 0.0))
         self.of_points = points.interface
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
@@ -142,12 +142,15 @@ class ContactSamples:
         self.shear = whole(np.linalg.norm(state.friction, axis=1))
         self.force = whole(-sign * state.force)
         resting = contact.law.frictional & (
-            state.slid <= AT_REST * contact.whole(state.path).max(initial=0.0)
+            state.step_slip <= AT_REST * contact.gather(state.path).max(initial=0.0)
         )
-        held = (local.faces == 0) | (resting & (trial.law.status == SLIP))
-        status = contact.whole(np.where(held, STICK, trial.law.status))
+        is_held = (local.faces == 0) | (resting & (trial.law.status == SLIP))
+        status = contact.gather(np.where(is_held, STICK, trial.law.status))
         self.status = surface.spread_status(status.astype(np.int64))
-        self.dissipation, self.least = total(state.dissipation), total(state.least)
+        self.dissipation, self.smallest_dissipation = (
+            total(state.dissipation),
+            total(state.smallest_dissipation),
+        )
         self.contact_work, self.stored = total(state.contact_work), total(state.stored)
         self.internal_variables = {
             name: whole(values) for name, values in state.internal_variables.items()
@@ -161,16 +164,16 @@ class ContactSamples:
             "shear": self.shear,
         }
         if any(c.press_fit for c in contacts):
-            since_insertion = surface.true_jumps(contact.whole(trial.jump - state.inserted))
+            since_insertion = surface.true_jumps(contact.gather(trial.jump - state.inserted))
             self.micromotion = signs[surface.interface][:, None] * since_insertion
             self.sizes["micromotion"] = np.linalg.norm(self.micromotion, axis=1)
         if since is not None:
-            way = surface.true_jumps(contact.whole(trial.jump - since))
-            self.sizes["inducible"] = np.linalg.norm(way, axis=1)
+            step_motion = surface.true_jumps(contact.gather(trial.jump - since))
+            self.sizes["inducible"] = np.linalg.norm(step_motion, axis=1)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         # With a normal that is off by an angle, slip times this angle presses on the surface.
         pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[local.rows]
-        self.by_facets = contact.whole(contact.law.local_stiffness * pressed)
+        self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
         self._pressures = whole(trial.law.pressures)
@@ -207,26 +210,27 @@ class ContactSamples:
     @cached_property
     def step_numbers(self) -> dict[str, Numbers]:
         """Numbers computed at every step, the columns of history.csv among them."""
-        wanted = {key for key, q in TABLE["interfaces"].items() if q.step_record} | OF_CYCLES
-        return {c.name: _numbers(self, i, wanted) for i, c in enumerate(self.contacts)}
+        selected = {key for key, q in TABLE["interfaces"].items() if q.step_record} | OF_CYCLES
+        return {c.name: _numbers(self, i, selected) for i, c in enumerate(self.contacts)}
 
 
-def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> Numbers:
+def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Numbers:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
-    at, surface = s.interface == i, s.surfaces[i]
+    mask, surface = s.interface == i, s.surfaces[i]
     parts = {
-        part: _of_part(s, i, surface, part, wanted) for part in ([""] if wanted else surface.parts)
+        part: _of_part(s, i, surface, part, selected)
+        for part in ([""] if selected else surface.parts)
     }
     main = parts.pop("") | {
         "penetration_max": float(s.penetration[s.of_points == i].max(initial=0.0)),
-        "dissipation": float(s.dissipation[at].sum()),
-        "dissipation_min": float(s.least[at].min()),
-        "contact_work": float(s.contact_work[at].sum()),
-        "stored_energy": float(s.stored[at].sum()),
+        "dissipation": float(s.dissipation[mask].sum()),
+        "dissipation_min": float(s.smallest_dissipation[mask].min()),
+        "contact_work": float(s.contact_work[mask].sum()),
+        "stored_energy": float(s.stored[mask].sum()),
         **_damage(s, i),
-        **computed("interfaces", s, at),
+        **computed("interfaces", s, mask),
     }
-    if wanted:
+    if selected:
         return main
     main["pressure_mean_max"], _ = surface.field(s.tractions[i]["pressure"].mean, "").maximum()
     by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
@@ -239,7 +243,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> Numbe
             zones[name] = _of_part(s, i, part, name, None)
     if zones:
         main["zones"] = zones
-    return main | {"force": (s.weight[at] @ s.force[at]).tolist(), **parts}
+    return main | {"force": (s.weight[mask] @ s.force[mask]).tolist(), **parts}
 
 
 def _damage(s: ContactSamples, i: int) -> dict[str, float]:
@@ -247,15 +251,18 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     contact = s.contacts[i]
     if not {"damage", "spent"} <= contact.law.internal_variables.keys():
         return {}
-    at, surface, weight = s.interface == i, s.surfaces[i], s.weight
-    never = np.ones(len(at))
-    never[at] = contact.values["unbonded"](s.x[at]) if "unbonded" in contact.values else 0.0
-    bonded, spent = weight * (1 - never), np.where(never < 1, s.internal_variables["spent"], 0.0)
-    length = zone(surface.corners, spent[surface.triangles], surface.area)
+    mask, surface, weight = s.interface == i, s.surfaces[i], s.weight
+    never = np.ones(len(mask))
+    never[mask] = contact.values["unbonded"](s.x[mask]) if "unbonded" in contact.values else 0.0
+    bonded, dissipated = (
+        weight * (1 - never),
+        np.where(never < 1, s.internal_variables["spent"], 0.0),
+    )
+    length = zone(surface.corners, dissipated[surface.triangles], surface.area)
     return {
-        "unbonded_fraction": float((weight * never)[at].sum() / weight[at].sum()),
-        "area_damaged": float(bonded[spent > 0].sum()),
-        "area_broken": float(bonded[spent >= BROKEN].sum()),
+        "unbonded_fraction": float((weight * never)[mask].sum() / weight[mask].sum()),
+        "area_damaged": float(bonded[dissipated > 0].sum()),
+        "area_broken": float(bonded[dissipated >= BROKEN].sum()),
         "damage_mean": float(bonded @ s.internal_variables["damage"] / max(bonded.sum(), 1e-300)),
         "zone_length": length,
         "zone_elements": length / s.facet_sizes[i],
@@ -263,7 +270,7 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
 
 
 def _of_part(
-    s: ContactSamples, i: int, surface: Surface, part: str, wanted: set[str] | None
+    s: ContactSamples, i: int, surface: Surface, part: str, selected: set[str] | None
 ) -> Numbers:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
     contact = s.contacts[i]
@@ -276,9 +283,9 @@ def _of_part(
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         mean, value, _ = tractions.get(name, TractionSize(values, values, values))
         field = surface.field(value, part)
-        most, place = field.maximum()
+        largest, place = field.maximum()
         numbers |= {
-            f"{name}_max": max(most, 0.0),
+            f"{name}_max": max(largest, 0.0),
             f"{name}_max_at": place,
             f"{name}_p95": partial(field.percentile, 0.95),
             f"{name}_p99": partial(field.percentile, 0.99),
@@ -299,8 +306,10 @@ def _of_part(
     if contact.law.strength:
         values = (traction.value for traction in tractions.values())
         numbers |= failing(surface, contact.law.strength.index(*values), part)
-    asked = ((key, value) for key, value in numbers.items() if not wanted or key in wanted)
-    return {key: value() if callable(value) else value for key, value in asked}
+    selected_numbers = (
+        (key, value) for key, value in numbers.items() if not selected or key in selected
+    )
+    return {key: value() if callable(value) else value for key, value in selected_numbers}
 
 
 def failing(surface: Surface, index: Floats, part: str) -> Numbers:
@@ -310,12 +319,12 @@ def failing(surface: Surface, index: Floats, part: str) -> Numbers:
     multiple of the tractions at which one hundredth of the area fails.
     """
     field = surface.field(index, part)
-    p99, (most, place) = field.percentile(), field.maximum()
+    p99, (largest, place) = field.percentile(), field.maximum()
     return {
-        "failure_index_max": most,
+        "failure_index_max": largest,
         "failure_index_p99": p99,
         "failure_index_max_at": place,
-        "strength_fraction": field.area_above(1.0) / (field.whole or 1.0),
+        "strength_fraction": field.area_above(1.0) / (field.area or 1.0),
     } | ({"failure_load_factor": 1 / p99} if p99 > 0 else {})
 
 
@@ -333,7 +342,7 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """
     motion = _motion(contact, jump)
     surface = contact.points.surface
-    gap = surface.spread(contact.whole(contact.gap))
+    gap = surface.spread(contact.gather(contact.gap))
     clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
     parts = []
     for rows, triangles in zip(surface.facets, surface.triangles, strict=True):
@@ -362,8 +371,8 @@ def gaps(
     x = facets.nodes[rows]
     normals, area = surface(x, LATTICE)
     inwards = np.sign(np.einsum("fi,fi->f", normals[:, -1], facets.normal[rows, 0]))
-    apart = np.einsum("qn,fni->fqi", shape_functions(LATTICE, motion.shape[1]), motion)
-    along = np.einsum("fqi,fqi->fq", apart, normals) * inwards[:, None]
+    motion_at_points = np.einsum("qn,fni->fqi", shape_functions(LATTICE, motion.shape[1]), motion)
+    along = np.einsum("fqi,fqi->fq", motion_at_points, normals) * inwards[:, None]
     return along + clearance @ LATTICE.T, area
 
 
@@ -372,13 +381,13 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
     dofs, bodies = contact.facets.dofs, contact.facets.bodies
     nodes, place = np.unique(dofs, return_inverse=True)
     place = place.reshape(dofs.shape)
-    moved = np.zeros((1 + int(bodies.max()), len(nodes), 3))
+    motion_of_bodies = np.zeros((1 + int(bodies.max()), len(nodes), 3))
     for body, B in contact.coupling.jump_to_displacement.items():
         q, u = B.createVecs()
         q.array[:] = jump.ravel()
         B.mult(q, u)
         start, end = (k // 3 for k in u.getOwnershipRange())
         owned = (nodes >= start) & (nodes < end)
-        moved[body, owned] = u.array.reshape(-1, 3)[nodes[owned] - start]
-    moved = contact.comm.allreduce(moved)
-    return moved[bodies[:, 1:], place] - moved[bodies[:, :1], place]
+        motion_of_bodies[body, owned] = u.array.reshape(-1, 3)[nodes[owned] - start]
+    motion_of_bodies = contact.comm.allreduce(motion_of_bodies)
+    return motion_of_bodies[bodies[:, 1:], place] - motion_of_bodies[bodies[:, :1], place]

@@ -35,17 +35,17 @@ class RegionCells:
         self._volume = volume * (true / flat)
         self._spread = fem.Function(forms.space)
 
-    def _at_corners(self, dof: Ints, values: Floats, away: float) -> Floats:
-        """Values of owned nodes at the corners of cells (m, 4), ``away`` elsewhere; collective."""
-        self._spread.x.array[:] = away
+    def _at_corners(self, dof: Ints, values: Floats, outside_value: float) -> Floats:
+        """Values of owned nodes at the corners of cells (m, 4), ``outside_value`` elsewhere."""
+        self._spread.x.array[:] = outside_value
         self._spread.x.array[dof] = values
         self._spread.x.scatter_forward()
         return np.asarray(self._spread.x.array[self._dofs])
 
     def faces(self, dof: Ints) -> Floats:
         """Faces with all corners among owned nodes (f, 3, 3) [mm], on every rank; collective."""
-        on = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
-        return np.concatenate(self._comm.allgather(self._x[:, _FACES][on]))
+        is_on_nodes = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
+        return np.concatenate(self._comm.allgather(self._x[:, _FACES][is_on_nodes]))
 
     def volume(self, dof: Ints, level: Floats) -> float:
         """Volume where a level, known at owned nodes (n,), is not negative [mm3]; collective."""
@@ -76,14 +76,27 @@ def positive_share(f: Floats) -> Floats:
     a, b, c, d = f.T
     count = (f >= 0).sum(axis=1)
 
-    def cut(high: Floats, low: Floats, here: NDArray[np.bool_]) -> Floats:
+    def cut(high: Floats, low: Floats, mask: NDArray[np.bool_]) -> Floats:
         """Position along an edge at which it crosses zero, from its higher end."""
-        return np.divide(high, high - low, out=np.zeros_like(high), where=here & (high > low))
+        return np.divide(high, high - low, out=np.zeros_like(high), where=mask & (high > low))
 
     share = np.where(count == 4, 1.0, 0.0)
-    one, two, three = (count == n for n in (1, 2, 3))
-    share += np.where(one, cut(a, b, one) * cut(a, c, one) * cut(a, d, one), 0.0)
-    ac, ad, bc, bd = cut(a, c, two), cut(a, d, two), cut(b, c, two), cut(b, d, two)
-    share += np.where(two, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
-    rest = (1 - cut(a, d, three)) * (1 - cut(b, d, three)) * (1 - cut(c, d, three))
-    return np.asarray(share + np.where(three, 1 - rest, 0.0))
+    one_positive, two_positive, three_positive = (count == n for n in (1, 2, 3))
+    share += np.where(
+        one_positive,
+        cut(a, b, one_positive) * cut(a, c, one_positive) * cut(a, d, one_positive),
+        0.0,
+    )
+    ac, ad, bc, bd = (
+        cut(a, c, two_positive),
+        cut(a, d, two_positive),
+        cut(b, c, two_positive),
+        cut(b, d, two_positive),
+    )
+    share += np.where(two_positive, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
+    negative_share = (
+        (1 - cut(a, d, three_positive))
+        * (1 - cut(b, d, three_positive))
+        * (1 - cut(c, d, three_positive))
+    )
+    return np.asarray(share + np.where(three_positive, 1 - negative_share, 0.0))

@@ -71,10 +71,10 @@ def henriques_moritz(start: Floats, end: Floats, seconds: float) -> Floats:
     width = np.where(short, 1.0, change)
     exact = (_antiderivative(end) - _antiderivative(start)) / width
     middle, half = (start + end) / 2, change / 2
-    near = sum(
+    integral_near = sum(
         w / 2 * _rate(middle + p * np.where(short, half, 0.0)) for p, w in zip(*_GAUSS, strict=True)
     )
-    return np.asarray(seconds * np.where(short, near, exact))
+    return np.asarray(seconds * np.where(short, integral_near, exact))
 
 
 def _rate(temperature: Floats) -> Floats:

@@ -66,8 +66,8 @@ class Integrals:
             start + s * (end - start) - 4 * s * (1 - s) * bends
             for s in np.linspace(0.0, 1.0, pieces + 1)
         ]
-        for first, then in pairwise(curve):
-            self.add(first, then, step / pieces)
+        for first, following in pairwise(curve):
+            self.add(first, following, step / pieces)
 
     def forget(self) -> None:
         """Make all integrals unknown from here on."""
@@ -86,21 +86,21 @@ class Integrals:
 def maxima(comm: MPI.Comm, values: Mapping[str, Floats]) -> dict[str, float]:
     """Largest of some values each, over all ranks; minus infinity without any; collective."""
     local = [of_name.max(initial=-np.inf) for of_name in values.values()]
-    most = np.array(local, dtype=np.float64)
-    comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
-    return dict(zip(values, map(float, most), strict=True))
+    local_maxima = np.array(local, dtype=np.float64)
+    comm.Allreduce(MPI.IN_PLACE, local_maxima, MPI.MAX)
+    return dict(zip(values, map(float, local_maxima), strict=True))
 
 
 def largest(
     comm: MPI.Comm, values: Floats, x: Floats, times: Floats
 ) -> tuple[float, list[float], float]:
     """Largest value of all ranks with place and time; of equal values the first place."""
-    best = (-np.inf, [0.0, 0.0, 0.0], 0.0)
+    largest_place = (-np.inf, [0.0, 0.0, 0.0], 0.0)
     if len(values):
         equal = np.flatnonzero(values == values.max())
         k = equal[np.lexsort(x[equal].T[::-1])[0]]
-        best = (float(values[k]), [float(c) for c in x[k]], float(times[k]))
-    return min(comm.allgather(best), key=lambda b: (-b[0], b[1]))
+        largest_place = (float(values[k]), [float(c) for c in x[k]], float(times[k]))
+    return min(comm.allgather(largest_place), key=lambda b: (-b[0], b[1]))
 
 
 # Between steps
@@ -117,32 +117,39 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
         Values (n,), minus infinity without a peak, and times (n,).
     """
     (t0, a), (t1, b), (t2, c), (t3, d) = s0, s1, s2, s3
-    before = (b - a) / (t1 - t0)
+    slope_before = (b - a) / (t1 - t0)
     across = (c - b) / (t2 - t1)
-    after = (d - c) / (t3 - t2)
-    early = b >= c
-    curvature = np.where(early, (across - before) / (t2 - t0), (after - across) / (t3 - t1))
-    inside = (before > 0) & (after < 0) & (curvature < 0)
+    slope_after = (d - c) / (t3 - t2)
+    peaks_early = b >= c
+    curvature = np.where(
+        peaks_early, (across - slope_before) / (t2 - t0), (slope_after - across) / (t3 - t1)
+    )
+    inside = (slope_before > 0) & (slope_after < 0) & (curvature < 0)
     curvature = np.where(inside, curvature, -1.0)
     # Slope at the second state.
     slope = across - curvature * (t2 - t1)
     when = t1 - slope / (2 * curvature)
     inside &= (when > t1) & (when < t2)
     # Time from the second state to the place where the two lines meet.
-    meet = np.divide(c - b - after * (t2 - t1), before - after, out=np.zeros_like(b), where=inside)
-    bound = np.minimum(b + before * meet, c - after * (t2 - t1 - meet))
+    meeting_time = np.divide(
+        c - b - slope_after * (t2 - t1),
+        slope_before - slope_after,
+        out=np.zeros_like(b),
+        where=inside,
+    )
+    bound = np.minimum(b + slope_before * meeting_time, c - slope_after * (t2 - t1 - meeting_time))
     bound = np.maximum(bound, np.maximum(b, c))
     value = np.minimum(b - slope**2 / (4 * curvature), bound)
     return np.where(inside, value, -np.inf), np.where(inside, when, t1)
 
 
-def bend(before: State, start: State, end: State) -> Floats:
+def bend(previous: State, start: State, end: State) -> Floats:
     """Depth of a parabola below its chord in the middle of the last step (n,).
 
     The parabola passes through the ends of the step and the state before. Its depth is limited, so
     that its values stay between those of the ends.
     """
-    (t0, a), (t1, b), (t2, c) = before, start, end
+    (t0, a), (t1, b), (t2, c) = previous, start, end
     if not t0 < t1 < t2:
         return np.zeros_like(c)
     h = t2 - t1

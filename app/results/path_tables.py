@@ -133,35 +133,35 @@ class PathTables:
         order = np.argsort(original)
         local_paths: dict[str, tuple[Ints, Ints]] = {}
         for name, path in paths.items():
-            wanted = path.points.cell
-            mine = np.flatnonzero(np.isin(wanted, original))
-            place = np.searchsorted(original, wanted[mine], sorter=order)
-            local_paths[name] = mine, order[place]
+            path_cells = path.points.cell
+            local_rows = np.flatnonzero(np.isin(path_cells, original))
+            place = np.searchsorted(original, path_cells[local_rows], sorter=order)
+            local_paths[name] = local_rows, order[place]
         cells = np.unique(np.concatenate([cell for _, cell in local_paths.values()]))
         tags = cell_tags(tagged)[cells]
         nodes, rows, _ = output_nodes(tagged, groups, cells, tags)
-        every = np.unique(np.concatenate([path.points.region for path in paths.values()]))
+        all_regions = np.unique(np.concatenate([path.points.region for path in paths.values()]))
         self._regions = {tag: name for name, tag in tagged.regions.items()}
-        visited = [int(tag) for tag in every if tag]
+        visited = [int(tag) for tag in all_regions if tag]
         parts = [[self._regions[tag]] for tag in visited]
         of_nodes = cell_tags(tagged)[nodes[0].cell]
         part = np.searchsorted(visited, of_nodes)
         self._nodes: list[OutputNodes] = [replace(n, parts=parts, part=part) for n in nodes]
         element = groups[0].space.element.basix_element
         self._local: dict[str, _Local] = {}
-        for name, (mine, cell) in local_paths.items():
-            share = paths[name].points.share[mine]
+        for name, (local_rows, cell) in local_paths.items():
+            share = paths[name].points.share[local_rows]
             shape = np.asarray(element.tabulate(0, share[:, 1:]))[0, :, : rows.shape[1], 0]
             row = rows[np.searchsorted(cells, cell)]
-            self._local[name] = _Local(mine, cell, row, shape, share.argmax(axis=1))
+            self._local[name] = _Local(local_rows, cell, row, shape, share.argmax(axis=1))
         self._check_cell_fields()
 
     def _check_cell_fields(self) -> None:
         """Refuse fields of cells that the run does not have; collective."""
-        known = [name for group in self._groups for name in group.of_cells(self._cells)]
+        field_names = [name for group in self._groups for name in group.of_cells(self._cells)]
         for name, path in self._paths.items():
             for k, column in enumerate(path.columns):
-                if column.field.by_cell and column.field.name not in known:
+                if column.field.by_cell and column.field.name not in field_names:
                     text = f"{column.field.label} is constant in each region and is not written"
                     raise InputError(
                         f"output.paths.{name}.fields.{k}: {text}; expected another field"
@@ -187,8 +187,8 @@ class PathTables:
             if gathered is None:
                 continue
             table = np.full((len(path.points.arc), len(path.columns)), np.nan)
-            for at, part in gathered:
-                table[at] = part
+            for rows, part in gathered:
+                table[rows] = part
             self._add_rows(name, path, begin, table)
 
     def _add_rows(

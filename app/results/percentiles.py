@@ -22,7 +22,7 @@ def percentile(values: Floats, weights: Floats) -> float:
 
 
 class SurfaceField:
-    """A field that is linear on each triangle of a surface, of area ``whole`` [mm2].
+    """A field that is linear on each triangle of a surface, of area ``area`` [mm2].
 
     Args:
         corners: Values of the field at the corners of triangles (f, 3).
@@ -31,13 +31,13 @@ class SurfaceField:
     """
 
     def __init__(self, corners: Floats, area: Floats, x: Floats) -> None:
-        self._corners, self._area, self._x, self.whole = corners, area, x, float(area.sum())
+        self._corners, self._area, self._x, self.area = corners, area, x, float(area.sum())
         self._sorted = np.sort(corners, axis=1)
 
     def mean(self) -> float:
         """Mean by area; 0 without triangles."""
         integral = float(self._area @ self._corners.mean(axis=1))
-        return integral / self.whole if self.whole > 0 else 0.0
+        return integral / self.area if self.area > 0 else 0.0
 
     def maximum(self) -> tuple[float, list[float]]:
         """Largest value and its place (3,) [mm]; 0 and no place without triangles."""
@@ -61,16 +61,16 @@ class SurfaceField:
         if not len(self._area):
             return 0.0
         ends = [float(self._corners.min()), float(self._corners.max())]
-        above = (1.0 - fraction) * self.whole
-        excess = [self.whole - above, -above]
-        kept = -1
+        above = (1.0 - fraction) * self.area
+        excess = [self.area - above, -above]
+        last_side = -1
         while ends[0] < (level := _between(ends, excess)) < ends[1]:
             value = self.area_above(level) - above
             side = int(value <= 0)
             ends[side], excess[side] = level, value
-            if side == kept:  # the other end would stay where it is for long
+            if side == last_side:  # the other end would stay where it is for long
                 excess[1 - side] /= 2
-            kept = side
+            last_side = side
         return min(max(level, ends[0]), ends[1])
 
 

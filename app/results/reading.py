@@ -147,8 +147,8 @@ class Run(Results):
             self.times: Floats = root["Steps/Values"][:]
             self.point_fields = tuple(root["PointData"])
             self.cell_fields = tuple(root["CellData"])
-        named = [n for n in self.point_fields if n.endswith("_status")]
-        self.contacts = tuple(n.removesuffix("_status") for n in named)
+        status_fields = [n for n in self.point_fields if n.endswith("_status")]
+        self.contacts = tuple(n.removesuffix("_status") for n in status_fields)
 
     @cached_property
     def written_stages(self) -> list[str]:
@@ -183,10 +183,10 @@ class Run(Results):
         values = self.on_points(name, step)
         geometry = self.mesh.geometry
         kind = ("Lagrange", geometry.cmap.degree, values.shape[1:])
-        made = fem.Function(fem.functionspace(self.mesh, kind), name=name)
+        function = fem.Function(fem.functionspace(self.mesh, kind), name=name)
         nodes = geometry.input_global_indices[geometry.dofmap]
-        made.x.array.reshape(values.shape)[made.function_space.dofmap.list] = values[nodes]
-        return made
+        function.x.array.reshape(values.shape)[function.function_space.dofmap.list] = values[nodes]
+        return function
 
     @property
     def degree(self) -> int:
@@ -208,9 +208,9 @@ class Run(Results):
         index_map = mesh.topology.index_map(3)
         local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
         corners = self.points[self.cells[:, :4]]
-        away, cells = cKDTree(corners.mean(axis=1)).query(compute_midpoints(mesh, 3, local))
+        distance, cells = cKDTree(corners.mean(axis=1)).query(compute_midpoints(mesh, 3, local))
         size = np.ptp(corners, axis=1).min(initial=np.inf)
-        missing = int((away > SAME_PLACE * size).sum())
+        missing = int((distance > SAME_PLACE * size).sum())
         if missing:
             raise InputError(f"{missing} cells of the mesh are not those of {self.folder}")
         return np.asarray(cells)
@@ -233,15 +233,15 @@ class Run(Results):
 
         values = self.on_points(name, step)
         space = fem.functionspace(mesh, ("Discontinuous Lagrange", self.degree, values.shape[1:]))
-        made = fem.Function(space, name=name)
+        function = fem.Function(space, name=name)
         dofs = space.dofmap.list
         nodes = self.cells[self.cells_of(mesh)]
         # A cell's dofs are at its nodes, in another order.
         x = space.tabulate_dof_coordinates()[dofs]
         apart = ((x[:, :, None] - self.points[nodes][:, None]) ** 2).sum(axis=3)
         nearest = np.take_along_axis(nodes, apart.argmin(axis=2), axis=1)
-        made.x.array.reshape(-1, *values.shape[1:])[dofs] = values[nearest]
-        return made
+        function.x.array.reshape(-1, *values.shape[1:])[dofs] = values[nearest]
+        return function
 
     def displacement(self, step: int | str = -1) -> Floats:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
@@ -357,10 +357,10 @@ class Run(Results):
 
     def _field(self, name: str, rows: int, step: int | str) -> Floats:
         group, _, field_name = name.partition("/")
-        there = self.point_fields if group == "PointData" else self.cell_fields
-        if field_name not in there:
+        fields = self.point_fields if group == "PointData" else self.cell_fields
+        if field_name not in fields:
             place = "points" if group == "PointData" else "cells"
-            raise self._unknown("field", field_name, there, f" on {place}")
+            raise self._unknown("field", field_name, fields, f" on {place}")
         k = self.number_of(step)
         with self._file() as file:
             field = file["VTKHDF"][name]
@@ -392,14 +392,14 @@ class Run(Results):
         return steps[-1]
 
     def _unknown(
-        self, kind: str, name: str | int, known: Iterable[str], where: str = ""
+        self, kind: str, name: str | int, available: Iterable[str], place: str = ""
     ) -> InputError:
         """Error for a name of a kind that the results do not have; lists those that they have."""
-        names = [*known]
+        names = [*available]
         hint = did_you_mean(str(name), names)
         plural = f"{kind.removesuffix('y')}ies" if kind.endswith("y") else f"{kind}s"
         listed = ", ".join(names) or "none"
-        return InputError(f"{self.folder}: no {kind} '{name}'{where}; {plural}: {listed}{hint}")
+        return InputError(f"{self.folder}: no {kind} '{name}'{place}; {plural}: {listed}{hint}")
 
 
 def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:

@@ -131,5 +131,5 @@ def add_record(name: str, make: Maker) -> None:
 
 def records(case: Case, followed: Followed) -> dict[str, Record]:
     """The records of a run; collective."""
-    made = {name: make(case, followed) for name, make in MAKERS.items()}
-    return {name: record for name, record in made.items() if record is not None}
+    made_records = {name: make(case, followed) for name, make in MAKERS.items()}
+    return {name: record for name, record in made_records.items() if record is not None}

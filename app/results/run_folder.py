@@ -48,20 +48,20 @@ log = logging.getLogger("mantle")
 
 
 @contextmanager
-def _full_disk(what: str) -> Iterator[None]:
+def _full_disk(action_text: str) -> Iterator[None]:
     """Turn a failed write into a stop."""
     try:
         yield
     except OSError as error:
-        file = error.filename or what
+        file = error.filename or action_text
         raise StoppedError(f"cannot write {file}: {error.strerror or error}") from error
 
 
-def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
+def _write(comm: MPI.Comm, action: Callable[[], None], action_text: str) -> None:
     """Write on rank 0; a full disk or a folder without rights stops every rank."""
 
     def guarded() -> None:
-        with _full_disk(what):
+        with _full_disk(action_text):
             action()
 
     on_root(comm, guarded, share=False)
@@ -129,7 +129,7 @@ class Writer:
         resolved: str,
         fields: bool,
         record: Callable[[], Provenance],
-        again: bool = False,
+        resumed: bool = False,
         paths: PathTables | None = None,
     ) -> None:
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
@@ -140,16 +140,16 @@ class Writer:
 
         def start() -> None:
             files.clear(folder)
-            for name in ENDS if again else RESULTS:
+            for name in ENDS if resumed else RESULTS:
                 (folder / name).unlink(missing_ok=True)
-            for old in () if again else (*saved(folder), *path_files(folder).values()):
-                old.unlink()
+            for old_file in () if resumed else (*saved(folder), *path_files(folder).values()):
+                old_file.unlink()
             write_text(folder / "case.yaml", resolved)
 
         _write(self._comm, start, str(folder))
         self.field_steps = 0
         self.fields = Fields(tagged, groups, folder / "fields.vtkhdf") if fields else None
-        if not again:
+        if not resumed:
             self._begin()
 
     def _begin(self) -> None:
@@ -201,10 +201,10 @@ class Writer:
 
     def add_row(self, row: Mapping[str, float | None]) -> None:
         """Add a row to history.csv, which is written now and then; collective."""
-        new = [name for name in row if name not in self.columns]
-        if new:
-            self.columns += new
-            self.rows = self.rows.replace("\n", "," * len(new) + "\n")
+        new_columns = [name for name in row if name not in self.columns]
+        if new_columns:
+            self.columns += new_columns
+            self.rows = self.rows.replace("\n", "," * len(new_columns) + "\n")
         full = {name: row.get(name, "") for name in self.columns}
         self.rows += csv_text([full]).partition("\n")[2]
         self._table(OFTEN)
@@ -232,7 +232,7 @@ class Writer:
 
         _write(self._comm, write, "files of paths")
 
-    def finish(self, summary: Summary, done: bool) -> None:
+    def finish(self, summary: Summary, complete: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
         if self.rows:
             self._table()
@@ -243,7 +243,7 @@ class Writer:
                 (self.folder / "fields.vtkhdf").unlink(missing_ok=True)
             write_json(self.folder / "summary.json", summary)
             write_json(self.folder / "provenance.json", self._record())
-            if done:
+            if complete:
                 write_text(self.folder / "DONE", "")
 
         _write(self._comm, write, str(self.folder))
@@ -260,13 +260,13 @@ def provenance(
 
     Digests are by name, of the case, then of the files that it builds upon, as they were read.
     """
-    (case, digest), *others = digests.items()
+    (case, digest), *other_digests = digests.items()
     return {
         "mantle": __version__,
         "identity": identity.parts(),
         "case": case,
         "case_sha256": digest,
-        "based_on_sha256": dict(others),
+        "based_on_sha256": dict(other_digests),
         "overrides": overrides,
         "mesh_sha256": mesh_hash,
         "ranks": ranks,

@@ -136,19 +136,19 @@ def text(rows: Sequence[RunRow]) -> str:
     lines = []
     for r in rows:
         counts = (r["unknowns"], r["newton_iterations"], r["linear_iterations"])
-        result = most(r["numbers"]) if r["status"] == "converged" else r["status"]
+        result = most_informative(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
     return layout.table(
         ("case", "unknowns", "Newton", "Krylov", "time", "largest slip or temperature"), lines
     )
 
 
-def most(numbers: Mapping[str, float]) -> str:
+def most_informative(numbers: Mapping[str, float]) -> str:
     """Largest slip of a run, or its highest temperature, as text."""
-    for key, words in MOST.items():
+    for key, text in MOST.items():
         values = {name: value for name, value in numbers.items() if name.endswith(f".{key}")}
         if values:
             name = max(values, key=lambda name: values[name])
             q = quantities.find(name)
-            return f"{q.factor * values[name]:.1f} {q.shown} {words} {name.partition('.')[0]}"
+            return f"{q.factor * values[name]:.1f} {q.shown} {text} {name.partition('.')[0]}"
     return ""

@@ -69,7 +69,7 @@ class Stresses:
             self.shares[region] = stress_history.weights / stress_history.weights.sum()
         # Stiffness over its largest at the points, where it varies.
         self._relative: dict[str, Floats] = {}
-        self.follow_density(every=True)
+        self.follow_density(all_regions=True)
         self._places: dict[str, tuple[Floats, Floats]] = {}
         # Forms of the elastic strain of regions with free strain. The others share one form.
         self._with_free_strain: dict[str, fem.Expression] = {}
@@ -83,10 +83,10 @@ class Stresses:
                 elastic_strain = body_forms.elastic_strain(e, displacement)
                 self._with_free_strain[e.region] = self._expression(elastic_strain)
 
-    def follow_density(self, every: bool = False) -> None:
-        """Update the stiffness that follows a density, or of `every` region where it varies."""
+    def follow_density(self, all_regions: bool = False) -> None:
+        """Update stiffness that follows a density, with ``all_regions`` wherever it varies."""
         for e in self._problem.scene.elastic:
-            if e.varies and (every or e._density):
+            if e.varies and (all_regions or e._density):
                 points = self.points[e.region]
                 self._relative[e.region] = self._problem.body_forms.relative_stiffness(e, points)
 
@@ -109,11 +109,11 @@ class Stresses:
         """Stress at the quadrature points of a region's owned cells (cells, points, 3, 3) [MPa]."""
         stress_history = self._stress_histories.get(region)
         if stress_history:
-            σ, at = stress_history.stress(region), self.points[region]
-            if at is stress_history.points:
+            σ, cell_points = stress_history.stress(region), self.points[region]
+            if cell_points is stress_history.points:
                 return σ
             rows = σ.reshape(*σ.shape[:2], 9)
-            return extrapolated(rows, stress_history.points, at).reshape(len(σ), -1, 3, 3)
+            return extrapolated(rows, stress_history.points, cell_points).reshape(len(σ), -1, 3, 3)
         return self._stress(region, self._elastic_strain(region))
 
     def _stress(self, region: str, ε: Floats) -> Floats:
@@ -130,8 +130,10 @@ class Stresses:
 
     def varying_moduli(self) -> dict[str, Floats]:
         """Mean Young's modulus of owned cells (cells,) [MPa], of regions where it varies."""
-        of = {e.region: e.moduli[0] for e in self._problem.scene.elastic}
-        return {r: of[r] * (g * self.shares[r]).sum(1) for r, g in self._relative.items()}
+        modulus_of_region = {e.region: e.moduli[0] for e in self._problem.scene.elastic}
+        return {
+            r: modulus_of_region[r] * (g * self.shares[r]).sum(1) for r, g in self._relative.items()
+        }
 
     def mean(self, region: str) -> Floats:
         """Mean stress of a region's owned cells (cells, 3, 3) [MPa]."""
@@ -166,10 +168,10 @@ class Stresses:
         )
         mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
-        values = self.whole(local)
+        values = self.gather(local)
         extra: Numbers = computed("regions", self, region)
         if region == "stem" and self._depth:
-            x = self.whole(x.T).T
+            x = self.gather(x.T).T
             outside = self._depth(x) < 0
             neck, places = values[:, outside], x[outside]
             extra["neck"] = self._statistics(neck) | {
@@ -186,19 +188,19 @@ class Stresses:
                 extra[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
         return self._statistics(values) | extra
 
-    def whole(self, rows: Floats) -> Floats:
+    def gather(self, rows: Floats) -> Floats:
         """Values at the points of all ranks (k, n)."""
         return np.concatenate(self._problem.comm.allgather(rows), axis=1)
 
     def _statistics(self, values: Floats) -> Numbers:
         """Published numbers of stresses and volumes at points, one row for each (6, n)."""
-        mises, hoop, principal, least, mean, volume = values
+        mises, hoop, principal, smallest_principal, mean, volume = values
         result = {
             "von_mises_max": float(mises.max()),
             "von_mises_p99": percentile(mises, volume),
             "principal_max": float(principal.max()),
             "principal_p99": percentile(principal, volume),
-            "principal_min": float(least.min()),
+            "principal_min": float(smallest_principal.min()),
             "mean_stress_min": float(mean.min()),
             "mean_stress_max": float(mean.max()),
             "volume": float(volume.sum()),
@@ -227,17 +229,17 @@ def _moduli_by_energy(e: Elastic) -> Floats:
         return float(e.energy(ε, e.coefficients, as_vector(fibre))(()))
 
     # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b), and ψ(2 a) = 4 ψ(a).
-    one = np.eye(6)
-    single = np.array([energy(a) for a in one])
+    unit_strains = np.eye(6)
+    single = np.array([energy(a) for a in unit_strains])
     work = np.diag(2 * single)
     for i, j in combinations(range(6), 2):
-        work[i, j] = work[j, i] = energy(one[i] + one[j]) - single[i] - single[j]
+        work[i, j] = work[j, i] = energy(unit_strains[i] + unit_strains[j]) - single[i] - single[j]
     # Each of the last three stands for two entries of the tensors.
     entries = np.zeros((6, 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
         entries[k, i, j] = entries[k, j, i] = 1.0 if i == j else 0.5
-    each = entries.reshape(6, 9)
-    return np.asarray(each.T @ work @ each)
+    matrix = entries.reshape(6, 9)
+    return np.asarray(matrix.T @ work @ matrix)
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
@@ -245,8 +247,8 @@ def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
 
     def basis(x: Floats) -> Floats:
         # One point gives no slope.
-        one = np.ones((len(x), 1))
-        return np.concatenate([one, x], axis=1) if len(points) > 1 else one
+        constant = np.ones((len(x), 1))
+        return np.concatenate([constant, x], axis=1) if len(points) > 1 else constant
 
     return np.asarray(basis(X) @ np.linalg.pinv(basis(points)) @ σ)
 

@@ -69,14 +69,14 @@ class Pieces:
             part = f[:, :1] / (f[:, :1] - f[:, 1:])
             p, q = (x[:, 0] + part[:, k, None] * (x[:, k + 1] - x[:, 0]) for k in (0, 1))
             if inside == 1:
-                made = [(x[:, 0], p, q)]
+                kept_and_cut = [(x[:, 0], p, q)]
             else:
-                made = [(p, x[:, 1], x[:, 2]), (p, x[:, 2], q)]
-            cuts += [(self.facet[rows], np.stack(corners, axis=1)) for corners in made]
-        facet, at = (np.concatenate(part) for part in zip(*cuts, strict=True))
-        pieces = Pieces(facet, at)
-        kept = pieces.share > NOTHING
-        return Pieces(facet[kept], at[kept])
+                kept_and_cut = [(p, x[:, 1], x[:, 2]), (p, x[:, 2], q)]
+            cuts += [(self.facet[rows], np.stack(corners, axis=1)) for corners in kept_and_cut]
+        facet, barycentric = (np.concatenate(part) for part in zip(*cuts, strict=True))
+        pieces = Pieces(facet, barycentric)
+        has_area = pieces.share > NOTHING
+        return Pieces(facet[has_area], barycentric[has_area])
 
 
 def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
@@ -90,11 +90,11 @@ def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
     Returns:
         The pieces of each part; of the rest, with the empty name, first.
     """
-    rest = Pieces(np.arange(facets), np.tile(np.eye(3), (facets, 1, 1)))
+    remaining = Pieces(np.arange(facets), np.tile(np.eye(3), (facets, 1, 1)))
     pieces = {}
     for part, level in levels.items():
-        pieces[part], rest = rest.beyond(-level), rest.beyond(level)
-    return {"": rest} | pieces
+        pieces[part], remaining = remaining.beyond(-level), remaining.beyond(level)
+    return {"": remaining} | pieces
 
 
 def in_parts(
@@ -130,10 +130,10 @@ class Surface:
         self.triangles: Ints = points.triangles[i]
         x = self.corners = points.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        area = np.linalg.norm(flat, axis=1) / 2
+        flat_area = np.linalg.norm(flat, axis=1) / 2
         # Curved facets have a little more than their corners span.
-        whole = points.weight[self.points].sum()
-        self.area = area * (whole / area.sum()) if len(area) else area
+        total = points.weight[self.points].sum()
+        self.area = flat_area * (total / flat_area.sum()) if len(flat_area) else flat_area
         # At each corner the face of the point that this facet belongs to.
         along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
@@ -191,11 +191,14 @@ class Surface:
         carries no reported traction, the means are kept.
         """
         area = self._face_area
-        held = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))
-        free = (area > 0) & (held == 0)
+        sharp_sums = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))
+        has_smooth_part = (area > 0) & (sharp_sums == 0)
         values = means.copy()
         for _ in range(STEPS):
             corners = self._at_corners(values)
             integrals = self.area[:, None] / 12 * (corners + corners.sum(axis=1, keepdims=True))
-            values[free] += means[free] - self._sums(integrals)[free] / area[free]
+            values[has_smooth_part] += (
+                means[has_smooth_part]
+                - self._sums(integrals)[has_smooth_part] / area[has_smooth_part]
+            )
         return np.where(values * means > 0, values, 0.0)

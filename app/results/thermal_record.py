@@ -54,8 +54,10 @@ def exchange(
     master, slave = (table[j.bodies[:, k], np.arange(len(j.dof))] for k in (0, 1))
     q = j.flux(x[1].array)[0]
     s = np.asarray(interface_heat.entropy_production(q, j.friction, j.share, master, slave))
-    at = {c.name: j.interface == i for i, c in enumerate(operators.scene.thermal_contacts)}
-    return {name: (q[here], s[here]) for name, here in at.items()}
+    at_interface = {
+        c.name: j.interface == i for i, c in enumerate(operators.scene.thermal_contacts)
+    }
+    return {name: (q[mask], s[mask]) for name, mask in at_interface.items()}
 
 
 class RegionTemperatures:
@@ -99,11 +101,11 @@ class RegionTemperatures:
 
         It ends at some seconds with rates of change [K/s], which are given if it began with a kink.
         """
-        last = self.before[-1]
-        now = (seconds, self.now)
+        previous = self.before[-1]
+        current = (seconds, self.now)
         if rates:
-            return bend_after_kink(rates[self.nodes.body][self.nodes.dof], last, now)
-        return bend(self.before[max(len(self.before) - 2, 0)], last, now)
+            return bend_after_kink(rates[self.nodes.body][self.nodes.dof], previous, current)
+        return bend(self.before[max(len(self.before) - 2, 0)], previous, current)
 
     def raise_peak(self, seconds: float, highest: float) -> None:
         """Raise the peaks to those at and before a time, at most to ``highest``."""
@@ -261,8 +263,8 @@ class ThermalRecord:
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
         """Add the doses of a step, in as many straight pieces as its curvature asks for."""
         bends = {name: r.bend(seconds, rates) for name, r in self.regions.items()}
-        most = (np.abs(b[self.regions[n].warm]).max(initial=0.0) for n, b in bends.items())
-        worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
+        largest_bends = (np.abs(b[self.regions[n].warm]).max(initial=0.0) for n, b in bends.items())
+        worst = self._comm.allreduce(max(map(float, largest_bends)), MPI.MAX)
         pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
             r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, pieces)
@@ -280,7 +282,7 @@ class ThermalRecord:
         }
         for name, nodes in self._interfaces.items():
             for which, side in zip(SIDES, nodes.sides, strict=True):
-                T = self._on(side, lambda r: r.now)
+                T = self._on_side(side, lambda r: r.now)
                 local[f"{name} temperature_max_{which} [degC]"] = T - CELSIUS
             if not nodes.apart:
                 local[f"{name} temperature_jump_max [K]"] = np.abs(nodes.jump(temperatures))
@@ -291,11 +293,11 @@ class ThermalRecord:
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self.seconds, self.row = seconds, {"seconds [s]": seconds, **row}
 
-    def _on(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
+    def _on_side(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
         """Values of the nodes of a side of an interface (n, ...)."""
         return np.concatenate([values(self.regions[name])[rows] for name, rows in side.items()])
 
-    def moved(self, capacities: Mapping[str, float]) -> float:
+    def moved_heat(self, capacities: Mapping[str, float]) -> float:
         """Heat that moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
         local = sum(
             capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
@@ -307,7 +309,11 @@ class ThermalRecord:
     def row_keys(self) -> dict[str, dict[str, Ints]]:
         """Keys of the regions' nodes."""
         nodes = node_keys(self._forms.space)
-        return {"regions": {region: nodes[at.dof] for region, at in self._nodes.items()}}
+        return {
+            "regions": {
+                region: nodes[region_nodes.dof] for region, region_nodes in self._nodes.items()
+            }
+        }
 
     # The summary
 
@@ -341,9 +347,9 @@ class ThermalRecord:
         for which, side in zip(SIDES, self._interfaces[name].sides, strict=True):
             peak, place, when = largest(
                 self._comm,
-                self._on(side, lambda r: r.peak.value),
-                self._on(side, lambda r: r.nodes.x),
-                self._on(side, lambda r: r.peak.time),
+                self._on_side(side, lambda r: r.peak.value),
+                self._on_side(side, lambda r: r.nodes.x),
+                self._on_side(side, lambda r: r.peak.time),
             )
             result[f"temperature_max_{which}"] = peak - CELSIUS
             result[f"temperature_max_{which}_at"] = place
@@ -414,11 +420,15 @@ class CureRecord:
             degree = degrees[name]
             rate = rates[name]
             for key, level in SET.items():
-                now = np.flatnonzero((degree >= level) & np.isinf(r.reached[key]))
+                newly_reached = np.flatnonzero((degree >= level) & np.isinf(r.reached[key]))
                 share = _crossing(
-                    level, r.degree[now], degree[now], step * r.rate[now], step * rate[now]
+                    level,
+                    r.degree[newly_reached],
+                    degree[newly_reached],
+                    step * r.rate[newly_reached],
+                    step * rate[newly_reached],
                 )
-                r.reached[key][now] = self.seconds + step * share
+                r.reached[key][newly_reached] = self.seconds + step * share
             r.fastest.take(rate, seconds)
             r.degree = degree.copy()
             r.rate = rate.copy()
@@ -448,7 +458,9 @@ class CureRecord:
         return -ends["minus lowest"], ends["highest"]
 
 
-def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: Floats) -> Floats:
+def _crossing(
+    level: float, start: Floats, end: Floats, slope_before: Floats, slope_after: Floats
+) -> Floats:
     """Fraction of a step (n,) after which degrees from ``start`` to ``end`` (n,) reach a level.
 
     A cubic in the degree, by the rates at both ends times the step (n,); zero: not known.
@@ -458,6 +470,6 @@ def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: F
     # Slopes of time over degree; three times the chord at most leaves the cubic monotone.
     a, b = (
         np.minimum(np.divide(change, rate, out=np.ones_like(start), where=rate > 0), 3.0)
-        for rate in (before, after)
+        for rate in (slope_before, slope_after)
     )
     return np.asarray(s**2 * (3 - 2 * s) + s * (1 - s) ** 2 * a - s**2 * (1 - s) * b)

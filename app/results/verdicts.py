@@ -76,7 +76,11 @@ def check_usable(summaries: Mapping[Path, Summary]) -> None:
         UnusableError: With the reasons of each.
     """
     reasons = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
-    bad = [f"do not use the numbers in {folder}: {why}" for folder, why in reasons.items() if why]
+    bad = [
+        f"do not use the numbers in {folder}: {reason}"
+        for folder, reason in reasons.items()
+        if reason
+    ]
     if bad:
         raise UnusableError(bad)
 
@@ -103,9 +107,9 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     verdicts += [_by_facets(name, q) for name, q in interfaces.items() if "pressure_by_facets" in q]
     verdicts += [_steep(name, q) for name, q in interfaces.items() if _is_steep(q)]
     verdicts += [_crack(name, q) for name, q in interfaces.items() if "zone_length" in q]
-    far = too_far(summary)
-    if far:
-        text = f"larger than a facet on {' and '.join(far)}: small sliding does not hold"
+    far_moved = too_far(summary)
+    if far_moved:
+        text = f"larger than a facet on {' and '.join(far_moved)}: small sliding does not hold"
         verdicts.append(Verdict(text, "slip", "use `sliding: finite`"))
     for of_package in _JUDGES:
         verdicts += of_package(summary)
@@ -151,8 +155,8 @@ def _balances(summary: Summary) -> Iterator[Verdict]:
         if excess:
             yield Verdict(f"NOT satisfied: {'; '.join(excess.values())}", EQUILIBRIUM)
         else:
-            known = ", ".join(text for name, text in defects.items() if name != "heat")
-            text = f"satisfied to rounding (relative errors: {known})"
+            defects_text = ", ".join(text for name, text in defects.items() if name != "heat")
+            text = f"satisfied to rounding (relative errors: {defects_text})"
             yield Verdict(text, EQUILIBRIUM, severity=Severity.GOOD)
     if "heat" in balance:
         if heat:
@@ -171,16 +175,16 @@ def _physiology(summary: Summary) -> Iterator[Verdict]:
     head = float(np.linalg.norm(femur["head_displacement"]))
     strains = [1e6 * abs(v) for key, v in femur.items() if re.fullmatch(r"strain.*\d", key)]
     low, high = STRAINS
-    least = min(strains)
-    most = max(strains)
+    smallest = min(strains)
+    largest = max(strains)
     clauses = []
     if head > MOTION:
         clauses.append(f"the head moves {head:.1f} mm (usually at most {MOTION:g} mm)")
     # A stem takes load from the cortex beside it: there the largest strain judges the loads.
-    lowest = most if summary.get("stem") else least
-    if lowest < low or most > high:
+    lowest = largest if summary.get("stem") else smallest
+    if lowest < low or largest > high:
         usual = f"(usually {low:g} to {high:g} um/m)"
-        clauses.append(f"the strain of the cortex is {least:.0f} to {most:.0f} um/m {usual}")
+        clauses.append(f"the strain of the cortex is {smallest:.0f} to {largest:.0f} um/m {usual}")
     if clauses:
         yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
 
@@ -206,33 +210,33 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
 
     def length(key: str) -> str:
         q = TABLE["interfaces"][key]
-        return f"{q.factor * most[key]:.2g} {q.shown}"
+        return f"{q.factor * largest[key]:.2g} {q.shown}"
 
     keys = ("penetration_max", "penetration_sampled")
-    most = {key: max(q.get(key, 0.0) for q in interfaces.values()) for key in keys}
+    largest = {key: max(q.get(key, 0.0) for q in interfaces.values()) for key in keys}
     gap = TABLE["interfaces"]["gap_max"].text
     rims = [f"{gap(q['rim'])} um ({name})" for name, q in interfaces.items() if "rim" in q]
     rim = ""
     if rims:
         rim = f". Rim and tip are excluded; the rim opens by {', '.join(rims)}"
-    if most["penetration_max"] >= 1e-9:
+    if largest["penetration_max"] >= 1e-9:
         deep = length("penetration_max")
         text = f"bodies overlap by {deep} at nodes{rim}"
         return Verdict(text, CONTACT, severity=Severity.WARNING)
-    between = most["penetration_sampled"] >= 1e-9
-    rest = ""
+    between = largest["penetration_sampled"] >= 1e-9
+    overlap_text = ""
     if between:
-        rest = f"; between nodes bodies overlap by up to {length('penetration_sampled')}"
-    text = f"satisfied to rounding at nodes{rest}{rim}"
+        overlap_text = f"; between nodes bodies overlap by up to {length('penetration_sampled')}"
+    text = f"satisfied to rounding at nodes{overlap_text}{rim}"
     return Verdict(text, CONTACT, severity=Severity.GOOD)
 
 
 def _by_facets(name: str, q: Numbers) -> Verdict:
     """The largest pressure of an interface, where facets decide it."""
-    most = TABLE["interfaces"]["pressure_max"].text(q)
+    largest = TABLE["interfaces"]["pressure_max"].text(q)
     part = TABLE["interfaces"]["pressure_by_facets"].text(q)
     text = (
-        f"the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip over their "
+        f"the maximum on {name}, {largest} MPa, depends on the facets of the mesh: slip over their "
         f"edges causes up to {part} MPa"
     )
     cure = "reduce `mesh.size`; replace straight cells by curved ones of second order"
@@ -245,9 +249,11 @@ def _is_steep(q: Numbers) -> bool:
 
 def _steep(name: str, q: Numbers) -> Verdict:
     """The largest pressure of an interface, where it is far above the mean at its point."""
-    most, mean = (TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max"))
+    largest, mean = (
+        TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max")
+    )
     text = (
-        f"the maximum on {name}, {most} MPa, is at a ridge or an edge; averaged over the area of a "
+        f"the maximum on {name}, {largest} MPa, is at a ridge or an edge; averaged over the area of a "
         f"node the pressure is at most {mean} MPa"
     )
     return Verdict(text, "pressure", severity=Severity.WARNING)
@@ -293,17 +299,19 @@ def _mesh_and_step(summary: Summary) -> Verdict:
 def _peaks(summary: Summary) -> list[Verdict]:
     """Maxima that change most with the mesh, with their values on every mesh solved."""
     lines = []
-    for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
+    for name, ((finest, value), *coarser) in summary.get("error", {}).get("unsettled", {}).items():
         q = quantities.get(name)
         if q and q.unit != "-":  # a risk stands with the strength
             words = quantities.in_words(name)[0].removesuffix(" max").removesuffix(",")
-            on = [f"{words} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
+            finest_values = [f"{words} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
-                ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])
+                ", ".join(
+                    finest_values + [f"{q.text({q.key: v})} at {size:g}" for size, v in coarser]
+                )
             )
     if not lines:
         return []
-    shown = lines[:MOST]
+    shown_lines = lines[:MOST]
     if lines[MOST:]:
-        shown.append(f"{len(lines) - MOST} more: `error.unsettled` in summary.json")
-    return [Verdict("; ".join(shown), PEAKS, severity=Severity.WARNING)]
+        shown_lines.append(f"{len(lines) - MOST} more: `error.unsettled` in summary.json")
+    return [Verdict("; ".join(shown_lines), PEAKS, severity=Severity.WARNING)]

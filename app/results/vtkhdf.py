@@ -87,8 +87,8 @@ class GridFile:
         x, nodes = self._gather(grid.points), self._gather(grid.point_keys[grid.cells])
         data = {name: self._gather(values)[cells] for name, values in grid.cell_data.items()}
         cells = np.searchsorted(keys, nodes[cells])
-        whole = replace(grid, points=x[points], cells=cells, cell_data=data)
-        on_root(comm, lambda: _create(path, whole))
+        full_grid = replace(grid, points=x[points], cells=cells, cell_data=data)
+        on_root(comm, lambda: _create(path, full_grid))
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
         """Add one step (collective); the file is complete and closed when this returns.
@@ -169,9 +169,9 @@ def write_last_step(path: Path, target: Path) -> None:
     """
     with (
         h5py.File(path, "r", locking=False) as file,
-        h5py.File(target.name, "w", driver="core", backing_store=False) as new,
+        h5py.File(target.name, "w", driver="core", backing_store=False) as new_file,
     ):
-        source, root = file["VTKHDF"], new.create_group("VTKHDF")
+        source, root = file["VTKHDF"], new_file.create_group("VTKHDF")
         root.attrs.update(source.attrs)
         for name in source.keys() - {"Steps", "PointData", "CellData"}:
             source.copy(name, root)
@@ -179,17 +179,17 @@ def write_last_step(path: Path, target: Path) -> None:
             for name, values in source[kind].items():
                 start = int(source[f"Steps/{kind}Offsets/{name}"][-1])
                 root[f"{kind}/{name}"] = values[start : start + len(source[rows])]
-        new.flush()
-        files.write_bytes(target, new.id.get_file_image())
+        new_file.flush()
+        files.write_bytes(target, new_file.id.get_file_image())
 
 
 def _cut(path: Path, points: int, cells: int, steps: int) -> None:
     """Truncate a file to some steps; OSError if it is damaged, of another grid, or has too few."""
     try:
         with _edit(path, 0) as root:
-            known = int(root["Steps"].attrs["NSteps"])
-            same = (len(root["Points"]), len(root["Types"])) == (points, cells)
-            if not same or known < steps:
+            steps_in_file = int(root["Steps"].attrs["NSteps"])
+            is_same_size = (len(root["Points"]), len(root["Types"])) == (points, cells)
+            if not is_same_size or steps_in_file < steps:
                 raise OSError(errno.EINVAL, "not the file that was written", str(path))
             root["Steps"].attrs.modify("NSteps", steps)
     except KeyError as error:
@@ -216,8 +216,10 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
         data = h5py.h5d.open(root.id, name.encode())
     except KeyError:
         chunks, limit = (max(chunk, 1), *shape), (None, *shape)
-        new = root.create_dataset(name, (0, *shape), values.dtype, maxshape=limit, chunks=chunks)
-        data = new.id
+        dataset = root.create_dataset(
+            name, (0, *shape), values.dtype, maxshape=limit, chunks=chunks
+        )
+        data = dataset.id
     if data.shape[1:] != shape:
         raise ValueError(f"{name}: components {shape} instead of {data.shape[1:]}")
     # Not by h5py's indexing, which takes longer than writing a small array.

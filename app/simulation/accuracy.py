@@ -60,8 +60,8 @@ def add_errors(
             numbers = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
             agree(model.tagged.mesh.comm, failure)
-            why = str(failure).splitlines()[0]
-            log.warning("error estimate: the companion run on %s failed: %s", companion, why)
+            reason = str(failure).splitlines()[0]
+            log.warning("error estimate: the companion run on %s failed: %s", companion, reason)
             failed.append(str(companion))
             continue
         except StoppedError as stop:
@@ -107,20 +107,20 @@ def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) 
         size = start
         choice = None
         while choice is None or choice[3].mesh.size < size:
-            cheap = _on(case, size, order)
+            cheap = _on_mesh(case, size, order)
             errors = [(e, p[order - 1]) for e, _, p in relative_errors(solve(cheap))]
-            error, best, limit = _coarsest_within(target, cheap, errors, longest)
-            words = f"{percent(error)} expected, about {duration(cost.seconds(best))}{limit}"
-            mesh = f"{best.mesh.size:g} mm at order {order}"
-            words = f"chosen for a target of {percent(target)}: {mesh} ({words})"
-            log.info("accuracy: %s, by a run on %g mm", words, size)
-            choice = (max(error, target), cost.seconds(best), words, best)
+            error, chosen, limit = _coarsest_within(target, cheap, errors, longest)
+            text = f"{percent(error)} expected, about {duration(cost.seconds(chosen))}{limit}"
+            mesh = f"{chosen.mesh.size:g} mm at order {order}"
+            text = f"chosen for a target of {percent(target)}: {mesh} ({text})"
+            log.info("accuracy: %s, by a run on %g mm", text, size)
+            choice = (max(error, target), cost.seconds(chosen), text, chosen)
             if choices and choice > choices[0]:
                 break
             size *= 0.5  # errors are extrapolated over a factor of two
         choices.append(choice)
-    *_, words, best = min(choices)
-    return best, words
+    *_, text, chosen = min(choices)
+    return chosen, text
 
 
 def _coarsest_within(
@@ -137,23 +137,25 @@ def _coarsest_within(
     Returns:
         The largest error expected, the case, and the limit that was met, in words.
     """
-    best = cheap
+    coarsest = cheap
     while True:
-        finer = best.mesh.size / cheap.mesh.size
+        finer = coarsest.mesh.size / cheap.mesh.size
         error = max((e * finer**p for e, p in errors), default=0.0)
         if error <= target:
-            return error, best, ""
-        next_best = _on(best, float(f"{best.mesh.size / FINER:.2g}"), best.mesh.order)
+            return error, coarsest, ""
+        next_best = _on_mesh(
+            coarsest, float(f"{coarsest.mesh.size / FINER:.2g}"), coarsest.mesh.order
+        )
         available = memory.available()
         if MEMORY * memory.needed(next_best) > available:
             text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer mesh"
-            return error, best, text
+            return error, coarsest, text
         if longest and TIME * cost.seconds(next_best) > longest:
-            return error, best, f"; a walltime of {duration(longest)} allows no finer mesh"
-        best = next_best
+            return error, coarsest, f"; a walltime of {duration(longest)} allows no finer mesh"
+        coarsest = next_best
 
 
-def _on(case: Case, size: float, order: int) -> Case:
+def _on_mesh(case: Case, size: float, order: int) -> Case:
     """The case with errors, on cells of another size and order."""
     curved = case.mesh.curved if order > 1 else None
     changed = {"size": size, "order": order, "curved": curved}
@@ -178,7 +180,7 @@ def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
     return errors
 
 
-def reached(chosen: str, summary: Summary) -> str:
+def reached_text(chosen: str, summary: Summary) -> str:
     """A sentence on what was asked for, chosen and reached."""
     errors = relative_errors(summary)
     if not errors:

@@ -186,8 +186,8 @@ class _Deck:
         for body, vector in nodal_forces(load, self.forms).items():
             of_dof = vector.array_r.reshape(-1, 3)
             dofs = np.flatnonzero(of_dof.any(axis=1))
-            at = np.searchsorted(self.nodes, dofs * len(self.bodies.names) + body)
-            forces[at] = of_dof[dofs]
+            positions = np.searchsorted(self.nodes, dofs * len(self.bodies.names) + body)
+            forces[positions] = of_dof[dofs]
         return forces
 
     def _supports(self, stage: int) -> Iterator[str]:
@@ -195,7 +195,7 @@ class _Deck:
 
         Where several supports hold a component, the last one gives its displacement.
         """
-        held: dict[tuple[int, int], float] = {}
+        prescribed: dict[tuple[int, int], float] = {}
         for s in self.scene.supports:
             if not self.scene.holds(s, stage):
                 continue
@@ -206,9 +206,9 @@ class _Deck:
             u = s.values(x) * amplitude(s.history, stage + 1)
             node = np.searchsorted(self.nodes, keys) + 1
             for c in np.flatnonzero(s.components):
-                held |= dict(zip(((int(n), c + 1) for n in node), u[:, c], strict=True))
+                prescribed |= dict(zip(((int(n), c + 1) for n in node), u[:, c], strict=True))
         yield "*BOUNDARY, OP=NEW"
-        yield from (f"{n}, {c}, {c}, {_real(u)}" for (n, c), u in sorted(held.items()))
+        yield from (f"{n}, {c}, {c}, {_real(u)}" for (n, c), u in sorted(prescribed.items()))
 
 
 def _real(*values: float) -> str:
@@ -232,8 +232,8 @@ def _material(e: Elastic) -> Iterator[str]:
     yield f"{_real(*constants[:8])},\n{_real(constants[8])}"
     axis = np.array(e.fibre.axis)
     if not e.fibre.curved:
-        other = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-        yield f"*ORIENTATION, NAME={e.region}, SYSTEM=RECTANGULAR\n{_real(*axis, *other)}"
+        second_axis = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+        yield f"*ORIENTATION, NAME={e.region}, SYSTEM=RECTANGULAR\n{_real(*axis, *second_axis)}"
     else:
         ends = [*e.fibre.through, *(e.fibre.through + axis)]
         yield f"*ORIENTATION, NAME={e.region}, SYSTEM=CYLINDRICAL\n{_real(*ends)}"

@@ -149,10 +149,12 @@ def read(path: Path) -> Checkpoint:
 # Which one
 
 
-def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> Checkpoint | None:
+def find(
+    comm: MPI.Comm, requested: str, folder: Path, case: Case, force: bool
+) -> Checkpoint | None:
     """Checkpoint to restart from, or None; collective.
 
-    ``wanted`` is a file, or ``auto``: the newest readable one in the run directory. ``force``
+    ``requested`` is a file, or ``auto``: the newest readable one in the run directory. ``force``
     accepts one of another configuration.
 
     Raises:
@@ -160,18 +162,18 @@ def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> 
     """
 
     def choose() -> Path | None:
-        every = folders.saved(folder) if wanted == "auto" else [Path(wanted)]
-        for path in every:
+        all_checkpoints = folders.saved(folder) if requested == "auto" else [Path(requested)]
+        for path in all_checkpoints:
             try:
                 saved = read(path)
             except DamagedError as error:
-                if wanted != "auto":
+                if requested != "auto":
                     raise InputError(f"--restart {path}: cannot be used: {error}") from error
                 log.warning("%s cannot be used: %s; trying the previous one", path, error)
                 continue
             _refuse_another(saved, case, force)
             return path
-        none = "no usable checkpoint" if every else "no checkpoint"
+        none = "no usable checkpoint" if all_checkpoints else "no checkpoint"
         log.info("restart: %s in %s; starting from the beginning", none, folder)
         return None
 
@@ -186,17 +188,20 @@ def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
             f"--restart: {saved.path} was written by mantle {saved.header['mantle']}, this is "
             f"{__version__}: results may differ (--force uses it nevertheless)"
         )
-    before, now = (dict(_leaves(c)) for c in (saved.header["case"], described(case)))
-    pairs = {key: (now.get(key, "nothing"), before.get(key, "nothing")) for key in now | before}
+    saved_values, case_values = (dict(_leaves(c)) for c in (saved.header["case"], described(case)))
+    pairs = {
+        key: (case_values.get(key, "nothing"), saved_values.get(key, "nothing"))
+        for key in case_values | saved_values
+    }
     differ = [f"  {key}: {a}; in the checkpoint {b}" for key, (a, b) in pairs.items() if a != b]
     if not differ:
         return
     if len(differ) > MOST_LISTED:
         differ = [*differ[:MOST_LISTED], f"  and {len(differ) - MOST_LISTED} more"]
-    other = f"{saved.path} is the checkpoint of another case"
+    text = f"{saved.path} is the checkpoint of another case"
     if not force:
-        raise InputError([f"--restart: {other}; --force uses it nevertheless", *differ])
-    log.warning("%s:\n%s", other, "\n".join(differ))
+        raise InputError([f"--restart: {text}; --force uses it nevertheless", *differ])
+    log.warning("%s:\n%s", text, "\n".join(differ))
 
 
 def described(case: Case) -> dict[str, object]:
@@ -232,7 +237,7 @@ class CheckpointWriter:
         self._folder, self._restored_from = folder, saved
         self._comm = model.tagged.mesh.comm
         self._options = case.output.checkpoint
-        self._last: tuple[Header, object] | None = None
+        self._last_mark: tuple[Header, object] | None = None
         self._saved, self._when = 0, clock.monotonic()
 
     def resume(self) -> int:
@@ -250,7 +255,7 @@ class CheckpointWriter:
         restore(parts)
         self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
-        self._last = self._now(header["stage"])
+        self._last_mark = self._current_state(header["stage"])
         by = "" if header["ranks"] == self._comm.size else f" by {several(header['ranks'], 'rank')}"
         log.info(
             "restart from %s, written %s%s: step %d, time %.6g in stage '%s', %.1f s of work",
@@ -262,11 +267,12 @@ class CheckpointWriter:
     def _fill(self, saved: Checkpoint, parts: dict[str, object]) -> None:
         """Fill the parts; raise InputError for a checkpoint of another mesh or other unknowns."""
         mesh, stage = saved.header["mesh"], saved.header["stage"]
-        here, stages = self._model.mesh_hash, len(self._model.scene.stages)
+        mesh_hash, stages = self._model.mesh_hash, len(self._model.scene.stages)
         checkpoint = f"--restart: {saved.path}: checkpoint"
-        if mesh != here:
+        if mesh != mesh_hash:
             raise InputError(
-                f"{checkpoint} of another mesh ({mesh[:12]}; this case has {here[:12]}); restart "
+                f"{checkpoint} of another mesh ({mesh[:12]}; this case has {mesh_hash[:12]}); "
+                "restart "
                 "with the mesh it was written on"
             )
         if stage >= stages:
@@ -279,7 +285,7 @@ class CheckpointWriter:
                 "allowed: cases of the same interfaces, heat and cure"
             ) from error
 
-    def _now(self, k: int) -> tuple[Header, object]:
+    def _current_state(self, k: int) -> tuple[Header, object]:
         """Header and state of the step last recorded, in stage k."""
         header: Header = {
             "mantle": __version__,
@@ -296,7 +302,7 @@ class CheckpointWriter:
 
     def mark(self, k: int) -> None:
         """Remember the state, in stage k, and save it if that is due; collective."""
-        self._last = self._now(k)
+        self._last_mark = self._current_state(k)
         steps, minutes = self._options.steps, self._options.minutes
         due = bool(steps and self._recorder.step_count - self._saved >= steps)
         if minutes and not due:
@@ -308,9 +314,9 @@ class CheckpointWriter:
 
     def save(self) -> Path | None:
         """Save the state last remembered, unless it is saved; returns its file; collective."""
-        if self._last is None:
+        if self._last_mark is None:
             return None
-        header, state = self._last
+        header, state = self._last_mark
         path = self._folder / f"checkpoint-{header['step']}.state"
         if header["step"] == self._saved and on_root(self._comm, path.exists):
             return path
@@ -320,15 +326,15 @@ class CheckpointWriter:
         except OSError as error:
             log.warning("checkpoint %s cannot be written: %s", path, error.strerror or error)
             return None
-        on_root(self._comm, lambda: _keep(self._folder, path), share=False)
+        on_root(self._comm, lambda: _delete_older(self._folder, path), share=False)
         self._saved, self._when = header["step"], clock.monotonic()
         log.debug("     %s", path)
         return path
 
 
-def _keep(folder: Path, newest: Path) -> None:
+def _delete_older(folder: Path, newest: Path) -> None:
     """Delete all but the newest checkpoints; later ones than `newest` are of an earlier try."""
-    every = folders.saved(folder)
-    place = every.index(newest)
-    for path in [*every[:place], *every[place + KEPT :]]:
+    all_checkpoints = folders.saved(folder)
+    place = all_checkpoints.index(newest)
+    for path in [*all_checkpoints[:place], *all_checkpoints[place + KEPT :]]:
         path.unlink(missing_ok=True)

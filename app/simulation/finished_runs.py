@@ -20,16 +20,16 @@ def finished(folder: Path, case: Case) -> bool:
     The case has no variations; a mesh file newer than the results counts as another case.
     """
     try:
-        done = (folder / "DONE").stat().st_mtime
+        done_at = (folder / "DONE").stat().st_mtime
         written = (folder / "case.yaml").read_text(encoding="utf-8")
-        same = written == dump(case)
+        is_same_case = written == dump(case)
         record = folders.read_json(folder / "provenance.json")
     except (OSError, ValueError):
         return False
-    same &= record.get("identity") == identity.parts()
+    is_same_case &= record.get("identity") == identity.parts()
     geometry = case.geometry
-    newer = isinstance(geometry, MeshFile) and geometry.modified > done
-    return same and not newer
+    newer = isinstance(geometry, MeshFile) and geometry.modified > done_at
+    return is_same_case and not newer
 
 
 def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, Summary]:
@@ -57,15 +57,15 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
         )
     memory.check(case.file, case.config)
     runs = case.runs(output)
-    done = (
+    all_finished = (
         not force
         and restart in ("", "auto")
         and (output / "DONE").exists()
         and all(finished(folder, run.case) for folder, run in runs.items())
     )
-    folders.prepare_run(output, force or done or bool(restart))
+    folders.prepare_run(output, force or all_finished or bool(restart))
     for folder in runs:
         folders.raise_if_taken(folder)
-    if done:
-        check_usable({at: folders.read_json(at / "summary.json") for at in runs})
-    return done
+    if all_finished:
+        check_usable({folder: folders.read_json(folder / "summary.json") for folder in runs})
+    return all_finished

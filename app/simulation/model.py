@@ -101,7 +101,7 @@ class Mechanical:
 
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
-        self.problem.take_up(*self.solver.u_and_q())
+        self.problem.restore_unknowns(*self.solver.u_and_q())
         self.stresses.follow_density()
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
@@ -154,7 +154,7 @@ class Model:
         self.case, self._timing = case, timing
         self.options, self.stop = options, stop
         # Shared by all models that follow one another.
-        self._others: list[Model] = reuse._others if reuse is not None else []
+        self._other_models: list[Model] = reuse._other_models if reuse is not None else []
         timing.about |= cost.phases(case)
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
@@ -174,12 +174,14 @@ class Model:
             self.thermal: ThermalModel | None = None
             if self.analysis.heating:
                 self.thermal = ThermalModel(case, self.analysis.heating, self.analysis.problem)
-        self._others[:] = [m for m in self._others if not self.deforms_like(m.case)] + [self]
+        self._other_models[:] = [m for m in self._other_models if not self.deforms_like(m.case)] + [
+            self
+        ]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
         """The mesh, its digest, and its connected pieces on rank 0; collective."""
         case = self.case
-        for model in self._others:
+        for model in self._other_models:
             if (model.case.geometry, model.case.mesh) == (case.geometry, case.mesh):
                 return model.tagged, model.mesh_hash, model.parts
         cache = folders.cache("meshes")
@@ -187,7 +189,7 @@ class Model:
         parts = well_posedness.look(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
         tagged = distribute(data, comm)
-        lifetime.follow(tagged.mesh)
+        lifetime.register(tagged.mesh)
         return tagged, digest, parts
 
     def deforms_like(self, case: Case) -> bool:
@@ -196,18 +198,20 @@ class Model:
 
     def _assemble(self) -> tuple[Analysis, Mechanical | None]:
         """Return the analysis and its mechanics, on earlier matrices where they fit; collective."""
-        case, like = self.case, None
+        case, same_stiffness = self.case, None
         earlier: Model | None = None
-        for model in self._others if not self.scene.stiffens else ():
+        for model in self._other_models if not self.scene.stiffens else ():
             m = model.mechanical_path
             if m is None or m.problem.body_forms.by_density:
                 continue
             if model.deforms_like(case):
                 earlier = model
                 break
-            same = _stiffness(model.case) == _stiffness(case)
-            if same and all(support.stages is None for support in self.scene.supports):
-                like = like or m.problem
+            has_same_stiffness = _stiffness(model.case) == _stiffness(case)
+            if has_same_stiffness and all(
+                support.stages is None for support in self.scene.supports
+            ):
+                same_stiffness = same_stiffness or m.problem
         options = case.solver
         settings = SolverSettings(
             tolerance=options.tolerance,
@@ -219,12 +223,12 @@ class Model:
             memory=memory.available(),
             stop=self.stop,
         )
-        where = self.scene, self.tagged, settings, self._timing
+        place = self.scene, self.tagged, settings, self._timing
         if earlier is not None and earlier.mechanical_path is not None:
-            analysis = assemble(*where, reuse=earlier.analysis)
+            analysis = assemble(*place, reuse=earlier.analysis)
             earlier.mechanical_path.begin()
             return analysis, earlier.mechanical_path
-        analysis = assemble(*where, like=like)
+        analysis = assemble(*place, same_stiffness=same_stiffness)
         if analysis.problem is None or analysis.solver is None:
             return analysis, None
         return analysis, Mechanical(analysis.problem, analysis.solver, case)
@@ -305,20 +309,20 @@ class Model:
             return (m.neighbours,)
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
-    def apart(self, case: Case, what: str) -> Model:
-        """A model of another case that shares nothing with this one, timed as ``what``."""
-        comm, timing = self.tagged.mesh.comm, self._timing.of(what)
+    def separate_model(self, case: Case, purpose: str) -> Model:
+        """A model of another case that shares nothing with this one, timed as ``purpose``."""
+        comm, timing = self.tagged.mesh.comm, self._timing.of(purpose)
         return Model(case, comm, self.options, timing, self.stop, judged=False)
 
     def _cheaper(self, case: Case) -> LoadStepper:
-        other = self._other(case, self._timing.of("cheaper model"))
-        assert other.mechanical_path is not None
-        predictors = other._predictors(other.mechanical_path)
-        stepper = other.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
+        cheaper = self._other_model(case, self._timing.of("cheaper model"))
+        assert cheaper.mechanical_path is not None
+        predictors = cheaper._predictors(cheaper.mechanical_path)
+        stepper = cheaper.analysis.load_stepper(on_trouble=log.debug, predictors=predictors)
         assert stepper is not None
         return stepper
 
-    def _other(self, case: Case, timing: Timing) -> Model:
+    def _other_model(self, case: Case, timing: Timing) -> Model:
         comm = self.tagged.mesh.comm
         return Model(case, comm, self.options, timing, self.stop, self, judged=False)
 
@@ -370,17 +374,19 @@ class Model:
 
     def relative(self, case: Case) -> Summary:
         """Solve a companion case; returns its numbers; collective."""
-        other = self._other(case, Timing("estimating errors"))
-        last: TrialState | None = None
-        m = other.mechanical_path
+        other_model = self._other_model(case, Timing("estimating errors"))
+        last_trial: TrialState | None = None
+        m = other_model.mechanical_path
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
-            nonlocal last
-            last = trial
+            nonlocal last_trial
+            last_trial = trial
 
-        other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
-        samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
-        return other.numbers(samples)
+        other_model.go(keep, on_trouble=lambda text: log.debug("     %s", text))
+        samples = (
+            ContactSamples(m.problem, last_trial, None, m.surfaces) if m and last_trial else None
+        )
+        return other_model.numbers(samples)
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:
@@ -402,9 +408,9 @@ def _stiffness(case: Case) -> tuple[object, ...]:
     """All data of a case that the stiffness of the bonded model and its solver depend on."""
     solver = case.solver.model_copy(update={"augmentation_factor": 1.0, "tolerance": 0.0})
     stages = [stage.name for stage in case.stages]
-    moved = [(m.region, m.boundary, m.about, m.translation) for m in case.motions.values()]
+    motions = [(m.region, m.boundary, m.about, m.translation) for m in case.motions.values()]
     bodies = case.geometry, case.mesh, case.regions, case.supports
-    return *bodies, moved, case.faces, solver, stages
+    return *bodies, motions, case.faces, solver, stages
 
 
 def _matrices(case: Case) -> tuple[object, ...]:

@@ -133,7 +133,7 @@ class Recorder:
         if self.mechanical_row and m and self.balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
-            self.balance.go_on(u, trial)
+            self.balance.continue_from(u, trial)
             if trial is not None:
                 pressures = self.contact_state["pressures"].astype(np.float64)
                 status = self.contact_state["status"].astype(np.int64)
@@ -167,13 +167,15 @@ class Recorder:
                 since = self.valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
             self.total.count(step.outcome)
-            moved = m.stem(self._case.side)
-            columns = [q for key, q in TABLE["stem"].items() if q.step_record and key in moved]
+            stem_motion = m.stem(self._case.side)
+            columns = [
+                q for key, q in TABLE["stem"].items() if q.step_record and key in stem_motion
+            ]
             self.mechanical_row = self._row_of(step, balance)
-            self.mechanical_row |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
+            self.mechanical_row |= {f"stem {q.key} [{q.unit}]": stem_motion[q.key] for q in columns}
             for record in self._model.records.values():
                 self.mechanical_row |= record.step_record()
-            self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
+            self._turn(step, {q.key: stem_motion[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:
                 self._row(step)
@@ -182,7 +184,7 @@ class Recorder:
     def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
         reversal = self._stage.reversal(step.time)
-        if self._stage.ways == self._stage.cycles or not step.whole or not reversal:
+        if self._stage.ways == self._stage.cycles or not step.ends_increment or not reversal:
             return  # cycle tables have no valleys
         self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
         if trial is not None and reversal % 2 == 0:
@@ -204,8 +206,8 @@ class Recorder:
         deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
         wall = clock.perf_counter() - self._begin
         rate = (len(self._model.scene.stages) - step.time) / step.time
-        left = self._timing.seconds.get("solve", 0.0) * rate
-        log.info("%s", text.step_line(step, fractions, deepest, wall, left))
+        time_left = self._timing.seconds.get("solve", 0.0) * rate
+        log.info("%s", text.step_line(step, fractions, deepest, wall, time_left))
 
     def _row_of(self, step: LoadStep, balance: Balance) -> Row:
         row: Row = {
@@ -243,7 +245,7 @@ class Recorder:
         wall = clock.perf_counter() - self._begin
         row["wall [s]"] = round(wall, 3)
         self.writer.add_row(row)
-        if step.whole:
+        if step.ends_increment:
             self.whole_steps += 1
             if self.whole_steps % self._case.output.every == 0:
                 self._fields()
@@ -318,7 +320,7 @@ class Recorder:
         total = {"total": clock.perf_counter() - self._begin}
         return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
-    def close(self, status: str, why: Sequence[Verdict]) -> None:
+    def close(self, status: str, verdicts: Sequence[Verdict]) -> None:
         """Leave the last converged state, and why, on disk, as far as it allows; collective."""
         m = self._model.mechanical_path
         if m:
@@ -327,8 +329,8 @@ class Recorder:
 
         def finish() -> None:
             summary = self.summary(status, None)
-            summary["verdicts"] = [verdict.record() for verdict in why]
-            self.writer.finish(summary, done=False)
+            summary["verdicts"] = [verdict.record() for verdict in verdicts]
+            self.writer.finish(summary, complete=False)
 
         for write in (self.flush, finish) if self.step_count else (finish,):
             try:

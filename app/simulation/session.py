@@ -116,12 +116,12 @@ def run(
     signalled = stopping.signals() if signals else str
     if signals:  # the process is ours: a host's functions and options are left as they are
         form_cache.guard()
-    late = str if walltime is None else stopping.WallTime(begin, walltime)
+    time_limit = str if walltime is None else stopping.WallTime(begin, walltime)
     setup = Setup(
         comm,
         case,
         raw_options(petsc_options),
-        stop=lambda: signalled() or late(),
+        stop=lambda: signalled() or time_limit(),
         progress=progress,
         restart=restart,
         force=force,
@@ -129,8 +129,8 @@ def run(
         started=started,
     )
     setup.note([*case.file.notes, *preview.warnings(case.config)])
-    with case.file.placing(), ExitStack() as held:
-        on_root(comm, lambda: held.enter_context(claim(output)), share=False)
+    with case.file.placing(), ExitStack() as stack:
+        on_root(comm, lambda: stack.enter_context(claim(output)), share=False)
         if case.config.variations:
             _solve_variations(setup, output)
         else:
@@ -164,8 +164,10 @@ def _solve_variations(setup: Setup, output: Path) -> None:
         summaries = on_root(comm, lambda: finished_runs.summaries(runs)) or {}
         log.info("%d of %d variations are finished already", len(summaries), len(runs))
     rows = {
-        folder: run_table.row(runs[folder].point, old, old["status"], old["timing"]["total"])
-        for folder, old in summaries.items()
+        folder: run_table.row(
+            runs[folder].point, old_summary, old_summary["status"], old_summary["timing"]["total"]
+        )
+        for folder, old_summary in summaries.items()
     }
 
     def write() -> list[run_table.RunRow]:
@@ -207,8 +209,8 @@ def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> Summary:
         summary = _CaseRun(setup, run, folder).run()
     except ConvergenceError as failure:
         log.warning("%s: %s", run.name, failure)
-        why = partial(write_text, folder / FAILED, f"{failure}\n")
-        on_root(setup.comm, why, share=False)
+        write_failure = partial(write_text, folder / FAILED, f"{failure}\n")
+        on_root(setup.comm, write_failure, share=False)
         return {}
     text.report(summary, table=False)
     return summary
@@ -238,9 +240,9 @@ class _CaseRun:
         self._model = setup.model = model
         self._notes = [*preview.warnings(case), *model.notes]
         setup.note(self._notes)
-        lost = unused(case.solver.petsc | setup.options)
-        if lost:
-            setup.note([note(f"PETSc did not use {', '.join(lost)}; is it misspelt?")])
+        unused_options = unused(case.solver.petsc | setup.options)
+        if unused_options:
+            setup.note([note(f"PETSc did not use {', '.join(unused_options)}; is it misspelt?")])
         log.info(
             "%s: %s, %s, %s",
             case.title or loaded.path.stem,
@@ -324,11 +326,11 @@ class _CaseRun:
         companions = error_estimate.companions(case)
         if companions:
             # The numbers are on disk before their errors are computed.
-            self._writer.finish(summary, done=False)
+            self._writer.finish(summary, complete=False)
             with setup.timing.phase("error"), self._last_state_kept():
                 summary["error"] = accuracy.add_errors(summary, case, companions, model)
             if setup.chosen:
-                summary["accuracy"] = accuracy.reached(setup.chosen, summary)
+                summary["accuracy"] = accuracy.reached_text(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
             verdicts.record(summary, notes)
         if case.geometry.continued_below is not None:
@@ -337,7 +339,7 @@ class _CaseRun:
             if influence:
                 summary["continued_shaft"] = influence
                 verdicts.record(summary, notes)
-        self._writer.finish(summary, done=True)
+        self._writer.finish(summary, complete=True)
         if case.output.checkpoint == CheckpointOptions():
             # No periodic checkpoints: those of interruptions are no longer needed.
             on_root(setup.comm, partial(remove, saved(self._folder)), share=False)

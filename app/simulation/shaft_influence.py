@@ -58,18 +58,25 @@ def measured(case: Case, model: Model) -> ShaftInfluence | None:
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
     """Return main numbers of both companions by their names, and the largest change, in words."""
     largest = largest_of_units(first)
-    others = {(section, name): numbers for section, name, numbers in numbers_of(second)}
+    numbers_of_second = {(section, name): numbers for section, name, numbers in numbers_of(second)}
     changes = dict[str, list[float]]()
     relative = dict[str, float]()
     for section, name, numbers in numbers_of(first):
         for key, quantity in TABLE[section].items():
-            one, two = numbers.get(key), others.get((section, name), {}).get(key)
-            if not (quantity.headline and quantity.order) or one is None or two is None:
+            first_value, second_value = (
+                numbers.get(key),
+                numbers_of_second.get((section, name), {}).get(key),
+            )
+            if (
+                not (quantity.headline and quantity.order)
+                or first_value is None
+                or second_value is None
+            ):
                 continue
             word = f"{name}.{key}"
-            changes[word] = [one, two]
-            size = max(abs(one), NEGLIGIBLE * largest[quantity.unit])
-            relative[word] = abs(two - one) / size if size else 0.0
+            changes[word] = [first_value, second_value]
+            size = max(abs(first_value), NEGLIGIBLE * largest[quantity.unit])
+            relative[word] = abs(second_value - first_value) / size if size else 0.0
     if not changes:
         return changes, ""
     worst = max(relative, key=lambda word: relative[word])

@@ -62,7 +62,7 @@ class ThermalModel:
         """Reported temperatures of the bodies at a time [s]; collective."""
         temperatures = self.operators.temperatures(self.heating.vectors())
         if not self.settled:
-            self._first_contact.put(temperatures, seconds)
+            self._first_contact.set_reported(temperatures, seconds)
         return temperatures
 
     def update(self, accepted: HeatStep) -> None:
@@ -78,17 +78,22 @@ class ThermalModel:
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         if self.cure:
             self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
-        self.flows = {"into": dict(accepted.flows), "through": heating.step.through(x)}
+        self.flows = {
+            "into": dict(accepted.flows),
+            "through": heating.step.heat_through_interfaces(x),
+        }
         heat = operators.stored(x)
         rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
         if accepted.dt == 0.0:
             # A model of one temperature lets nothing through but rounding.
             self.balance.steady(accepted.flows, heat, 1e2 * rounding)
             return
-        moved = self.record.moved(self._capacities)
+        moved_heat = self.record.moved_heat(self._capacities)
         # Nor does one that waits for its first heat, such as that of friction.
-        least = NOTHING * rounding * accepted.dt
-        self.balance.update(accepted.dt, accepted.heats, accepted.flows, heat, moved, least)
+        smallest_heat = NOTHING * rounding * accepted.dt
+        self.balance.update(
+            accepted.dt, accepted.heats, accepted.flows, heat, moved_heat, smallest_heat
+        )
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""

@@ -37,8 +37,8 @@ def law_between(
 ) -> tuple[str, InterfaceLaw | None]:
     """Interface between two pieces and its law; no name where there is none."""
     a, b = (parts.pieces[k].region for k in pieces)
-    for name, (one, two) in case.geometry.interface_sides.items():
-        if (a in one and b in two) or (a in two and b in one):
+    for name, (first_side, second_side) in case.geometry.interface_sides.items():
+        if (a in first_side and b in second_side) or (a in second_side and b in first_side):
             return name, case.interfaces[name]
     return "", None
 
@@ -95,13 +95,13 @@ class BodiesOnMesh:
 
     def __init__(self, case: Case, parts: Parts) -> None:
         self._case, self._parts, self._groups = case, parts, groups_of(case, parts)
-        self._of = {p: n for n, group in enumerate(self._groups) for p in group}
+        self._group_of_part = {p: n for n, group in enumerate(self._groups) for p in group}
         self._origin = parts.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
         self._laws: Mapping[str, InterfaceLaw] = case.interfaces
         # Touching pieces: name of the interface, and its two bodies.
         self._touches = [
-            (t, law_between(case, parts, (a, b))[0], self._of[a], self._of[b])
+            (t, law_between(case, parts, (a, b))[0], self._group_of_part[a], self._group_of_part[b])
             for t, (a, b) in ((t, t.pieces) for t in parts.touches)
         ]
 
@@ -109,12 +109,12 @@ class BodiesOnMesh:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
         K, M = self._resistance(None)
         errors = []
-        for k, left in self._left_by_supports():
-            free, _ = self._free(left, K, M, FREE)
+        for k, left_by_supports in self._left_by_supports():
+            free_motions, _ = self._free_motions(left_by_supports, K, M, FREE)
             cure = "expected a support, or contact with a body that is held"
-            for text in self._words(free):
-                what = f"{text}{self._when(k)}, by a support or by another body"
-                errors.append(Verdict(what, "supports", cure, code=Reason.LOOSE_BODY))
+            for text in self._motion_texts(free_motions):
+                verdict_text = f"{text}{self._when(k)}, by a support or by another body"
+                errors.append(Verdict(verdict_text, "supports", cure, code=Reason.LOOSE_BODY))
         return errors
 
     def loosely_held(self) -> list[Verdict]:
@@ -122,8 +122,8 @@ class BodiesOnMesh:
         gaps = gaps_of(self._case, self._parts)
         frictions = {n: self._laws[n].friction for n in gaps}
         notes: list[Verdict] = []
-        for k, left in self._left_by_supports():
-            free, steepest = self._sloped(left, frictions)
+        for k, left_by_supports in self._left_by_supports():
+            free_motions, steepest = self._weakly_held_motions(left_by_supports, frictions)
             slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
             by = f"contact on {' and '.join(slippery)} has no friction"
             if steepest > 1e-2:
@@ -132,20 +132,22 @@ class BodiesOnMesh:
                     "average, which may come from the facets of the mesh"
                 )
             cure = "the displacement may be arbitrary; add friction or a support"
-            for text in self._words(free):
+            for text in self._motion_texts(free_motions):
                 hardly = text.replace("nothing holds", "friction hardly holds")
                 notes.append(note(f"{hardly}{self._when(k)}: {by}", cure=cure))
             start = {n: (gap, self._laws[n].gap_multipliers or ()) for n, gap in gaps.items()}
-            apart = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
-            free, _ = self._free(left, *self._resistance(None, apart), FREE)
-            names = " and ".join(f"'{n}'" for n in apart)
+            open_interfaces = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
+            free_motions, _ = self._free_motions(
+                left_by_supports, *self._resistance(None, open_interfaces), FREE
+            )
+            names = " and ".join(f"'{n}'" for n in open_interfaces)
             cure = "hold the body by a support or a weak foundation, or start in contact"
-            for text in self._words(free):
-                what = (
+            for text in self._motion_texts(free_motions):
+                verdict_text = (
                     f"{text}{self._when(k)} until {names} closes; an equilibrium exists only under "
                     "loads that close it"
                 )
-                notes.append(note(what, cure=cure))
+                notes.append(note(verdict_text, cure=cure))
         return list(dict.fromkeys(notes))
 
     def _modes(self, x: Floats) -> Floats:
@@ -153,30 +155,30 @@ class BodiesOnMesh:
 
     def _left_by_supports(self) -> Iterator[tuple[int, Floats]]:
         """Stages with changed supports, with the motions they leave free (6 n, k), orthonormal."""
-        before, n = None, len(self._groups)
+        previous_supports, n = None, len(self._groups)
         for k, stage in enumerate(self._case.stages):
-            here = [s for s in self._case.supports.values() if holds(s, stage.name)]
-            if here == before:
+            active_supports = [s for s in self._case.supports.values() if holds(s, stage.name)]
+            if active_supports == previous_supports:
                 continue
-            before, held = here, np.zeros((n, 6, 6))
-            for s in here:
+            previous_supports, resistance = active_supports, np.zeros((n, 6, 6))
+            for s in active_supports:
                 for piece, nodes in self._parts.boundaries.get(s.boundary, {}).items():
                     modes = self._modes(self._parts.x[nodes])
                     rows = (directions(s, self._parts, nodes) @ modes).reshape(-1, 6)
-                    held[self._of[piece]] += rows.T @ rows
+                    resistance[self._group_of_part[piece]] += rows.T @ rows
             for m in self._case.motions.values():
                 rotations = np.eye(6)[3:]
-                given = rotations.T @ rotations
+                guided_rotations = rotations.T @ rotations
                 if m.translation == "held":
                     shifts = self._modes(np.array([m.about]))[0]
-                    given = given + shifts.T @ shifts
-                for i, moved in enumerate(self._parts.pieces):
-                    if moved.region == m.region:
-                        held[self._of[i]] += given
-            values, vectors = np.linalg.eigh(held)
-            free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
-            left = [np.kron(np.eye(n)[:, [b]], vectors[b][:, free[b]]) for b in range(n)]
-            yield k, np.hstack(left)
+                    guided_rotations = guided_rotations + shifts.T @ shifts
+                for i, piece in enumerate(self._parts.pieces):
+                    if piece.region == m.region:
+                        resistance[self._group_of_part[i]] += guided_rotations
+            values, vectors = np.linalg.eigh(resistance)
+            is_free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
+            free_vectors = [np.kron(np.eye(n)[:, [b]], vectors[b][:, is_free[b]]) for b in range(n)]
+            yield k, np.hstack(free_vectors)
 
     def _resistance(
         self, shears: Mapping[str, float] | None, absent: Sequence[str] = ()
@@ -191,50 +193,60 @@ class BodiesOnMesh:
             if a == b or not name:
                 continue
             R = self._modes(touch.x)
-            every = np.einsum("f,fik,fil->kl", touch.areas, R, R)
+            shared_resistance = np.einsum("f,fik,fil->kl", touch.areas, R, R)
             along = np.einsum("fik,fi->fk", R, touch.normals)
             normal = np.einsum("f,fk,fl->kl", touch.areas, along, along)
             if name not in absent:
-                add_relative(K, a, b, every if shears is None or shears[name] else normal)
+                add_relative(
+                    K, a, b, shared_resistance if shears is None or shears[name] else normal
+                )
             for i in (a, b):
-                M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += every
+                M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += shared_resistance
         return K, M
 
     @staticmethod
-    def _free(left: Floats, K: Floats, M: Floats, below: float) -> tuple[Floats, Floats]:
+    def _free_motions(
+        left_by_supports: Floats, K: Floats, M: Floats, below: float
+    ) -> tuple[Floats, Floats]:
         """Motions (6 n, k) that contact resists less than a part of bonded contact; parts (k,)."""
-        if not left.shape[1]:
-            return left, np.zeros(0)
+        if not left_by_supports.shape[1]:
+            return left_by_supports, np.zeros(0)
         scale = max(float(np.trace(M)), 1.0) / len(M)
-        metric = left.T @ M @ left + 1e-9 * scale * np.eye(left.shape[1])
-        root = left @ np.linalg.inv(np.linalg.cholesky(metric)).T
+        metric = left_by_supports.T @ M @ left_by_supports + 1e-9 * scale * np.eye(
+            left_by_supports.shape[1]
+        )
+        root = left_by_supports @ np.linalg.inv(np.linalg.cholesky(metric)).T
         values, vectors = np.linalg.eigh(root.T @ K @ root)
-        pick = values < below
-        return root @ vectors[:, pick], np.maximum(values[pick], 0.0)
+        is_free = values < below
+        return root @ vectors[:, is_free], np.maximum(values[is_free], 0.0)
 
-    def _sloped(self, left: Floats, frictions: Mapping[str, float]) -> tuple[Floats, float]:
+    def _weakly_held_motions(
+        self, left_by_supports: Floats, frictions: Mapping[str, float]
+    ) -> tuple[Floats, float]:
         """Motions (6 n, k) that only smooth contact resists, and its steepest slope [degrees]."""
         smooth = [(t, a, b) for t, name, a, b in self._touches if frictions.get(name) == 0]
         bend = FACETS * max((t.bend for t, _, _ in smooth), default=0.0)
         K, M = self._resistance(frictions)
-        least = math.radians(SLOPE)
-        free, slopes = self._free(left, K, M, math.sin(max(least, bend)) ** 2)
-        mean = np.zeros(free.shape[1])
+        smallest_slope = math.radians(SLOPE)
+        free_motions, slopes = self._free_motions(
+            left_by_supports, K, M, math.sin(max(smallest_slope, bend)) ** 2
+        )
+        mean = np.zeros(free_motions.shape[1])
         for t, a, b in smooth:
-            v = free.reshape(len(self._groups), 6, free.shape[1])
+            v = free_motions.reshape(len(self._groups), 6, free_motions.shape[1])
             along = np.einsum("fik,fi->fk", self._modes(t.x), t.normals) @ (v[a] - v[b])
             mean += (t.areas @ along) ** 2 / t.areas.sum()
-        resisted = np.einsum("ik,ij,jk->k", free, K, free)
-        pick = (slopes < math.sin(least) ** 2) | (mean < 0.5 * resisted)
-        steepest = math.asin(math.sqrt(float(slopes[pick].max(initial=0.0))))
-        return free[:, pick], math.degrees(steepest)
+        resisted = np.einsum("ik,ij,jk->k", free_motions, K, free_motions)
+        is_weak = (slopes < math.sin(smallest_slope) ** 2) | (mean < 0.5 * resisted)
+        steepest = math.asin(math.sqrt(float(slopes[is_weak].max(initial=0.0))))
+        return free_motions[:, is_weak], math.degrees(steepest)
 
-    def _words(self, free: Floats) -> list[str]:
+    def _motion_texts(self, free_motions: Floats) -> list[str]:
         pieces = [[self._parts.pieces[p] for p in group] for group in self._groups]
         moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces])
         volumes = np.array([sum(p.volume for p in group) for group in pieces])
         names = [self._name(group) for group in pieces]
-        return describe(free, names, moments / volumes[:, None], self._origin, self._size)
+        return describe(free_motions, names, moments / volumes[:, None], self._origin, self._size)
 
     def _name(self, group: list[Piece]) -> str:
         """Regions of a body, and its place if it is only part of them."""

@@ -98,14 +98,14 @@ class _Size:
 
 
 def _size(
-    case: Case, cells: float, nodes: float, corners: float, each: Mapping[str, float]
+    case: Case, cells: float, nodes: float, corners: float, interface_nodes: Mapping[str, float]
 ) -> _Size:
     """Size of a mesh with nodes of displacements, corners of cells, and corners by interface."""
-    laws, moves, heats = case.interfaces.items(), solid(case), case.conducts
-    jumps = moves * sum(each[name] for name, law in laws if law.can_part)
+    laws, deforms, conducts = case.interfaces.items(), solid(case), case.conducts
+    jumps = deforms * sum(interface_nodes[name] for name, law in laws if law.can_part)
     conducting = {name for name, law in laws if law.conductance is not None} - case.faces.keys()
-    steps = heats * sum(each[name] for name in conducting)
-    return _Size(cells, moves * nodes, jumps, heats * corners, steps)
+    steps = conducts * sum(interface_nodes[name] for name in conducting)
+    return _Size(cells, deforms * nodes, jumps, conducts * corners, steps)
 
 
 def _estimated(case: Case) -> _Size:
@@ -118,8 +118,8 @@ def _estimated(case: Case) -> _Size:
     moving = count - sum(case.geometry.cells_apart(name, case.mesh) for name in rigid)
     nodes = (NODES_PER_CELL + EDGES_PER_CELL * (case.mesh.order == 2)) * moving + 50
     # Jumps are linear at either order.
-    each = dict.fromkeys(case.interfaces, case.geometry.interface_nodes(case.mesh))
-    return _size(case, count, nodes, corners, each)
+    interface_nodes = dict.fromkeys(case.interfaces, case.geometry.interface_nodes(case.mesh))
+    return _size(case, count, nodes, corners, interface_nodes)
 
 
 def estimated_size(case: Case, available: float = math.inf) -> str:
@@ -196,15 +196,15 @@ def condensed_seconds(choice: SolverChoice) -> float:
     setup = operations / FACTORS + CONDENSED_ASSEMBLY * n
     dense = (2 / 3) * (0.64 * m) ** 3 / SINGLE
     iteration = dense + (32 * m**2 + 8 * entries) / BYTES
-    setup *= choice.solves if choice.setting else 1
+    setup *= choice.solves if choice.changes_stiffness else 1
     return setup + (FROM_REST + ITERATIONS * (choice.solves - 1)) * iteration
 
 
 def krylov_seconds(choice: SolverChoice) -> float:
     """Time of all solves by a Krylov method on one core [s]."""
-    each = KRYLOV if choice.jumps else LINEAR * KRYLOV
+    seconds_per_iteration = KRYLOV if choice.jumps else LINEAR * KRYLOV
     later = LATER_KRYLOV * (choice.solves - 1)
-    return each * choice.size * (1 + later)
+    return seconds_per_iteration * choice.size * (1 + later)
 
 
 def _choice(
@@ -259,8 +259,8 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(elastic[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    each = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
-    size = _size(case, len(data.cells), nodes, corners, each)
+    counts = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
+    size = _size(case, len(data.cells), nodes, corners, counts)
     lines = [_described("size", case, size, available)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
@@ -278,7 +278,7 @@ def gigabytes(case: Case, available: float = math.inf) -> float:
 
 def _gigabytes(choice: SolverChoice, condensed: bool, size: _Size) -> float:
     memory = BASE + (CONDENSED if condensed else MULTIGRID) * size.unknowns
-    return float(memory + choice.needed / 1e9 * condensed)
+    return float(memory + choice.memory_needed / 1e9 * condensed)
 
 
 def _described(title: str, case: Case, size: _Size, available: float) -> str:
@@ -294,11 +294,13 @@ def _described(title: str, case: Case, size: _Size, available: float) -> str:
     choice, condensed = _choice(case, size, runs, available)
     memory = _gigabytes(choice, condensed, size)
     contact = size.jumps and contact_solves(case)
-    solver = f"\n  contact: {choice.words(case.solver.linear, condensed)}" if contact else ""
-    every = f", {duration(_duration(case, size, runs))} for all variations" if runs > 1 else ""
+    solver = f"\n  contact: {choice.description(case.solver.linear, condensed)}" if contact else ""
+    variations_text = (
+        f", {duration(_duration(case, size, runs))} for all variations" if runs > 1 else ""
+    )
     return (
         f"{title}\n  {', '.join(parts)}\n"
         f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB{solver}\n"
-        f"  about {duration(_duration(case, size))} on one core{every}; "
+        f"  about {duration(_duration(case, size))} on one core{variations_text}; "
         f"{compiling(case):.0f} s more to compile forms at the first run"
     )

@@ -34,9 +34,13 @@ class Cover:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         scene, bodies = problem.scene, problem.bodies
-        sides = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
-        free = {bodies.of_region[side[0]] for side in sides if not scene.motion_of(side)}
-        cells = {body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free)}
+        sliding_sides = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
+        free_bodies = {
+            bodies.of_region[side[0]] for side in sliding_sides if not scene.motion_of(side)
+        }
+        cells = {
+            body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free_bodies)
+        }
         nodes = {body: touched_nodes(problem.space, marked) for body, marked in cells.items()}
         self._rotations = {
             body: self._fit(np.flatnonzero(marked)) for body, marked in nodes.items()
@@ -60,8 +64,8 @@ class Cover:
         """Return an error on an elastic body that has tipped; collective."""
         problem, u = self._problem, self._problem.displacements()
         for body, (nodes, fit) in self._rotations.items():
-            moved = fit @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
-            angle = float(np.linalg.norm(problem.comm.allreduce(moved)))
+            rigid_motion = fit @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
+            angle = float(np.linalg.norm(problem.comm.allreduce(rigid_motion)))
             if angle > TIPPED:
                 text = (
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
@@ -71,15 +75,15 @@ class Cover:
                 return Verdict(text, cure=cure)
         return None
 
-    def left(self, trial: TrialState) -> Verdict | None:
+    def pressed_beyond_rim(self, trial: TrialState) -> Verdict | None:
         """Return an error on contact beyond the rim of a surface; collective."""
-        for c, here, beyond, *_ in self._points(trial.jump):
-            pressed = trial.law.pressures[here, 0] > 0
-            furthest, where = self._largest(here, np.where(pressed, beyond, 0.0))
+        for c, points, beyond, *_ in self._points(trial.jump):
+            pressed = trial.law.pressures[points, 0] > 0
+            furthest, place = self._largest(points, np.where(pressed, beyond, 0.0))
             if furthest > 0:
                 master, slave = c.between or ("", "")
                 text = (
-                    f"on interface '{c.name}' the point {where} of '{slave}' has slid off "
+                    f"on interface '{c.name}' the point {place} of '{slave}' has slid off "
                     f"'{master}', {furthest:.3g} mm beyond its rim"
                 )
                 cure = f"use a larger '{master}', a smaller '{slave}', or less sliding"
@@ -102,16 +106,22 @@ class Cover:
         places = sliding.places(contact.local.x * 0.0 + jump)
         for i, (master, _) in sliding.followers.sides.items():
             surface = master.smooth
-            facet = contact.edge_lengths[i]
-            here = sliding.of == i
-            x = places[here]
-            on, at, apart = surface.closest(x)
-            distance = surface.beyond(x, on, at)
-            beyond = np.where(distance > OFF * facet, distance, 0.0)
-            yield self._problem.scene.contacts[i], sliding.rows[here], beyond, apart, facet
+            edge_length = contact.edge_lengths[i]
+            at_interface = sliding.of == i
+            x = places[at_interface]
+            facet, barycentric, distance = surface.closest(x)
+            beyond = surface.distance_beyond_rim(x, facet, barycentric)
+            beyond = np.where(beyond > OFF * edge_length, beyond, 0.0)
+            yield (
+                self._problem.scene.contacts[i],
+                sliding.rows[at_interface],
+                beyond,
+                distance,
+                edge_length,
+            )
 
-    def _largest(self, here: Ints, values: Floats) -> tuple[float, str]:
+    def _largest(self, points: Ints, values: Floats) -> tuple[float, str]:
         """The largest of values at some local points, and its place; collective."""
         assert self._problem.contact is not None
-        every, x = gather(self._problem.comm, values, self._problem.contact.local.x[here])
-        return float(every.max()), point_text(x[int(np.argmax(every))])
+        all_values, x = gather(self._problem.comm, values, self._problem.contact.local.x[points])
+        return float(all_values.max()), point_text(x[int(np.argmax(all_values))])

@@ -77,14 +77,15 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     """
     stiffness = contact.coupling.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
-    free = np.eye(3) - contact.local.projector
-    stiffness = free @ stiffness @ free
+    free_projector = np.eye(3) - contact.local.projector
+    stiffness = free_projector @ stiffness @ free_projector
     stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.local.projector
     critical = np.full(len(contact.local), np.inf)
     for k in range(contact.local.normals.shape[1]):
-        on = contact.local.faces > k
-        critical[on] = np.minimum(
-            critical[on], critical_friction(stiffness[on], contact.local.normals[on, k])
+        has_face = contact.local.faces > k
+        critical[has_face] = np.minimum(
+            critical[has_face],
+            critical_friction(stiffness[has_face], contact.local.normals[has_face, k]),
         )
     return critical
 
@@ -98,20 +99,22 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
         return coefficients, warnings
     critical = critical_friction_of_points(contact)
     for i, term in enumerate(problem.scene.contacts):
-        on = np.flatnonzero(contact.local.interface == i)
-        k = on[np.argmin(critical[on])] if len(on) else 0
-        here = (float(critical[k]), tuple(contact.local.x[k])) if len(on) else (np.inf, ())
-        least, x = min(problem.comm.allgather(here))
-        over = int((critical[on] < term.law.friction).sum())
+        at_interface = np.flatnonzero(contact.local.interface == i)
+        k = at_interface[np.argmin(critical[at_interface])] if len(at_interface) else 0
+        local_smallest = (
+            (float(critical[k]), tuple(contact.local.x[k])) if len(at_interface) else (np.inf, ())
+        )
+        smallest, x = min(problem.comm.allgather(local_smallest))
+        over = int((critical[at_interface] < term.law.friction).sum())
         over = problem.comm.allreduce(over, MPI.SUM)
-        if term.law.friction == 0 or not np.isfinite(least):
+        if term.law.friction == 0 or not np.isfinite(smallest):
             continue
-        coefficients[term.name] = least
+        coefficients[term.name] = smallest
         if over:
             text = (
                 f"friction coefficient {term.law.friction:g} exceeds the critical value at {over} "
-                f"points (smallest {least:.3g}, at {point_text(x)}): solutions may not be unique "
-                "there"
+                f"points (smallest {smallest:.3g}, at {point_text(x)}): solutions may not be "
+                "unique there"
             )
             where = f"interface '{term.name}'"
             warning = Verdict(text, where, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)
@@ -162,32 +165,32 @@ class Explanation:
 
     def error(self, stage: str, reach: float, steps: Sequence[float]) -> ConvergenceError:
         """Return the error: a solve failed at a part of a stage, after steps (parts of it)."""
-        where = f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it"
+        place = f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it"
         residuals = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         return ConvergenceError(
             [
-                replace(self.cause, where=where),
+                replace(self.cause, where=place),
                 *self.others,
-                plain(residuals, "last residuals (relative to the forces)"),
-                plain(attempts(self.outcome.tried, steps), "tried"),
+                bare_verdict(residuals, "last residuals (relative to the forces)"),
+                bare_verdict(attempts(self.outcome.tried, steps), "tried"),
             ]
         )
 
 
-def plain(what: str, where: str = "") -> Verdict:
+def bare_verdict(what: str, where: str = "") -> Verdict:
     """Return a circumstance of a failure."""
     return Verdict(what, where, severity=Severity.PLAIN)
 
 
-def proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
+def is_proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
     """Return True if half the load on half of the failed state halves the residual; collective."""
-    whole, half = solver.residual(solver.failed_state), solver.failed_state.copy()
+    full_residual, half = solver.residual(solver.failed_state), solver.failed_state.copy()
     half.scale(0.5)
     set_load(reach / 2)
-    rest = solver.residual(half)
+    remaining = solver.residual(half)
     set_load(reach)
-    rest.axpy(-0.5, whole)
-    return rest.norm() <= SAME * whole.norm()
+    remaining.axpy(-0.5, full_residual)
+    return remaining.norm() <= SAME * full_residual.norm()
 
 
 def explain(
@@ -210,35 +213,39 @@ def explain(
     controlled = contact.law.dissipates
     damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first))
     breaks = bool(contact.law.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
-    free: list[str] = []
+    loose_texts: list[str] = []
     # A body whose bond breaks in this step is not free.
     if not breaks:
-        free = pulled = loose_bodies.pulled_off(problem, contact)
+        loose_texts = pulled_off = loose_bodies.pulled_off(problem, contact)
         if not scales and not contact.finite_sliding:
-            free = loose_bodies.pushed_freely(problem, trial)
+            loose_texts = loose_bodies.pushed_freely(problem, trial)
         # A body is not free if iterates lose contact that the loads would close.
-        if not free and (pulled or not problem.load_size or contact.apart()):
-            free = loose_bodies.free_bodies(problem, trial)
-            free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
-    far = None
-    away = solver.system.runs_away(solver.blocks(solver.failed_state))
-    if not free and away and outcome.residuals[-1] < BALANCED:
-        far = loose_bodies.runaway(problem, trial)
-    friction = [] if free or far else loose_bodies.sliding(problem, contact)
+        if not loose_texts and (pulled_off or not problem.load_size or contact.is_apart()):
+            loose_texts = loose_bodies.free_bodies(problem, trial)
+            loose_texts = loose_texts or loose_bodies.free_bodies(
+                problem, first
+            )  # remedies may end anywhere
+    far_text = None
+    has_run_away = solver.system.runs_away(solver.blocks(solver.failed_state))
+    if not loose_texts and has_run_away and outcome.residuals[-1] < BALANCED:
+        far_text = loose_bodies.runaway(problem, trial)
+    friction = [] if loose_texts or far_text else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     cause = Verdict(_residuals(outcome), cure=AT_REST if scales else SMALLER)
     if breaks:
         cause = replace(cause, cure=BREAKS)
     if friction:
         cause = replace(cause, cure=f"{cause.cure}; or change the friction, or add a support")
-    if far:
-        cause = Verdict(far.what, cure=FAR, code=Reason.LARGE_DISPLACEMENT)
-    if free:
-        cause = Verdict(free[0], cure=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
-    others = [plain(text) for text in free[1:]]
-    others += friction
-    others += map(plain, [_largest(problem, trial), *_oscillating(problem, contact, solver.active)])
-    return Explanation(outcome, cause, others, bool(free))
+    if far_text:
+        cause = Verdict(far_text.what, cure=FAR, code=Reason.LARGE_DISPLACEMENT)
+    if loose_texts:
+        cause = Verdict(loose_texts[0], cure=loose_bodies.HOLD, code=Reason.LOOSE_BODY)
+    other_causes = [bare_verdict(text) for text in loose_texts[1:]]
+    other_causes += friction
+    other_causes += map(
+        bare_verdict, [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
+    )
+    return Explanation(outcome, cause, other_causes, bool(loose_texts))
 
 
 def _residuals(outcome: NewtonResult) -> str:
@@ -246,8 +253,11 @@ def _residuals(outcome: NewtonResult) -> str:
     if outcome.linear_failed:
         return "the linear solver failed"
     if sum(outcome.changes[-5:]) > 0:
-        again = f", repeated every {outcome.period} iterations" if outcome.period else ""
-        return f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
+        repeat_text = f", repeated every {outcome.period} iterations" if outcome.period else ""
+        return (
+            f"contact states keep changing ({outcome.changes[-1]} in the last "
+            f"iteration{repeat_text})"
+        )
     return f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
 
 
@@ -258,9 +268,10 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
     """
     text = "plain Newton only"
     if tried:
-        best, residual = min(tried, key=lambda attempt: attempt[1])
+        best_remedy, residual = min(tried, key=lambda attempt: attempt[1])
         text = (
-            f"{len(tried)} remedies, of which the best ({best}) left a residual of {residual:.1e}"
+            f"{len(tried)} remedies, of which the best ({best_remedy}) left a residual of "
+            f"{residual:.1e}"
         )
     if steps:
         text += f"; steps halved down to {min(steps):.3g} of the stage"
@@ -290,8 +301,8 @@ def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet
         )
         for row, changes, iterations, states in active.oscillating()[:SHOWN]
     ]
-    every = sorted((r for part in problem.comm.allgather(local) for r in part), reverse=True)
-    return [text for _, text in every[:SHOWN]]
+    all_points = sorted((r for part in problem.comm.allgather(local) for r in part), reverse=True)
+    return [text for _, text in all_points[:SHOWN]]
 
 
 def _largest(problem: Problem, trial: TrialState) -> str:

@@ -22,8 +22,8 @@ from app.numerics.rigid_motions import (
     DIRECTIONS,
     add_relative,
     describe,
+    motions_outside,
     relative_resistance,
-    without,
 )
 from forms.contact import OPEN
 
@@ -83,18 +83,18 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     R = contact.rigid_motions(contact.local.x)
     A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
-    held = supported(problem)
+    support_resistance = supported(problem)
     # A body with a given motion is free if nothing is in its way, see `pulled_off`.
-    held |= {body: np.eye(6) for body in turning(problem)}
-    for body, part in held.items():
+    support_resistance |= {body: np.eye(6) for body in turning(problem)}
+    for body, part in support_resistance.items():
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * part
     values, vectors = np.linalg.eigh((A + A.T) / 2)
-    free = vectors[:, values <= FREE * max(values[-1], total)]
+    free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
-        free = without(free, contact.free_motions(trial.law.status))
-    near = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
-    centres = np.array([x[here].mean(axis=0) if here.any() else centre for here in near])
-    return describe(free, [f"'{name}'" for name in names], centres, centre, size)
+        free_vectors = motions_outside(free_vectors, contact.free_motions(trial.law.status))
+    at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
+    centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
+    return describe(free_vectors, [f"'{name}'" for name in names], centres, centre, size)
 
 
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
@@ -110,7 +110,7 @@ def _on_bodies(problem: Problem) -> Floats:
     """Work of the loads in the rigid motions of all bodies (6 n,) [N]; collective."""
     assert problem.contact is not None
     R = problem.contact.rigid_motions(_owned_nodes(problem))
-    return problem.forces.on_bodies(problem.load_time, R).ravel()
+    return problem.forces.work_on_bodies(problem.load_time, R).ravel()
 
 
 def _owned_nodes(problem: Problem) -> Floats:
@@ -145,8 +145,8 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     along = friction * np.linalg.norm(jump, axis=1)
     resisted = problem.comm.allreduce(float((pressures * (closing + along[:, None])).sum()))
     R = contact.rigid_motions(_owned_nodes(problem))
-    moved = np.einsum("nik,bk->bni", R, motion.reshape(len(names), 6))
-    rounding = BALANCED * problem.forces.most_work(problem.load_time, moved)
+    motion_of_bodies = np.einsum("nik,bk->bni", R, motion.reshape(len(names), 6))
+    rounding = BALANCED * problem.forces.work_bound(problem.load_time, motion_of_bodies)
     if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
     centres = np.tile(contact.frame[0], (len(names), 1))
@@ -168,23 +168,26 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
-    fixed = {
+    fixed_bodies = {
         b
         for b, part in supported(problem).items()
         if np.linalg.eigvalsh(part[:3, :3])[0] > HELD and np.linalg.eigvalsh(part)[0] > FREE
     }
     verdicts = []
     for i, term in enumerate(problem.scene.contacts):
-        on = (contact.local.interface == i) & (normal > 0)
-        slips = on & (shear >= ALL_OF_IT * term.law.friction * normal)
-        local = np.array([contact.local.weight[slips].sum(), contact.local.weight[on].sum()])
+        is_pressed = (contact.local.interface == i) & (normal > 0)
+        slips = is_pressed & (shear >= ALL_OF_IT * term.law.friction * normal)
+        local = np.array(
+            [contact.local.weight[slips].sum(), contact.local.weight[is_pressed].sum()]
+        )
         slip, touch = problem.comm.allreduce(local)
-        bodies = problem.comm.allgather(set(contact.local.bodies[on].ravel().tolist()))
-        loose = set().union(*bodies) - fixed
+        bodies = problem.comm.allgather(set(contact.local.bodies[is_pressed].ravel().tolist()))
+        loose = set().union(*bodies) - fixed_bodies
         if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
-            who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
+            body_names = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
             text = (
-                f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of the contact "
+                f"friction hardly holds body '{body_names}': {100 * slip / touch:.0f} % of the "
+                "contact "
                 f"area of interface '{term.name}' slips in the last converged state"
             )
             verdicts.append(Verdict(text, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
@@ -201,18 +204,20 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
     """
     contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
-    given = max(problem.comm.allgather(float(np.abs(problem.prescribed).max(initial=0.0))))
-    if not (forces or given):
+    largest_prescribed = max(
+        problem.comm.allgather(float(np.abs(problem.prescribed).max(initial=0.0)))
+    )
+    if not (forces or largest_prescribed):
         return None
     size = contact.frame[1]
     # Closing a gap or making room for an interference is not running away.
-    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
+    distance = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
-        here = contact.local.interface == i
-        largest = max(problem.comm.allgather(float(moved[here].max(initial=0.0))))
-        if largest <= RUNAWAY * size + LEVER * given:
+        at_interface = contact.local.interface == i
+        largest = max(problem.comm.allgather(float(distance[at_interface].max(initial=0.0))))
+        if largest <= RUNAWAY * size + LEVER * largest_prescribed:
             continue
-        pressed = (trial.law.pressures[here] > 0).any()
+        pressed = (trial.law.pressures[at_interface] > 0).any()
         if term.between and any(problem.comm.allgather(bool(pressed))):
             continue  # finite sliding
         how = (
@@ -223,10 +228,10 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         )
         text = f"the sides of interface '{term.name}' {how}"
         if largest > LOOSE * forces / (term.modulus * size):
-            free = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
-            if free or term.between:
-                return Verdict("; ".join([*free, text]), cure=HOLD, code=Reason.LOOSE_BODY)
-        if largest > NOT_SMALL * size + LEVER * given:
+            loose_texts = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
+            if loose_texts or term.between:
+                return Verdict("; ".join([*loose_texts, text]), cure=HOLD, code=Reason.LOOSE_BODY)
+        if largest > NOT_SMALL * size + LEVER * largest_prescribed:
             cure = (
                 "use a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
                 "slip is larger than a facet"
@@ -245,43 +250,43 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     taper that is pulled has no pressures: nothing bears its load, however small it is.
     """
     local, n, comm = contact.local, len(problem.bodies.names), problem.comm
-    held = np.zeros((n, 6, n, 6))
+    resistance = np.zeros((n, 6, n, 6))
     for b, part in supported(problem).items():
-        held[b, :, b] += part
-    sizes, motions = np.linalg.eigh(held.reshape(6 * n, 6 * n))
-    left = motions[:, sizes <= FREE * sizes[-1]]
-    if not left.shape[1]:
+        resistance[b, :, b] += part
+    sizes, motions = np.linalg.eigh(resistance.reshape(6 * n, 6 * n))
+    unresisted = motions[:, sizes <= FREE * sizes[-1]]
+    if not unresisted.shape[1]:
         return []
-    loads = left.T @ _on_bodies(problem)
-    jumps = contact.relative_motion(left)
+    loads = unresisted.T @ _on_bodies(problem)
+    jumps = contact.relative_motion(unresisted)
     openings = local.normals @ jumps
     frictions = _frictions(problem)
     # Motions are as large as they move the mean point: a narrow interface resists rolling.
-    every = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
-    metric = every / max(comm.allreduce(len(local)), 1) + 1e-9 * np.eye(len(loads))
+    gram = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
+    metric = gram / max(comm.allreduce(len(local)), 1) + 1e-9 * np.eye(len(loads))
     scale = np.linalg.inv(np.linalg.cholesky(metric)).T
     # What slides without friction may hide behind bodies that friction holds: these stick then.
     mixed = frictions.min() == 0 < frictions.max()
     may_stick = frictions[local.interface] > 0
     for stick in [np.zeros_like(may_stick), may_stick][: 1 + mixed]:
-        rest: Floats = loads
+        remaining_loads: Floats = loads
         springs = np.zeros_like(metric)
         pressures, shear = np.zeros((2, len(local), 3))
         for _ in range(LOADINGS):
             for _ in range(MOST):  # Newton's method: the springs that are pressed
-                closing = openings @ rest < SPRING**2 * pressures
+                closing = openings @ remaining_loads < SPRING**2 * pressures
                 sticking = closing.any(axis=1) & stick
                 rows = np.vstack([openings[closing], jumps[sticking].reshape(-1, len(loads))])
-                known = np.concatenate([pressures[closing], shear[sticking].ravel()])
-                springs, borne = (comm.allreduce(rows.T @ part) for part in (rows, known))
+                point_forces = np.concatenate([pressures[closing], shear[sticking].ravel()])
+                springs, borne = (comm.allreduce(rows.T @ part) for part in (rows, point_forces))
                 soft = np.eye(len(loads)) + springs / SPRING**2
-                rest = np.linalg.solve(soft, loads + borne)
-            pressures = np.maximum(0.0, pressures - openings @ rest / SPRING**2)
-            shear = np.where(sticking[:, None], shear - jumps @ rest / SPRING**2, 0.0)
+                remaining_loads = np.linalg.solve(soft, loads + borne)
+            pressures = np.maximum(0.0, pressures - openings @ remaining_loads / SPRING**2)
+            shear = np.where(sticking[:, None], shear - jumps @ remaining_loads / SPRING**2, 0.0)
         # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
-        free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
-        texts = _pulls(problem, left @ (free @ (free.T @ loads)), pressures)
+        free_motions = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
+        texts = _pulls(problem, unresisted @ (free_motions @ (free_motions.T @ loads)), pressures)
         if texts:
             return texts
     return []
@@ -303,8 +308,8 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     contact = trial.contact
     n = len(problem.bodies.names)
     R = contact.rigid_motions(contact.local.x)
-    free = np.setdiff1d(np.arange(n), sorted(supported(problem)))
-    rows = (6 * free[:, None] + np.arange(6)).ravel()
+    unsupported = np.setdiff1d(np.arange(n), sorted(supported(problem)))
+    rows = (6 * unsupported[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.local.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
@@ -313,27 +318,27 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     N += np.finfo(float).eps * np.trace(A) * np.eye(len(rows))
     scale = np.linalg.inv(np.linalg.cholesky(N))
     values, vectors = np.linalg.eigh(scale @ A @ scale.T)
-    few = values < SPREAD
-    if not few.any():
+    is_weak = values < SPREAD
+    if not is_weak.any():
         return None
     # The part of the jumps in the span of such motions, by least squares.
-    soft = np.zeros((6 * n, int(few.sum())))
-    soft[rows] = scale.T @ vectors[:, few]
+    soft = np.zeros((6 * n, int(is_weak.sum())))
+    soft[rows] = scale.T @ vectors[:, is_weak]
     parts = soft.reshape(n, 6, -1)
     master, slave = contact.local.bodies.T
-    moved = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
+    motion_of_points = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
     w, q, sum_ = contact.local.weight, trial.jump, problem.comm.allreduce
-    turned = sum_(np.einsum("p,pi,pik->k", w, q, moved))
-    gram = sum_(np.einsum("p,pik,pil->kl", w, moved, moved))
-    amounts = np.linalg.lstsq(gram, turned, rcond=1e-12)[0]
-    if turned @ amounts <= PART * sum_(float(np.einsum("p,pi,pi->", w, q, q))):
+    normal_change = sum_(np.einsum("p,pi,pik->k", w, q, motion_of_points))
+    gram = sum_(np.einsum("p,pik,pil->kl", w, motion_of_points, motion_of_points))
+    amounts = np.linalg.lstsq(gram, normal_change, rcond=1e-12)[0]
+    if normal_change @ amounts <= PART * sum_(float(np.einsum("p,pi,pi->", w, q, q))):
         return None
     body, mode = divmod(int(np.argmax(np.abs(soft @ amounts))), 6)
-    far = float(np.linalg.norm(moved @ amounts, axis=1).max(initial=0.0))
+    largest_motion = float(np.linalg.norm(motion_of_points @ amounts, axis=1).max(initial=0.0))
     text = (
         f"only the facets of the mesh hold body '{problem.bodies.names[body]}': on a smooth "
         f"surface it is free to {DIRECTIONS[mode]}; it moved by "
-        f"{max(problem.comm.allgather(far)):.3g} mm, a distance that depends on the mesh"
+        f"{max(problem.comm.allgather(largest_motion)):.3g} mm, a distance that depends on the mesh"
     )
     return Verdict(text, cure=HOLD, code=Reason.LOOSE_BODY)
 
@@ -358,10 +363,10 @@ def _against_spread(
         "pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.local.normals
     )
     mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
-    sides = np.column_stack([points.interface, points.bodies])
-    for i, m, s in np.unique(sides, axis=0):
-        here = (sides[contact.local.rows] == (i, m, s)).all(axis=1)
-        local = (mean[here].sum(axis=0), float(r[here].sum()), int(here.sum()))
+    body_pairs = np.column_stack([points.interface, points.bodies])
+    for i, m, s in np.unique(body_pairs, axis=0):
+        is_pair = (body_pairs[contact.local.rows] == (i, m, s)).all(axis=1)
+        local = (mean[is_pair].sum(axis=0), float(r[is_pair].sum()), int(is_pair.sum()))
         g, weight, count = (problem.comm.allreduce(x) for x in local)
         add_relative(A, m, s, count * np.outer(g, g) / (weight or 1.0))
     return A, N

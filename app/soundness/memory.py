@@ -62,9 +62,9 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
         with suppress(OSError, ValueError):  # there is none, or "max"
             limits.append(float(file.read_text()))
     names = ("SLURM_NNODES", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
-    given = (environ.get(name, "") for name in names)
-    nodes, ranks, here = (float(text) if text.isdigit() else 1.0 for text in given)
-    return min(limits) * max(nodes, ranks / here, 1.0)
+    slurm_values = (environ.get(name, "") for name in names)
+    nodes, ranks, node_ranks = (float(text) if text.isdigit() else 1.0 for text in slurm_values)
+    return min(limits) * max(nodes, ranks / node_ranks, 1.0)
 
 
 def _addresses() -> float:
@@ -140,13 +140,13 @@ def check(file: CaseFile, case: Case) -> None:
             f"not enough memory for any case: {_limits()}; mantle itself needs "
             f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of address space"
         )
-    least = needed(case)
-    if least <= memory:
+    needed_memory = needed(case)
+    if needed_memory <= memory:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which need at least "
-        f"{least / GIGABYTE:.5g} GB; {memory / GIGABYTE:.1f} GB are available"
+        f"{needed_memory / GIGABYTE:.5g} GB; {memory / GIGABYTE:.1f} GB are available"
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), text)])
@@ -169,15 +169,15 @@ def _finest(case: Case, memory: float) -> str:
 
 def _fitting(case: Case, key: str, memory: float) -> str:
     """Value of a key of the mesh with which a case fits into a memory [byte]; empty if none."""
-    factor, other = 1.0, case
-    while needed(other) > memory:
+    factor, coarser = 1.0, case
+    while needed(coarser) > memory:
         factor *= 1.02
         mesh = case.mesh.coarser(factor)
         if key != "size":  # that one is in proportion everywhere
             mesh = case.mesh.model_copy(update={key: getattr(mesh, key)})
-        other = case.model_copy(update={"mesh": mesh})
+        coarser = case.model_copy(update={"mesh": mesh})
     if isinstance(getattr(case.mesh, key), int):
-        return f"{getattr(other.mesh, key)} lines"
+        return f"{getattr(coarser.mesh, key)} lines"
     # Two digits, a few tenths too large at most.
     length = factor * getattr(case.mesh, key)
     digit = 10.0 ** (math.floor(math.log10(length)) - 1)

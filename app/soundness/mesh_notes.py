@@ -14,29 +14,29 @@ WITHOUT_LINE = ("messages", "cells_without_region")
 
 def lines(notes: Mapping[str, Any]) -> Iterator[str]:
     """Lines on the notes of a mesh (`meshes.data.MeshData.notes`)."""
-    rest = {name: note for name, note in notes.items() if name not in WITHOUT_LINE and note}
-    if "mantle" in rest:
-        mantle: MantleNumbers = rest.pop("mantle")
+    other_notes = {name: note for name, note in notes.items() if name not in WITHOUT_LINE and note}
+    if "mantle" in other_notes:
+        mantle: MantleNumbers = other_notes.pop("mantle")
         yield _mantle(mantle)
         if "cortex_min" in mantle:
             yield _cortex(mantle["cortex_min"])
-    if "cortex_min" in rest:
-        yield _cortex(rest.pop("cortex_min"))
-    if "head_centre" in rest:
-        yield f"centre of the stem's head: {point_text(rest.pop('head_centre'))}"
-    if "layers" in rest:
-        yield _layers(rest.pop("layers"))
-    if "quality" in rest:
-        yield _quality(rest.pop("quality"))
+    if "cortex_min" in other_notes:
+        yield _cortex(other_notes.pop("cortex_min"))
+    if "head_centre" in other_notes:
+        yield f"centre of the stem's head: {point_text(other_notes.pop('head_centre'))}"
+    if "layers" in other_notes:
+        yield _layers(other_notes.pop("layers"))
+    if "quality" in other_notes:
+        yield _quality(other_notes.pop("quality"))
     sizes = {
         "volumes_mm3": "volumes (mm³)",
         "boundary_areas_mm2": "areas of boundaries (mm²)",
         "interface_areas_mm2": "areas of interfaces (mm²)",
     }
     for key, words in sizes.items():
-        if key in rest:
-            yield f"{words}: {_named(rest.pop(key))}"
-    for name, note in rest.items():
+        if key in other_notes:
+            yield f"{words}: {_sizes_text(other_notes.pop(key))}"
+    for name, note in other_notes.items():
         yield f"{name.replace('_', ' ')}: {plain(note)}"
 
 
@@ -60,22 +60,24 @@ def _cortex(thickness: float) -> str:
 def _layers(note: Mapping[str, Any]) -> str:
     """A line on the grid of a layered mesh (`meshes.swept.Swept.describe`)."""
     through = ", ".join(str(cells) for cells in note["cells_through"])
-    moved = (
+    moved_text = (
         f"{percent(note['moved_nodes'])} of their nodes were moved to keep layers thick enough, by "
         f"at most {note['moved_max_mm']:.2f} mm"
         if note["moved_nodes"]
         else "no node had to be moved"
     )
-    least = f"{note['least_thickness_mm']:.2f} mm"
+    thinnest = f"{note['least_thickness_mm']:.2f} mm"
     return (
         f"layers: {note['lines_around']} lines around, {note['steps_along']} steps along, "
-        f"{through} cells through the layers from inside; the thinnest layer has {least}; {moved}"
+        f"{through} cells through the layers from inside; the thinnest layer has {thinnest}; {moved_text}"
     )
 
 
 def _quality(note: Mapping[str, Any]) -> str:
     """A line on the quality of the cells (`meshes.quality.describe`)."""
-    regions = ", ".join(f"{name} {least:.2f}" for name, least in note["sicn_min_by_region"].items())
+    regions = ", ".join(
+        f"{name} {smallest_sicn:.2f}" for name, smallest_sicn in note["sicn_min_by_region"].items()
+    )
     return (
         f"quality (SICN; 1 is a regular tetrahedron): median {note['sicn_median']:.2f}, least "
         f"{note['sicn_min']:.2f} ({regions}); {count(note['sicn_below_0.1'])} of "
@@ -83,6 +85,6 @@ def _quality(note: Mapping[str, Any]) -> str:
     )
 
 
-def _named(sizes: Mapping[str, float]) -> str:
+def _sizes_text(sizes: Mapping[str, float]) -> str:
     """Sizes with their names, rounded."""
     return ", ".join(f"{name} {count(size)}" for name, size in sizes.items())

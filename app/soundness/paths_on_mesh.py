@@ -64,24 +64,24 @@ def _outside(case: Case, data: MeshData, path: AnyPath, key: str) -> Verdict:
     """Error on a path without any point in its bodies."""
     region = path.region
     if isinstance(path, SectionPath | SidePath):
-        what = path.interface_name or f"region '{region}'"
+        place_of_path = path.interface_name or f"region '{region}'"
         x = _nodes(case, data, path)
         low, high = x[:, 2].min(), x[:, 2].max()
         if isinstance(path, SidePath):
-            return Verdict(f"{what} has no {path.side} side", key, "expected another side")
-        text = f"there is no {what} at the height {path.height:g} mm"
+            return Verdict(f"{place_of_path} has no {path.side} side", key, "expected another side")
+        text = f"there is no {place_of_path} at the height {path.height:g} mm"
         return Verdict(text, key, f"expected a height from {low:.4g} to {high:.4g} mm")
-    where = f"region '{region}'" if region else "every body"
+    region_text = f"region '{region}'" if region else "every body"
     x = _nodes(case, data, path)
     ends = ", ".join(
         f"{axis} {low:.4g} to {high:.4g}"
         for axis, low, high in zip("xyz", x.min(axis=0), x.max(axis=0), strict=True)
     )
-    whole = f"region '{region}'" if region else "the model"
+    model_text = f"region '{region}'" if region else "the model"
     return Verdict(
-        f"no point of the path is in {where}" if region else "lies outside every body",
+        f"no point of the path is in {region_text}" if region else "lies outside every body",
         key,
-        f"expected points in {whole}, which fills {ends} mm",
+        f"expected points in {model_text}, which fills {ends} mm",
     )
 
 
@@ -104,9 +104,10 @@ def _partly_outside(path: AnyPath, points: PathPoints, key: str) -> Verdict:
         f"{points.arc[a]:.4g} to {points.arc[b]:.4g} mm" for a, b in zip(begins, ends, strict=True)
     ]
     listed = ", ".join(stretches[:3]) + (", ..." if len(stretches) > 3 else "")
-    where = f"region '{region}'" if region else "every body"
+    region_text = f"region '{region}'" if region else "every body"
     text = (
-        f"{out.sum()} of its {len(out)} points are outside {where} ({listed} along it); their "
+        f"{out.sum()} of its {len(out)} points are outside {region_text} ({listed} along it); "
+        "their "
         "fields stay empty"
     )
     return note(text, key)

@@ -103,8 +103,8 @@ def _stage(stage: Stage) -> str:
     seconds = stage.other.seconds(stage) if stage.other else stage.seconds
     time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
-    each = "cycle" if stage.ways == stage.cycles else "way"
-    steps += f" for each {each}, {stage.cycles} cycles" if stage.cycles > 1 else ""
+    unit = "cycle" if stage.ways == stage.cycles else "way"
+    steps += f" for each {unit}, {stage.cycles} cycles" if stage.cycles > 1 else ""
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
 
@@ -153,8 +153,8 @@ def _not_measured(case: Case) -> Iterable[str]:
         for section, parts in (("regions", case.regions), ("motions", tables), ("loads", loads)):
             names = [name for name, part in parts.items() if part.status == status]
             if names:
-                every = len(names) == len(parts)
-                lists.append(f"all {section}" if every else f"{section} {', '.join(names)}")
+                all_parts = len(names) == len(parts)
+                lists.append(f"all {section}" if all_parts else f"{section} {', '.join(names)}")
         if lists:
             yield f"  {status or 'without status'}: {'; '.join(lists)}"
 
@@ -168,12 +168,12 @@ def resultant(case: Case) -> Iterator[str]:
     forces = zip(*(load.resultant for load in loads), strict=True)
     total = [math.sumprod(factors, along) for along in forces]
     components = ", ".join(f"{c:.1f}" for c in total)
-    rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
-    yield f"sum of the forces at the end: [{components}] N, {math.hypot(*total):.1f} N{rest}"
+    remark = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
+    yield f"sum of the forces at the end: [{components}] N, {math.hypot(*total):.1f} N{remark}"
     sections = section_loads(case, len(case.stages))
     if sections:
-        rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
-        yield f"force and moment above a section{rest}, at the end (last row: the knee)"
+        remark = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
+        yield f"force and moment above a section{remark}, at the end (last row: the knee)"
         yield from (f"  {line}" for line in table(sections).splitlines())
 
 
@@ -248,8 +248,8 @@ def warnings(case: Case) -> list[Verdict]:
             notes.append(note(text, cure="use mesh.order: 2"))
     for name, region in case.regions.items():
         place, thermal = f"regions.{name}", region.thermal
-        known = next(limits for word, limits in STIFFNESS.items() if word in name)
-        notes += _far_off(place, region, dict.fromkeys(MODULI, known))
+        limits_of_material = next(limits for word, limits in STIFFNESS.items() if word in name)
+        notes += _far_off(place, region, dict.fromkeys(MODULI, limits_of_material))
         notes += _far_off(f"{place}.thermal", thermal, USUAL)
         setting = None if thermal is None else thermal.cure
         notes += _far_off(f"{place}.thermal.cure", setting, {"heat": (1.0, 1e4)})
@@ -301,12 +301,12 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
     for name, law in case.interfaces.items():
         for path, reason in law.without_effect.items():
             if is_given(law, path):
-                where = ".".join(("interfaces", name, *path))
-                yield note(f"has no effect: {reason}", where, "leave it out")
-    held = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
+                key = ".".join(("interfaces", name, *path))
+                yield note(f"has no effect: {reason}", key, "leave it out")
+    fixed_boundaries = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
     for name, load in case.loads.items():
         for boundary in load.boundaries:
-            support = held.get(boundary)
+            support = fixed_boundaries.get(boundary)
             if support and not case.supports[support].stages:
                 text = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
                 yield note(text, f"loads.{name}")

@@ -91,21 +91,21 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
         return notes
     bodies = BodiesOnMesh(case, parts)
     torn, split = _contradictions(case, parts)
-    tight, apart = _gaps(case, parts)
-    driven, idle = _moved(case, parts)
+    tight, open_gaps = _gaps(case, parts)
+    driven, idle = _motions(case, parts)
     errors = [*driven, *bodies.unheld(), *torn, *tight]
     if errors:
         # A crack is often why.
         raise InputError([*errors, *notes])
-    notes += [*bodies.loosely_held(), *split, *_clamped(case, parts), *apart]
-    notes += [*_meeting(case, parts), *_far(case, parts), *_too_stiff(case, parts)]
+    notes += [*bodies.loosely_held(), *split, *_clamped(case, parts), *open_gaps]
+    notes += [*_meeting(case, parts), *_far_gaps(case, parts), *_too_stiff(case, parts)]
     return [*notes, *_strained(case, parts), *idle]
 
 
 # What contradicts itself
 
 
-def _given(case: Case, name: str, x: Floats) -> Floats:
+def _gap_values(case: Case, name: str, x: Floats) -> Floats:
     """Displacement prescribed by a support at points, at the ends of stages (stages, n, 3) [mm]."""
     support = case.supports[name]
     assert not support.is_spring
@@ -138,31 +138,37 @@ def _contradictions_in(
             holding[name] = np.unique(np.concatenate(nodes))
     errors: list[Verdict] = []
     notes: list[Verdict] = []
-    for one, two in combinations(holding, 2):
-        a, b = case.supports[one], case.supports[two]
-        x = parts.x[np.intersect1d(holding[one], holding[two])]
-        both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
-        first, second = (_given(case, name, x)[both] for name in (one, two))
+    for first_support, second_support in combinations(holding, 2):
+        a, b = case.supports[first_support], case.supports[second_support]
+        x = parts.x[np.intersect1d(holding[first_support], holding[second_support])]
+        hold_both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
+        first, second = (
+            _gap_values(case, name, x)[hold_both] for name in (first_support, second_support)
+        )
         for axis in sorted(set(a.held_axes) & set(b.held_axes)):
             u, v = first[..., "xyz".index(axis)], second[..., "xyz".index(axis)]
             size = max(np.abs(u).max(initial=0.0), np.abs(v).max(initial=0.0))
             differ = (np.abs(u - v) > SAME * size).any(axis=0)
             if not differ.any():
                 continue
-            where = f"supports.{two}"
+            key = f"supports.{second_support}"
             text = (
-                f"prescribes a different displacement along {axis} than supports.{one} at "
+                f"prescribes a different displacement along {axis} than supports.{first_support} "
+                "at "
                 f"{int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
             )
-            if differ.sum() == min(len(holding[one]), len(holding[two])):
-                errors.append(Verdict(text, where, "remove one of the two"))
+            if differ.sum() == min(len(holding[first_support]), len(holding[second_support])):
+                errors.append(Verdict(text, key, "remove one of the two"))
             else:
-                text += f": '{two}' is used there, and stresses grow without limit as the mesh is "
-                notes.append(note(f"{text}refined", where))
+                text += (
+                    f": '{second_support}' is used there, and stresses grow without limit as the "
+                    "mesh is "
+                )
+                notes.append(note(f"{text}refined", key))
     return errors, notes
 
 
-def _moved(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
+def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors on supports of regions that move as a whole, notes on loads of those that stay.
 
     It is also an error if the rotation of a rigid region with finite sliding is not prescribed.
@@ -171,23 +177,31 @@ def _moved(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     errors: list[Verdict] = []
     notes: list[Verdict] = []
     guided = {motion.region for motion in case.motions.values()}
-    fixed = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
-    guided |= {parts.pieces[k].region for name in fixed for k in parts.boundaries.get(name, ())}
+    fixed_boundaries = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
+    guided |= {
+        parts.pieces[k].region for name in fixed_boundaries for k in parts.boundaries.get(name, ())
+    }
     for name, law in case.interfaces.items():
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
-            far = law.finite_sliding and region not in guided
-            if far and case.regions[region].moves_rigidly:
+            slides_finitely = law.finite_sliding and region not in guided
+            if slides_finitely and case.regions[region].moves_rigidly:
                 text = f"the rotation of the rigid {region} is not given"
-                moved = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
-                cure = f"expected {moved}, or a fixed support"
+                suggestion = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
+                cure = f"expected {suggestion}, or a fixed support"
                 errors.append(Verdict(text, f"interfaces.{name}", cure))
     for name, motion in case.motions.items():
         turning = {k for k, piece in enumerate(parts.pieces) if piece.region == motion.region}
-        on = {boundary for boundary, pieces in parts.boundaries.items() if turning & pieces.keys()}
-        held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
-        loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
-        if held and motion.cycle:
-            text = f"{motion.region} rotates, but supports hold it ({held})"
+        boundaries_of_body = {
+            boundary for boundary, pieces in parts.boundaries.items() if turning & pieces.keys()
+        }
+        supports_of_body = ", ".join(
+            n for n, support in case.supports.items() if support.boundary in boundaries_of_body
+        )
+        loads = ", ".join(
+            n for n, load in case.loads.items() if boundaries_of_body.intersection(load.boundaries)
+        )
+        if supports_of_body and motion.cycle:
+            text = f"{motion.region} rotates, but supports hold it ({supports_of_body})"
             cure = "expected `translation: held` instead"
             errors.append(Verdict(text, f"motions.{name}.region", cure))
         if loads and motion.translation == "held":
@@ -206,9 +220,9 @@ def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
             if fibre is None or not fibre.curved:
                 continue
             cells = parts.corners_of(name)
-            met = _meets(parts.x[cells], np.array(fibre.axis), np.array(fibre.through))
-            if met.any():
-                middle = parts.x[cells[np.argmax(met)]].mean(axis=0)
+            is_on_axis = _meets_axis(parts.x[cells], np.array(fibre.axis), np.array(fibre.through))
+            if is_on_axis.any():
+                middle = parts.x[cells[np.argmax(is_on_axis)]].mean(axis=0)
                 text = (
                     f"its axis meets the region, e.g. at {point_text(middle)}, where fibres have "
                     "no direction"
@@ -223,9 +237,12 @@ def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
     errors = []
     for name, sides in case.geometry.interface_sides.items():
         shared = len(interface_facets(parts.data, name)[0])
-        one, two = ("/".join(side) for side in sides)
+        first_side, second_side = ("/".join(side) for side in sides)
         if shared and name in parts.faces:
-            text = f"{one} and {two} share {shared} facets, so slip is limited to one facet"
+            text = (
+                f"{first_side} and {second_side} share {shared} facets, so slip is limited to one "
+                "facet"
+            )
             cure = "expected bodies meshed apart, or `sliding: small`"
             errors.append(Verdict(text, f"interfaces.{name}.sliding", cure))
         elif not shared and name not in parts.faces:
@@ -233,12 +250,12 @@ def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
                 "expected kind: contact with `sliding: finite` and two boundaries in `between`, if "
                 "the bodies are meshed separately"
             )
-            text = f"no facet between {one} and {two}"
+            text = f"no facet between {first_side} and {second_side}"
             errors.append(Verdict(text, f"interfaces.{name}", cure))
         for face, side in zip(parts.faces.get(name, ()), sides, strict=False):
-            on = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
-            if not on or not {*on} <= {*side}:
-                text = f"{face} is a surface of {' and '.join(on) or 'no region'}"
+            face_regions = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
+            if not face_regions or not {*face_regions} <= {*side}:
+                text = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
                 cure = f"expected one of {'/'.join(side)} alone"
                 errors.append(Verdict(text, f"interfaces.{name}.between", cure))
     return errors
@@ -283,26 +300,30 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
         return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
 
     contacts = build_scene(case).contacts if parts.faces else ()
-    fixed = {n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"}
-    moved = {f"supports.{name}": nodes(boundary) for name, boundary in fixed.items()}
+    supported_boundaries = {
+        n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"
+    }
+    supported_nodes = {
+        f"supports.{name}": nodes(boundary) for name, boundary in supported_boundaries.items()
+    }
     for c in contacts:
-        on = nodes(c.between[1]) if c.between else parts.on_interface(c.name)
-        moved[f"interfaces.{c.name}"] = on
+        interface_nodes = nodes(c.between[1]) if c.between else parts.on_interface(c.name)
+        supported_nodes[f"interfaces.{c.name}"] = interface_nodes
     errors = []
     for contact in contacts:
         name = f"interfaces.{contact.name}"
-        for key, on in moved.items():
-            both = np.intersect1d(moved[name], on)
-            if contact.between and key != name and len(both):
+        for key, interface_nodes in supported_nodes.items():
+            shared_nodes = np.intersect1d(supported_nodes[name], interface_nodes)
+            if contact.between and key != name and len(shared_nodes):
                 text = (
-                    f"moves {len(both)} nodes of {contact.between[1]}, e.g. at "
-                    f"{point_text(parts.x[both[0]])}, which follow the master of {name}"
+                    f"moves {len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
+                    f"{point_text(parts.x[shared_nodes[0]])}, which follow the master of {name}"
                 )
                 errors.append(Verdict(text, key, "expected a boundary without them"))
     return errors
 
 
-def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
+def _meets_axis(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
     """Tetrahedra of corners (n, 4, 3) that a line meets.
 
     Seen along the line, it is outside of a cell whose corners all lie on one side of it.
@@ -312,44 +333,51 @@ def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
     angle = np.sort(np.arctan2(z, y), axis=1)
     between = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     radius = np.hypot(y, z)
-    near = radius.min(axis=1) <= CLOSE * radius.max(axis=1)
-    return np.asarray(near | (between.max(axis=1) <= np.pi + CLOSE))
+    is_near = radius.min(axis=1) <= CLOSE * radius.max(axis=1)
+    return np.asarray(is_near | (between.max(axis=1) <= np.pi + CLOSE))
 
 
 def _clamped(case: Case, parts: Parts) -> list[Verdict]:
     """Interfaces with both sides held by supports along all axes."""
     notes = []
     for name in gaps_of(case, parts):
-        held: list[NDArray[np.bool_]] = []
+        held_masks: list[NDArray[np.bool_]] = []
         for side in case.geometry.interface_sides[name]:
-            here = np.zeros((len(parts.x), 3, 3))
+            values = np.zeros((len(parts.x), 3, 3))
             for s in case.supports.values():
                 if s.kind == "foundation":
                     continue
                 for piece, nodes in parts.boundaries.get(s.boundary, {}).items():
                     if parts.pieces[piece].region in side:
                         d = directions(s, parts, nodes)
-                        here[nodes] += d.swapaxes(1, 2) @ d
-            held.append(np.linalg.eigvalsh(here[parts.on_interface(name)])[:, 0] > SAME)
-        both = float(np.mean(np.logical_and(*held)))
-        if both > MOSTLY:
-            text = f"supports hold both sides of interface '{name}' at {100 * both:.0f} % of its "
+                        values[nodes] += d.swapaxes(1, 2) @ d
+            held_masks.append(np.linalg.eigvalsh(values[parts.on_interface(name)])[:, 0] > SAME)
+        clamped_share = float(np.mean(np.logical_and(*held_masks)))
+        if clamped_share > MOSTLY:
+            text = (
+                f"supports hold both sides of interface '{name}' at {100 * clamped_share:.0f} % "
+                "of its "
+            )
             notes.append(note(f"{text}nodes: it can neither open nor slip there"))
     return notes
 
 
 def _meeting(case: Case, parts: Parts) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
-    on = [name for name, law in case.interfaces.items() if law.can_part]
+    openable = [name for name, law in case.interfaces.items() if law.can_part]
     groups = {frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)}
-    here = np.array([np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in on])
+    is_on_interface = np.array(
+        [np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in openable]
+    )
     bodies = np.zeros(len(parts.x), dtype=int)
     for regions in groups:
         bodies[np.unique(np.concatenate([parts.corners_of(r) for r in regions]))] += 1
-    rows = np.flatnonzero((bodies > 1) & (here.sum(axis=0) >= bodies))
-    if not on or not len(rows):
+    rows = np.flatnonzero((bodies > 1) & (is_on_interface.sum(axis=0) >= bodies))
+    if not openable or not len(rows):
         return []
-    names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
+    names = [
+        name for name, is_on in zip(openable, is_on_interface[:, rows[0]], strict=True) if is_on
+    ]
     text = (
         f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
         f"{point_text(parts.x[rows[0]])}: there the law of one interface holds only as a mean over "
@@ -361,14 +389,14 @@ def _meeting(case: Case, parts: Parts) -> list[Verdict]:
 # What is out of proportion
 
 
-def _sides(case: Case, parts: Parts, name: str) -> tuple[float, float]:
+def _side_spans(case: Case, parts: Parts, name: str) -> tuple[float, float]:
     """Mean thickness behind the elastic sides of an interface, 0 if rigid, and its size [mm]."""
     touches = [t for t in parts.touches if law_between(case, parts, t.pieces)[0] == name]
     area = sum(float(t.areas.sum()) for t in touches)
-    near = {p for t in touches for p in t.pieces}
+    near_pieces = {p for t in touches for p in t.pieces}
     thickness = 0.0
     for side in case.geometry.interface_sides[name]:
-        pieces = [parts.pieces[p] for p in near if parts.pieces[p].region in side]
+        pieces = [parts.pieces[p] for p in near_pieces if parts.pieces[p].region in side]
         if not any(case.regions[p.region].moves_rigidly for p in pieces):
             thickness += sum(p.volume for p in pieces) / area
     x = np.concatenate([t.x for t in touches])
@@ -382,43 +410,47 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     for name, gap in gaps_of(case, parts).items():
         factors = (0.0, *load_history_of(case, case.interfaces[name].gap_multipliers))
         interference = -float(np.multiply.outer(factors, gap).min())
-        apart = float(gap.min()) * factors[-1]
-        thickness, size = _sides(case, parts, name)
-        where = f"interfaces.{name}.gap"
+        smallest_gap = float(gap.min()) * factors[-1]
+        thickness, size = _side_spans(case, parts, name)
+        key = f"interfaces.{name}.gap"
         if thickness and interference >= TOO_MUCH * thickness:
             text = (
                 f"an interference of {interference:.3g} mm is "
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
                 f"({thickness:.3g} mm), so that strains are not small"
             )
-            errors.append(Verdict(text, where, "use a smaller interference; is the unit wrong?"))
+            errors.append(Verdict(text, key, "use a smaller interference; is the unit wrong?"))
         elif thickness and interference > SMALL * thickness:
             text = (
                 f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
                 "strains are not small"
             )
-            notes.append(note(text, where, WRONG_UNIT))
-        if apart > SMALL * size:
+            notes.append(note(text, key, WRONG_UNIT))
+        if smallest_gap > SMALL * size:
             text = (
-                f"the sides are {apart:.3g} mm apart everywhere, {100 * apart / size:.0f} % of the "
+                f"the sides are {smallest_gap:.3g} mm apart everywhere, "
+                f"{100 * smallest_gap / size:.0f} % of the "
                 f"size of the interface ({size:.3g} mm)"
             )
             remedy = "use a smaller gap, since results assume small displacements"
-            notes.append(note(text, where, remedy))
+            notes.append(note(text, key, remedy))
     return errors, notes
 
 
-def _far(case: Case, parts: Parts) -> list[Verdict]:
+def _far_gaps(case: Case, parts: Parts) -> list[Verdict]:
     """Prescribed displacements that are not small."""
     notes = []
-    whole = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
+    model_size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     for name, s in case.supports.items():
         if s.kind != "displacement" or not parts.boundaries.get(s.boundary):
             continue
         x = parts.x[np.concatenate([*parts.boundaries[s.boundary].values()])]
-        most = float(np.abs(_given(case, name, x)).max())
-        if most > FAR * whole:
-            text = f"moves a model of {whole:.3g} mm by {most:.3g} mm: displacements are not small"
+        largest_gap = float(np.abs(_gap_values(case, name, x)).max())
+        if largest_gap > FAR * model_size:
+            text = (
+                f"moves a model of {model_size:.3g} mm by {largest_gap:.3g} mm: displacements are "
+                "not small"
+            )
             notes.append(note(text, f"supports.{name}", WRONG_UNIT))
     return notes
 
@@ -454,7 +486,7 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
     for (a, b), x in parts.doubled.items():
         if a != b and any({a, b} <= regions for regions in slides):
             continue
-        where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
+        region_text = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
         text = (
             f"{len(x)} pairs of nodes coincide but are not connected, e.g. at {point_text(x[0])}: "
             "an open crack"
@@ -463,16 +495,17 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
             "if it is not intended, merge them (in gmsh BooleanFragments before meshing, or "
             "Coherence Mesh after it)"
         )
-        notes.append(note(text, where, cure))
+        notes.append(note(text, region_text, cure))
     if case.geometry.kind != "file":
         return notes
     for (a, b), (area, place) in lying(parts.data).items():
         sliding = a != b and any({a, b} <= regions for regions in slides)
         if sliding or (a, b) in parts.doubled or (b, a) in parts.doubled:
             continue
-        where = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
+        region_text = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
         text = (
-            f"{where} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no node: "
+            f"{region_text} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no "
+            "node: "
             "neither force nor heat passes between them"
         )
         cure = (
@@ -503,8 +536,8 @@ def _too_stiff(case: Case, parts: Parts) -> list[Verdict]:
         slender = p.thickness < SLENDER * float(p.box.max())
         if slender and p.free > MOSTLY and modulus(case.regions[p.region]):
             excess = BENDING * (p.edge / p.thickness) ** 2
-            here = (excess, p.thickness, p.edge)
-            worst[p.region] = max(worst.get(p.region, here), here)
+            candidate = (excess, p.thickness, p.edge)
+            worst[p.region] = max(worst.get(p.region, candidate), candidate)
     notes = []
     for name, (excess, thickness, edge) in worst.items():
         if excess > TOO_STIFF:

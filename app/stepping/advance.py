@@ -21,13 +21,13 @@ class Step:
         begin: Place at which it begins.
         end: Place at which it ends.
         length: Length. Equal steps have exactly equal lengths, unlike ``end - begin``.
-        whole: True if it ends an increment of its stage.
+        ends_increment: True if it ends an increment of its stage.
     """
 
     begin: float
     end: float
     length: float
-    whole: bool
+    ends_increment: bool
 
 
 class Control(Protocol):
@@ -101,15 +101,15 @@ class Progress:
     done: float = 0.0
     cuts: int = 0
 
-    def next(self, whole: float) -> Step:
+    def next(self, increment: float) -> Step:
         """Return the next step; it does not exceed the end of the current increment.
 
         It reaches this end if less than a thousandth of a step would be left.
 
         Args:
-            whole: Length of an increment, as a part of the path.
+            increment: Length of an increment, as a part of the path.
         """
-        goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
+        goal = (math.floor(self.done / increment + 1e-9) + 1) * increment
         if goal > 1.0 - 1e-9:
             goal = 1.0
         end = goal if self.done + 1.001 * self.step > goal else self.done + self.step
@@ -122,23 +122,23 @@ class Growth:
 
     Attributes:
         safety: Share of the tolerance that steps aim at, for errors of second order.
-        least: Least factor.
-        most: Largest factor.
-        failed: Factor after a step that was not solved.
+        smallest: Least factor.
+        largest: Largest factor.
+        after_failure: Factor after a step that was not solved.
     """
 
     safety: float
-    least: float
-    most: float
-    failed: float
+    smallest: float
+    largest: float
+    after_failure: float
 
     def factor(self, error: float) -> float:
         """Return the factor."""
         if math.isinf(error):
-            return self.failed
+            return self.after_failure
         if error == 0.0:
-            return self.most
-        return min(max(self.safety / math.sqrt(error), self.least), self.most)
+            return self.largest
+        return min(max(self.safety / math.sqrt(error), self.smallest), self.largest)
 
 
 class GivenSteps:
@@ -146,24 +146,24 @@ class GivenSteps:
 
     Args:
         steps: The steps.
-        number: Number of them that are done.
+        completed: Number of steps that are done.
     """
 
-    def __init__(self, steps: Sequence[Step], number: int) -> None:
-        self._left = list(steps[number:])
+    def __init__(self, steps: Sequence[Step], completed: int) -> None:
+        self._remaining = list(steps[completed:])
 
     @property
     def finished(self) -> bool:
         """Return True if all steps are done."""
-        return not self._left
+        return not self._remaining
 
     def propose(self) -> Step:
         """Return the next step."""
-        return self._left[0]
+        return self._remaining[0]
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept every step that was solved."""
         if math.isinf(error):
             return False
-        self._left.pop(0)
+        self._remaining.pop(0)
         return True

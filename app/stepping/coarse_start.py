@@ -32,33 +32,35 @@ if TYPE_CHECKING:
 log = logging.getLogger("mantle")
 
 # Relative residual of the displacement from interpolated jumps.
-ROUGH = 0.1
+ROUGH_TOLERANCE = 0.1
 # A start is good enough if its residual is below this part of that of the unloaded state.
-GOOD = 0.1
+GOOD_START = 0.1
 
 
 class CoarseModelStart:
     """Starts from the jumps of a cheaper model, which ``make`` makes at rest."""
 
-    def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
+    def __init__(
+        self, problem: Problem, solver: Solver, make_coarse: Callable[[], LoadStepper]
+    ) -> None:
         assert problem.contact is not None
         self._contact = problem.contact
-        self._problem, self._solver, self._make = problem, solver, make
+        self._problem, self._solver, self._make_coarse = problem, solver, make_coarse
         self._coarse: LoadStepper | None = None
         self._failed = False
-        self._past: list[float] = []
-        self._known: list[tuple[float, Floats]] = []
+        self._passed_times: list[float] = []
+        self._computed_jumps: list[tuple[float, Floats]] = []
 
     def predict(self, time: float) -> None:
         """Start from the cheaper model's state, unless the current start is good."""
         solver = self._solver
         if self._failed:
             return
-        here = imbalance(solver, solver.x.copy())
-        if here <= GOOD * imbalance(solver, solver.vector()):
+        residual_of_start = imbalance(solver, solver.x.copy())
+        if residual_of_start <= GOOD_START * imbalance(solver, solver.vector()):
             return
         try:
-            jump = self._jump(time)
+            jump = self._interpolated_jump(time)
         except StoppedError:
             raise
         except MantleError as error:
@@ -67,29 +69,29 @@ class CoarseModelStart:
                 "     nested start failed; continuing without it: %s", str(error).splitlines()[0]
             )
             return
-        self._start(jump)
+        self._start_from(jump)
 
     def commit(self, time: float) -> None:
         """Store the time, through which the cheaper model has to pass when next asked."""
-        self._past.append(time)
+        self._passed_times.append(time)
 
-    def _jump(self, time: float) -> Floats:
+    def _interpolated_jump(self, time: float) -> Floats:
         """Jumps of owned points at a time, interpolated (n, 3) [mm]."""
         if self._coarse is None:
-            contact, self._coarse = self._contact, self._make()
+            contact, self._coarse = self._contact, self._make_coarse()
             source = self._coarse.problem.contact
             assert source is not None
-            self._weights = interpolation(source.points, contact.points, contact.local.rows)
-            self._known = [(0.0, np.zeros((len(contact.local), 3)))]
-        for then in [*self._past, time]:
-            while then > (last := self._known[-1][0]):
+            self._interpolation = interpolation(source.points, contact.points, contact.local.rows)
+            self._computed_jumps = [(0.0, np.zeros((len(contact.local), 3)))]
+        for target in [*self._passed_times, time]:
+            while target > (reached := self._computed_jumps[-1][0]):
                 # A resumed run has not passed through the stages before.
-                self._advance(self._coarse, min(then, math.floor(last) + 1.0))
-        self._past = []
-        return between(self._known, time)
+                self._advance(self._coarse, min(target, math.floor(reached) + 1.0))
+        self._passed_times = []
+        return interpolate_in_time(self._computed_jumps, time)
 
     def _advance(self, coarse: LoadStepper, time: float) -> None:
-        begin = self._known[-1][0]
+        begin = self._computed_jumps[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
         problem.set_stage(k, coarse.solver.u_and_q()[0])
@@ -103,10 +105,10 @@ class CoarseModelStart:
         contact = problem.contact
         assert contact is not None
         surface = contact.points.surface
-        jump = surface.true_jumps(contact.whole(contact.state.jump))
-        self._known = [*self._known[-1:], (time, self._weights @ jump)]
+        jump = surface.true_jumps(contact.gather(contact.state.jump))
+        self._computed_jumps = [*self._computed_jumps[-1:], (time, self._interpolation @ jump)]
 
-    def _start(self, jump: Floats) -> None:
+    def _start_from(self, jump: Floats) -> None:
         """Start from jumps, and a displacement in rough equilibrium with them."""
         problem, solver = self._problem, self._solver
         u, q = solver.u_and_q()
@@ -116,25 +118,25 @@ class CoarseModelStart:
         r, du = u.duplicate(), u.duplicate()
         problem.residual(u, q, r)
         du.zeroEntries()
-        problem.stiffness.inverse.solve(r, du, ROUGH)
+        problem.stiffness.inverse.solve(r, du, ROUGH_TOLERANCE)
         u.axpy(-1.0, du)
 
 
-def between(known: list[tuple[float, Floats]], time: float) -> Floats:
+def interpolate_in_time(values_at: list[tuple[float, Floats]], time: float) -> Floats:
     """Values at a time, on the line through the last two known."""
-    (t1, after) = known[-1]
-    if time == t1 or len(known) == 1:
+    (t1, after) = values_at[-1]
+    if time == t1 or len(values_at) == 1:
         return after
-    t0, before = known[-2]
+    t0, before = values_at[-2]
     s = (time - t0) / (t1 - t0)
     return (1 - s) * before + s * after
 
 
-def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> csr_array:
+def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> csr_array:
     """Weights that interpolate between meshes of the same interfaces; no communication.
 
     Linear on the source's triangles: each point gets the nearest point of the nearest triangle.
-    There is a row for each of the target points ``mine`` (n,), a column for each
+    There is a row for each of the target points ``owned`` (n,), a column for each
     corner of the source.
     """
     from scipy.sparse import csr_array  # imported late, as the next: few runs need them
@@ -144,9 +146,9 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     none = np.zeros(0, dtype=np.int64)
     entries: list[tuple[Ints, Ints, Floats]] = [(none, none, np.zeros(0))]
     for i, triangles in enumerate(source.triangles):
-        here = np.flatnonzero(target.interface[mine] == i)
-        if len(here) and len(triangles):
-            index, weights = nearest(target.x[mine[here]], source.surface.x[triangles])
-            entries.append((np.repeat(here, 3), triangles[index].ravel(), weights.ravel()))
+        points = np.flatnonzero(target.interface[owned] == i)
+        if len(points) and len(triangles):
+            index, weights = nearest(target.x[owned[points]], source.surface.x[triangles])
+            entries.append((np.repeat(points, 3), triangles[index].ravel(), weights.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    return csr_array((values, (rows, columns)), shape=(len(mine), len(source.surface.weight)))
+    return csr_array((values, (rows, columns)), shape=(len(owned), len(source.surface.weight)))

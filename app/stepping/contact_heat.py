@@ -1,9 +1,9 @@
 r"""Contact in the heat equation: pressures, friction power, and their derivatives.
 
-Friction heats by its dissipation (`TrialState.rubbing`). Per area it is the work w = F_T · s since
-the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty springs. A stage
-of length h that starts from the work w* has the power (w - w*)/h. The integrator treats w as one
-more unknown, so that the sum over the stages is the work of the whole step.
+Friction heats by its dissipation (`TrialState.friction_and_slip`). Per area it is the work w = F_T
+· s since the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty
+springs. A stage of length h that starts from the work w* has the power (w - w*)/h. The integrator
+treats w as one more unknown, so that the sum over the stages is the work of the whole step.
 
 The law of a contact point is F = P(S), S = -e/W + r (q + g), with the generalized derivative P'.
 Pressure p = |F_n| and friction work change by
@@ -41,59 +41,66 @@ class ContactHeat:
     """Input of the heat from the contact points: pressures and the power of friction.
 
     Attributes:
-        heats: Nodal heat by friction power per area of each thermal body (nodes x points) [mm2].
-        pressed: Matrix from pressures at contact points to pressures at points of finite
-            conductance, if there are any.
+        nodal_heat: Matrices from friction power per area at the contact points to heat at the nodes
+            of each thermal body (nodes x points) [mm2].
+        pressure_interpolation: Matrix from pressures at contact points to pressures at points of
+            finite conductance, if there are any.
+        is_rubbing: True for local contact points whose friction heats (n,).
         friction_work: Friction work per area since the time step began, in the heat [N/mm].
-        expands: Regions whose expansion follows temperature. In curing regions it is a part of the
-            stress history.
+        expanding_regions: Regions whose expansion follows temperature. In curing regions it is a
+            part of the stress history.
     """
 
     def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
         self._problem, self._operators = problem, operators
-        self.expands = set(problem.body_forms.free_strain)
+        self.expanding_regions = set(problem.body_forms.free_strain)
         assert problem.contact is not None
         contact = self._contact = problem.contact
         comm, points = problem.comm, contact.points
-        number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
-        self._n = len(contact.local)
+        column_of_point = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
+        self._point_count = len(contact.local)
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
-        self.heats = _heats(scene, problem, contact, operators, number)
-        heated = {f.name for f in scene.friction_heat}
+        self.nodal_heat = _friction_heat_matrices(
+            scene, problem, contact, operators, column_of_point
+        )
+        heated_interfaces = {f.name for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
-        self.rubbing = np.isin(
-            contact.local.interface, [i for i, name in enumerate(names) if name in heated]
+        self.is_rubbing = np.isin(
+            contact.local.interface,
+            [i for i, name in enumerate(names) if name in heated_interfaces],
         )
         surface = points.surface
-        known = {
+        index_of_point = {
             (names[i], v): k
             for k, (i, v) in enumerate(zip(surface.interface, surface.vertex, strict=True))
         }
-        self.pressed: PETSc.Mat | None = None
-        t = operators.jumps
-        if t is not None:
-            name = [scene.thermal_contacts[i].name for i in t.interface]
-            keys = zip(name, t.points.vertex[t.mine], strict=True)
-            positions = np.array([known.get(key, -1) for key in keys], dtype=np.int64)
-            on = np.flatnonzero(positions >= 0)
-            row, corner, value = on, positions[on], np.ones(len(on))
+        self.pressure_interpolation: PETSc.Mat | None = None
+        jumps = operators.jumps
+        if jumps is not None:
+            interface_names = [scene.thermal_contacts[i].name for i in jumps.interface]
+            keys = zip(interface_names, jumps.points.vertex[jumps.owned_rows], strict=True)
+            positions = np.array([index_of_point.get(key, -1) for key in keys], dtype=np.int64)
+            rows = np.flatnonzero(positions >= 0)
+            row, corner, value = rows, positions[rows], np.ones(len(rows))
             if surface.shares is not None:
                 shares = surface.shares[corner].tocoo()
-                row, corner, value = on[shares.row], shares.col, shares.data
-            column = number[corner]
-            self.pressed = from_triplets(comm, len(positions), self._n, row, column, value)
+                row, corner, value = rows[shares.row], shares.col, shares.data
+            column = column_of_point[corner]
+            self.pressure_interpolation = from_triplets(
+                comm, len(positions), self._point_count, row, column, value
+            )
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
         """Set the temperatures of the mechanics."""
-        if self.expands:
+        if self.expanding_regions:
             self._operators.temperatures(heat)
-            regions = {r: self._operators.of_region(r) for r in self.expands}
+            regions = {r: self._operators.of_region(r) for r in self.expanding_regions}
             self._problem.set_temperature(regions)
 
     def zero_work(self) -> Floats:
         """Zero friction work per area at the start of a step (n,)."""
-        return np.zeros(self._n)
+        return np.zeros(self._point_count)
 
     def begin(self, h: float, work: Floats) -> None:
         """Begin a stage.
@@ -102,29 +109,35 @@ class ContactHeat:
             h: Length of the stage [s]; infinite for a steady state, in which friction has no power.
             work: Initial friction work per area (n,) [N/mm].
         """
-        self._h, self._before = h, work
+        self._stage_length, self._initial_work = h, work
 
     def to_heat(self, trial: TrialState) -> None:
         """Set the pressures and the friction heat of the heat equation."""
         contact = self._contact
-        pressure = np.linalg.norm(_normal(trial.law, contact.local.normals), axis=1)
-        self.friction_work = np.where(self.rubbing, np.einsum("pi,pi->p", *trial.rubbing()), 0.0)
-        power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
+        pressure = np.linalg.norm(_normal_forces(trial.law, contact.local.normals), axis=1)
+        self.friction_work = np.where(
+            self.is_rubbing, np.einsum("pi,pi->p", *trial.friction_and_slip()), 0.0
+        )
+        power = np.asarray(
+            (self.friction_work - self._initial_work) / self._stage_length, dtype=np.float64
+        )
         jumps, friction = self._operators.jumps, self._operators.friction
-        if jumps is not None and self.pressed is not None:
-            jumps.pressure = _times(self.pressed, pressure)
+        if jumps is not None and self.pressure_interpolation is not None:
+            jumps.pressure = _multiply(self.pressure_interpolation, pressure)
         if friction is not None:
-            friction.nodal = np.array([_times(H, power) for H in self.heats])
+            friction.nodal = np.array([_multiply(H, power) for H in self.nodal_heat])
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
-                    mine = float((contact.local.weight * power)[contact.local.interface == i].sum())
-                    friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
+                    local_power = float(
+                        (contact.local.weight * power)[contact.local.interface == i].sum()
+                    )
+                    friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(local_power)
 
     def report(self, seconds: float) -> None:
         """Set the friction heat reported, the mean per area over a step of so many seconds."""
         power = np.asarray(self.friction_work / seconds, dtype=np.float64)
-        if self.pressed is not None and self._operators.jumps is not None:
-            self._operators.jumps.friction = _times(self.pressed, power)
+        if self.pressure_interpolation is not None and self._operators.jumps is not None:
+            self._operators.jumps.friction = _multiply(self.pressure_interpolation, power)
 
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the friction power by long slips [N mm/s]; collective."""
@@ -134,13 +147,13 @@ class ContactHeat:
         local_stiffness = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
         stiffness = local_stiffness + law.stiffness * contact.local.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
-        power = np.where(self.rubbing, force * slip, 0.0) / self._h
+        power = np.where(self.is_rubbing, force * slip, 0.0) / self._stage_length
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the pressure at owned points by equilibrium and by the jump (n, 3)."""
-        force = _normal(trial.law, self._contact.local.normals)
+        force = _normal_forces(trial.law, self._contact.local.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
@@ -148,30 +161,30 @@ class ContactHeat:
     def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the friction power by equilibrium and by the jump (n, 3)."""
         contact = self._contact
-        force, slip = trial.rubbing()
-        given = force / contact.law.stiffness[:, None]
-        by_equilibrium, by_jump = self._rows(slip - given, trial)
-        scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
+        force, slip = trial.friction_and_slip()
+        spring_slip = force / contact.law.stiffness[:, None]
+        by_equilibrium, by_jump = self._rows(slip - spring_slip, trial)
+        scale = np.where(self.is_rubbing, 1 / self._stage_length, 0.0)[:, None]
         share = contact.law.multiplier_share / contact.local.weight[:, None, None]
-        lost = np.einsum("pi,pij->pj", given, share)
-        return scale * (by_equilibrium - lost), scale * (by_jump + force)
+        by_spring_slip = np.einsum("pi,pij->pj", spring_slip, share)
+        return scale * (by_equilibrium - by_spring_slip), scale * (by_jump + force)
 
-    def _rows(self, along: Floats, trial: TrialState) -> tuple[Floats, Floats]:
+    def _rows(self, directions: Floats, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the force along directions (n, 3) by equilibrium and by the jump."""
         by_force, by_jump = (
-            np.asarray(np.einsum("pi,pij->pj", along, derivative))
+            np.asarray(np.einsum("pi,pij->pj", directions, derivative))
             for derivative in (trial.law.by_multiplier, trial.law.by_jump)
         )
         share = self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
         return -np.einsum("pi,pij->pj", by_force, share), by_jump
 
 
-def _heats(
+def _friction_heat_matrices(
     scene: Scene,
     problem: Problem,
     contact: ContactInterfaces,
     operators: HeatOperators,
-    number: Ints,
+    column_of_point: Ints,
 ) -> list[PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     points, space = contact.points, operators.forms.space
@@ -188,19 +201,22 @@ def _heats(
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
     sizes = problem.comm, operators.forms.owned, len(contact.local)
     heats = []
-    for b in range(len(operators.bodies.names)):
-        share = sum(np.where(body[points.interface] == b, s, 0.0) for body, s in sides)
+    for body_index in range(len(operators.bodies.names)):
+        share = sum(
+            np.where(body[points.interface] == body_index, side_share, 0.0)
+            for body, side_share in sides
+        )
         values = (points.weight * share)[owned]
-        heats.append(from_triplets(*sizes, dof[owned] - start, number[owned], values))
+        heats.append(from_triplets(*sizes, dof[owned] - start, column_of_point[owned], values))
     return heats
 
 
-def _normal(law: PointForces, normals: Floats) -> Floats:
+def _normal_forces(law: PointForces, normals: Floats) -> Floats:
     """Normal part of the forces of contact points (n, 3), which separates slave and master."""
     return -np.asarray(np.einsum("pk,pki->pi", law.pressures, normals))
 
 
-def _times(A: PETSc.Mat, values: Floats) -> Floats:
+def _multiply(A: PETSc.Mat, values: Floats) -> Floats:
     right, left = A.createVecs()
     right.array[:] = values
     A.mult(right, left)

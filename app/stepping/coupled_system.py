@@ -27,8 +27,8 @@ from app.numerics.system import Measure
 from app.scene.scene import Scene, Stage
 from app.stepping.contact_heat import ContactHeat
 
-DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+DIFFERENT_PATTERN = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+SUBSET_PATTERN = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
 class CoupledSystem(ContactSystem):
@@ -51,18 +51,22 @@ class CoupledSystem(ContactSystem):
         super().__init__(problem)
         self._heat, self._committed = heat, committed
         self.exchange = ContactHeat(scene, problem, heat.operators)
-        self._n = len(heat.blocks())
-        self._thermal = self._thermal_forces() if self.exchange.expands else None
+        self._heat_blocks = len(heat.blocks())
+        self._thermal_forces = (
+            self._assemble_thermal_forces() if self.exchange.expanding_regions else None
+        )
         # Heat enters the rows of its nodes and of its jumps.
-        self._nodes = self._entries()
-        fresh = list(self.blocks().values())
-        self._up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
+        self._friction_heat = self._assemble_friction_heat()
+        zeros = list(self.blocks().values())
+        self._by_motion, corrections = self._derivatives_by_motion(
+            problem.trial(*zeros[self._heat_blocks :]), zeros
+        )
         # With expansion pressures depend directly on temperatures too.
         self._thermal_blocks = [
-            [matrix_sum(pair) for pair in zip(row, more, strict=True)]
-            for row, more in zip(heat.matrices(), back, strict=False)
+            [matrix_sum(pair) for pair in zip(row, correction, strict=True)]
+            for row, correction in zip(heat.matrices(), corrections, strict=False)
         ] or heat.matrices()
-        self._down = self._from_heat()
+        self._by_heat = self._derivatives_by_heat()
 
     def begin_stage(self, k: int, stage: Stage, start: float) -> None:
         """Begin stage k, which starts at a time [s]."""
@@ -80,13 +84,13 @@ class CoupledSystem(ContactSystem):
 
     def restore(self, x: list[PETSc.Vec]) -> None:
         """Set blocks x to the converged state of the mechanics."""
-        for kept, v in zip(self._committed, x[self._n :], strict=True):
-            kept.copy(v)
+        for committed, v in zip(self._committed, x[self._heat_blocks :], strict=True):
+            committed.copy(v)
 
     def commit(self, x: list[PETSc.Vec]) -> None:
         """Commit blocks x as the converged state of the mechanics."""
-        for kept, v in zip(self._committed, x[self._n :], strict=True):
-            v.copy(kept)
+        for committed, v in zip(self._committed, x[self._heat_blocks :], strict=True):
+            v.copy(committed)
 
     @property
     def version(self) -> int:
@@ -99,10 +103,10 @@ class CoupledSystem(ContactSystem):
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """Blocks of heat, of mechanics, and of their coupling."""
-        none: list[PETSc.Mat | None] = [None] * self._n
-        down = self._down or [none, none]
-        top = [[*a, *b] for a, b in zip(self._thermal_blocks, self._up, strict=True)]
-        return [*top, *([*a, *b] for a, b in zip(down, super().matrices(), strict=True))]
+        none: list[PETSc.Mat | None] = [None] * self._heat_blocks
+        by_heat = self._by_heat or [none, none]
+        rows = [[*a, *b] for a, b in zip(self._thermal_blocks, self._by_motion, strict=True)]
+        return [*rows, *([*a, *b] for a, b in zip(by_heat, super().matrices(), strict=True))]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Monolithic options if the thermal block is solved directly, else options by block."""
@@ -111,49 +115,49 @@ class CoupledSystem(ContactSystem):
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Set given temperatures, displacements and jumps in a state."""
-        self._heat.impose(x[: self._n])
-        super().impose(x[self._n :])
+        self._heat.impose(x[: self._heat_blocks])
+        super().impose(x[self._heat_blocks :])
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Residual heat at the current contact, forces at the current temperatures."""
-        self.exchange.to_mechanics(x[: self._n])
-        super().residual(x[self._n :], f[self._n :])
+        self.exchange.to_mechanics(x[: self._heat_blocks])
+        super().residual(x[self._heat_blocks :], f[self._heat_blocks :])
         self.exchange.to_heat(self.trial)
-        self._heat.residual(x[: self._n], f[: self._n])
+        self._heat.residual(x[: self._heat_blocks], f[: self._heat_blocks])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """All blocks, at the state of the last residual."""
-        super().jacobian(x[self._n :])
+        super().jacobian(x[self._heat_blocks :])
         trial = self.trial
         self.exchange.to_heat(trial)
-        self._heat.jacobian(x[: self._n])
-        up, back = self._from_motion(trial, x)
-        _copy(up, self._up)
-        for total, blocks, more in zip(
-            self._thermal_blocks, self._heat.matrices(), back, strict=False
+        self._heat.jacobian(x[: self._heat_blocks])
+        by_motion, corrections = self._derivatives_by_motion(trial, x)
+        _copy(by_motion, self._by_motion)
+        for total, blocks, row_corrections in zip(
+            self._thermal_blocks, self._heat.matrices(), corrections, strict=False
         ):
-            for S, A, B in zip(total, blocks, more, strict=True):
+            for S, A, B in zip(total, blocks, row_corrections, strict=True):
                 S.zeroEntries()
-                S.axpy(1.0, A, structure=SUBSET)
-                S.axpy(1.0, B, structure=SUBSET)
-        _copy(self._from_heat(), self._down)
+                S.axpy(1.0, A, structure=SUBSET_PATTERN)
+                S.axpy(1.0, B, structure=SUBSET_PATTERN)
+        _copy(self._derivatives_by_heat(), self._by_heat)
 
     def runs_away(self, x: list[PETSc.Vec]) -> bool:
         """Return True if bodies have moved past each other by the size of the model; collective."""
-        return super().runs_away(x[self._n :])
+        return super().runs_away(x[self._heat_blocks :])
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective."""
-        return super().settle(x[self._n :])
+        return super().settle(x[self._heat_blocks :])
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of heat and forces, each with its scale."""
-        heat = self._heat.measure(x[: self._n], f[: self._n])[0]
-        noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
+        heat = self._heat.measure(x[: self._heat_blocks], f[: self._heat_blocks])[0]
+        noise = self.exchange.rounding(self._problem.trial(*x[self._heat_blocks :]))
         heat = replace(heat, rounding=heat.rounding + noise)
-        return [heat, *super().measure(x[self._n :], f[self._n :])]
+        return [heat, *super().measure(x[self._heat_blocks :], f[self._heat_blocks :])]
 
-    def _thermal_forces(self) -> list[list[PETSc.Mat]]:
+    def _assemble_thermal_forces(self) -> list[list[PETSc.Mat]]:
         """Minus the forces of temperatures and their jumps on displacement and jumps."""
         operators = self._heat.operators
         by_body = operators.jumps.moves if operators.jumps else {}
@@ -163,57 +167,69 @@ class CoupledSystem(ContactSystem):
         assert problem.thermal_strain is not None
         rows = problem.thermal_strain.stiffness(moves, problem.stiffness, self.contact)
         blocks: list[list[PETSc.Mat]] = []
-        for row, height in zip(rows, sizes[self._n :], strict=True):
+        for row, height in zip(rows, sizes[self._heat_blocks :], strict=True):
             blocks.append([])
-            for A, width in zip(row, sizes[: self._n], strict=False):
+            for A, width in zip(row, sizes[: self._heat_blocks], strict=False):
                 if A is None:
                     A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=self.comm)
                     A.assemble()
                 blocks[-1].append(-1.0 * A)
         return blocks
 
-    def _from_heat(self) -> list[list[PETSc.Mat]]:
+    def _derivatives_by_heat(self) -> list[list[PETSc.Mat]]:
         """Rows of displacement and jumps, columns of the heat."""
-        if self._thermal is None:
+        if self._thermal_forces is None:
             return []
-        by_u, by_q = self._thermal
-        return [by_u, [self.times.matMult(A) for A in by_q]]
+        by_u, by_q = self._thermal_forces
+        return [by_u, [self.equilibrium_factors.matMult(A) for A in by_q]]
 
-    def _entries(self) -> list[PETSc.Mat]:
+    def _assemble_friction_heat(self) -> list[PETSc.Mat]:
         """Minus the heat by friction power, in the rows of temperature and of jumps."""
-        operators, heats = self._heat.operators, self.exchange.heats
-        keep = self._heat.vectors()
+        operators, heats = self._heat.operators, self.exchange.nodal_heat
+        scaling = self._heat.vectors()
         nodes = [matrix_sum(heats)]
         held = [operators.fixed.base >= 0]
-        j = operators.jumps
-        if j is not None:
-            nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in j.moves.items()]))
-            held.append(j.held)
-        for A, v, h in zip(nodes, keep, held, strict=True):
-            v.array[:] = np.where(h, 0.0, -1.0)
-            A.diagonalScale(v)
+        jumps = operators.jumps
+        if jumps is not None:
+            nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in jumps.moves.items()]))
+            held.append(jumps.held)
+        for A, scale, held_rows in zip(nodes, scaling, held, strict=True):
+            scale.array[:] = np.where(held_rows, 0.0, -1.0)
+            A.diagonalScale(scale)
         return nodes
 
-    def _from_motion(
+    def _derivatives_by_motion(
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and additions to the columns of the heat."""
         power = self._point_rows(self.exchange.power_rows(trial))
-        rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
-        jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
+        rows = [
+            [friction_heat.matMult(derivative) for derivative in power]
+            for friction_heat in self._friction_heat
+        ]
+        jumps, pressed = self._heat.operators.jumps, self.exchange.pressure_interpolation
         if jumps is not None and pressed is not None:
-            squeezed = pressed.copy()
+            flux_by_pressure = pressed.copy()
             by_pressure = x[1].duplicate()
-            growth = jumps.weight * jumps.flux(x[1].array)[2]
-            by_pressure.array[:] = np.where(jumps.held, 0.0, -growth)
-            squeezed.diagonalScale(by_pressure)
+            flux_derivative = jumps.weight * jumps.flux(x[1].array)[2]
+            by_pressure.array[:] = np.where(jumps.held, 0.0, -flux_derivative)
+            flux_by_pressure.diagonalScale(by_pressure)
             pressure = self._point_rows(self.exchange.pressure_rows(trial))
-            rows[1] = [A + squeezed.matMult(R) for A, R in zip(rows[1], pressure, strict=True)]
+            rows[1] = [
+                A + flux_by_pressure.matMult(derivative)
+                for A, derivative in zip(rows[1], pressure, strict=True)
+            ]
         coupling = self.contact.coupling
-        up = [[E.matMult(coupling.Ct), E.matMult(coupling.D) + Q] for E, Q in rows]
-        if self._thermal is None:
-            return up, []
-        return up, [[E.matMult(G) for G in self._thermal[1]] for E, _ in rows]
+        by_motion = [
+            [by_equilibrium.matMult(coupling.Ct), by_equilibrium.matMult(coupling.D) + by_jump]
+            for by_equilibrium, by_jump in rows
+        ]
+        if self._thermal_forces is None:
+            return by_motion, []
+        return by_motion, [
+            [by_equilibrium.matMult(G) for G in self._thermal_forces[1]]
+            for by_equilibrium, _ in rows
+        ]
 
     def _point_rows(self, rows: tuple[Floats, Floats]) -> list[PETSc.Mat]:
         """Derivatives of scalars of the contact points as matrices (points x components)."""
@@ -226,9 +242,9 @@ class CoupledSystem(ContactSystem):
         ]
 
 
-def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
+def _copy(source: list[list[PETSc.Mat]], target: list[list[PETSc.Mat]]) -> None:
     """Copy values of matrices into others of the same pattern."""
-    for row, places in zip(new, kept, strict=True):
-        for A, place in zip(row, places, strict=True):
-            if A is not place:
-                A.copy(place, structure=DIFFERENT)
+    for row, places in zip(source, target, strict=True):
+        for block, target_block in zip(row, places, strict=True):
+            if block is not target_block:
+                block.copy(target_block, structure=DIFFERENT_PATTERN)

@@ -27,12 +27,12 @@ from app.stepping.load_steps import LoadStepper
 
 # The most solves of a step. Mostly three suffice: Anderson's acceleration saves 8 % of them
 # (measured).
-SOLVES = 40
+MAX_SOLVES = 40
 # Part of the tolerance of a step by which strains may still change at its end.
 SETTLED = 0.02
 # Part of a step by which the last one may be longer than the one before.
-HARDLY = 0.001
-GROWTH = Growth(safety=0.8, least=0.2, most=10.0, failed=0.2)
+LENGTHENING = 0.001
+GROWTH = Growth(safety=0.8, smallest=0.2, largest=10.0, after_failure=0.2)
 
 
 class _FailedError(Exception):
@@ -60,7 +60,7 @@ class CreepStepper:
         stress_history, creep = self._problem.stress_history, self._problem.creep
         assert stress_history is not None and creep is not None
         self._stress_history, self._creep = stress_history, creep
-        self._spent: list[NewtonResult] = []
+        self._results: list[NewtonResult] = []
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Apply the loads, then creep; in equal steps if the stage is not adaptive.
@@ -71,7 +71,7 @@ class CreepStepper:
         if not self.length:
             self.load_stepper.run_stage(k, stage, checkpoint_point)
             # At constant stress the first step would be exact for any length.
-            first = self._creep.first(self._stress(), 10 * stage.creep_tolerance)
+            first = self._creep.first_step(self._stress(), 10 * stage.creep_tolerance)
             self.length = first if stage.adaptive else stage.creep / stage.increments
         steps = CreepSteps(self, k, stage)
         advance(steps, steps, checkpoint_point)
@@ -84,17 +84,17 @@ class CreepStepper:
 
     def outcome(self) -> NewtonResult:
         """Outcome of the last solve, with the iterations of all solves of the step."""
-        newton = sum(o.iterations for o in self._spent)
-        krylov = sum(o.linear_iterations for o in self._spent)
-        return replace(self._spent[-1], iterations=newton, linear_iterations=krylov)
+        newton = sum(o.iterations for o in self._results)
+        krylov = sum(o.linear_iterations for o in self._results)
+        return replace(self._results[-1], iterations=newton, linear_iterations=krylov)
 
     def _stress(self) -> Floats:
         """Stress of the current displacements without creep in the step (n, 6) [MPa]."""
         return self._stress_history.trial(self._problem.displacements())
 
-    def _size(self, taken: Floats) -> float:
+    def _largest_creep_strain(self, taken: Floats) -> float:
         """Largest creep strain that relaxes a stress (n, 6) [MPa]; collective."""
-        largest = float(self._creep.crept(taken).max(initial=0.0))
+        largest = float(self._creep.equivalent_strain(taken).max(initial=0.0))
         return float(self._problem.comm.allreduce(largest, MPI.MAX))
 
     def step(self, stage: Stage, h: float) -> float:
@@ -105,14 +105,14 @@ class CreepStepper:
         Raises:
             _FailedError: The step was not solved. The state is reset, too.
         """
-        x, contact, self._spent = self._solver.x.copy(), self._problem.contact, []
-        state, points = self._stress_history.state(), contact.state if contact else None
+        x, contact, self._results = self._solver.x.copy(), self._problem.contact, []
+        state, contact_state = self._stress_history.state(), contact.state if contact else None
         scale = stage.creep_tolerance * self._creep.elastic_strain(self._stress())
 
-        def back() -> None:
+        def return_to_start() -> None:
             self._stress_history.return_to(state)
-            if contact and points:
-                contact.state, contact.carried = points, points.jump
+            if contact and contact_state:
+                contact.state, contact.carried = contact_state, contact_state.jump
 
         solved = False
         try:
@@ -124,14 +124,14 @@ class CreepStepper:
                 halves += self._settle(h / 2, scale)
                 u, q = self._solver.u_and_q()
                 self._problem.commit(self._problem.trial(u, q) if q is not None else None)
-            error = self._size(halves - whole) / scale
+            error = self._largest_creep_strain(halves - whole) / scale
             if error <= 1.0 or not stage.adaptive:
-                back()
+                return_to_start()
                 self._solve(2 * halves - whole, h)
                 solved = True
         finally:
             if not solved:
-                back()
+                return_to_start()
                 x.copy(self._solver.x)
                 self._problem.update_displacements(*self._solver.u_and_q())
         return error
@@ -142,11 +142,11 @@ class CreepStepper:
         Raises:
             _FailedError: As `_solve`; strains have not settled, relative to a scale.
         """
-        taken = self._creep.relaxed(self._stress(), h)
-        for _ in range(SOLVES):
+        taken = self._creep.stress_relaxation(self._stress(), h)
+        for _ in range(MAX_SOLVES):
             self._solve(taken, h)
-            before, taken = taken, self._creep.relaxed(self._stress(), h)
-            if self._size(taken - before) <= SETTLED * scale:
+            before, taken = taken, self._creep.stress_relaxation(self._stress(), h)
+            if self._largest_creep_strain(taken - before) <= SETTLED * scale:
                 return taken
         raise _FailedError
 
@@ -158,9 +158,9 @@ class CreepStepper:
         """
         self._stress_history.relax(taken, h)
         self._problem.update_stiffness()
-        self._spent.append(solve(self._solver))
-        self.load_stepper.total.count(self._spent[-1])
-        if not self._spent[-1].converged:
+        self._results.append(solve(self._solver))
+        self.load_stepper.total.count(self._results[-1])
+        if not self._results[-1].converged:
             raise _FailedError
         self._problem.update_displacements(*self._solver.u_and_q())
 
@@ -183,9 +183,9 @@ class CreepSteps:
         """Return the next step."""
         done, end = self._stepper.done, self._stage.creep
         left = end - done
-        if self._stepper.length > (1 - HARDLY) * left:
-            return Step(done, end, left, whole=True)
-        return Step(done, done + self._stepper.length, self._stepper.length, whole=False)
+        if self._stepper.length > (1 - LENGTHENING) * left:
+            return Step(done, end, left, ends_increment=True)
+        return Step(done, done + self._stepper.length, self._stepper.length, ends_increment=False)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance; of equal steps, every one that was solved."""
@@ -227,4 +227,4 @@ class CreepSteps:
         time = self._k + stepper.part(stage)
         stepper.load_stepper.problem.set_time(time)
         outcome = stepper.outcome()
-        stepper.load_stepper.commit(stage, time, outcome, started, step.whole)
+        stepper.load_stepper.commit(stage, time, outcome, started, step.ends_increment)

@@ -13,7 +13,7 @@ J of R, the exact inverse takes two solutions by the linear solver of J (borderi
           δx = a - δs\, b, \quad g = W \partial w/\partial x.
 
 A step begins where points are about to break further: otherwise g is zero and J elastic. The first
-step begins at an elastic state just beyond the onset of damage (`overshoot`).
+step begins at an elastic state just beyond the onset of damage (`start_beyond_onset`).
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from app.numerics.system import MatrixFree, Measure
 # Newton iterations of a step.
 ITERATIONS = 25
 # Part of the energy at which it counts as spent.
-ENOUGH = 1e-6
+ENERGY_TOLERANCE = 1e-6
 # Step of the part of the path for the derivative.
-SMALL = 1e-4
+PATH_STEP = 1e-4
 # Relative tolerance of the linear solver.
-LINEAR = 1e-9
+LINEAR_TOLERANCE = 1e-9
 # Number of times that a failed step is halved.
 HALVINGS = 6
 # Bisections of the start.
 BISECTIONS = 40
 
 
-def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, Floats]:
+def dissipated_energy(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, Floats]:
     """Energy that damage dissipates in a step to a state; collective.
 
     Returns:
@@ -61,7 +61,7 @@ def spent(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, F
     return problem.comm.allreduce(local), (weight[:, None] * outputs["dissipated_by_jump"]).ravel()
 
 
-def overshoot(
+def start_beyond_onset(
     problem: Problem,
     solver: Solver,
     energy: float,
@@ -94,23 +94,23 @@ def overshoot(
         end.copy(solver.x)
         solver.x.axpby(1.0 - part, part, start)
         solver.system.impose(solver.blocks())
-        return spent(problem, *solver.u_and_q())[0]
+        return dissipated_energy(problem, *solver.u_and_q())[0]
 
-    low, high = 0.0, 1.0
-    energy_there = spent_at(high)
-    if energy_there == 0.0:
+    elastic, damaged = 0.0, 1.0
+    damaged_energy = spent_at(damaged)
+    if damaged_energy == 0.0:
         return None
     for _ in range(BISECTIONS):
-        if energy_there <= energy:
+        if damaged_energy <= energy:
             break
-        middle = (low + high) / 2
-        more = spent_at(middle)
-        if more == 0.0:
-            low = middle
+        middle = (elastic + damaged) / 2
+        middle_energy = spent_at(middle)
+        if middle_energy == 0.0:
+            elastic = middle
         else:
-            high, energy_there = middle, more
-    spent_at(high)
-    return path[0] + high * (path[1] - path[0])
+            damaged, damaged_energy = middle, middle_energy
+    spent_at(damaged)
+    return path[0] + damaged * (path[1] - path[0])
 
 
 class EnergyControl(MatrixFree):
@@ -130,18 +130,18 @@ class EnergyControl(MatrixFree):
 
     def __init__(self, problem: Problem, solver: Solver, set_load: Callable[[float], None]) -> None:
         self.comm = problem.comm
-        self._problem, self._given, self._set_load = problem, solver, set_load
+        self._problem, self._solver_of_system, self._set_load = problem, solver, set_load
         self._energy = 1.0
-        self._load = PETSc.Vec().createMPI((int(self.comm.rank == 0), 1), comm=self.comm)
+        self._load_template = PETSc.Vec().createMPI((int(self.comm.rank == 0), 1), comm=self.comm)
         blocks = self.blocks().values()
         local, every = (sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True))
         self.operator = python_mat(self, (local, every), self.comm)
         # State of the last residual with the supports of its load; residual by load, and energy
         # by jumps there; solution for that residual.
         self._state = solver.vector()
-        self._by_load = solver.vector()
-        self._by_jump: Floats = np.zeros(0)
-        self._moved = solver.vector()
+        self._residual_by_load = solver.vector()
+        self._energy_by_jump: Floats = np.zeros(0)
+        self._state_by_load = solver.vector()
         limits = solver.tolerance, ITERATIONS
         self._solver = Solver(self, *limits, "", {}, solver.timing, solver.stop)
 
@@ -157,30 +157,30 @@ class EnergyControl(MatrixFree):
         Returns:
             The outcome, and the part of the path at its end.
         """
-        given, solver = self._given, self._solver
+        solver_of_system, solver = self._solver_of_system, self._solver
         self._energy = energy
-        solver.tolerance = given.tolerance
+        solver.tolerance = solver_of_system.tolerance
         solver.residuals, solver.changes = [], []
-        solver.scales = [*given.scales, 0.0] if given.scales else []
-        if given.system.contact:
-            given.system.contact.law.scale_augmentation(given.augmentation)
+        solver.scales = [*solver_of_system.scales, 0.0] if solver_of_system.scales else []
+        if solver_of_system.system.contact:
+            solver_of_system.system.contact.law.scale_augmentation(solver_of_system.augmentation)
         *x, load = solver.blocks()
-        for values, start in zip(x, given.blocks(), strict=True):
+        for values, start in zip(x, solver_of_system.blocks(), strict=True):
             start.copy(values)
         load.set(part)
         newton, krylov = solver.run()
-        part = self._part(load)
+        part = self._part_of_path(load)
         if solver.converged:
             self._set_load(min(part, 1.0))
-            for values, end in zip(x, given.blocks(), strict=True):
+            for values, end in zip(x, solver_of_system.blocks(), strict=True):
                 values.copy(end)
-            given.system.impose(given.blocks())
+            solver_of_system.system.impose(solver_of_system.blocks())
             measured = solver.measure(solver.x, solver.snes.getFunction()[0])
-            given.scales = [p.scale for p in measured[:-1]]
+            solver_of_system.scales = [p.scale for p in measured[:-1]]
         residuals = tuple(solver.residuals)
         return NewtonResult(solver.converged, newton, krylov, residuals, (), False), part
 
-    def _part(self, load: PETSc.Vec) -> float:
+    def _part_of_path(self, load: PETSc.Vec) -> float:
         """Part of the path; collective."""
         return float(self.comm.bcast(load.array_r[0] if self.comm.rank == 0 else None))
 
@@ -189,11 +189,11 @@ class EnergyControl(MatrixFree):
     @property
     def version(self) -> int:
         """Number of changes of the matrices."""
-        return self._given.system.version
+        return self._solver_of_system.system.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """The blocks of the given system, and the part of the path."""
-        return self._given.system.blocks() | {"load": self._load.duplicate()}
+        return self._solver_of_system.system.blocks() | {"load": self._load_template.duplicate()}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Leave the supports to `residual`: their values depend on the load."""
@@ -203,62 +203,68 @@ class EnergyControl(MatrixFree):
 
         Loads are linear along the path to its end, and are continued so beyond it.
         """
-        given = self._given
-        part = self._part(x[-1])
+        solver_of_system = self._solver_of_system
+        part = self._part_of_path(x[-1])
         if not math.isfinite(part):  # see `apply`
             for of_block in f:
                 of_block.set(math.nan)
             return
         on_path = min(part, 1.0)
-        h = SMALL if on_path < 0.5 else -SMALL
-        for values, kept in zip(x[:-1], given.blocks(self._state), strict=True):
-            values.copy(kept)
+        h = PATH_STEP if on_path < 0.5 else -PATH_STEP
+        for values, imposed in zip(x[:-1], solver_of_system.blocks(self._state), strict=True):
+            values.copy(imposed)
         self._set_load(on_path + h)
-        by_load = given.residual(self._state.copy())
+        by_load = solver_of_system.residual(self._state.copy())
         self._set_load(on_path)
-        r = given.residual(self._state)
+        r = solver_of_system.residual(self._state)
         by_load.axpby(-1 / h, 1 / h, r)
         r.axpy(part - on_path, by_load)
-        by_load.copy(self._by_load)
-        for values, of_block in zip(given.blocks(r), f[:-1], strict=True):
+        by_load.copy(self._residual_by_load)
+        for values, of_block in zip(solver_of_system.blocks(r), f[:-1], strict=True):
             values.copy(of_block)
-        energy, self._by_jump = spent(self._problem, *given.u_and_q(self._state))
+        energy, self._energy_by_jump = dissipated_energy(
+            self._problem, *solver_of_system.u_and_q(self._state)
+        )
         f[-1].set(energy - self._energy)
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of the residuals of the given system, and of the energy [N mm]."""
-        given = self._given
-        parts = given.system.measure(given.blocks(self._state), f[:-1])
+        solver_of_system = self._solver_of_system
+        parts = solver_of_system.system.measure(solver_of_system.blocks(self._state), f[:-1])
         # The energy has converged at ENOUGH, for any tolerance of forces.
-        scale = self._energy * ENOUGH / given.tolerance
+        scale = self._energy * ENERGY_TOLERANCE / solver_of_system.tolerance
         return [*parts, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
 
     # As operator and inverse of PETSc
 
     def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply the Jacobian to x, into y."""
-        *moved, load = x.getNestSubVecs()
+        *change, load = x.getNestSubVecs()
         *forces, energy = y.getNestSubVecs()
-        given, a, r = self._given, self._given.vector(), self._given.vector()
-        for values, of_block in zip(moved, given.blocks(a), strict=True):
+        solver_of_system, a, r = (
+            self._solver_of_system,
+            self._solver_of_system.vector(),
+            self._solver_of_system.vector(),
+        )
+        for values, of_block in zip(change, solver_of_system.blocks(a), strict=True):
             values.copy(of_block)
-        given.linear.matrix.mult(a, r)
-        r.axpy(self._part(load), self._by_load)
-        for values, of_block in zip(given.blocks(r), forces, strict=True):
+        solver_of_system.linear.matrix.mult(a, r)
+        r.axpy(self._part_of_path(load), self._residual_by_load)
+        for values, of_block in zip(solver_of_system.blocks(r), forces, strict=True):
             values.copy(of_block)
-        energy.set(self._energy_by(a))
+        energy.set(self._energy_change(a))
 
     def renew(self) -> None:
         """Do nothing: the solver of the given system renews its inverse."""
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Set the Jacobian at the state of the last residual; solve for the load."""
-        given = self._given
-        given.linear.update(given.blocks(self._state))
-        ksp = given.snes.getKSP()
-        ksp.setOperators(given.linear.matrix)
-        ksp.setTolerances(rtol=LINEAR, atol=0.0)
-        ksp.solve(self._by_load, self._moved)
+        solver_of_system = self._solver_of_system
+        solver_of_system.linear.update(solver_of_system.blocks(self._state))
+        ksp = solver_of_system.snes.getKSP()
+        ksp.setOperators(solver_of_system.linear.matrix)
+        ksp.setTolerances(rtol=LINEAR_TOLERANCE, atol=0.0)
+        ksp.solve(self._residual_by_load, self._state_by_load)
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Apply the inverse of the Jacobian to r, into z.
@@ -266,20 +272,24 @@ class EnergyControl(MatrixFree):
         If no energy is spent there is no such step: it is not a number, and the loop ends.
         """
         *forces, energy = r.getNestSubVecs()
-        *moved, load = z.getNestSubVecs()
-        given, right, a = self._given, self._given.vector(), self._given.vector()
-        for values, of_block in zip(forces, given.blocks(right), strict=True):
+        *change, load = z.getNestSubVecs()
+        solver_of_system, residual, a = (
+            self._solver_of_system,
+            self._solver_of_system.vector(),
+            self._solver_of_system.vector(),
+        )
+        for values, of_block in zip(forces, solver_of_system.blocks(residual), strict=True):
             values.copy(of_block)
-        given.snes.getKSP().solve(right, a)
-        by_load = self._energy_by(self._moved)
-        missing = self._energy_by(a) - self._part(energy)
-        step = missing / by_load if by_load else math.nan
-        a.axpy(-step, self._moved)
-        for values, of_block in zip(given.blocks(a), moved, strict=True):
+        solver_of_system.snes.getKSP().solve(residual, a)
+        by_load = self._energy_change(self._state_by_load)
+        energy_deficit = self._energy_change(a) - self._part_of_path(energy)
+        step = energy_deficit / by_load if by_load else math.nan
+        a.axpy(-step, self._state_by_load)
+        for values, of_block in zip(solver_of_system.blocks(a), change, strict=True):
             values.copy(of_block)
         load.set(step)
 
-    def _energy_by(self, x: PETSc.Vec) -> float:
+    def _energy_change(self, x: PETSc.Vec) -> float:
         """Change of the energy by a change of the state; collective."""
-        jump = self._given.blocks_by_name(x)["jump"].array_r
-        return float(self.comm.allreduce(float(self._by_jump @ jump)))
+        jump = self._solver_of_system.blocks_by_name(x)["jump"].array_r
+        return float(self.comm.allreduce(float(self._energy_by_jump @ jump)))

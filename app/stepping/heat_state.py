@@ -15,7 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from app.heat.curing import as_temperature
+from app.heat.curing import error_as_temperature
 from app.heat.implicit_step import ImplicitStep
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
@@ -26,9 +26,9 @@ from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Effort
 
 # First step of a stage, as a part of an increment, if the rate of change is unknown.
-FIRST = 1e-3
+FIRST_STEP = 1e-3
 # Relative difference up to which times count as equal.
-SAME = 1e-9
+SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class HeatState:
         self.total = Effort()
         self.state = self._state(step.initial())
         self.slope: State = [np.zeros_like(part) for part in self.state]
-        self._stages: list[dict[str, float]] = []
-        self.put(self.state)
+        self._flows_of_stages: list[dict[str, float]] = []
+        self.set_solver_state(self.state)
         cure = self.operators.cure
         self._curing = cure.nodes if cure else []
 
@@ -92,7 +92,7 @@ class HeatState:
 
     def restored(self) -> None:
         """Set the solver to the restored temperatures."""
-        self.put(self.state)
+        self.set_solver_state(self.state)
 
     # Between lists of arrays and the vectors of the solver
 
@@ -104,7 +104,7 @@ class HeatState:
     def _state(self, x: Sequence[PETSc.Vec]) -> State:
         return [*(v.array.copy() for v in x), *(a.copy() for a in self.step.degrees(x))]
 
-    def put(self, state: State) -> None:
+    def set_solver_state(self, state: State) -> None:
         """Set temperatures and jumps in the solver."""
         for v, values in zip(self.vectors(), state, strict=False):
             v.array[:] = values
@@ -119,7 +119,7 @@ class HeatState:
         n = len(self.vectors())
         errors = list(error[:n])
         for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=False):
-            errors.append(as_temperature(degree, e, node.adiabatic_rise))
+            errors.append(error_as_temperature(degree, e, node.adiabatic_rise))
         local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
@@ -128,7 +128,7 @@ class HeatState:
         n, parts, coupled = len(self.vectors()), len(self.state), self.coupled
         if not self.step.begin(start[:n], start[n:parts], h, seconds):
             return None
-        self.put(guess)
+        self.set_solver_state(guess)
         if coupled is not None:
             coupled.begin(seconds, h, start[parts])
             if not self.outcome.converged:
@@ -137,7 +137,7 @@ class HeatState:
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
-        self._stages.append(self.step.flows(self.vectors()))
+        self._flows_of_stages.append(self.step.flows(self.vectors()))
         work = [coupled.exchange.friction_work] if coupled is not None else []
         return [*self._state(self.vectors()), *work]
 
@@ -152,7 +152,7 @@ class HeatState:
         With mechanics in the system the rate is left unknown: slips in a very short step would be
         lost to rounding.
         """
-        first = FIRST * longest
+        first = FIRST_STEP * longest
         if self.coupled is None:
             shortest = 1e-6 * min(longest, 1.0)
             slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
@@ -174,10 +174,10 @@ class HeatState:
         for name in dict.fromkeys((self.method.name, "backward_euler")):
             method = METHODS[name]
             while True:
-                self._stages = []
+                self._flows_of_stages = []
                 solution = integrator.step(method, state, slope, dt, self.seconds, self._solve)
                 T = self.operators.nodal(self.vectors())
-                within = solution is None or not principle.outside(T)
+                within = solution is None or not principle.is_violated(T)
                 if within or not principle.correct(T):
                     break
             if within and (solution is not None or not fixed):
@@ -187,26 +187,26 @@ class HeatState:
     def accept(self, solution: integrator.StageStep, method: Method, dt: float) -> HeatStep:
         """Commit a step."""
         heats = {
-            name: dt * sum(method.a[-1] * [stage[name] for stage in self._stages])
-            for name in self._stages[-1]
+            name: dt * sum(method.a[-1] * [stage[name] for stage in self._flows_of_stages])
+            for name in self._flows_of_stages[-1]
         }
-        self.operators.principle.take_back(self.operators.nodal(self.vectors()))
+        self.operators.principle.restore_edges(self.operators.nodal(self.vectors()))
         parts = slice(len(self.state))
         self.state, self.slope = solution.state[parts], solution.slope[parts]
         self.seconds += dt
         self.total.steps += 1
-        return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
+        return HeatStep(self.seconds, dt, heats, self._flows_of_stages[-1], self.outcome)
 
     def solve_steady(self) -> HeatStep | None:
         """Solve for the steady state; None if it does not converge."""
-        self._stages = []
+        self._flows_of_stages = []
         state = self._solve(self._with_work(self.state), np.inf, self.seconds, self.state)
         if state is None:
             return None
         state = state[: len(self.state)]
         self.state, self.slope = state, [np.zeros_like(part) for part in state]
         self.total.steps += 1
-        return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
+        return HeatStep(self.seconds, 0.0, {}, self._flows_of_stages[-1], self.outcome)
 
     # Queries
 
@@ -221,7 +221,7 @@ class HeatState:
     def begins_at_event(self, accepted: HeatStep) -> bool:
         """Return True if a step begins at the event that ended the step before."""
         begin = accepted.seconds - accepted.dt
-        return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
+        return bool(np.isclose(self.events, begin, rtol=SAME_TIME, atol=0.0).any())
 
     def temperatures(self) -> Floats:
         """Temperatures of owned nodes of each body (b, n) [K]."""

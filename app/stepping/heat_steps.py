@@ -21,7 +21,7 @@ from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import Effort, LoadStep
 
 # Least time step, as a part of its stage.
-SHORTEST = 1e-10
+SHORTEST_STEP = 1e-10
 
 Mechanics = SolvedAfterHeat | SolvedWithHeat
 OnHeat = Callable[[LoadStep, HeatStep], None]
@@ -63,7 +63,7 @@ class HeatStepper:
     def _control_of(self, stage: Stage) -> Control:
         """Lengths of the steps of a stage: one to a steady state, by their error, or equal."""
         if stage.steady:
-            return GivenSteps([Step(0.0, 1.0, math.inf, whole=True)], self.steps_done)
+            return GivenSteps([Step(0.0, 1.0, math.inf, ends_increment=True)], self.steps_done)
         first = 0.0
         if not self.steps_done:
             first = self.heating.start(stage.seconds / stage.increments)
@@ -74,7 +74,7 @@ class HeatStepper:
     def _equal(self, stage: Stage) -> list[Step]:
         """Equal steps of a stage, divided at events."""
         length = stage.seconds / stage.increments
-        tiny = SHORTEST * stage.seconds
+        tiny = SHORTEST_STEP * stage.seconds
         steps: list[Step] = []
         for n in range(stage.increments):
             inside = [e - self.stage_start - n * length for e in self.heating.events]
@@ -89,12 +89,12 @@ class HeatStepper:
     def try_step(self, step: Step) -> float:
         """Solve a step of time, or for a steady state; return its error; collective."""
         if self._stage.steady:
-            self._steady = self.heating.solve_steady()
-            return math.inf if self._steady is None else 0.0
-        self._solved = self.heating.attempt(step.length, fixed=not self._stage.adaptive)
-        if self._solved is None:
+            self._steady_step = self.heating.solve_steady()
+            return math.inf if self._steady_step is None else 0.0
+        self._solution = self.heating.attempt(step.length, fixed=not self._stage.adaptive)
+        if self._solution is None:
             return math.inf
-        return self.heating.norm(self._solved[0].error)
+        return self.heating.norm(self._solution[0].error)
 
     def refuse(self, step: Step) -> None:
         """Count a step that was not accepted.
@@ -110,21 +110,23 @@ class HeatStepper:
                 "  what to do: give the stage a duration instead of steady"
             )
         self.total.rejected += 1
-        if not stage.adaptive or step.length < SHORTEST * stage.seconds:
+        if not stage.adaptive or step.length < SHORTEST_STEP * stage.seconds:
             raise ConvergenceError(self._failure_text(step))
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried, then let the mechanics follow; collective."""
         if self._stage.steady:
-            accepted = self._steady
-        elif self._solved is not None:
-            accepted = self.heating.accept(*self._solved, step.length)
+            accepted = self._steady_step
+        elif self._solution is not None:
+            accepted = self.heating.accept(*self._solution, step.length)
         assert accepted is not None
-        time = self._k + (1.0 if step.end > 1 - SHORTEST else step.end)
+        time = self._k + (1.0 if step.end > 1 - SHORTEST_STEP else step.end)
         if self.mechanical_path is not None:
-            self.mechanical_path.follow(time, step.whole)
+            self.mechanical_path.follow(time, step.ends_increment)
         outcome, seconds = accepted.outcome, clock.perf_counter() - started
-        load_step = LoadStep(self.total.steps, self._stage.name, time, outcome, seconds, step.whole)
+        load_step = LoadStep(
+            self.total.steps, self._stage.name, time, outcome, seconds, step.ends_increment
+        )
         self._on_heat(load_step, accepted)
         self.steps_done += 1
 
@@ -160,7 +162,7 @@ class StepsByError:
     ) -> None:
         self._heating, self._controller = heating, controller
         self._stage, self._begin = stage, begin
-        self._tiny = SHORTEST * stage.seconds
+        self._tiny = SHORTEST_STEP * stage.seconds
         increment = stage.seconds / stage.increments
         self._ends = [begin + (n + 1) * increment for n in range(stage.increments)]
         inside = [e for e in heating.events if begin < e < self._ends[-1]]
@@ -178,10 +180,10 @@ class StepsByError:
         seconds = self._heating.seconds
         length = self._controller.propose(seconds)
         end = seconds + length
-        whole = min(abs(end - e) for e in self._ends) < self._tiny
+        ends_increment = min(abs(end - e) for e in self._ends) < self._tiny
         done = min((seconds - self._begin) / self._stage.seconds, 1.0)
         reach = min((end - self._begin) / self._stage.seconds, 1.0)
-        return Step(done, reach, length, whole)
+        return Step(done, reach, length, ends_increment)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance."""

@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.foundation.arrays import Floats, Ints
-from app.heat.curing import free_strain, since_gelation
+from app.heat.curing import free_strain, share_since_gelation
 from app.numerics.saved_state import node_keys
 from app.scene.scene import Stage
 from app.stepping.coupled_system import CoupledSystem
@@ -24,7 +24,7 @@ from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper
 
 # Rounding error of a complete fraction of a step.
-SAME = 1e-9
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,17 @@ class HeatedMechanics:
         self._curing = operators.cure.nodes if operators.cure else []
         self._temperatures = [fem.Function(operators.forms.space) for _ in operators.bodies.names]
         # Free strain so far, and what the mechanics see.
-        self._degrees, self.strains, self._seen = (
+        self._degrees, self.strains, self._applied_strains = (
             [fem.Function(operators.forms.space) for _ in self._curing] for _ in range(3)
         )
         expansion = {x.region: x.expansion for x in operators.scene.expansions}
-        self._free = [
+        self._strain_increments = [
             free_strain(operators.comm, cure, expansion.get(cure.region, 0.0), len(c.dof))
             for cure, c in zip(operators.scene.cures, self._curing, strict=True)
         ]
         self._last: ThermalState | None = None
-        self.previous = self._now()
-        self._load(self.previous, self.previous, 1.0)
+        self.previous = self._current_state()
+        self._apply(self.previous, self.previous, 1.0)
 
     @cached_property
     def row_keys(self) -> Ints:
@@ -80,13 +80,13 @@ class HeatedMechanics:
     def restored(self) -> None:
         """Load the mechanics with the thermal state of their last solve; collective."""
         self._last = None
-        self._now()
-        self._load(self.previous, self.previous, 1.0)
+        self._current_state()
+        self._apply(self.previous, self.previous, 1.0)
         problem = self._load_stepper.problem
         if problem.stress_history:
             problem.stress_history.begin_at(problem.displacements())
 
-    def _now(self) -> ThermalState:
+    def _current_state(self) -> ThermalState:
         """State of the heat, with the free strain of the step that led to it; collective."""
         degrees = list(self._heating.degrees().values())
         T = self._heating.temperatures()
@@ -99,7 +99,7 @@ class HeatedMechanics:
         last = self._last
         if last is not None:
             for k, c in enumerate(self._curing):
-                self.strains[k].x.array[c.dof] += self._free[k](
+                self.strains[k].x.array[c.dof] += self._strain_increments[k](
                     a_old=last.degrees[k][c.dof],
                     T_old=last.temperatures[c.body][c.dof],
                     a=degrees[k],
@@ -114,7 +114,7 @@ class HeatedMechanics:
         )
         return self._last
 
-    def _distance(self, now: ThermalState) -> float:
+    def _largest_change(self, now: ThermalState) -> float:
         """Largest change since the last solve [K], of cure by the heat it releases; collective."""
         before = self.previous
         pairs = zip(before.temperatures, now.temperatures, strict=True)
@@ -127,16 +127,16 @@ class HeatedMechanics:
     def _advance(self, now: ThermalState, begin: float, end: float) -> None:
         """Solve from the thermal state and the time of the last solve to others."""
         before = self.previous
-        steps = max(math.ceil(self._distance(now) / self._limit - SAME), 1)
+        steps = max(math.ceil(self._largest_change(now) / self._limit - ROUNDING), 1)
         self.previous = now
 
         def set_load(s: float) -> None:
             self._load_stepper.problem.set_time(begin + s * (end - begin))
-            self._load(before, now, s)
+            self._apply(before, now, s)
 
         self._load_stepper.run_path(self._stage, 1.0 / steps, set_load, begin, end)
 
-    def _load(self, a: ThermalState, b: ThermalState, s: float) -> None:
+    def _apply(self, a: ThermalState, b: ThermalState, s: float) -> None:
         """Load the mechanics with a state between two others: a at s = 0, b at s = 1.
 
         Free strain grows from gelation on, temperature and cure all the way.
@@ -150,8 +150,8 @@ class HeatedMechanics:
         ):
             f.x.array[:] = (1 - s) * x + s * y
         for k, cure in enumerate(scene.cures):
-            share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
-            self._seen[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
+            share = share_since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            self._applied_strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
         body = self._operators.bodies.of_region
         problem.set_temperature(
             {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
@@ -159,7 +159,9 @@ class HeatedMechanics:
         if problem.stress_history:
             regions = [c.region for c in self._curing]
             degrees = dict(zip(regions, self._degrees, strict=True))
-            problem.stress_history.set(degrees, dict(zip(regions, self._seen, strict=True)))
+            problem.stress_history.set(
+                degrees, dict(zip(regions, self._applied_strains, strict=True))
+            )
 
 
 class SolvedAfterHeat(HeatedMechanics):
@@ -177,12 +179,12 @@ class SolvedAfterHeat(HeatedMechanics):
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:
-            self.time, self.previous = float(k), self._now()
+            self.time, self.previous = float(k), self._current_state()
 
-    def follow(self, time: float, whole: bool) -> None:
+    def follow(self, time: float, ends_increment: bool) -> None:
         """Solve at the end of an increment, or after a large change."""
-        now = self._now()
-        if whole or self._distance(now) >= self._limit:
+        now = self._current_state()
+        if ends_increment or self._largest_change(now) >= self._limit:
             self._advance(now, self.time, time)
             self.time = time
 
@@ -207,10 +209,10 @@ class SolvedWithHeat(HeatedMechanics):
         self._system.begin_stage(k, stage, self.stage_start)
         self._system.restore(self._heating.solver.blocks())
 
-    def follow(self, time: float, whole: bool) -> None:
+    def follow(self, time: float, ends_increment: bool) -> None:
         """Commit the mechanics of a heat step."""
         started = clock.perf_counter()
-        heating, now = self._heating, self._now()
+        heating, now = self._heating, self._current_state()
         self._system.commit(heating.solver.blocks())
         self._system.exchange.report((heating.seconds - self.committed_at) or np.inf)
         self.committed_at = heating.seconds
@@ -219,4 +221,4 @@ class SolvedWithHeat(HeatedMechanics):
             self._advance(now, time, time)
         else:
             self.previous = now
-            self._load_stepper.commit(self._stage, time, heating.outcome, started, whole)
+            self._load_stepper.commit(self._stage, time, heating.outcome, started, ends_increment)

@@ -17,23 +17,28 @@ from petsc4py import PETSc
 from app.foundation.errors import ConvergenceError
 from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
-from app.mechanics.predictors import Extrapolation, Predictor, same
+from app.mechanics.predictors import Extrapolation, Predictor, are_equal
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.cover import Cover
-from app.soundness.failure import explain, proportional
+from app.soundness.failure import explain, is_proportional
 from app.soundness.loose_bodies import held_by_facets, runaway
 from app.stepping.advance import Progress, Step, advance
-from app.stepping.energy_control import HALVINGS, EnergyControl, overshoot, spent
+from app.stepping.energy_control import (
+    HALVINGS,
+    EnergyControl,
+    dissipated_energy,
+    start_beyond_onset,
+)
 
 # Newton iterations up to which a step is easy, and the next one longer.
 EASY_ITERATIONS = 8
 # Length of the next step over that of an easy one.
-GROWTH = 2.0
+STEP_GROWTH = 2.0
 # Times that surfaces with finite sliding are paired anew in a step; mostly none or one.
-PAIRINGS = 10
+MAX_PAIRINGS = 10
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class LoadStep:
         time: Time at its end: stage k runs from k to k + 1.
         outcome: Outcome of the nonlinear solve.
         seconds: Wall time, failed attempts included.
-        whole: True if it ends an increment of its stage, for which fields are written.
+        ends_increment: True if it ends an increment of its stage, for which fields are written.
     """
 
     number: int
@@ -54,7 +59,7 @@ class LoadStep:
     time: float
     outcome: NewtonResult
     seconds: float
-    whole: bool
+    ends_increment: bool
 
 
 @dataclass
@@ -90,13 +95,13 @@ class LoadProgress(Progress):
 
     Attributes:
         energy: Fracture energy of the next step where the load follows it, 0 where it is given.
-        most: Largest part of the path that has been reached.
-        handed: Last part of the path at which no step of given energy converged.
+        reached: Largest part of the path that has been reached.
+        handed_over_at: Last part of the path at which no step of given energy converged.
     """
 
     energy: float = 0.0
-    most: float = 0.0
-    handed: float = -1.0
+    reached: float = 0.0
+    handed_over_at: float = -1.0
 
 
 @dataclass
@@ -123,8 +128,8 @@ class LoadStepper:
 
     def __post_init__(self) -> None:
         """Put extrapolation before the other predictors."""
-        self._line = Extrapolation(self.solver, self.problem.scene.last_reversal)
-        self.predictors = (self._line, *self.predictors)
+        self._extrapolation = Extrapolation(self.solver, self.problem.scene.last_reversal)
+        self.predictors = (self._extrapolation, *self.predictors)
         self.progress, self._cover = LoadProgress(), Cover(self.problem)
 
     def solve(self) -> NewtonResult:
@@ -134,32 +139,32 @@ class LoadStepper:
             problem.contact.approach(problem.f, u, q)
         outcome = solve(self.solver)
         self.total.count(outcome)
-        for _ in range(PAIRINGS):
+        for _ in range(MAX_PAIRINGS):
             if not (outcome.converged and problem.pair(*self.solver.u_and_q())):
                 return outcome
-            again = solve(self.solver)
-            self.total.count(again)
-            both = outcome.iterations + again.iterations
-            outcome = replace(again, iterations=both)
+            repeated = solve(self.solver)
+            self.total.count(repeated)
+            both = outcome.iterations + repeated.iterations
+            outcome = replace(repeated, iterations=both)
         return replace(outcome, converged=False)
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time, up to its creep."""
-        whole, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
-        whole /= self.problem.scene.rotation_substeps(k, whole)
+        increment, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
+        increment /= self.problem.scene.rotation_substeps(k, increment)
         if not self.progress.step:
-            self.progress = LoadProgress(whole)
+            self.progress = LoadProgress(increment)
 
         def set_load(s: float) -> None:
             self.problem.set_time(k + s * stage.loaded)
 
-        self.run_path(stage, whole, set_load, k, end, self.progress, checkpoint_point)
+        self.run_path(stage, increment, set_load, k, end, self.progress, checkpoint_point)
         self.progress = LoadProgress()
 
     def run_path(
         self,
         stage: Stage,
-        whole: float,
+        increment: float,
         set_load: Callable[[float], None],
         begin: float,
         end: float,
@@ -170,7 +175,7 @@ class LoadStepper:
 
         Args:
             stage: The stage, which limits cut-backs.
-            whole: Largest step, as a part of the path.
+            increment: Largest step, as a part of the path.
             set_load: Sets the problem to a point of the path, 0 to 1.
             begin: Time at the start of the path.
             end: Time at its end.
@@ -180,23 +185,24 @@ class LoadStepper:
         Raises:
             ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
         """
-        progress = progress or LoadProgress(whole)
-        self._line.begin(begin)
-        path = LoadPath(stage, whole, set_load, begin, end)
+        progress = progress or LoadProgress(increment)
+        self._extrapolation.begin(begin)
+        path = LoadPath(stage, increment, set_load, begin, end)
         given_loads = GivenLoads(self, path, progress)
         given_energy = GivenEnergy(self, path, progress, given_loads.start)
         while progress.done < 1.0:
             advance(given_loads, given_loads, checkpoint_point)
             if progress.energy:
-                given_energy.begin(given_loads.start, given_loads.begun)
+                given_energy.begin(given_loads.start, given_loads.energy_start)
                 advance(given_energy, given_energy, checkpoint_point)
 
     def commit(
-        self, stage: Stage, time: float, outcome: NewtonResult, started: float, whole: bool
+        self, stage: Stage, time: float, outcome: NewtonResult, started: float, ends_increment: bool
     ) -> None:
         """Commit the state of the solver and report the step; collective.
 
-        The step ends at ``time``, and an increment if ``whole``; it ``started`` at a wall time.
+        The step ends at ``time``, and an increment if ``ends_increment``; it ``started`` at a wall
+        time.
 
         Raises:
             ConvergenceError: A body runs away or tips.
@@ -208,7 +214,9 @@ class LoadStepper:
         where = f"stage '{stage.name}' at {part:.3g} % of it"
         if trial is not None:
             result = (
-                held_by_facets(problem, trial) or runaway(problem, trial) or self._cover.left(trial)
+                held_by_facets(problem, trial)
+                or runaway(problem, trial)
+                or self._cover.pressed_beyond_rim(trial)
             )
             if result:
                 raise ConvergenceError(replace(result, where=where))
@@ -219,7 +227,7 @@ class LoadStepper:
         self.total.steps += 1
         self.total.augmentation = outcome.augmentation
         seconds = clock.perf_counter() - started
-        step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
+        step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, ends_increment)
         self.on_step(step, trial)
         tipped = self._cover.tipped()
         if tipped:
@@ -231,7 +239,7 @@ class LoadPath:
     """A path of loads; arguments of `LoadStepper.run_path`."""
 
     stage: Stage
-    whole: float
+    increment: float
     set_load: Callable[[float], None]
     begin: float
     end: float
@@ -246,17 +254,17 @@ class GivenLoads:
 
     Attributes:
         start: State at the beginning of the step.
-        begun: Part of the path of a state beyond the onset of damage, from which steps of given
-            energy begin; None if there is none.
+        energy_start: Part of the path of a state beyond the onset of damage, from which steps of
+            given energy begin; None if there is none.
     """
 
     def __init__(self, stepper: LoadStepper, path: LoadPath, progress: LoadProgress) -> None:
         self._stepper, self._path, self.progress = stepper, path, progress
         self._problem, self._solver = stepper.problem, stepper.solver
-        self.begun: float | None = None
+        self.energy_start: float | None = None
         self.start = self._solver.x.copy()
-        self._predicts = True
-        self._halved: list[float] = []
+        self._uses_predictors = True
+        self._halved_lengths: list[float] = []
 
     # Control
 
@@ -267,16 +275,16 @@ class GivenLoads:
 
     def propose(self) -> Step:
         """Return the next step."""
-        return self.progress.next(self._path.whole)
+        return self.progress.next(self._path.increment)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step that was solved, in a number of iterations; lengthen the next one."""
         if math.isinf(error):
             return False
-        p, whole = self.progress, self._path.whole
+        p, increment = self.progress, self._path.increment
         p.done = step.end
-        if error <= EASY_ITERATIONS and p.step < whole:
-            p.step = min(GROWTH * p.step, whole)
+        if error <= EASY_ITERATIONS and p.step < increment:
+            p.step = min(STEP_GROWTH * p.step, increment)
             p.cuts = max(p.cuts - 1, 0)
         return True
 
@@ -285,21 +293,24 @@ class GivenLoads:
     def try_step(self, step: Step) -> float:
         """Predict and solve a step; return the number of Newton iterations; collective."""
         problem, solver, stage = self._problem, self._solver, self._path.stage
-        if not self._halved and self._predicts:
+        if not self._halved_lengths and self._uses_predictors:
             solver.x.copy(self.start)
         self._path.set_load(step.end)
         problem.update_stiffness()
         if problem.sliding:
-            problem.sliding.carry(*solver.u_and_q())
-        predictors = self._stepper.predictors if self._predicts else ()
+            problem.sliding.set_committed(*solver.u_and_q())
+        predictors = self._stepper.predictors if self._uses_predictors else ()
         for p in predictors:
             p.predict(self._path.time(step.end))
-        self._predicted = bool(predictors) and not same(self.start, solver.x)
+        self._predicted = bool(predictors) and not are_equal(self.start, solver.x)
         self._outcome = self._stepper.solve()
         if not self._outcome.converged:
             return math.inf
-        most = stage.fracture_step
-        if most is not None and spent(problem, *solver.u_and_q())[0] > most:
+        largest_energy = stage.fracture_step
+        if (
+            largest_energy is not None
+            and dissipated_energy(problem, *solver.u_and_q())[0] > largest_energy
+        ):
             return math.inf
         return float(self._outcome.iterations)
 
@@ -315,40 +326,42 @@ class GivenLoads:
         self.start.copy(solver.x)
         if stage.fracture_step is not None:
             solver.augmentation = 1.0  # a smaller step may not need that of this step
-            ends = step.begin, step.end
-            self.begun = overshoot(problem, solver, stage.fracture_step, ends, set_load)
-            if self.begun is not None:
+            path_of_step = step.begin, step.end
+            self.energy_start = start_beyond_onset(
+                problem, solver, stage.fracture_step, path_of_step, set_load
+            )
+            if self.energy_start is not None:
                 p.energy = stage.fracture_step
-                self._end()
+                self._reset()
                 return
             self.start.copy(solver.x)
-        self._predicts = False
+        self._uses_predictors = False
         # From rest, without gaps, smaller steps fail alike.
-        scales = not self.start.norm() and proportional(solver, set_load, step.end)
-        why = explain(problem, solver, self._outcome, scales)
+        fails_alike = not self.start.norm() and is_proportional(solver, set_load, step.end)
+        explanation = explain(problem, solver, self._outcome, fails_alike)
         if self._predicted:
-            self._stepper.on_trouble(f"{why.cause.what}; repeating without extrapolation")
+            self._stepper.on_trouble(f"{explanation.cause.what}; repeating without extrapolation")
             return
         # If a body is free, halving hardly helps: once only.
-        cuts = min(1, stage.max_cut_backs) if why.free else stage.max_cut_backs
-        if scales or not stage.adaptive or p.cuts >= cuts:
+        allowed_cuts = min(1, stage.max_cut_backs) if explanation.free else stage.max_cut_backs
+        if fails_alike or not stage.adaptive or p.cuts >= allowed_cuts:
             time = self._path.time(step.end) - int(self._path.begin)
-            raise why.error(stage.name, time, self._halved)
+            raise explanation.error(stage.name, time, self._halved_lengths)
         p.cuts += 1
         p.step = step.length / 2
-        self._halved.append(p.step)
+        self._halved_lengths.append(p.step)
         how = f"step halved to {p.step:.4g} of stage '{stage.name}'"
-        self._stepper.on_trouble(f"{why.cause.what}; {how}")
+        self._stepper.on_trouble(f"{explanation.cause.what}; {how}")
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
         path = self._path
-        self._end()
+        self._reset()
         time = path.time(step.end)
-        self._stepper.commit(path.stage, time, self._outcome, started, step.whole)
+        self._stepper.commit(path.stage, time, self._outcome, started, step.ends_increment)
 
-    def _end(self) -> None:
-        self._predicts, self._halved = True, []
+    def _reset(self) -> None:
+        self._uses_predictors, self._halved_lengths = True, []
 
 
 class GivenEnergy:
@@ -362,13 +375,13 @@ class GivenEnergy:
     ) -> None:
         self._stepper, self._path, self.progress = stepper, path, progress
         self._solver = stepper.solver
-        self._most = path.stage.fracture_step or 0.0
+        self._largest_energy = path.stage.fracture_step or 0.0
         self._control: EnergyControl | None = None
         self.begin(start, None)
 
-    def begin(self, start: PETSc.Vec, begun: float | None) -> None:
+    def begin(self, start: PETSc.Vec, energy_start: float | None) -> None:
         """Begin at a committed state, or at the solver's state at a part of the path."""
-        self._start, self._begun = start, begun
+        self._start, self._energy_start = start, energy_start
 
     # Control
 
@@ -380,11 +393,11 @@ class GivenEnergy:
     def propose(self) -> Step:
         """Return the next step: its length is its energy [N mm], its end unknown."""
         p = self.progress
-        return Step(p.done, p.done, p.energy, whole=False)
+        return Step(p.done, p.done, p.energy, ends_increment=False)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step that was solved before the end of the path."""
-        return not math.isinf(error) and self._reach < 1.0
+        return not math.isinf(error) and self._reached < 1.0
 
     # Steps
 
@@ -394,8 +407,8 @@ class GivenEnergy:
         if self._control is None:
             arguments = self._stepper.problem, self._solver, self._path.set_load
             self._control = EnergyControl(*arguments)
-        begin = p.done if self._begun is None else self._begun
-        self._outcome, self._reach = self._control.solve(step.length, begin)
+        begin = p.done if self._energy_start is None else self._energy_start
+        self._outcome, self._reached = self._control.solve(step.length, begin)
         self._stepper.total.count(self._outcome)
         return 0.0 if self._outcome.converged else math.inf
 
@@ -407,20 +420,20 @@ class GivenEnergy:
         """
         p, stage = self.progress, self._path.stage
         self._start.copy(self._solver.x)
-        self._begun = None
+        self._energy_start = None
         if self._outcome.converged:  # beyond the end of the path
             p.energy, p.step = 0.0, 1.0 - p.done
             return
         self._stepper.total.rejected += 1
         p.energy = step.length / 2
-        if p.energy > self._most / 2**HALVINGS:
+        if p.energy > self._largest_energy / 2**HALVINGS:
             return
-        if p.handed != p.done:
-            p.energy, p.step, p.handed = 0.0, self._path.whole, p.done
+        if p.handed_over_at != p.done:
+            p.energy, p.step, p.handed_over_at = 0.0, self._path.increment, p.done
             return
         text = (
             f"no state dissipates {p.energy:.3g} N mm more at the interfaces; the load has reached "
-            f"{100 * max(p.most, p.done):.3g} % of the stage"
+            f"{100 * max(p.reached, p.done):.3g} % of the stage"
         )
         where = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"
         cure = (
@@ -431,13 +444,13 @@ class GivenEnergy:
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
-        p, whole, reach = self.progress, self._path.whole, self._reach
-        longer = reach - p.done >= whole
-        passed = math.floor(reach / whole) > math.floor(p.done / whole)
-        p.done, p.most = reach, max(p.most, reach)
-        p.energy = 0.0 if longer else min(2 * step.length, self._most)
-        if longer:
-            p.step = whole
+        p, increment, reached = self.progress, self._path.increment, self._reached
+        reached_an_increment = reached - p.done >= increment
+        ends_increment = math.floor(reached / increment) > math.floor(p.done / increment)
+        p.done, p.reached = reached, max(p.reached, reached)
+        p.energy = 0.0 if reached_an_increment else min(2 * step.length, self._largest_energy)
+        if reached_an_increment:
+            p.step = increment
         self.begin(self._solver.x.copy(), None)
-        time = self._path.time(reach)
-        self._stepper.commit(self._path.stage, time, self._outcome, started, passed)
+        time = self._path.time(reached)
+        self._stepper.commit(self._path.stage, time, self._outcome, started, ends_increment)

@@ -17,7 +17,7 @@ from app.heat.operators import HeatOperators
 from app.laws.interface_laws import DEFAULT_AUGMENTATION
 from app.mechanics.predictors import Predictor
 from app.mechanics.problem import Problem
-from app.mechanics.systems import mechanical
+from app.mechanics.systems import mechanical_system
 from app.numerics.newton import Solver
 from app.numerics.preconditioners import Options
 from app.numerics.system import System
@@ -202,7 +202,7 @@ def assemble(
     settings: SolverSettings | None = None,
     timing: Timing | None = None,
     reuse: Analysis | None = None,
-    like: Problem | None = None,
+    same_stiffness: Problem | None = None,
 ) -> Analysis:
     """Make the problem of a scene on a mesh, its solver and its heat, all at rest; collective.
 
@@ -213,7 +213,7 @@ def assemble(
         timing: Seconds by phase.
         reuse: Analysis whose mechanics differs in loads and laws alone. Its problem and solver
             begin anew.
-        like: Problem with the same constant stiffness, whose inverse is shared.
+        same_stiffness: Problem with the same constant stiffness, whose inverse is shared.
 
     Raises:
         InputError: The scene does not fit the mesh.
@@ -230,8 +230,8 @@ def assemble(
         problem.begin(scene, settings.augmentation_factor)
         solver.begin(settings.tolerance)
     elif scene.elastic:
-        problem = Problem(scene, tagged, settings.augmentation_factor, timing, like)
-        solver = solver_of(mechanical(problem, settings.solves, settings.memory))
+        problem = Problem(scene, tagged, settings.augmentation_factor, timing, same_stiffness)
+        solver = solver_of(mechanical_system(problem, settings.solves, settings.memory))
     if scene.conductors:
         step = ImplicitStep(HeatOperators(scene, tagged, timing))
         coupled = None

@@ -139,7 +139,9 @@ def test_cohesion_broken_share_has_friction() -> None:
     pressed = np.tile([0.0, 0.0, -3.0], (2, 1))
     out = points.at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
     np.testing.assert_allclose(out.force[:, 0], 0.4 * 3.0, rtol=1e-9)
-    np.testing.assert_allclose(out.rubbed, 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9)
+    np.testing.assert_allclose(
+        out.debonded_friction_work, 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9
+    )
     each = Points(2, μ=(0.4, 0.2), free=1.0).at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
     np.testing.assert_allclose(each.force[:, 0], [0.4 * 3.0, 0.2 * 3.0], rtol=1e-9)
     # Contact beside a broken bond resists as contact alone: whole where it sticks.

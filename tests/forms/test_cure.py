@@ -23,8 +23,8 @@ from app.foundation.arrays import Floats
 from app.heat.curing import (
     UNREACTED,
     Kinetics,
-    admissible,
-    as_temperature,
+    are_admissible,
+    error_as_temperature,
     free_strain,
     kinetics_of,
 )
@@ -178,9 +178,9 @@ def test_cure_steps_are_finite_where_rates_underflow(kinetics: Autocatalytic) ->
                 result = curing.update(start, none, 1e-2, 0.0)
                 assert result.degree == pytest.approx(start, abs=1e-20)
                 assert result.by_temperature == pytest.approx(0.0, abs=1e-20)
-                assert np.isfinite(curing._mean).all()
+                assert np.isfinite(curing._mean_rate).all()
         curing.update(start, np.full(3, np.inf), 1e-2, 0.0)
-        assert np.isfinite(curing._mean).all()
+        assert np.isfinite(curing._mean_rate).all()
         result = curing.update(start, warm, 60.0, 0.0)
     expected = fresh.update(start, warm, 60.0, 0.0)
     assert result.degree == pytest.approx(expected.degree, abs=1e-7)
@@ -199,17 +199,21 @@ def test_cure_near_zero_degree_depends_little_on_temperature() -> None:
             result = curing.update(start, T, h, 0.0)
             assert result.degree == pytest.approx(0.0, abs=1e-20)
             assert result.by_temperature == pytest.approx(0.0, abs=1e-20)
-            assert np.isfinite(curing._mean).all()
+            assert np.isfinite(curing._mean_rate).all()
 
 
 def test_cure_refuses_degrees_beyond_bounds() -> None:
     rounded = np.array([-1e-15, 1 + 1e-15])
-    assert admissible(np.array([0.0, 1.0])) and admissible(rounded) and admissible(np.zeros(0))
+    assert (
+        are_admissible(np.array([0.0, 1.0]))
+        and are_admissible(rounded)
+        and are_admissible(np.zeros(0))
+    )
     for kinetics in (BALIGA, Prescribed.model_construct(rate=COURSE)):
         result = setting(kinetics, 2).update(rounded, np.full(2, 310.0), 1.0, 350.0)
         assert (result.degree >= 0).all() and (result.degree <= 1).all()
     for outside in (-1e-6, 1 + 1e-6, np.nan):
-        assert not admissible(np.array([0.5, outside]))
+        assert not are_admissible(np.array([0.5, outside]))
 
 
 def test_cure_on_a_rank_without_nodes() -> None:
@@ -254,7 +258,7 @@ class Point:
         """Newton's method from below: the first root, which goes on from that of short steps."""
         self.solves += 1
         T_start, a_start = start
-        if not admissible(a_start):
+        if not are_admissible(a_start):
             return None
         T = T_start
         for _ in range(50):
@@ -288,7 +292,7 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
     assert slope is not None
 
     def norm(errors: State) -> float:
-        cure = as_temperature(y[1], errors[1], max(p.gain, RISE))
+        cure = error_as_temperature(y[1], errors[1], max(p.gain, RISE))
         return float(max(np.abs(errors[0]).max(), np.abs(cure).max())) / tolerance
 
     control = Controller(table)
@@ -298,7 +302,7 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
     while seconds < end * (1 - 1e-9):
         dt = control.propose(seconds)
         done = step(table, y, slope, dt, seconds, p.solve)
-        if done is None or not admissible(done.state[1]):
+        if done is None or not are_admissible(done.state[1]):
             control.failed(dt)
             rejected += 1
         elif control.judge(dt, norm(done.error)):
@@ -453,6 +457,6 @@ def test_cure_strain_is_independent_of_steps_on_a_straight_path() -> None:
 
 
 def test_cure_errors_are_weighted_by_heat() -> None:
-    result = as_temperature(np.array([0.5, 1e-3, 0.0]), np.full(3, -1e-6), RISE)
+    result = error_as_temperature(np.array([0.5, 1e-3, 0.0]), np.full(3, -1e-6), RISE)
     assert result[:2] == pytest.approx([-1e-6 * RISE, -1e-5 * RISE])
     assert np.isfinite(result[2])

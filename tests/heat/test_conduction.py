@@ -19,7 +19,7 @@ from app.case.run_options import TimeOptions
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.heat.implicit_step import ImplicitStep
-from app.heat.matrices import WORTH, KeptFactors
+from app.heat.matrices import REFACTOR_APPLICATIONS, KeptFactors
 from app.heat.operators import HeatOperators
 from app.laws.heat_conditions import FixedTemperature, HeatCondition
 from app.laws.thermal import Thermal
@@ -97,7 +97,7 @@ class Solved(HeatState):
     @property
     def flows(self) -> dict[str, float]:
         """Heat that enters at the end of the last solve."""
-        return self._stages[-1]
+        return self._flows_of_stages[-1]
 
     def steady(self) -> Solved:
         """Go to the steady state."""
@@ -242,7 +242,7 @@ def test_conduction_balance_closes_with_all_conditions(h: float, method: str) ->
     before, moved = s.stored, 0.0
     for _ in range(5):
         came = s.advance(1.5, method)
-        moved += 1.5 * max(abs(f) for flows in s._stages for f in flows.values())
+        moved += 1.5 * max(abs(f) for flows in s._flows_of_stages for f in flows.values())
         after = s.stored
         assert after - before == pytest.approx(came, abs=1e-9 * moved)
         before = after
@@ -406,12 +406,12 @@ def heated(h: float) -> tuple[Solved, KeptFactors]:
 def test_conduction_equal_steps_share_factors(h: float) -> None:
     s, factors = heated(h)
     s.advance(1.0)
-    made = factors.made
+    made = factors.factorizations
     for _ in range(4):
         s.advance(1.0)
-    assert factors.made == made
+    assert factors.factorizations == made
     s.advance(2.0)
-    assert factors.made == made + 1
+    assert factors.factorizations == made + 1
 
 
 @BOTH
@@ -426,6 +426,6 @@ def test_conduction_old_factors_are_reused_while_cheaper(h: float) -> None:
         fresh._size = 0.0  # any change is large
         other.advance(dt)
         assert np.concatenate(s.state) == pytest.approx(np.concatenate(other.state), abs=1e-8)
-        made, solves = factors.made, solves + 5
-    assert 1 < made < fresh.made
-    assert made <= 2 + solves // WORTH * 2
+        made, solves = factors.factorizations, solves + 5
+    assert 1 < made < fresh.factorizations
+    assert made <= 2 + solves // REFACTOR_APPLICATIONS * 2

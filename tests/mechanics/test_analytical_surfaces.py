@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.foundation.arrays import Floats
-from app.mechanics.analytical_surfaces import fitted
+from app.mechanics.analytical_surfaces import fit_surface
 from app.numerics.rigid_motions import rotation_vector
 
 RNG = np.random.default_rng(54)
@@ -35,7 +35,7 @@ def nodes(kind: str) -> tuple[Floats, Floats, Floats]:
 def test_analytical_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None:
     """Gap and normal at points off the surface equal those of the formula, body on either side."""
     x, rough, exact = nodes(kind)
-    surface = fitted(x @ ROTATION.T + PLACE, side * rough @ ROTATION.T)
+    surface = fit_surface(x @ ROTATION.T + PLACE, side * rough @ ROTATION.T)
     assert surface is not None and surface.kind == kind
     away = RNG.uniform(-1.0, 1.0, 80)
     gap, normal = surface.gap((x + away[:, None] * exact) @ ROTATION.T + PLACE)
@@ -46,7 +46,7 @@ def test_analytical_surfaces_are_fitted_to_nodes(kind: str, side: float) -> None
 def test_analytical_surfaces_refuse_other_shapes() -> None:
     """Nodes off a sphere by a thousandth of its radius are on none."""
     x, rough, exact = nodes("sphere")
-    assert fitted(x + 0.014 * np.sin(9 * x[:, :1]) * exact, rough) is None
+    assert fit_surface(x + 0.014 * np.sin(9 * x[:, :1]) * exact, rough) is None
 
 
 def test_analytical_surfaces_rotation_vector_returns_axis_and_angle() -> None:

@@ -55,7 +55,7 @@ def test_augmentation_follows_softened_cement() -> None:
     j = problem.contact
     j.law.scale_augmentation(0.1)
     before = j.law.stiffness.copy()
-    coupling = j.coupling._assembled
+    coupling = j.coupling._assemble
 
     def softer(*arguments: object) -> object:
         matrices = coupling(*arguments)  # type: ignore[arg-type]
@@ -63,8 +63,8 @@ def test_augmentation_follows_softened_cement() -> None:
             m.scale(0.01)
         return matrices
 
-    j.coupling._assembled = softer  # type: ignore[method-assign,assignment]
-    problem._renew()
+    j.coupling._assemble = softer  # type: ignore[method-assign,assignment]
+    problem._reassemble()
     np.testing.assert_allclose(j.law.stiffness, 0.01 * before, rtol=1e-12)
 
 

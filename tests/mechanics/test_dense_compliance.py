@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 
 from app.foundation.arrays import Floats, Ints
 from app.mechanics import contact
-from app.mechanics.body_forms import assembled_matrix
+from app.mechanics.body_forms import assemble_form_matrix
 from tests import support
 from tests.cases.turning_head import CUP, FORCE, MU, R, cup, solve, stages, turning
 
@@ -24,7 +24,7 @@ r = 500.0  # N/mm, any
 def compliance() -> tuple[Floats, Floats]:
     """Displacement of the bearing by forces on it (n, 3, n, 3) [mm/N], and its points (n, 3)."""
     problem, _ = support.assemble(support.case(CUP), cup())
-    rows, columns, values = assembled_matrix(problem.body_forms.stiffness()).getValuesCSR()
+    rows, columns, values = assemble_form_matrix(problem.body_forms.stiffness()).getValuesCSR()
     K = csr_matrix((values, columns, rows))
     x = problem.space.tabulate_dof_coordinates()
     size = np.linalg.norm(x, axis=1)

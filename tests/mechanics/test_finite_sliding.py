@@ -172,7 +172,7 @@ def test_finite_sliding_friction_varies_on_one_model(soft: bool) -> None:
         reused, expected = runs.run(case)[0], Runs().run(case)[0]
         for u, v in zip(reused, expected, strict=True):
             assert support.difference(u, v) < 1e-8
-        assert runs.last and len(runs.last._others) == 1
+        assert runs.last and len(runs.last._other_models) == 1
 
 
 @pytest.mark.parametrize("μ", [0, MU])

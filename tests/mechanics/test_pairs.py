@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
 from app.foundation.arrays import Floats
-from app.mechanics.pairs import Pairs, SmoothSurface, mortar, rule
+from app.mechanics.pairs import Pairs, SmoothSurface, mortar, triangle_rule
 
 R = 14.0
 TURN = Rotation.from_euler("yxz", (40, -25, 70), degrees=True).as_matrix()
@@ -46,7 +46,7 @@ def matrix(pairs: Pairs) -> Floats:
 
 
 def test_pairs_quadrature_is_exact_to_degree_6() -> None:
-    at, weight = rule(48)
+    at, weight = triangle_rule(48)
     for i, j in product(range(4), repeat=2):
         exact = 2 * factorial(i) * factorial(j) / factorial(i + j + 2)
         assert weight @ (at[:, 0] ** i * at[:, 1] ** j) == pytest.approx(exact, rel=1e-13)
@@ -82,7 +82,7 @@ def test_pairs_mortar_rows_of_a_partly_covered_slave() -> None:
 
 
 def test_pairs_closest_points_are_closest() -> None:
-    master, at = sphere(300, lowest=0.0), np.concatenate([np.eye(3), rule(192)[0]])
+    master, at = sphere(300, lowest=0.0), np.concatenate([np.eye(3), triangle_rule(192)[0]])
     points = V[:300] * np.linspace(0.8, 1.3, 300)[:, None] * R
     samples = np.einsum("qk,fki->fqi", at, master.x[master.triangles]).reshape(-1, 3)
     facet, shares, distance = master.closest(points)
@@ -140,5 +140,5 @@ def test_pairs_deposits_conserve_sums() -> None:
     nodal = flat.deposit(points, values[:, None])[:, 0]
     assert nodal.sum() == pytest.approx(values.sum(), rel=1e-13)
     assert (nodal @ flat.x)[:2] == pytest.approx((values @ points)[:2], abs=1e-9)
-    even = ball.deposit(*cup.sampled(np.full((len(cup.x), 1), (R / (R + 0.1)) ** 2), 48))
+    even = ball.deposit(*cup.sample_density(np.full((len(cup.x), 1), (R / (R + 0.1)) ** 2), 48))
     assert even[:, 0] == pytest.approx(ball.areas, rel=0.1)

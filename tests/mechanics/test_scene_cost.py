@@ -52,7 +52,7 @@ def made(text: str, *overrides: str) -> Bill:
     counts = dict.fromkeys(("heat_laws", "forms", "heat_forms", "integrals"), 0)
     systems: list[tuple[str, ...]] = []
     laws: list[tuple[int, bool]] = []
-    law = contact_law._compile
+    law = contact_law._compile_law
 
     def count(where: Any, name: str, *keys: str) -> None:
         real = getattr(where, name)
@@ -78,7 +78,7 @@ def made(text: str, *overrides: str) -> Bill:
 
     case = support.case(text, *overrides)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contact_law, "_compile", compiled)
+        patch.setattr(contact_law, "_compile_law", compiled)
         count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
         for name in COMPILERS:
             count(body_forms.fem, name, "forms", "integrals")
@@ -130,7 +130,11 @@ def test_scene_cost_bonded_is_one_continuous_field() -> None:
     unlisted = cost("")
     listed = cost("lower_middle: {kind: bonded}, middle_upper: {kind: bonded}")
     assert unlisted == listed
-    assert listed.laws == [] and listed.problem.contact is None and listed.problem.moved == {}
+    assert (
+        listed.laws == []
+        and listed.problem.contact is None
+        and listed.problem.jump_displacements == {}
+    )
     assert listed.problem.scene.contacts == () and len(listed.problem.bodies.names) == 1
     nodes = len(listed.problem.space.tabulate_dof_coordinates())
     assert listed.unknowns == {"displacement": 3 * nodes}

@@ -8,7 +8,7 @@ import ufl
 
 from app.case.femurs import Femur, FemurResection
 from app.case.stems import Stem
-from app.mechanics.body_forms import OnBody, assembled_vector
+from app.mechanics.body_forms import OnBody, assemble_form_vector
 from app.results.stresses import Stresses
 from meshes import femur_bone, femur_stem
 from meshes.gruen import BELOW, Zones
@@ -140,7 +140,7 @@ def test_gruen_strain_energy_is_half_the_work_of_loads() -> None:
         total += float((density * dx).sum())
     body_forms, (load,) = solved.problem.body_forms, solved.problem.scene.loads
     v = ufl.TestFunction(body_forms.space)
-    f = assembled_vector(body_forms.form(load.work(v, OnBody(body_forms, 0))))
+    f = assemble_form_vector(body_forms.form(load.work(v, OnBody(body_forms, 0))))
     u = solved.problem.displacements()[0].x.array[: f.getLocalSize()]
     assert total == pytest.approx(0.5 * float(f.array @ u), rel=1e-9)
 

@@ -60,8 +60,8 @@ def test_condensed_method_is_chosen_by_size(size: tuple[int, ...], least: float)
         guessed = SolverChoice(order, unknowns, jumps, solves)
         known = replace(guessed, entries=1e6 * entries)
         assert known.condenses("auto") == (solves >= least)
-        assert guessed.needed == pytest.approx(known.needed, rel=0.2)
-        assert not replace(known, memory=known.needed).condenses("condensed")
+        assert guessed.memory_needed == pytest.approx(known.memory_needed, rel=0.2)
+        assert not replace(known, memory=known.memory_needed).condenses("condensed")
 
 
 LAWS = [
@@ -83,12 +83,12 @@ def test_condensed_jumps_equal_krylov_jumps(law: str, order: int) -> None:
     assert condensed_state == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.skipif(substructures.library() is Mumps, reason="PETSc has no CHOLMOD")
+@pytest.mark.skipif(substructures.factor_class() is Mumps, reason="PETSc has no CHOLMOD")
 def test_condensed_jumps_equal_with_mumps_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     """MUMPS where there is no CHOLMOD."""
     law = f"interfaces.stem_cement={LAWS[0]}"
     expected = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
-    monkeypatch.setattr(substructures, "library", lambda: Mumps)
+    monkeypatch.setattr(substructures, "factor_class", lambda: Mumps)
     condensed_state = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
     a, b = (s.problem.contact.state.jump for s in (expected, condensed_state))
     assert b == pytest.approx(a, abs=1e-12 * np.abs(a).max())
@@ -111,11 +111,11 @@ def test_condensed_error_in_schur_complement_fails_to_converge(
     right = Condensed.renew
 
     def wrong(self: Condensed) -> None:
-        current = self._current
+        current = self._matrix_version
         right(self)
-        if current != self._current:
+        if current != self._matrix_version:
             error(self)
-            self._single = self._S.astype(np.float32)
+            self._S_single = self._S.astype(np.float32)
 
     monkeypatch.setattr(Condensed, "renew", wrong)
     with pytest.raises(support.mantle.ConvergenceError):

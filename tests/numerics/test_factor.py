@@ -9,10 +9,10 @@ import pytest
 from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron, random_array
 
 from app.numerics.cholesky import Cholesky
-from app.numerics.factor import Factor, library
+from app.numerics.factor import Factor, factor_class
 from app.numerics.mumps import Mumps
 
-WITHOUT = pytest.mark.skipif(library() is not Cholesky, reason="no CHOLMOD")
+WITHOUT = pytest.mark.skipif(factor_class() is not Cholesky, reason="no CHOLMOD")
 BOTH = [pytest.param(Cholesky, marks=WITHOUT), Mumps]
 # Nodes along the edge of a grid, and last unknowns; a rank may have no interior, or meet nothing.
 SIZES = [(0, 6), (2, 0), (1, 3), (2, 3), (2, 60), (6, 3), (6, 48), (6, 51), (6, 600)]

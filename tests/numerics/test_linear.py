@@ -17,7 +17,7 @@ from app.case.case import load
 from app.foundation.errors import ConvergenceError
 from app.mechanics.coarse_space import Boxes, free_directions, sliding_motions
 from app.numerics.deflation import CoarseSpace, Deflated
-from app.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
+from app.numerics.preconditioners import CHOLESKY, MULTIGRID, SERIAL_CHOLESKY, Inverse
 from app.numerics.remedies import solve
 from app.numerics.sparse import from_rows
 from tests import support
@@ -34,7 +34,7 @@ def laplacian(n: int = 40) -> PETSc.Mat:
     return A
 
 
-@pytest.mark.parametrize("options", [FACTORED, FACTORED_SERIALLY, MULTIGRID])
+@pytest.mark.parametrize("options", [CHOLESKY, SERIAL_CHOLESKY, MULTIGRID])
 def test_preconditioners_inverse_solves_from_any_start(options: dict[str, str]) -> None:
     A = laplacian()
     inverse = Inverse(A, lambda: 0, options)
@@ -141,7 +141,7 @@ def test_deflation_is_exact_for_its_motions() -> None:
         weights.array[:] = [1.0, -2.0, 0.5]
         vectors = [row[1].createVecLeft() for row in blocks]
         vectors[0].zeroEntries()
-        motions.moved(weights, *vectors[1:])
+        motions.combine(weights, *vectors[1:])
         wanted = PETSc.Vec().createNest(vectors)
         r, solution = wanted.duplicate(), wanted.duplicate()
         nest.mult(wanted, r)
@@ -210,7 +210,7 @@ def test_deflation_motions_are_updated_when_many_points_change(
     shift = motions.jump.createVecRight()
     shift.set(1.0)
     u, q = problem.stiffness.K.createVecRight(), j.coupling.D.createVecRight()
-    motions.moved(shift, u, q)
+    motions.combine(shift, u, q)
     work = shift.duplicate()
     motions.work(u, q, work)
     assert work.dot(shift) == pytest.approx(u.dot(u) + q.dot(q))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.foundation.errors import ConvergenceError
-from app.mechanics.predictors import take_better
+from app.mechanics.predictors import use_if_better
 from app.numerics.krylov import condition_number
 from app.numerics.remedies import solve
 from app.numerics.system import Measure
@@ -116,7 +116,7 @@ def test_newton_residual_that_is_not_finite_is_a_failure(tagged: TaggedMesh) -> 
     problem.set_time(1.0)
     x = solver.vector()
     x.set(np.nan)
-    assert not take_better(solver, x)
+    assert not use_if_better(solver, x)
     assert solver.x.norm() == 0.0
     with pytest.raises(ConvergenceError, match="no convergence in stage 'press'"):
         support.solve(BLOCK, "supports.end.z=-1e300 mm", tagged=tagged)

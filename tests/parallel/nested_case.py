@@ -23,7 +23,7 @@ if __name__ == "__main__":
             model, steps = nested_stem.go()
         j = model.mechanical_path.problem.contact
         of_rank = np.hstack([j.state.jump, j.state.force])
-        starts.append((j.whole(of_rank), steps[0].outcome.residuals[0]))
+        starts.append((j.gather(of_rank), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = starts
     if comm.rank == 0:
         numbers = {"difference": abs(warm - cold).max() / abs(cold).max(), "start": then / first}

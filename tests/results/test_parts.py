@@ -58,7 +58,7 @@ def test_surface_parts_have_separate_statistics(pressed: support.Solved) -> None
     x = pressed.last.x[:, 0]
     for part, mean, most in (("", 2.5, 4.0), ("rim", 0.5, 1.0), ("tip", 2.0, 4.0)):
         field = surface.field(x, part)
-        assert field.whole == pytest.approx(AREAS[part], rel=1e-12)
+        assert field.area == pytest.approx(AREAS[part], rel=1e-12)
         assert field.mean() == pytest.approx(mean, rel=1e-12)
         assert field.percentile(1.0) == field.maximum()[0] == pytest.approx(most)
     assert min(numbers["gap_max_at"][:2]) >= 1.0 >= numbers["rim"]["gap_max_at"][0]

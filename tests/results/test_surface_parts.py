@@ -58,12 +58,12 @@ def test_surface_parts_are_cut_along_their_border() -> None:
     area = {"tip": 0.37, "rim": 0.53**2 / 2, "": 0.63 - 0.53**2 / 2}
     for part, expected in area.items():
         field = surface.field(x[:, 0], part)
-        assert field.whole == pytest.approx(expected, rel=1e-12)
+        assert field.area == pytest.approx(expected, rel=1e-12)
         assert surface.weight[part].sum() == pytest.approx(expected, rel=1e-12)
     moments = {"tip": 0.37 / 2, "rim": 0.53**3 / 6, "": 0.63 / 2 - 0.53**3 / 6}
     for part, expected in moments.items():
         field = surface.field(x[:, 0], part)
-        assert field.whole * field.mean() == pytest.approx(expected, rel=1e-12)
+        assert field.area * field.mean() == pytest.approx(expected, rel=1e-12)
     most, place = surface.field(x[:, 1], "rim").maximum()
     assert most == pytest.approx(0.9) and place[:2] == pytest.approx([0.0, 0.9])
     assert surface.field(x[:, 1], "tip").maximum()[0] == pytest.approx(0.37)
@@ -74,7 +74,7 @@ def test_surface_parts_areas_add_up() -> None:
     x, surface = plane(6, tip=lambda x, y: y - 0.4, rim=lambda x, y: (x - 0.5) ** 2 - 0.04)
     whole = flat(x, surface.triangles).weight
     assert sum(surface.weight.values()) == pytest.approx(whole)
-    assert sum(surface.field(x[:, 0], p).whole for p in surface.parts) == pytest.approx(1.0)
+    assert sum(surface.field(x[:, 0], p).area for p in surface.parts) == pytest.approx(1.0)
 
 
 @settings(max_examples=100, deadline=None)

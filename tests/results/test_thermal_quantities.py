@@ -302,7 +302,7 @@ def main(path: str) -> None:
     play = Play(two_blocks(comm), wandering, wandering, tip=tip, any=anywhere)
     summary = play.through(*np.arange(10.0, 120.0, 10.0))
     summary["row"] = play.record.row
-    summary["moved"] = play.record.moved({"bone": 2.0, "cement": 3.0})
+    summary["moved"] = play.record.moved_heat({"bone": 2.0, "cement": 3.0})
     if comm.rank == 0:
         Path(path).write_text(json.dumps(summary))
 

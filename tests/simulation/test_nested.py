@@ -105,7 +105,7 @@ def test_coarse_start_is_reused_by_the_companion(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
-    coarse = next(m for m in model._others if m.case.mesh.size == 5.0)
+    coarse = next(m for m in model._other_models if m.case.mesh.size == 5.0)
     m = coarse.mechanical_path
     solves: list[NewtonResult] = []
 

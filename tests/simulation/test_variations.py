@@ -147,7 +147,7 @@ def test_variations_are_independent_of_order_and_company() -> None:
             for u, v in zip(numbers, expected, strict=True):
                 assert np.abs(u - v).max() < 1e-8 * np.abs(v).max(), name
         # One mesh and, but for the tied one, one set of matrices.
-        one, other = runs.last._others
+        one, other = runs.last._other_models
         assert one.tagged is other.tagged
 
 
@@ -185,7 +185,7 @@ def test_variations_companions_share_their_mesh() -> None:
         runs.run(changed(override))
         coarse = changed(override, "mesh.size=6 mm", "mesh.far_size=6 mm")
         numbers = runs.last.relative(coarse)
-        assert len(runs.last._others) == 2
+        assert len(runs.last._other_models) == 2
         alone = Runs()
         expected = alone.run(coarse)[2]["interfaces"]["stem_cement"]["slip_p99"]
         slip = numbers["interfaces"]["stem_cement"]["slip_p99"]
@@ -208,4 +208,4 @@ def test_variations_of_conductance_in_coupled_cases() -> None:
             ours = numbers["thermal"]["regions"][region]["temperature_mean"]
             theirs = expected["thermal"]["regions"][region]["temperature_mean"]
             assert ours == pytest.approx(theirs, rel=1e-8)
-    assert len(runs.last._others) == 1
+    assert len(runs.last._other_models) == 1

@@ -45,8 +45,14 @@ output: {fields: false}
 def at_points(strain: float, n: int) -> CreepState:
     """Points of one strain so far, in a separate state."""
     state = object.__new__(CreepState)
-    state._law = {key: np.full(n, value) for key, value in LAW.items()} | {"unit": np.ones(n)}
-    state._stiff, state.of, state.strain = np.full(n, 2538.0), {}, np.full(n, strain)
+    state._law_values = {key: np.full(n, value) for key, value in LAW.items()} | {
+        "unit": np.ones(n)
+    }
+    state._final_three_G, state.points_of_region, state.strain = (
+        np.full(n, 2538.0),
+        {},
+        np.full(n, strain),
+    )
     return state
 
 
@@ -56,7 +62,7 @@ def test_creep_equation_at_a_point(strain: float, cycles: float) -> None:
     """By a separate bisection, in s, over all stresses of cement; flow is along the deviator."""
     sizes = np.array([0.01, 0.3, 5.0, 50.0])
     σ = sizes[:, None] * np.array([[1.0, -0.2, 0.4, 0.3, 0.0, -0.5]])
-    taken = at_points(strain, len(sizes)).relaxed(σ, cycles)
+    taken = at_points(strain, len(sizes)).stress_relaxation(σ, cycles)
     A, p, m0, m1 = LAW.values()
 
     def left(s: float, trial: float) -> float:

@@ -32,7 +32,7 @@ def test_advance_cut_back_steps_end_at_the_increment(
 
     monkeypatch.setattr(load_steps, "solve", failing_twice)
     steps = support.solve(support.STEM, "stages=[{name: push, increments: 3}]").steps
-    assert [s.time for s in steps if s.whole] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert [s.time for s in steps if s.ends_increment] == pytest.approx([1 / 3, 2 / 3, 1])
     assert len(steps) > 3
 
 

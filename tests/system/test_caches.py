@@ -107,7 +107,7 @@ def test_form_cache_note_names_a_module(home: Path, change: dict[str, object]) -
     note = folder / "law-0.json"
     right = {"module": f"libffcx_expressions_{'0' * 40}", "symbol": f"expression_{'0' * 40}"}
     folders.write_json(note, right | {"inputs": [], "shapes": []} | change)
-    assert pointwise.find(support.MPI.COMM_SELF, note) is None
+    assert pointwise.load_noted(support.MPI.COMM_SELF, note) is None
 
 
 def test_files_unfinished_have_random_names(
