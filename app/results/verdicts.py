@@ -253,7 +253,8 @@ def _steep(name: str, q: Numbers) -> Verdict:
         TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max")
     )
     text = (
-        f"the maximum on {name}, {largest} MPa, is at a ridge or an edge; averaged over the area of a "
+        f"the maximum on {name}, {largest} MPa, is at a ridge or an edge; averaged over the area "
+        "of a "
         f"node the pressure is at most {mean} MPa"
     )
     return Verdict(text, "pressure", severity=Severity.WARNING)

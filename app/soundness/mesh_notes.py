@@ -69,7 +69,8 @@ def _layers(note: Mapping[str, Any]) -> str:
     thinnest = f"{note['least_thickness_mm']:.2f} mm"
     return (
         f"layers: {note['lines_around']} lines around, {note['steps_along']} steps along, "
-        f"{through} cells through the layers from inside; the thinnest layer has {thinnest}; {moved_text}"
+        f"{through} cells through the layers from inside; the thinnest layer has {thinnest}; "
+        f"{moved_text}"
     )
 
 
