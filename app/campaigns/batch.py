@@ -137,8 +137,8 @@ def run(
             _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
         if pending:
             logs = [r.file("slurm") for r in pending.values()]
-            known = next((path for path in logs if path.exists()), folder / "snakemake.log")
-            raise EnvironmentProblem(f"Snakemake failed, see {known}:\n{tail(known)}")
+            log_file = next((path for path in logs if path.exists()), folder / "snakemake.log")
+            raise EnvironmentProblem(f"Snakemake failed, see {log_file}:\n{tail(log_file)}")
     return results()
 
 

@@ -255,7 +255,7 @@ class PointLaw:
         The identity where the law has no layer.
         """
         softer = self.local_stiffness[:, None, None] * self.compliance
-        return np.linalg.inv(np.eye(3) + softer)
+        return np.asarray(np.linalg.inv(np.eye(3) + softer))
 
     def augmentation(self) -> dict[int, float]:
         """Augmentation of each interface that can open [MPa/mm]; collective."""

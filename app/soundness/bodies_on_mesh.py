@@ -172,8 +172,8 @@ class BodiesOnMesh:
                 if m.translation == "held":
                     shifts = self._modes(np.array([m.about]))[0]
                     guided_rotations = guided_rotations + shifts.T @ shifts
-                for i, piece in enumerate(self._parts.pieces):
-                    if piece.region == m.region:
+                for i, part in enumerate(self._parts.pieces):
+                    if part.region == m.region:
                         resistance[self._group_of_part[i]] += guided_rotations
             values, vectors = np.linalg.eigh(resistance)
             is_free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)

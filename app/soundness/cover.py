@@ -107,7 +107,7 @@ class Cover:
         for i, (master, _) in sliding.followers.sides.items():
             surface = master.smooth
             edge_length = contact.edge_lengths[i]
-            at_interface = sliding.of == i
+            at_interface = sliding.interface_of_point == i
             x = places[at_interface]
             facet, barycentric, distance = surface.closest(x)
             beyond = surface.distance_beyond_rim(x, facet, barycentric)
