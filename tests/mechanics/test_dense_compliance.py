@@ -83,7 +83,7 @@ def step(S: Floats, x: Floats, load: Floats, old: Floats, turn: Floats, start: F
 
 def test_sliding_forces_equal_those_of_dense_compliance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pressed, then turned by 5 degrees twice: every normal force to 1e-7 of the largest."""
-    monkeypatch.setattr(contact, "ACCURACY", 1e-12)
+    monkeypatch.setattr(contact, "PAIRING_ACCURACY", 1e-12)
     steps = solve(turning((0, 0, 0), (0, 10, 0)), stages(2))[-3:]
     S, x = compliance()
     n = len(x)

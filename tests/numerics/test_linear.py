@@ -191,7 +191,7 @@ def test_krylov_remedies_factor_interfaces_then_stiffness(
 def test_deflation_motions_are_updated_when_many_points_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("app.numerics.deflation.STALE", 0.2)
+    monkeypatch.setattr("app.numerics.deflation.CHANGED_SHARE", 0.2)
     problem, _ = support.assemble(support.case(PUSHED))
     j = problem.contact
     motions = sliding_motions(problem)

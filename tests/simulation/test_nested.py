@@ -198,8 +198,8 @@ def test_coarse_start_interpolation_is_exact_for_linear_jumps() -> None:
 def test_coarse_start_between_two_states() -> None:
     """A fine step that was cut asks for a time that the coarse model has passed."""
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
-    assert coarse_start.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
-    assert coarse_start.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
+    assert coarse_start.interpolate_in_time(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
+    assert coarse_start.interpolate_in_time(known, 2.0) == pytest.approx(np.ones((2, 3)))
 
 
 def test_coarse_start_nearest_point_of_a_triangle() -> None:
