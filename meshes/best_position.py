@@ -268,8 +268,10 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
         round(chosen.anterior, LENGTH_DIGITS),
     )
     # Rounding may cost more than the search gained.
-    least = [_excess(canal, stem, at, wanted)[0].min() for at in (start, rounded)]
-    if least[1] <= least[0]:
+    excess_given, excess_rounded = (
+        _excess(canal, stem, at, wanted)[0].min() for at in (start, rounded)
+    )
+    if excess_rounded <= excess_given:
         rounded = start
     varus, flexion, angle = rounded.varus, rounded.flexion, rounded.version - relative
     medial, anterior = rounded.medial, rounded.anterior

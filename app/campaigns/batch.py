@@ -119,8 +119,8 @@ def run(
     with claim(folder):
         pending = {r.id: r for r in runs if r.summary() is None}
         finished = total - len(pending)
-        known = f"; {finished} of them are finished already" if finished else ""
-        log.info("%s in %s%s", several(total, "run"), folder, known)
+        already = f"; {finished} of them are finished already" if finished else ""
+        log.info("%s in %s%s", several(total, "run"), folder, already)
         alone = any(r.planned.alone for r in pending.values())
         load = os.getloadavg()[0]
         if alone and load > BUSY:

@@ -112,6 +112,8 @@ class PointLaw:
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: Current stiffness of the trial force (n,) [MPa/mm].
         compliance: Compliance of the elastic layer in series (n, 3, 3) [mm/MPa].
+        layer_share: Stiffness of the layer over the sum of its and the bodies' (n, 3, 3) [-]: the
+            identity without a layer.
         multiplier_share: Factor of the equilibrium force in the trial force (n, 3, 3): 1 without
             a layer.
         slides: True where the slip follows from contact, False where the law returns it (n,).
@@ -216,6 +218,8 @@ class PointLaw:
             stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         self.local_stiffness = np.linalg.eigvalsh(stiffness)[:, 0] / self._points.weight
+        softer = self.local_stiffness[:, None, None] * self.compliance
+        self.layer_share = np.linalg.inv(np.eye(3) + softer)
         self.default_stiffness = self._layer_stiffness.copy()
         for law, at_points in self._laws:
             # Above the stiffness of a layer the multiplier would enter with a negative sign.
@@ -247,15 +251,6 @@ class PointLaw:
         logs = float(np.log(default_stiffness / self.default_stiffness[is_augmented]).sum())
         total, count = self._comm.allreduce(np.array([logs, is_augmented.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
-
-    @property
-    def layer_share(self) -> Floats:
-        """Stiffness of an elastic layer over the sum of its and the bodies' (n, 3, 3) [-].
-
-        The identity where the law has no layer.
-        """
-        softer = self.local_stiffness[:, None, None] * self.compliance
-        return np.asarray(np.linalg.inv(np.eye(3) + softer))
 
     def augmentation(self) -> dict[int, float]:
         """Augmentation of each interface that can open [MPa/mm]; collective."""

@@ -119,7 +119,7 @@ def test_check_prints_the_case_as_read(
     assert all(any(note in line for note in notes) for line in err.splitlines()) and size in out
     assert set(lines.splitlines()) <= set(out.splitlines())
     assert not any(word in out for word in absent)
-    assert name != "stance" or all(len(line) <= 130 for line in out.splitlines())
+    assert name != "stance" or all(len(line) <= 120 for line in out.splitlines())
 
 
 def test_check_estimates_temperature_unknowns(capsys: pytest.CaptureFixture[str]) -> None:
