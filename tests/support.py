@@ -233,13 +233,14 @@ def solve(
 
     Args:
         text: The case.
-        overrides: ``key.path=value``, as after ``--set``.
+        overrides: ``key.path=value``, as after ``--set``; of a text or a mapping only.
         tagged: Its mesh if it is there already.
         balances: Whether to keep the balances, which costs some forms.
 
     Raises:
         MantleError: As the application does.
     """
+    assert not (overrides and isinstance(text, Case))
     this = text if isinstance(text, Case) else case(text, *overrides)
     at_rest = analysis(this, tagged)
     problem, solver = at_rest.problem, at_rest.solver

@@ -112,13 +112,18 @@ def begin_run(comm: MPI.Comm) -> None:
         release(comm)
 
 
+def clean_up() -> None:
+    """Destroy the objects of PETSc that Python has dropped on all ranks; collective."""
+    for _, keeper in _communicators:
+        PETSc.garbage_cleanup(keeper.comm)
+
+
 def release(comm: MPI.Comm) -> None:
     """Destroy all objects of PETSc and DOLFINx that nothing refers to any more; collective."""
     for _ in range(COLLECTIONS):
         gc.collect()
         comm.barrier()
-        for _, keeper in _communicators:
-            PETSc.garbage_cleanup(keeper.comm)
+        clean_up()
     is_gone = [comm.allreduce(owner() is None, MPI.LAND) for owner, _ in _communicators]
     for (_, keeper), owner_is_gone in zip(_communicators, is_gone, strict=True):
         if owner_is_gone:

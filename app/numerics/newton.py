@@ -25,7 +25,7 @@ import numpy as np
 from app.foundation.arrays import Ints
 from app.foundation.errors import InputError, StoppedError
 from app.numerics.krylov import BLOCK_NAMES, Linear
-from app.numerics.lifetime import weak
+from app.numerics.lifetime import clean_up, weak
 from app.numerics.preconditioners import PETSC, USED_OPTIONS, Options, options_set
 from app.numerics.system import Measure, Reduced, System
 from app.system.timing import Timing
@@ -323,6 +323,7 @@ class Solver:
                 self.x.copy(self._spare_vector)
                 self.x, self._spare_vector = self._spare_vector, None
                 raise error.__cause__ or error from None
+        clean_up()
         if self.snes.getConvergedReason() == NOT_FINITE:
             # PETSc calls neither monitor nor test if the residual is not finite.
             self.residuals.append(math.nan)

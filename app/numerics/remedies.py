@@ -110,7 +110,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     5. The line search is switched on or off. At a kink of the contact law it may shorten steps to
        almost zero, although full steps converge.
     6. An augmentation set by the case, which may be wrong by powers of ten, is replaced by the
-       default.
+       default, then by smaller ones, and then the line search is switched again.
     """
     contact = solver.system.contact
     if contact:
@@ -127,15 +127,11 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield "factorizing the contact block"
     if contact is None:
         return
-    other = "basic" if solver.usual_search == "bt" else "bt"
     for remedy in AUGMENTATIONS:
         if solver.converged:
             return
         if remedy is None:
-            if not cannot_continue(solver):
-                solver.use_search(other)
-                yield "full Newton steps" if other == "basic" else "line search"
-            solver.use_search(solver.usual_search)
+            yield from _with_other_search(solver)
             continue
         factor, continues = remedy
         if continues and cannot_continue(solver):
@@ -159,6 +155,7 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         contact.law.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
         yield f"augmentation {solver.augmentation:.3g} r, {times}{_augmentation_text(contact)}"
+    yield from _with_other_search(solver)
 
 
 def _with_switched_interfaces(
@@ -184,6 +181,15 @@ def _with_switched_interfaces(
         start.copy(solver.x)
     else:
         yield then
+
+
+def _with_other_search(solver: Solver) -> Iterator[str]:
+    """Continue with full steps instead of a line search, or with a search instead of full steps."""
+    if not cannot_continue(solver):
+        other = "basic" if solver.usual_search == "bt" else "bt"
+        solver.use_search(other)
+        yield "full Newton steps" if other == "basic" else "line search"
+    solver.use_search(solver.usual_search)
 
 
 def cannot_continue(solver: Solver) -> bool:

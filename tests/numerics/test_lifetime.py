@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests import support
+from tests.cases import coupled
 
 # A new communicator has the lowest index that no other has.
 RUNS = """
@@ -70,3 +71,18 @@ def test_lifetime_of_runs_leaves_no_communicators_matrices_or_memory(
         counts = re.findall(rf"^ *({kinds}) +(\d+) +(\d+)", table, re.MULTILINE)
         assert len(counts) == 6
         assert {k: int(m) - int(d) for k, m, d in counts if int(m) - int(d) > LEFT} == {}
+
+
+@pytest.mark.parallel
+def test_lifetime_of_steps_leaves_no_memory_on_two_ranks(tmp_path: Path) -> None:
+    """A run holds what one step needs, not what all its steps have made."""
+    (tmp_path / "case.yaml").write_text(coupled.CASE)
+    peaks = []
+    for steps in (5, 25):
+        folder = tmp_path / str(steps)
+        changes = support.sets("mesh.order=1", f"stages[1].increments={steps}")
+        # New processes: a peak is that of all runs of a process.
+        words = "-m", "mantle", "run", tmp_path / "case.yaml", "-o", folder, "-n", "2"
+        support.python(*words, *changes)
+        peaks.append(support.summary(folder)["memory"]["peak"])
+    assert peaks[1] < peaks[0] + 20  # MB
