@@ -260,6 +260,14 @@ def options_of_commands() -> dict[str, str]:
 class Parser(argparse.ArgumentParser):
     """Argparse that raises instead of exiting, and prints on one rank only."""
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and raise InputError with the command whose arguments are unknown."""
+        options, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command = Parser(prog=f"{self.prog} {options.command}")
+            command.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return options
+
     def error(self, message: str) -> NoReturn:
         """Raise InputError for a wrong command line."""
         if message.startswith("unrecognized arguments: -n"):

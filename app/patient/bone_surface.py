@@ -103,9 +103,12 @@ def read(
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fits = [u for u, mm in UNITS.items() if least <= extent * mm <= EXTENT[1]]
     if unit not in (None, *fits) or not (unit or len(fits) == 1):
+        content, remedy = "", f"set its unit to {' or '.join(fits or UNITS)}"
+        if label is not None:
+            content, remedy = f"label {label} ", "give the label of the femur"
         raise GeometryError(
-            f"{path}: is {extent:.4g} {unit or 'units'} long, but a proximal femur is {least:g} to"
-            f" {EXTENT[1]:g} mm long; set its unit to {' or '.join(fits or UNITS)}"
+            f"{path}: {content}is {extent:.4g} {unit or 'units'} long, but a proximal femur is"
+            f" {least:g} to {EXTENT[1]:g} mm long; {remedy}"
         )
     if unit is None:
         notes = [*notes, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]

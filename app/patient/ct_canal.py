@@ -66,8 +66,8 @@ def read(
         numbers[tuple(inner.T)] = ct.at(body.places(inner))
     except InputError as error:
         raise InputError(
-            f"{path}: {error}. The CT does not contain the labelled femur; are CT and labels from"
-            " the same scan?"
+            f"{path}: {error}. The CT does not contain the labelled femur: use the CT from which"
+            " the labels were made"
         ) from error
     height = frame.to_model(body.places(inner))[:, 2]
     top = -BELOW_TROCHANTER * frame.radius

@@ -113,9 +113,15 @@ def _proposed(folder: Path, bone: Structure, canal: Structure | None, ct: Path |
     if canal:
         image = {"image": _relative(canal.path, folder), "label": canal.number}
         canal_keys = image | canal_keys
-    femur = _made({"bone": given, "canal": canal_keys}, folder).femur
+    try:
+        femur = _made({"bone": given, "canal": canal_keys}, folder).femur
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if str(bone.path) in text else f"{bone}: {text}") from error
     if ct and not canal and ct_canal.contains_canal(femur.frame):
         canal_keys = {"ct": _relative(ct, folder), "threshold": THRESHOLD} | canal_keys
+        # A CT without this femur is refused here, not as a reason against each stem.
+        _made({"bone": given, "canal": canal_keys}, folder)
     reasons = list[str]()
     for angle in ANGLES:
         resection = {"height": f"{HEIGHT:g} mm", "angle": f"{angle:g} deg"}

@@ -155,9 +155,12 @@ class Patient(OperatedHip):
             self.search()
             placed = self.placement
         except (GeometryError, InputError) as error:
-            files = {"bone": self.bone.path, "canal": self.canal.path or self.canal.ct}
-            for part, path in files.items():
-                if str(error).startswith(f"{path}:"):
+            files = {
+                "bone": (self.bone.path, self.bone.image),
+                "canal": (self.canal.path, self.canal.image, self.canal.ct),
+            }
+            for part, paths in files.items():
+                if str(error).startswith(tuple(f"{path}:" for path in paths if path)):
                     fail(str(error), at=(part,))
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split(".")))

@@ -14,12 +14,17 @@ from scipy import ndimage
 from scipy.sparse import coo_array, diags_array
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import InputError
 from app.patient import images, label_image
 
 # Steps of Taubin's smoothing. It keeps shapes that are wider than a dozen of voxels.
 SHRINK = 0.5
 GROW = -0.53
 SMOOTHINGS = 10  # number of pairs of both steps
+# Volume of the second body of a label, over that of the largest, from which they are two bones.
+SECOND_BONE = 0.5
+# Volume of left out pieces, over that of the largest body, from which they are a doubt.
+DOUBTFUL_PIECES = 0.02
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,8 @@ def body(path: Path, label: int) -> LabelBody:
     outline in each slice. Source: Raya and Udupa, IEEE Trans. Med. Imaging 9 (1990) 32.
 
     Raises:
-        InputError: The image cannot be read, is no image of labels, or does not have this one.
+        InputError: The image cannot be read, is no image of labels, does not have this one, or has
+            two bodies of it.
     """
     return _body(path, label, images.changed(path))
 
@@ -88,7 +94,7 @@ def body(path: Path, label: int) -> LabelBody:
 @lru_cache(maxsize=2)
 def _body(path: Path, label: int, _changed: int) -> LabelBody:
     labels = label_image.read(path)
-    notes = [*labels.notes]
+    notes, doubts = [*labels.notes], [*labels.doubts]
     try:
         import skimage  # noqa: F401
     except ModuleNotFoundError as error:
@@ -99,7 +105,16 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
     sizes = np.bincount(pieces.ravel())[1:]
     solid = pieces == sizes.argmax() + 1
     if count > 1:
-        notes.append(f"{sizes.sum() - sizes.max():,} voxels in {count - 1} other pieces left out")
+        second, largest = np.sort(sizes)[-2:] * abs(np.linalg.det(labels.affine[:3, :3]))
+        if second > SECOND_BONE * largest:
+            raise InputError(
+                f"{path}: label {label} has two bodies, of {largest / 1e3:.0f} and"
+                f" {second / 1e3:.0f} cm3; expected one bone. Give left and right labels of their"
+                " own (Split islands to segments in 3D Slicer)"
+            )
+        lost = sizes.sum() - sizes.max()
+        text = f"{lost:,} voxels in {count - 1} other pieces left out"
+        (doubts if lost > DOUBTFUL_PIECES * sizes.max() else notes).append(text)
     # A canal is a hole that is open at the end of a scan: the first or last layer of the box.
     for axis, layer in product(range(3), (1, -2)):
         face = np.moveaxis(solid, axis, 0)[layer]
@@ -117,7 +132,7 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
         level = _between_slices(solid, axis, times)
         affine[:3, axis] /= times
         notes.append(f"slices of {edges[axis]:g} mm interpolated {times}-fold")
-    return LabelBody(level > 0, level, affine, tuple(notes), labels.doubts, borders)
+    return LabelBody(level > 0, level, affine, tuple(notes), tuple(doubts), borders)
 
 
 def _at_borders(

@@ -90,7 +90,9 @@ def segments(path: Path) -> list[Structure]:
         return [Structure(path, n, name, "by its name") for name, n in there.items()]
     stem = path.name[: -len(next((e for e in ENDINGS if path.name.endswith(e)), ""))]
     if len(numbers) == 1:
-        return [Structure(path, numbers[0], stem, "by the name of the file")]
+        structure = Structure(path, numbers[0], stem, "by the name of the file")
+        is_named = FEMUR.search(stem) or CANAL.search(stem) or structure.side
+        return [structure if is_named else Structure(path, numbers[0], "", "")]
     if len(numbers) > MANY or (numbers and max(numbers) > MANY):
         return _of_total_segmentator(path, numbers)
     return [Structure(path, n, "", "") for n in numbers]

@@ -16,7 +16,7 @@ from app.patient import first_case
 from app.patient.geometry import Patient
 from meshes import femur_bone
 from meshes.plane_sections import centroid
-from tests.patient.scans import in_patient, scan
+from tests.patient.scans import HIP, NUMBERS, in_patient, scan
 
 
 @pytest.mark.parametrize(
@@ -73,11 +73,47 @@ def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
     affine = image.affine.copy()
     affine[2, 3] += 100.0
     nibabel.Nifti1Image(np.asarray(image.dataobj), affine).to_filename(folder / "other.nii.gz")
-    with pytest.raises(InputError, match="CT does not contain the labelled femur"):
+    with pytest.raises(InputError, match="CT does not contain the labelled femur") as caught:
         first_case.write(
             folder / "hip", folder / "labels.nii.gz", folder / "other.nii.gz", None, None
         )
+    assert "no stem" not in str(caught.value)
     assert not (folder / "hip.yaml").exists()
+
+
+def test_first_case_refuses_a_label_of_two_femora(tmp_path: Path) -> None:
+    """One bone is never chosen in silence; small pieces are left out with a note."""
+    folder = scan(tmp_path, 120.0, edges=(1.5, 1.5, 1.5))
+    image = nibabel.load(folder / "labels.nii.gz")
+    one = np.asarray(image.dataobj) == NUMBERS["left"]
+    apart = np.zeros((10, *one.shape[1:]), dtype=bool)
+    piece = np.zeros_like(one)
+    k = int(0.8 * one.shape[2])  # part of the head
+    piece[:, :, k:] = one[:, :, k:]
+    for other, voxels in (("two", one), ("piece", piece)):
+        both = np.concatenate([one, apart, voxels[::-1]]).astype(np.uint8)
+        nibabel.Nifti1Image(both, image.affine).to_filename(folder / f"{other}.nii.gz")
+    with pytest.raises(InputError, match=r"two\.nii\.gz: label 1 has two bodies, of .* cm3"):
+        first_case.write(folder / "hip", folder / "two.nii.gz", None, None, None)
+    (folder / "two.yaml").write_text(
+        "base: stance\ngeometry: {kind: patient, bone: {image: two.nii.gz, label: 1}}"
+    )
+    with pytest.raises(InputError, match=r"two.yaml:2:27: geometry.bone: .*two.nii.gz: label 1"):
+        case_file.load(folder / "two.yaml")
+    _, assumed = first_case.write(folder / "hip", folder / "piece.nii.gz", None, None, None)
+    assert f"{piece.sum():,} voxels in 1 other pieces left out" in assumed[-1]
+
+
+def test_first_case_names_the_label_that_it_refuses(tmp_path: Path) -> None:
+    """A scan that ends too high, and a label of another structure."""
+    folder = scan(tmp_path, 40.0, edges=(1.5, 1.5, 1.5))
+    labels = folder / "labels.nii.gz"
+    left = NUMBERS["left"]
+    named = rf"femur_left \(label {left} of labels\.nii\.gz\): has \d mm of complete shaft"
+    with pytest.raises(InputError, match=named):
+        first_case.write(folder / "hip", labels, None, None, str(left))
+    with pytest.raises(InputError, match=rf"labels\.nii\.gz: label {HIP} is .* mm long"):
+        first_case.write(folder / "hip", labels, None, None, str(HIP))
 
 
 def test_first_case_refuses_a_femur_in_which_no_stem_fits(
