@@ -518,8 +518,8 @@ def test_solvers_agree_on_shipped_cases(
     for unit, rounding in (("mm", 1e-11), ("N mm", 1e-13 * force), ("MPa", 1e-6)):
         allowed[unit] = max(allowed.get(unit, 0.0), rounding)
     if direct.tolerance and not all(o.took_steps_of(direct) for o in outcomes.values()):
-        # Steps follow their errors, which rounding changes: numbers err by those of the steps. These
-        # are as large as the tolerance, so that half of it shows half of them.
+        # Steps follow their errors, which rounding changes: numbers err by those of the steps.
+        # These are as large as the tolerance, so that half of it shows half of them.
         halved = f"time.tolerance={direct.tolerance / 2} K"
         in_fine_steps = [*changes, *TIGHT, "solver.linear=direct", halved]
         finer = _outcome(path, in_fine_steps, tmp_path / "fine")
