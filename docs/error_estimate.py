@@ -147,7 +147,14 @@ HEAT_REFERENCE_SIZE = 2.5
 HEAT_AROUND = 0.5
 # Scenes of another size: their cells over those of a femur, and cells far from interfaces over
 # cells at them.
-SCALED = {"slice": (0.1, 2.5), "setting_slice": (0.1, 2.5)}
+SCALED = {
+    "slice": (0.1, 2.5),
+    "setting_slice": (0.1, 2.5),
+    "rubbing": (0.1, 2.5),
+    "heavy_rubbing": (0.1, 2.5),
+}
+# Load steps in the reference of scenes with friction heat; the scenes have 20.
+STEPS_OF_REFERENCE = {"rubbing": 80, "heavy_rubbing": 80}
 OUTSIDE_AT_37 = {
     "tissue": {"kind": "temperature", "boundary": "bone_surface", "temperature": "37 degC"},
     "blood_cortical": None,
@@ -172,6 +179,26 @@ def hot(temperature: str, conductance: str, **other: Any) -> dict[str, Any]:
     }
 
 
+def rubbing(seconds: float, slip: float, **other: Any) -> dict[str, Any]:
+    """Bone that rubs on cement, warmed by friction: long bars, pressed by 2 % of their length."""
+    bar = ["0.8 mm", "0.8 mm", "80 mm"]
+    return {
+        "base": str(Path(__file__).parents[1] / "configs" / "verification" / "rubbing.yaml"),
+        "geometry": {"blocks": [{"name": "cement", "size": bar}, {"name": "bone", "size": bar}]},
+        "supports": {"press": {"z": "-1.6 mm"}, "slide": {"x": f"{slip} mm"}},
+        "stages": [
+            {"name": "press"},
+            {
+                "name": "slide",
+                "duration": f"{seconds} s",
+                "increments": 20,
+                "adaptive": False,
+            },
+        ],
+        **other,
+    }
+
+
 # Another cement: faster kinetics, less heat.
 KINETICS = {
     "kind": "autocatalytic",
@@ -185,6 +212,7 @@ HEAT_FITTED: dict[str, dict[str, Any]] = {
     "setting": {"base": "cure"},
     "hot": hot("100 degC", "300", heat=OUTSIDE_AT_37),
     "slice": {"base": "thermal_rings"},
+    "rubbing": rubbing(100, 0.1),
 }
 COLD = {"thermal": {"initial_temperature": "22 degC"}}
 CONDUCTING = {"kind": "bonded", "conductance": "3000 W/(m^2 K)"}
@@ -202,6 +230,25 @@ HEAT_TESTED: dict[str, dict[str, Any]] = {
         "interfaces": {"stem_cement": CONDUCTING, "cement_bone": CONDUCTING},
         "stages": [{"name": "setting", "duration": "1 hour"}],
     },
+    "heavy_rubbing": rubbing(
+        40,
+        0.11,
+        interfaces={
+            "cement_bone": {
+                "friction_coefficient": 0.6,
+                "conductance": "200 W/(m^2 K)",
+                "friction_heating": 0.7,
+            }
+        },
+        heat={
+            "air": {
+                "kind": "convection",
+                "boundary": "bottom",
+                "coefficient": "500 W/(m^2 K)",
+                "ambient": "20 degC",
+            }
+        },
+    ),
 }
 HEAT_SCENES = HEAT_FITTED | HEAT_TESTED
 
@@ -241,6 +288,8 @@ def heat_options(scene: str, mesh: str, size: float) -> list[str]:
     if scene in SCALED:
         scale, far = SCALED[scene]
         near = scale * size
+        if mesh == "truth" and scene in STEPS_OF_REFERENCE:
+            options.append(f"stages.1.increments={STEPS_OF_REFERENCE[scene]}")
         return [*options, f"mesh.size={near:g} mm", f"mesh.far_size={far * near:g} mm"]
     return [*options, f"mesh.size={size:g} mm", f"mesh.around={HEAT_AROUND * size:g} mm"]
 

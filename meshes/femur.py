@@ -33,10 +33,6 @@ PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 class OperatedHipKeys(HipKeys, Protocol):
     """A proximal femur with a stem."""
 
-    @property
-    def details(self) -> Mapping[str, str]:
-        """Lines about it, by their captions."""
-
     def surfaces(self, mesh: MeshKeys) -> LayeredSurfaces:
         """The nested surfaces that are meshed."""
 
@@ -63,8 +59,7 @@ def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
     }
     x = geometry.placement.to_model(made.nodes.x)
     data = assembled(geometry, made, x, geometry.region_names, geometry.interface_sides, masks)
-    details = (f"{k}: {v}" for k, v in geometry.details.items())
-    messages = [*details, *surfaces.bone.notes, *surfaces.notes]
+    messages = [*surfaces.bone.notes, *surfaces.notes]
     if "collar_bone" in data.interfaces:
         messages.append(_collar(data, surfaces))
     return replace(data, notes={**data.notes, "messages": messages}) if messages else data

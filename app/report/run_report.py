@@ -47,7 +47,7 @@ from app.results.reading import Run
 from app.results.verdicts import UNUSABLE
 from app.system import folders
 from app.system.folders import CASE_PICTURE, write_text
-from app.system.layout import noted
+from app.system.layout import noted, plain
 from app.system.ranks import rank
 
 # Name of the page in the folder of a run.
@@ -261,7 +261,7 @@ def _starts_at_rest(case: SweptCase) -> bool:
 
 
 def _model(folder: Path) -> list[Block]:
-    """Return the picture of the case, which is drawn once, or the reason why there is none."""
+    """Return the picture of the case, which is drawn once, with its landmarks, or why not."""
     words = (
         "Pale: the outside. Black lines: outlines of the bodies in the section. The length of an "
         "arrow is proportional to the square root of the force."
@@ -272,7 +272,9 @@ def _model(folder: Path) -> list[Block]:
             data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
             case_picture.draw(case, data, folder / CASE_PICTURE)
         figure = Figure(CASE_PICTURE, "", words, "The case in two views", halves=True)
-        return page.figures([figure], folder)
+        details = case.geometry.details | case.geometry.placement_details
+        landmarks = bullets([f"{name}: {plain(detail)}" for name, detail in details.items()])
+        return [*page.figures([figure], folder), *landmarks]
     except Exception as error:  # a mesh that was removed must not cost the page
         return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
 

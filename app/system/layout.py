@@ -95,9 +95,19 @@ def plain(value: object) -> str:
 
 
 def _without_rounding(values: Sequence[object]) -> Sequence[object]:
-    """Values of a vector, with zero for those that are rounding errors of the others."""
-    if not all(isinstance(v, float) for v in values):
+    """Values of a vector, with zero for those that are rounding errors of the others.
+
+    They are numbers, or numbers with the same unit.
+    """
+    words = [str(v).partition(" ") for v in values if isinstance(v, float | str)]
+    try:
+        sizes = [abs(float(number)) for number, _, _ in words]
+    except ValueError:
         return values
-    numbers = [float(str(v)) for v in values]
-    small = ROUNDING * max(map(abs, numbers), default=0.0)
-    return [0.0 if abs(v) < small else v for v in numbers]
+    if len(words) < len(values) or len({unit for _, _, unit in words}) > 1:
+        return values
+    small = ROUNDING * max(sizes, default=0.0)
+    return [
+        f"0{space}{unit}" if size < small else value
+        for value, size, (_, space, unit) in zip(values, sizes, words, strict=True)
+    ]

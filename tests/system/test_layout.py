@@ -1,0 +1,24 @@
+"""Values in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.system.layout import plain
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ([41.0, 1.3e-15, 58.0], "[41, 0, 58]"),
+        (["41 mm", "1.3e-15 mm", "58.0266 mm"], "[41, 0, 58.0266] mm"),
+        (["41 mm", "1e-15 deg"], "[41 mm, 1e-15 deg]"),
+        (["stem", "bone"], "[stem, bone]"),
+        ([2, 2, 1], "[2, 2, 1]"),
+        ([], "[]"),
+        ({"low": 0.25, "names": ["a"]}, "low 0.25, names [a]"),
+    ],
+)
+def test_layout_writes_values_on_one_line(value: object, expected: str) -> None:
+    """Rounding errors of a vector are zero, with units or without."""
+    assert plain(value) == expected
