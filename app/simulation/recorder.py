@@ -114,7 +114,7 @@ class Recorder:
         self.time = 0.0
         self.step_count = self.fields_at = self.whole_steps = 0
         self.total = Effort()
-        self._stage = Stage(name="rest")
+        self._stage, self._header = Stage(name="rest"), ""
         self.cycles = Cycles()
         self.valley: dict[str, Floats] = {}
         self.mechanical_row: Row = {}
@@ -151,10 +151,10 @@ class Recorder:
             self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds[phase]
 
     def stage(self, stage: Stage) -> None:
-        """Write the header of a stage's lines."""
+        """Begin a stage, whose first line will have a header."""
         self._stage = stage
         columns = text.HEAT if stage.takes_time else text.STEP
-        log.info("%s", text.line(columns, columns))
+        self._header = text.line(columns, columns)
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
@@ -197,7 +197,7 @@ class Recorder:
             wall = clock.perf_counter() - self._begin
             t = self._model.thermal
             if t:
-                log.info("%s", text.heat_line(step.number, accepted, t.row(), wall))
+                self._log(text.heat_line(step.number, accepted, t.row(), wall))
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
@@ -207,7 +207,14 @@ class Recorder:
         wall = clock.perf_counter() - self._begin
         rate = (len(self._model.scene.stages) - step.time) / step.time
         time_left = self._timing.seconds.get("solve", 0.0) * rate
-        log.info("%s", text.step_line(step, fractions, deepest, wall, time_left))
+        self._log(text.step_line(step, fractions, deepest, wall, time_left))
+
+    def _log(self, line: str) -> None:
+        """Log a line of a step, the first one of a stage below the header."""
+        if self._header:
+            log.info("%s", self._header)
+            self._header = ""
+        log.info("%s", line)
 
     def _row_of(self, step: LoadStep, balance: Balance) -> Row:
         row: Row = {
