@@ -268,9 +268,13 @@ def heated(size: float, increments: float) -> dict[str, Any]:
 def test_error_estimate_of_heat_follows_temperature() -> None:
     run, this = heated(1.0, 8), case("stages.0.increments=8")
     modelled(run, this, heated)
+    # Both coarser meshes show the same error, that of the model: the larger factor counts.
     wrong, dose = (
-        0.01 * (2**1.5 - 1) * error_estimate.FACTORS[p][1][0] + 0.02 / 8
-        for p in (quantities.HEAT, quantities.DOSE)
+        0.01 * (2**1.5 - 1) * factor + 0.02 / 8
+        for factor in (
+            max(error_estimate.TWO_MESHES[quantities.HEAT]),
+            error_estimate.FACTORS[quantities.DOSE][1][0],
+        )
     )
     lower = run["thermal"]["regions"]["lower"]
     assert lower["temperature_max_error"] == pytest.approx(10 * wrong)
@@ -285,6 +289,26 @@ def test_error_estimate_of_heat_follows_temperature() -> None:
     assert cure["time_50_error"] == pytest.approx(60 * dose) and "time_90_error" not in cure
     # The mechanics keep their steps.
     assert "slip_p99_error" in run["interfaces"]["lower_upper"]
+
+
+def test_error_estimate_of_heat_sees_two_meshes_that_agree_by_chance() -> None:
+    """The third mesh then shows the change, with order 1.5; a mesh alone has its larger factor."""
+
+    def hottest(size: float, increments: float) -> dict[str, Any]:
+        temperatures = {1.0: 60.0, 2.0: 60.0, 3.0: 58.0}
+        region = {"temperature_max": temperatures[size]}
+        return numbers(size, increments, 2.0) | {"thermal": {"regions": {"lower": region}}}
+
+    run = hottest(1.0, 8)
+    modelled(run, case("stages.0.increments=8"), hottest)
+    factor = error_estimate.TWO_MESHES[quantities.HEAT][1]
+    expected = factor * 2.0 * (2**1.5 - 1) / (3**1.5 - 1)
+    assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(expected)
+    steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
+    run, coarser = ({"thermal": {"regions": {"lower": {"temperature_max": t}}}} for t in (60, 59))
+    compared(run, steady, coarser)
+    alone, _ = error_estimate.FACTORS[quantities.HEAT][1]
+    assert run["thermal"]["regions"]["lower"]["temperature_max_error"] == pytest.approx(alone)
 
 
 @pytest.mark.parametrize(
