@@ -226,19 +226,19 @@ Known = tuple[tuple[str, Any], ...]
 def _surface(
     path: Path, unit: str | None, label: int | None, content: str, known: Known
 ) -> tuple[Frame, BoneSurface]:
-    """Frame and surface of the bone in a file, whose content is a part of the key."""
+    """Frame and surface of the bone in a file; the hash of its content is a part of the key."""
     surface = bone_surface.read(path, unit, label)
     frame = landmarks.find(surface, dict(known))
     return frame, frame.surface(surface)
 
 
-def read(bone: BoneKeys, canal: CanalKeys, content: str, known: Known) -> PatientBone:
+def read(bone: BoneKeys, canal: CanalKeys, contents: tuple[str, str], known: Known) -> PatientBone:
     """Read a bone and its canal, and find its landmarks.
 
     Args:
         bone: Keys of its outer surface.
         canal: Keys of its canal, which may have no file.
-        content: Hash of the files.
+        contents: Hashes of their files.
         known: Landmarks that are given, by name (`landmarks.find`).
 
     Raises:
@@ -249,7 +249,7 @@ def read(bone: BoneKeys, canal: CanalKeys, content: str, known: Known) -> Patien
     by_file = canal.path, canal.unit or bone.unit, canal.label
     inner = (canal.ct, None, None) if canal.ct else by_file
     threshold = canal.threshold if canal.ct else None
-    return _read(outer, inner, threshold, bone.extend, content, known)
+    return _read(outer, inner, threshold, bone.extend, contents, known)
 
 
 @lru_cache(maxsize=4)
@@ -258,12 +258,12 @@ def _read(
     inner: tuple[Path | None, str | None, int | None],
     threshold: float | None,
     extend: bool,
-    content: str,
+    contents: tuple[str, str],
     known: Known,
 ) -> PatientBone:
     """Read a bone and its canal; a threshold is that of CT numbers."""
     path, unit, label = outer
-    frame, surface = _surface(path, unit, label, content, known)
+    frame, surface = _surface(path, unit, label, contents[0], known)
     lumen = None
     canal_path, canal_unit, canal_label = inner
     if canal_path and threshold is not None and label is not None:

@@ -191,8 +191,8 @@ def _assumed(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[s
     yield f"canal: {_canal(geometry, ct)}"
     angle = math.degrees(geometry.resection.angle)
     cut = f"neck cut {HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
-    room = f"in the position with the most room ({geometry.room_details()})"
-    yield f"operation: {cut}; {_size(implant)} with {CEMENT:g} mm of cement, {room}"
+    best = geometry.placement_details["best position"]
+    yield f"operation: {cut}; {_size(implant)} with {CEMENT:g} mm of cement; best position: {best}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
     yield f"loads: one leg, body weight 600 N; x is along {medial}; materials of `stance`"
     for doubt in femur.notes:

@@ -207,18 +207,14 @@ class Patient(OperatedHip):
         return self.stem.implant(None, self.plug_length, self.void)
 
     @cached_property
-    def surface_content(self) -> str:
-        """Hash of the files of bone and canal at the first access."""
-        from app.patient import images  # scipy, which other cases do without
-
-        files = self.bone.path, self.canal.path, self.canal.ct
-        paths = [part for path in files if path for part in images.files_of(path)]
-        return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+    def surface_contents(self) -> tuple[str, str]:
+        """Hashes of the files of the bone and of the canal at the first access."""
+        return _content(self.bone.path), _content(self.canal.path, self.canal.ct)
 
     @property
     def content(self) -> str:
         """Hashes of the files of bone, canal and stem."""
-        return self.surface_content + self.stem.content
+        return "".join(self.surface_contents) + self.stem.content
 
     @property
     def known(self) -> tuple[tuple[str, Any], ...]:
@@ -230,7 +226,7 @@ class Patient(OperatedHip):
         """The bone before the operation."""
         from app.patient.bone import read  # most of scipy, 0.11 s, which other cases do without
 
-        return read(self.bone, self.canal, self.surface_content, self.known)
+        return read(self.bone, self.canal, self.surface_contents, self.known)
 
     @cached_property
     def placement(self) -> Placement:
@@ -327,3 +323,11 @@ class Patient(OperatedHip):
             details["not modelled"] = f"the greater trochanter above the cut, {lost:.0f} mm of it"
         moved = ", ".join(femur.projected(MUSCLES, self.placement)[1])
         return details | self.stem.details | {"muscles moved (mm)": moved}
+
+
+def _content(*files: Path | None) -> str:
+    """Hash of files; an image may have several."""
+    from app.patient import images  # scipy, which other cases do without
+
+    parts = [part for path in files if path for part in images.files_of(path)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in parts)).hexdigest()
