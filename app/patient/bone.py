@@ -31,12 +31,12 @@ from meshes.placement import Placement
 from meshes.plane_sections import centroid, exits
 
 # Of the parametric femur [mm].
-LATERAL = 31.5  # from the axis to the greater trochanter
-SHAFT = 14.4  # radius of the shaft
-LEVEL = -50.0  # level of that radius
-CONTINUED = -260.0  # level down to which a shaft is continued, as that of the parametric femur
+TROCHANTER_REACH = 31.5  # from the axis to the greater trochanter
+SHAFT_RADIUS = 14.4  # radius of the shaft
+SHAFT_LEVEL = -50.0  # level of that radius
+CONTINUED_TO = -260.0  # level down to which a shaft is continued, as that of the parametric femur
 TROCHANTER_ENDS = 0.75  # radii of the head below the apex where the lesser trochanter ends
-CUT_TOO = 6.0  # mm from the bone's end within which a canal ends with the scan
+CUT_DISTANCE = 6.0  # mm from the bone's end within which a canal ends with the scan
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
@@ -180,18 +180,18 @@ class PatientBone:
         return cKDTree(self.surface.points), normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def in_file(self, x: Floats, depth: float) -> Floats:
-        """Points of the model (n, 3) in the file's axes, at a depth in the bone at least [mm].
+        """Points of the model (n, 3) in the file's axes, moved to a least depth in the bone [mm].
 
         Points below the end of the scan are moved up to its last section.
         """
         if self.continuation:
             x = self.continuation.scanned(x)
         tree, normals = self._skin
-        _, near = tree.query(x)
-        n = normals[near]
-        below = ((self.surface.points[near] - x) * n).sum(axis=1)
-        moved = x - np.maximum(depth - below, 0.0)[:, None] * n
-        return np.asarray(moved @ self.frame.axes + self.frame.origin)
+        _, nearest = tree.query(x)
+        normal = normals[nearest]
+        present_depth = ((self.surface.points[nearest] - x) * normal).sum(axis=1)
+        moved_points = x - np.maximum(depth - present_depth, 0.0)[:, None] * normal
+        return np.asarray(moved_points @ self.frame.axes + self.frame.origin)
 
     def trochanter_lost(self, placed: Placement) -> float:
         """Height of the greater trochanter's tip above the cut, along its normal [mm]."""
@@ -201,20 +201,35 @@ class PatientBone:
     def projected(
         self, places: Mapping[str, Any], placed: Placement
     ) -> tuple[dict[str, Floats], list[str]]:
-        """Points of the parametric femur on this bone below the cut, and how far they were moved.
+        """Project points of the parametric femur onto this bone below the cut.
 
-        They are scaled to its head's height and its shaft, beside the greater trochanter to that.
+        They are scaled to the height of its head and the width of its shaft. Next to the greater
+        trochanter they are scaled to its reach.
+
+        Returns:
+            Points by name (3,) [mm], and the distance by which each was moved, in words.
         """
-        x, up = self.surface.points, self.size
-        wide = math.sqrt(centroid(self.surface.level(LEVEL * up))[1] / math.pi) / SHAFT
-        beside = -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * up), 0].min()) / LATERAL
-        kept = self.surface.corners.mean(axis=1)
-        kept = kept[(kept - placed.foot) @ placed.normal < -BELOW_CUT]
+        x, height_ratio = self.surface.points, self.size
+        shaft_ratio = (
+            math.sqrt(centroid(self.surface.level(SHAFT_LEVEL * height_ratio))[1] / math.pi)
+            / SHAFT_RADIUS
+        )
+        trochanter_ratio = (
+            -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * height_ratio), 0].min()) / TROCHANTER_REACH
+        )
+        candidates = self.surface.corners.mean(axis=1)
+        candidates = candidates[(candidates - placed.foot) @ placed.normal < -BELOW_CUT]
         projections: dict[str, Floats] = {}
         distances = []
         for name, (px, py, pz) in places.items():
-            scaled = np.array([px * (beside if px < 0 < pz else wide), py * wide, pz * up])
-            projections[name] = kept[((kept - scaled) ** 2).sum(axis=1).argmin()]
+            scaled = np.array(
+                [
+                    px * (trochanter_ratio if px < 0 < pz else shaft_ratio),
+                    py * shaft_ratio,
+                    pz * height_ratio,
+                ]
+            )
+            projections[name] = candidates[((candidates - scaled) ** 2).sum(axis=1).argmin()]
             distances.append(f"{name} {float(np.linalg.norm(projections[name] - scaled)):.0f}")
         return projections, distances
 
@@ -246,8 +261,8 @@ def read(bone: BoneKeys, canal: CanalKeys, contents: tuple[str, str], known: Kno
     """
     assert bone.path
     outer = bone.path, bone.unit, bone.label
-    by_file = canal.path, canal.unit or bone.unit, canal.label
-    inner = (canal.ct, None, None) if canal.ct else by_file
+    canal_file = canal.path, canal.unit or bone.unit, canal.label
+    inner = (canal.ct, None, None) if canal.ct else canal_file
     threshold = canal.threshold if canal.ct else None
     return _read(outer, inner, threshold, bone.extend, contents, known)
 
@@ -264,17 +279,19 @@ def _read(
     """Read a bone and its canal; a threshold is that of CT numbers."""
     path, unit, label = outer
     frame, surface = _surface(path, unit, label, contents[0], known)
-    lumen = None
+    canal_surface = None
     canal_path, canal_unit, canal_label = inner
     if canal_path and threshold is not None and label is not None:
         body = label_surface.body(path, label)
-        lumen = ct_canal.read(canal_path, body, threshold, frame, surface)
+        canal_surface = ct_canal.read(canal_path, body, threshold, frame, surface)
     elif canal_path:
-        least = bone_surface.LEAST_CANAL
-        lumen = frame.surface(bone_surface.read(canal_path, canal_unit, canal_label, least))
+        least_length = bone_surface.LEAST_CANAL
+        canal_surface = frame.surface(
+            bone_surface.read(canal_path, canal_unit, canal_label, least_length)
+        )
     if not extend or frame.version is not None:
-        return PatientBone(frame, surface, lumen)
-    return _continued(frame, surface, lumen)
+        return PatientBone(frame, surface, canal_surface)
+    return _continued(frame, surface, canal_surface)
 
 
 def _continued(frame: Frame, surface: BoneSurface, canal: BoneSurface | None) -> PatientBone:
@@ -285,7 +302,7 @@ def _continued(frame: Frame, surface: BoneSurface, canal: BoneSurface | None) ->
     outer, inner = (
         shaft.Narrowing(table, frame.end, size) for table in (femur_bone.OUTER, femur_bone.CANAL)
     )
-    continuation = Continuation(frame.end, centre, slope, CONTINUED * size, outer)
-    if canal is not None and float(canal.points[:, 2].min()) < frame.end + CUT_TOO:
+    continuation = Continuation(frame.end, centre, slope, CONTINUED_TO * size, outer)
+    if canal is not None and float(canal.points[:, 2].min()) < frame.end + CUT_DISTANCE:
         canal = continuation.surface(canal, inner)
     return PatientBone(frame, continuation.surface(surface, outer), canal, continuation)

@@ -21,14 +21,14 @@ from meshes.plane_sections import section
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (65.0, 600.0)  # mm that a femur, or a proximal part of one, is long
 LEAST_CANAL = 20.0  # mm that a part of a canal is long
-MOST = 400_000  # number of triangles above which surfaces are thinned
-THIN = 0.7  # mm: edge of the boxes whose corners then become one
+MOST_TRIANGLES = 400_000  # number of triangles above which surfaces are thinned
+THINNING_SIZE = 0.7  # mm: edge of the boxes whose corners then become one
 # A corner is a spike if it stands out of its neighbours by more than this [mm],
-SPIKE = 3.0
+SPIKE_HEIGHT = 3.0
 # and by more than this part of their distance from their middle.
-STEEP = 2.0
-RIM = 25.0  # mm: an open end is within this distance of the bone's
-DAMAGED = 1e9  # units: numbers beyond it are damaged
+SPIKE_RATIO = 2.0
+RIM_DISTANCE = 25.0  # mm: an open end is within this distance of the bone's
+DAMAGED_FROM = 1e9  # units: numbers beyond it are damaged
 # mm: places in a scanner are nearer to the origin. Beyond it corners of STL files, which have seven
 # digits, are rounded to more than 0.01 mm.
 FARTHEST = 2e5
@@ -66,7 +66,7 @@ class BoneSurface:
 
 
 def read(
-    path: Path, unit: str | None = None, label: int | None = None, least: float = EXTENT[0]
+    path: Path, unit: str | None = None, label: int | None = None, least_length: float = EXTENT[0]
 ) -> BoneSurface:
     """Read the surface of a bone from a file, or from a label of an image, which is in mm.
 
@@ -76,7 +76,7 @@ def read(
         path: The file.
         unit: Unit of its coordinates.
         label: Number of the voxels in an image.
-        least: Least length of the surface [mm].
+        least_length: Least length of the surface [mm].
 
     Raises:
         InputError: The image cannot be read.
@@ -91,36 +91,38 @@ def read(
         unit = "mm"
     if not len(corners):
         raise GeometryError(f"{path}: has no triangles")
-    lost = ~np.isfinite(corners).all(axis=(1, 2))
-    if lost.any():
-        text = f"{int(lost.sum()):,} of its {len(corners):,} triangles have corners that are not"
+    is_lost = ~np.isfinite(corners).all(axis=(1, 2))
+    if is_lost.any():
+        text = f"{int(is_lost.sum()):,} of its {len(corners):,} triangles have corners that are not"
         raise GeometryError(
-            f"{path}: {text} numbers; the first is triangle {int(lost.argmax()) + 1:,}"
+            f"{path}: {text} numbers; the first is triangle {int(is_lost.argmax()) + 1:,}"
         )
-    if np.abs(corners).max() > DAMAGED:
+    if np.abs(corners).max() > DAMAGED_FROM:
         reach = f"{np.abs(corners).max():.0e}"
         raise GeometryError(f"{path}: its coordinates reach {reach}; is the file damaged?")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    fits = [u for u, mm in UNITS.items() if least <= extent * mm <= EXTENT[1]]
-    if unit not in (None, *fits) or not (unit or len(fits) == 1):
-        content, remedy = "", f"set its unit to {' or '.join(fits or UNITS)}"
+    fitting_units = [
+        name for name, scale in UNITS.items() if least_length <= extent * scale <= EXTENT[1]
+    ]
+    if unit not in (None, *fitting_units) or not (unit or len(fitting_units) == 1):
+        content, remedy = "", f"set its unit to {' or '.join(fitting_units or UNITS)}"
         if label is not None:
             content, remedy = f"label {label} ", "give the label of the femur"
         raise GeometryError(
             f"{path}: {content}is {extent:.4g} {unit or 'units'} long, but a proximal femur is"
-            f" {least:g} to {EXTENT[1]:g} mm long; {remedy}"
+            f" {least_length:g} to {EXTENT[1]:g} mm long; {remedy}"
         )
     if unit is None:
-        notes = [*notes, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]
-    corners = corners * UNITS[unit or fits[0]]
+        notes = [*notes, f"unit: {fitting_units[0]}, as the surface is {extent:.4g} long"]
+    corners = corners * UNITS[unit or fitting_units[0]]
     farthest = float(np.abs(corners).max())
     if farthest > FARTHEST:
         text = f"its coordinates reach {farthest:.0e} mm, where single precision is too coarse"
         raise GeometryError(f"{path}: {text}; move it to the origin in the program that wrote it")
     surface = welding.weld(corners)
-    thinned = len(surface.triangles) > MOST
+    thinned = len(surface.triangles) > MOST_TRIANGLES
     if thinned:
-        surface = welding.thin(surface, THIN)
+        surface = welding.thin(surface, THINNING_SIZE)
     if len(surface.triangles) < 4:
         count = len(surface.triangles)
         raise GeometryError(f"{path}: only {count} of its triangles have an area; expected a body")
@@ -130,30 +132,35 @@ def read(
     return replace(checked, borders=body.borders, doubts=(*body.doubts, *checked.doubts))
 
 
-def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneSurface:
+def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> BoneSurface:
     """The surface turned outwards; refused if it is open on a side, or not of one body.
 
     Thinning leaves edges of four triangles and small bodies; open edges stay as they are.
     """
     x, triangles = surface.points, surface.triangles
     n, m = len(x), len(triangles)
-    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key = np.sort(ends, axis=1) @ [n, 1]
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    times = np.diff(first, append=3 * m)
-    pairs = np.stack([order[first[times == 2]], order[first[times == 2] + 1]])
-    one, other = pairs // 3
-    body = connected(m, one, other)
-    sizes = np.bincount(body)
-    if 2 * int((times == 1).sum()) > len(times):
-        text = f"{int((times == 1).sum()):,} of {len(times):,} edges belong to one triangle only"
+    edge_ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edge_keys = np.sort(edge_ends, axis=1) @ [n, 1]
+    order = np.argsort(edge_keys, kind="stable")
+    first_of_edge = np.flatnonzero(np.diff(edge_keys[order], prepend=-1))
+    edge_counts = np.diff(first_of_edge, append=3 * m)
+    pairs = np.stack(
+        [order[first_of_edge[edge_counts == 2]], order[first_of_edge[edge_counts == 2] + 1]]
+    )
+    first_triangle, second_triangle = pairs // 3
+    body_of_triangle = connected(m, first_triangle, second_triangle)
+    sizes = np.bincount(body_of_triangle)
+    if 2 * int((edge_counts == 1).sum()) > len(edge_counts):
+        text = (
+            f"{int((edge_counts == 1).sum()):,} of {len(edge_counts):,} edges belong"
+            " to one triangle only"
+        )
         text += f", and their corners are {welding.apart(surface):.2g} mm from the next"
         remedy = "merge close vertices in the program that wrote it"
         raise GeometryError(f"{path}: its triangles are not joined: {text}; {remedy}")
-    if len(sizes) > 1 and not thin:
-        parts = np.argsort(sizes)[:-3:-1]
-        largest, second = (x[triangles[body == part]] for part in parts)
+    if len(sizes) > 1 and not thinned:
+        largest_bodies = np.argsort(sizes)[:-3:-1]
+        largest, second = (x[triangles[body_of_triangle == part]] for part in largest_bodies)
         nested = _contains(largest, second) or _contains(second, largest)
         text = ", one inside the other, like bone and canal" if nested else ""
         text += f"; the largest have {len(largest):,} and {len(second):,} triangles, the second is"
@@ -161,53 +168,63 @@ def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneS
         if nested:
             remedy = "keep the bone, and give the canal as a separate file (geometry.canal)"
         raise GeometryError(f"{path}: has {len(sizes)} bodies{text} at {place(second)}; {remedy}")
-    lone = first[times % 2 == 1] if thin else first[times != 2]
-    edges = x[ends[order[lone]]]
+    open_edges = first_of_edge[edge_counts % 2 == 1] if thinned else first_of_edge[edge_counts != 2]
+    edges = x[edge_ends[order[open_edges]]]
     axis = np.linalg.svd(x[:: 1 + n // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
-    along, at = x @ axis, edges.mean(axis=1) @ axis
-    aside = np.minimum(at - along.min(), along.max() - at) > RIM
-    if aside.any():
-        most = int(times[times != 2].max())
-        what = "is open" if most == 1 else f"has edges of up to {most} triangles"
-        where = f"{place(edges[aside])} ({int(aside.sum())} edges), not at an end"
-        raise GeometryError(f"{path}: {what} at {where}; repair it in the program that wrote it")
-    if len(lone):
-        notes.append(f"open at an end: {len(lone)} edges")
-    if not thin:
+    axial, edge_axial = x @ axis, edges.mean(axis=1) @ axis
+    is_aside = np.minimum(edge_axial - axial.min(), axial.max() - edge_axial) > RIM_DISTANCE
+    if is_aside.any():
+        most_triangles = int(edge_counts[edge_counts != 2].max())
+        fault = (
+            "is open" if most_triangles == 1 else f"has edges of up to {most_triangles} triangles"
+        )
+        where = f"{place(edges[is_aside])} ({int(is_aside.sum())} edges), not at an end"
+        raise GeometryError(f"{path}: {fault} at {where}; repair it in the program that wrote it")
+    if len(open_edges):
+        notes.append(f"open at an end: {len(open_edges)} edges")
+    if not thinned:
         # Two sheets, one of each triangle turned over: neighbours that disagree cross from one to
         # the other.
-        over = m * (np.diff((ends[:, 0] < ends[:, 1])[pairs], axis=0)[0] == 0)
-        near = np.r_[one, one + m], np.r_[other + over, other + m - over]
-        sheet = connected(2 * m, *near)
+        sheet_offset = m * (np.diff((edge_ends[:, 0] < edge_ends[:, 1])[pairs], axis=0)[0] == 0)
+        sheet_links = (
+            np.r_[first_triangle, first_triangle + m],
+            np.r_[second_triangle + sheet_offset, second_triangle + m - sheet_offset],
+        )
+        sheet = connected(2 * m, *sheet_links)
         flipped = sheet[:m] != sheet[0]
-        less = min(int(flipped.sum()), m - int(flipped.sum()))
-        if less:
-            notes.append(f"{less} triangles with the wrong orientation turned over")
+        turned_count = min(int(flipped.sum()), m - int(flipped.sum()))
+        if turned_count:
+            notes.append(f"{turned_count} triangles with the wrong orientation turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     rim = edges.mean(axis=1)
     return BoneSurface(
-        x, outward(x, triangles), tuple(notes), rim, (), tuple(_spikes(x, ends, ends[order[lone]]))
+        x,
+        outward(x, triangles),
+        tuple(notes),
+        rim,
+        (),
+        tuple(_spikes(x, edge_ends, edge_ends[order[open_edges]])),
     )
 
 
-def _spikes(x: Floats, ends: Ints, lone: Ints) -> Iterator[str]:
+def _spikes(x: Floats, edge_ends: Ints, open_ends: Ints) -> Iterator[str]:
     """Doubts about corners that stand out of their neighbours, as a damaged number leaves them.
 
     Args:
         x: Corners (n, 3) [mm].
-        ends: Ends of the edges of all triangles (k, 2).
-        lone: Ends of open edges (l, 2), where neighbours are on one side only.
+        edge_ends: Ends of the edges of all triangles (k, 2).
+        open_ends: Ends of open edges (l, 2), where neighbours are on one side only.
     """
     n = len(x)
-    one, other = ends.T
-    times = np.bincount(one, minlength=n)
-    sums = np.stack([np.bincount(one, x[other, i], n) for i in range(3)], axis=1)
-    middle: Floats = sums / np.maximum(times, 1)[:, None]
-    height = np.linalg.norm(x - middle, axis=1)
+    corner, neighbour = edge_ends.T
+    neighbour_counts = np.bincount(corner, minlength=n)
+    sums = np.stack([np.bincount(corner, x[neighbour, i], n) for i in range(3)], axis=1)
+    neighbour_means: Floats = sums / np.maximum(neighbour_counts, 1)[:, None]
+    height = np.linalg.norm(x - neighbour_means, axis=1)
     width = np.zeros(n)
-    np.maximum.at(width, one, np.linalg.norm(x[other] - middle[one], axis=1))
-    spikes = (times > 0) & (height > SPIKE) & (height > STEEP * width)
-    spikes[lone.ravel()] = False
+    np.maximum.at(width, corner, np.linalg.norm(x[neighbour] - neighbour_means[corner], axis=1))
+    spikes = (neighbour_counts > 0) & (height > SPIKE_HEIGHT) & (height > SPIKE_RATIO * width)
+    spikes[open_ends.ravel()] = False
     if spikes.any():
         worst = int(np.where(spikes, height, 0.0).argmax())
         text = f"{int(spikes.sum()):,} corners stick out from their neighbours, the farthest by"

@@ -19,24 +19,24 @@ from meshes.plane_sections import centroid
 
 # Thickness of the wall that is bone whatever its CT numbers are [mm]: voxels there are partly
 # outside.
-WALL = 1.5
+WALL_THICKNESS = 1.5
 # Typical change of CT numbers across the endosteum [1/mm].
 GRADIENT = 500.0
 # Spread of the filter against noise [mm].
-BLUR = 0.5
+NOISE_FILTER = 0.5
 # Change of the threshold whose effect on the cortex is reported.
-BESIDE = 100.0
+THRESHOLD_CHANGE = 100.0
 # Distance of the canal's upper end below the lesser trochanter, in radii of the head [-].
 BELOW_TROCHANTER = 0.6
 # Shortest canal that is used [mm].
-SHORTEST = 12.0
+SHORTEST_CANAL = 12.0
 # Distance between sections of which the thickness of the cortex is the mean [mm].
-STEP = 5.0
+SECTION_STEP = 5.0
 
 
 def contains_canal(frame: Frame) -> bool:
     """Return True if a scan contains enough of the shaft for its canal."""
-    return -BELOW_TROCHANTER * frame.radius - frame.end >= SHORTEST
+    return -BELOW_TROCHANTER * frame.radius - frame.end >= SHORTEST_CANAL
 
 
 def read(
@@ -59,45 +59,47 @@ def read(
         GeometryError: There is no canal by this threshold, or too short a part of it.
     """
     depth = ndimage.distance_transform_edt(body.solid, sampling=body.spacing)
-    inner = np.argwhere(depth > WALL)
+    inner_voxels = np.argwhere(depth > WALL_THICKNESS)
     numbers = np.full(body.solid.shape, np.inf, dtype=float)
     try:
         ct = images.read(path)
-        numbers[tuple(inner.T)] = ct.at(body.places(inner))
+        numbers[tuple(inner_voxels.T)] = ct.at(body.places(inner_voxels))
     except InputError as error:
         raise InputError(
             f"{path}: {error}. The CT does not contain the labelled femur: use the CT from which"
             " the labels were made"
         ) from error
-    height = frame.to_model(body.places(inner))[:, 2]
+    height = frame.to_model(body.places(inner_voxels))[:, 2]
     top = -BELOW_TROCHANTER * frame.radius
-    numbers[tuple(inner[height > top + 2.0 * WALL].T)] = np.inf
+    numbers[tuple(inner_voxels[height > top + 2.0 * WALL_THICKNESS].T)] = np.inf
     if not contains_canal(frame):
         raise GeometryError(
             f"geometry.canal.ct: the scan ends {-frame.end:.0f} mm below the lesser trochanter;"
-            f" its canal needs {SHORTEST - top:.0f} mm. Leave out canal.ct: the canal then has the"
+            f" its canal needs {SHORTEST_CANAL - top:.0f} mm. Leave out canal.ct:"
+            " the canal then has the"
             " ratios of the parametric femur"
         )
-    known = inner[height < top + 2.0 * WALL]
+    canal_voxels = inner_voxels[height < top + 2.0 * WALL_THICKNESS]
     box = tuple(
-        slice(max(a - 2, 0), b + 3) for a, b in zip(known.min(0), known.max(0), strict=True)
+        slice(max(a - 2, 0), b + 3)
+        for a, b in zip(canal_voxels.min(0), canal_voxels.max(0), strict=True)
     )
-    shift = np.eye(4)
-    shift[:3, 3] = [s.start for s in box]
-    part = LabelBody(body.solid[box], body.level[box], body.affine @ shift, ())
-    levels = [
-        _canal(numbers[box], depth[box], part, threshold + beside)
-        for beside in (-BESIDE, 0.0, BESIDE)
+    translation = np.eye(4)
+    translation[:3, 3] = [s.start for s in box]
+    canal_body = LabelBody(body.solid[box], body.level[box], body.affine @ translation, ())
+    canals = [
+        _canal(numbers[box], depth[box], canal_body, threshold + change)
+        for change in (-THRESHOLD_CHANGE, 0.0, THRESHOLD_CHANGE)
     ]
-    surfaces = [_below(frame.surface(level), top) for level in levels]
+    surfaces = [_part_below(frame.surface(level), top) for level in canals]
     low, mean, high = (_cortex(bone, surface, frame.end, top) for surface in surfaces)
     return replace(
         surfaces[1],
         doubts=ct.notes,
         notes=(
             f"CT numbers below {threshold:g} in the bone, up to z = {top:.0f} mm; cortex"
-            f" {mean:.1f} mm thick on average ({low:.1f} with {threshold - BESIDE:g},"
-            f" {high:.1f} with {threshold + BESIDE:g})",
+            f" {mean:.1f} mm thick on average ({low:.1f} with {threshold - THRESHOLD_CHANGE:g},"
+            f" {high:.1f} with {threshold + THRESHOLD_CHANGE:g})",
         ),
     )
 
@@ -109,11 +111,13 @@ def _canal(numbers: Floats, depth: Floats, part: LabelBody, threshold: float) ->
         GeometryError: No number is below the threshold.
     """
     finite = np.isfinite(numbers)
-    weight = ndimage.gaussian_filter(finite.astype(np.float32), BLUR / part.spacing)
-    known = ndimage.gaussian_filter(np.where(finite, numbers, 0.0), BLUR / part.spacing)
-    mean = np.where(finite, known / np.maximum(weight, 1e-6), threshold + GRADIENT)
+    weight = ndimage.gaussian_filter(finite.astype(np.float32), NOISE_FILTER / part.spacing)
+    filtered_sum = ndimage.gaussian_filter(
+        np.where(finite, numbers, 0.0), NOISE_FILTER / part.spacing
+    )
+    filtered = np.where(finite, filtered_sum / np.maximum(weight, 1e-6), threshold + GRADIENT)
     # The lesser of two distances [mm]: from the endosteum, and from the wall.
-    level = np.minimum((threshold - mean) / GRADIENT, depth - WALL)
+    level = np.minimum((threshold - filtered) / GRADIENT, depth - WALL_THICKNESS)
     pieces, count = ndimage.label(level > 0)
     if not count:
         raise GeometryError(
@@ -124,29 +128,31 @@ def _canal(numbers: Floats, depth: Floats, part: LabelBody, threshold: float) ->
     solid = ndimage.binary_fill_holes(largest)
     level = np.where(solid, np.maximum(level, 0.01), np.minimum(level, -0.01))
     level = np.pad(level, 1, constant_values=-1.0)
-    shift = np.eye(4)
-    shift[:3, 3] = -1.0
-    padded = LabelBody(level > 0, level, part.affine @ shift, ())
+    translation = np.eye(4)
+    translation[:3, 3] = -1.0
+    padded = LabelBody(level > 0, level, part.affine @ translation, ())
     welded = welding.weld(label_surface.surface(level, padded))
     return BoneSurface(welded.points, outward(welded.points, welded.triangles))
 
 
-def _below(surface: BoneSurface, top: float) -> BoneSurface:
+def _part_below(surface: BoneSurface, top: float) -> BoneSurface:
     """Return the part of a surface below a level, with a flat end there."""
     mirror = np.array([1.0, 1.0, -1.0])
-    turned = BoneSurface(surface.points * mirror, surface.triangles[:, ::-1])
-    kept = shaft.clipped(turned, -top)[:, ::-1] * mirror
+    mirrored = BoneSurface(surface.points * mirror, surface.triangles[:, ::-1])
+    kept_triangles = shaft.clipped(mirrored, -top)[:, ::-1] * mirror
     lines = surface.level(top)
     middle = np.r_[centroid(lines)[0], top]
-    edge = np.concatenate([lines, np.full((*lines.shape[:2], 1), top)], axis=2)
-    end = np.stack([np.broadcast_to(middle, edge[:, 0].shape), edge[:, 0], edge[:, 1]], axis=1)
-    welded = welding.weld(np.concatenate([kept, end]))
+    end_lines = np.concatenate([lines, np.full((*lines.shape[:2], 1), top)], axis=2)
+    end_triangles = np.stack(
+        [np.broadcast_to(middle, end_lines[:, 0].shape), end_lines[:, 0], end_lines[:, 1]], axis=1
+    )
+    welded = welding.weld(np.concatenate([kept_triangles, end_triangles]))
     return BoneSurface(welded.points, welded.triangles)
 
 
 def _cortex(bone: BoneSurface, canal: BoneSurface, end: float, top: float) -> float:
     """Return the mean thickness of the cortex between two levels [mm]."""
-    levels = np.arange(top - STEP, end, -STEP)
+    levels = np.arange(top - SECTION_STEP, end, -SECTION_STEP)
     areas = np.array([[centroid(s.level(z))[1] for s in (bone, canal)] for z in levels.tolist()])
     outer, inner = np.sqrt(np.maximum(areas, 0.0) / math.pi).T
     return float((outer - inner).mean())

@@ -18,7 +18,7 @@ from app.patient import dicom_series
 from app.patient.voxels import LabelSegment, Voxels
 
 STORAGE = "1.2.840.10008.5.1.4.1.1.66.4"
-OFF_PLANE = 0.1  # largest distance of a frame from its place, as a part of the step
+PLANE_TOLERANCE = 0.1  # largest distance of a frame from its place, as a part of the step
 
 
 def is_segmentation(header: Any) -> bool:
@@ -47,20 +47,20 @@ def read(path: Path, header: Any, left_out: Sequence[str]) -> Voxels:
         )
     frames = dicom_series.frames_of(header)
     dicom_series.check_equal(path, frames)
-    index, affine = _planes(path, frames)
+    plane_of_frame, affine = _planes(path, frames)
     masks = dicom_series.pixels(header).astype(bool)
-    shape = int(header.Columns), int(header.Rows), int(index.max()) + 1
+    shape = int(header.Columns), int(header.Rows), int(plane_of_frame.max()) + 1
     layers: list[Numbers] = []
     segments = dict[str, LabelSegment]()
-    for item in header.get("SegmentSequence") or ():
-        number = int(item.SegmentNumber)
+    for segment_header in header.get("SegmentSequence") or ():
+        number = int(segment_header.SegmentNumber)
         mask = np.zeros(shape, dtype=bool)
-        for frame, plane, pixels in zip(frames, index, masks, strict=True):
+        for frame, plane, pixels in zip(frames, plane_of_frame, masks, strict=True):
             if int(frame.get("ReferencedSegmentNumber", 0)) == number:
                 mask[:, :, plane] |= pixels.T
-        name = str(item.get("SegmentLabel") or f"segment {number}")
+        name = str(segment_header.get("SegmentLabel") or f"segment {number}")
         name = f"{name} ({number})" if name in segments else name
-        segments[name] = LabelSegment(number, _put(layers, mask, number))
+        segments[name] = LabelSegment(number, _put_into_layer(layers, mask, number))
     named = {segment.value for segment in segments.values()}
     unnamed = sum(int(frame.get("ReferencedSegmentNumber", 0)) not in named for frame in frames)
     if unnamed or not segments:
@@ -70,7 +70,7 @@ def read(path: Path, header: Any, left_out: Sequence[str]) -> Voxels:
     return Voxels(values, affine, kind, tuple(left_out), segments=segments)
 
 
-def _put(layers: list[Numbers], mask: Bools, number: int) -> int:
+def _put_into_layer(layers: list[Numbers], mask: Bools, number: int) -> int:
     """Write a mask into the first layer where its voxels are free; return the layer."""
     for k, layer in enumerate(layers):
         if not layer[mask].any():
@@ -88,28 +88,28 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     """
     across, down = np.split(np.mean([f.ImageOrientationPatient for f in frames], axis=0), 2)
     normal = np.cross(across, down)
-    places = np.array([f.ImagePositionPatient for f in frames], dtype=float)
-    heights = places @ normal
+    positions = np.array([f.ImagePositionPatient for f in frames], dtype=float)
+    heights = positions @ normal
     levels = np.unique(heights)
     gaps = np.diff(levels)
     gaps = gaps[gaps > dicom_series.SAME_PLACE]
     if not len(gaps):
         text = f"has only one slice, {dicom_series.name_of(frames[0])}"
         raise InputError(f"{path}: {text}; expected several")
-    first = places[heights.argmin()]
+    origin = positions[heights.argmin()]
     # The mean step: rounding of each gap has no effect on it.
     step = float(gaps.min())
-    index = np.round((heights - levels[0]) / step).astype(int)
-    step = float((levels[-1] - levels[0]) / index.max())
-    index = np.round((heights - levels[0]) / step).astype(int)
-    off = np.linalg.norm(places - first - step * index[:, None] * normal, axis=1)
-    if off.max() > OFF_PLANE * step:
-        worst = dicom_series.name_of(frames[int(off.argmax())])
+    plane_of_frame = np.round((heights - levels[0]) / step).astype(int)
+    step = float((levels[-1] - levels[0]) / plane_of_frame.max())
+    plane_of_frame = np.round((heights - levels[0]) / step).astype(int)
+    distances = np.linalg.norm(positions - origin - step * plane_of_frame[:, None] * normal, axis=1)
+    if distances.max() > PLANE_TOLERANCE * step:
+        worst = dicom_series.name_of(frames[int(distances.argmax())])
         text = f"its planes are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
         raise InputError(f"{path}: {text}; {worst} is not at a multiple of one step. Resample it")
     spacing = np.array(frames[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
-    columns = across * spacing[1], down * spacing[0], step * normal, first
+    columns = across * spacing[1], down * spacing[0], step * normal, origin
     affine[:3] = np.stack(columns, axis=1)
     affine[:2] *= -1
-    return index, affine
+    return plane_of_frame, affine

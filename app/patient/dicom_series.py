@@ -19,17 +19,19 @@ from app.foundation.errors import InputError
 from app.foundation.files import parts
 from app.patient.voxels import Voxels
 
-UNEVEN = 0.1  # largest distance of a slice from its even place, as a part of the step
+STEP_TOLERANCE = 0.1  # largest distance of a slice from its even place, as a part of the step
 SAME_PLACE = 0.01  # mm: slices that are nearer are at one place
-TURNED = 2e-3  # largest difference of the cosines of a slice's axes from those of the others
-APART = 1.5  # slices farther apart than this part of their thickness have a note
+AXES_TOLERANCE = (
+    2e-3  # largest difference of the cosines of a slice's axes from those of the others
+)
+THICKNESS_RATIO = 1.5  # slices farther apart than this part of their thickness have a note
 # First bytes of a file without preamble: a group of its first element, little-endian.
 FIRST_GROUPS = (b"\x02\x00", b"\x08\x00")
 # What to do with a file that mantle cannot read.
 CONVERT = "convert it to NIfTI, for example with dcm2niix"
 PREAMBLE = 128  # bytes before the letters DICM
-NAMED = 3  # most files that a message names
-PLACED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
+MOST_NAMES = 3  # most files that a message names
+PLACE_TAGS = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
 # Functional groups of a frame, with the tags that single slices have themselves.
 GROUPS = {
     "PlanePositionSequence": ("ImagePositionPatient",),
@@ -68,39 +70,45 @@ def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
     normal = np.cross(across, down)
     slices.sort(key=lambda s: float(normal @ np.array(s.ImagePositionPatient, float)))
     slices, numbers = _without_copies(path, slices, notes)
-    at = np.array([s.ImagePositionPatient for s in slices], dtype=float)
+    positions = np.array([s.ImagePositionPatient for s in slices], dtype=float)
     if len(slices) < 2:
         raise InputError(f"{path}: has only one slice, {name_of(slices[0])}; expected several")
-    step = (at[-1] - at[0]) / (len(at) - 1)
-    gaps = np.linalg.norm(np.diff(at, axis=0), axis=1)
-    off = np.linalg.norm(at - at[0] - np.outer(range(len(at)), step), axis=1)
-    if not off.max() < UNEVEN * np.linalg.norm(step):
+    step = (positions[-1] - positions[0]) / (len(positions) - 1)
+    gaps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    distances = np.linalg.norm(
+        positions - positions[0] - np.outer(range(len(positions)), step), axis=1
+    )
+    if not distances.max() < STEP_TOLERANCE * np.linalg.norm(step):
         text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
-        after = name_of(slices[int(gaps.argmax())])
-        raise InputError(f"{text}; is one missing after {after}? If not, resample them evenly")
+        name_before_gap = name_of(slices[int(gaps.argmax())])
+        raise InputError(
+            f"{text}; is one missing after {name_before_gap}? If not, resample them evenly"
+        )
     spacing = np.array(slices[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
-    affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
+    affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, positions[0]], axis=1)
     affine[:2] *= -1
     modality = str(slices[0].get("Modality", "") or "no modality")
-    what = "slices" if _frame(slices[0]) is None else "frames"
-    series = f"{len(slices)} DICOM {what} of {_described(slices[0])} ({modality})"
+    slice_kind = "slices" if _frame(slices[0]) is None else "frames"
+    series = f"{len(slices)} DICOM {slice_kind} of {_described(slices[0])} ({modality})"
     doubts = tuple(f"{path.name}: {text}" for text in _doubts(slices, float(np.linalg.norm(step))))
     return Voxels(np.stack(numbers).T, affine, series, tuple(notes), doubts)
 
 
 def _doubts(slices: Sequence[Any], step: float) -> Iterator[str]:
     """Doubts about a series whose slices are `step` [mm] apart."""
-    thick = max(float(s.get("SliceThickness") or 0.0) for s in slices)
-    if 0.0 < APART * thick < step:
-        yield f"its slices are {step:.3g} mm apart and {thick:.3g} mm thick; are slices missing?"
+    thickness = max(float(s.get("SliceThickness") or 0.0) for s in slices)
+    if 0.0 < THICKNESS_RATIO * thickness < step:
+        yield (
+            f"its slices are {step:.3g} mm apart and {thickness:.3g} mm thick; are slices missing?"
+        )
     frames = {str(s.get("FrameOfReferenceUID") or "") for s in slices}
     if len(frames) > 1:
         yield f"its slices are in {len(frames)} frames of reference; was the patient moved?"
     numbers = Counter(str(s.get("InstanceNumber") or "") for s in slices)
-    twice = sum(count for count in numbers.values() if count > 1)
-    if twice and len(numbers) > 1:
-        text = f"{twice} of its {len(slices)} slices share their instance number with another"
+    repeated = sum(count for count in numbers.values() if count > 1)
+    if repeated and len(numbers) > 1:
+        text = f"{repeated} of its {len(slices)} slices share their instance number with another"
         yield f"{text}; are there two acquisitions or reconstructions in one series?"
     if any(str(s.get("LossyImageCompression") or "") == "01" for s in slices):
         yield "its slices have lossy compression, so CT numbers differ from those of the scanner"
@@ -118,7 +126,7 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
         InputError: There is no image.
     """
     if not path.is_dir():
-        return [_of_file(path)], []
+        return [_header_with_frames(path)], []
     headers = []
     others = []
     for file in parts(path):
@@ -127,24 +135,24 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
             others.append(file.name)
         else:
             headers.append(header)
-    below = {}
+    slice_counts = {}
     for folder in sorted(file for file in path.rglob("*") if file.is_dir()):
         count = sum(map(_is_slice, parts(folder)))
         if count:
-            below[str(folder.relative_to(path))] = count
-    full = [f"{name} ({count} files)" for name, count in below.items()]
-    if not headers and full:
-        raise InputError(f"{path}: has no slices; its folders have: {_names(full)}. Give one")
+            slice_counts[str(folder.relative_to(path))] = count
+    subfolders = [f"{name} ({count} files)" for name, count in slice_counts.items()]
+    if not headers and subfolders:
+        raise InputError(f"{path}: has no slices; its folders have: {_names(subfolders)}. Give one")
     if not headers:
         text = f"has no slices: none of its {len(others)} files is a DICOM file"
         raise InputError(f"{path}: {text}")
-    notes = [f"its folder {text} is not read" for text in full]
+    notes = [f"its folder {text} is not read" for text in subfolders]
     if others:
         notes.append(f"{len(others)} other files left out: {_names(others)}")
     return headers, notes
 
 
-def _of_file(path: Path) -> Any:
+def _header_with_frames(path: Path) -> Any:
     """Return the header of a file of many frames.
 
     Raises:
@@ -221,15 +229,17 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
         InputError: There are several series or none, or slices without a position.
     """
 
-    def drop(headers: Sequence[Any], what: str, of: Callable[[Any], bool]) -> list[Any]:
-        dropped = [name_of(h) for h in headers if of(h)]
+    def drop(
+        headers: Sequence[Any], description: str, is_dropped: Callable[[Any], bool]
+    ) -> list[Any]:
+        dropped = [name_of(h) for h in headers if is_dropped(h)]
         if dropped:
-            notes.append(f"{len(dropped)} {what} left out: {_names(dropped)}")
-        return [h for h in headers if not of(h)]
+            notes.append(f"{len(dropped)} {description} left out: {_names(dropped)}")
+        return [h for h in headers if not is_dropped(h)]
 
     slices = drop(headers, "files without an image", lambda h: "Rows" not in h)
     slices = drop(slices, "segmentations", lambda h: h.get("Modality") == "SEG")
-    slices = [frame for one in slices for frame in frames_of(one)]
+    slices = [frame for header in slices for frame in frames_of(header)]
     if slices and not any(map(_is_placed, slices)):
         kind = slices[0].get("SOPClassUID", "")
         raise InputError(
@@ -241,15 +251,15 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
     if not slices:
         raise InputError(f"{path}: has no slices; {'; '.join(notes)}")
     series: dict[str, list[Any]] = {}
-    for one in slices:
-        key = f"{one.get('SeriesInstanceUID', '')} {one.get('StackID', '')}"
-        series.setdefault(key, []).append(one)
+    for header in slices:
+        key = f"{header.get('SeriesInstanceUID', '')} {header.get('StackID', '')}"
+        series.setdefault(key, []).append(header)
     if len(series) > 1:
         each = "; ".join(
             f"{len(members)} slices of {_described(members[0])}, such as {name_of(members[0])}"
             for members in series.values()
         )
-        one_file = len({one.filename for one in slices}) == 1
+        one_file = len({header.filename for header in slices}) == 1
         remedy = CONVERT if one_file else "put one of them into a separate folder"
         raise InputError(f"{path}: has {len(series)} series or orientations; {remedy}: {each}")
     return slices
@@ -258,12 +268,17 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
 def check_equal(path: Path, slices: Sequence[Any]) -> None:
     """Raise InputError with the file of a slice of another size or plane than most."""
 
-    def differ(what: str, values: Sequence[tuple[Any, ...]]) -> None:
-        (most, _), *others = Counter(values).most_common()
+    def differ(quantity: str, values: Sequence[tuple[Any, ...]]) -> None:
+        (usual, _), *others = Counter(values).most_common()
         if others:
-            odd = [name_of(s) for s, value in zip(slices, values, strict=True) if value != most]
-            first = next(value for value in values if value != most)
-            text = f"{_names(odd)} has {_by(first)} {what}, the other slices {_by(most)}"
+            odd_names = [
+                name_of(s) for s, value in zip(slices, values, strict=True) if value != usual
+            ]
+            odd_value = next(value for value in values if value != usual)
+            text = (
+                f"{_names(odd_names)} has {_product_text(odd_value)} {quantity}, the"
+                f" other slices {_product_text(usual)}"
+            )
             raise InputError(f"{path}: {text}; leave it out")
 
     differ("pixels", [(int(s.Rows), int(s.Columns)) for s in slices])
@@ -273,10 +288,12 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
     spacings = [tuple(np.round(np.array(s.PixelSpacing, float), 4)) for s in slices]
     differ("mm between pixels", spacings)
     axes = np.array([s.ImageOrientationPatient for s in slices], dtype=float)
-    off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > TURNED
-    if off.any():
-        odd = [name_of(s) for s, turned in zip(slices, off, strict=True) if turned]
-        raise InputError(f"{path}: {_names(odd)} is not parallel to the other slices; leave it out")
+    is_off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > AXES_TOLERANCE
+    if is_off.any():
+        odd_names = [name_of(s) for s, turned in zip(slices, is_off, strict=True) if turned]
+        raise InputError(
+            f"{path}: {_names(odd_names)} is not parallel to the other slices; leave it out"
+        )
 
 
 def _without_copies(
@@ -291,23 +308,23 @@ def _without_copies(
     numbers: list[Any] = []
     copies = []
     stored: dict[str, Any] = {}
-    for one in slices:
-        if one.filename not in stored:
-            stored = {one.filename: pixels(one)}
-        values = _numbers(one, stored[one.filename])
-        near = kept and np.allclose(
-            np.array(one.ImagePositionPatient, float),
+    for header in slices:
+        if header.filename not in stored:
+            stored = {header.filename: pixels(header)}
+        values = _numbers(header, stored[header.filename])
+        at_same_place = kept and np.allclose(
+            np.array(header.ImagePositionPatient, float),
             np.array(kept[-1].ImagePositionPatient, float),
             rtol=0.0,
             atol=SAME_PLACE,
         )
-        if not near:
-            kept.append(one)
+        if not at_same_place:
+            kept.append(header)
             numbers.append(values)
         elif np.array_equal(values, numbers[-1]):
-            copies.append(name_of(one))
+            copies.append(name_of(header))
         else:
-            text = f"{name_of(kept[-1])} and {name_of(one)} differ, but have the same position"
+            text = f"{name_of(kept[-1])} and {name_of(header)} differ, but have the same position"
             raise InputError(f"{path}: {text}; are they two series, phases or energies? Keep one")
     if copies:
         notes.append(f"{len(copies)} copies of slices left out: {_names(copies)}")
@@ -364,7 +381,7 @@ def _numbers(header: Any, pixels: Any) -> Any:
 
 def _is_placed(header: Any) -> bool:
     """Return True if a slice has a position in the patient."""
-    return all(header.get(key) is not None for key in PLACED)
+    return all(header.get(key) is not None for key in PLACE_TAGS)
 
 
 def name_of(header: Any) -> str:
@@ -381,8 +398,8 @@ def _frame(header: Any) -> int | None:
 def _names(names: Iterable[str]) -> str:
     """Return the first names of several, and the number of the others."""
     names = list(names)
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + more
 
 
 def _described(header: Any) -> str:
@@ -391,6 +408,6 @@ def _described(header: Any) -> str:
     return f"'{words}'"
 
 
-def _by(values: Iterable[Any]) -> str:
+def _product_text(values: Iterable[Any]) -> str:
     """Return numbers as text: ``512 x 512``."""
     return " x ".join(f"{value:g}" for value in values)

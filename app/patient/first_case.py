@@ -41,12 +41,12 @@ WIDTHS = {
     "neck_diameter": 13.0,
     "trunnion_diameter": 12.0,
 }
-CEMENT = 3.0  # thickness of the mantle (mm)
-HEIGHT = 8.0  # height of the neck cut above the lesser trochanter (mm)
-ANGLES = (38.0, 45.0, 30.0)  # angles of the neck cut that are tried (deg)
-OFFSETS = (32.0, 55.0)  # range of the stem's offset (mm)
-SIZE = 6.0  # size of cells (mm)
-THRESHOLD = 600.0  # CT number at the endosteum
+CEMENT_THICKNESS = 3.0  # thickness of the mantle (mm)
+CUT_HEIGHT = 8.0  # height of the neck cut above the lesser trochanter (mm)
+CUT_ANGLES = (38.0, 45.0, 30.0)  # angles of the neck cut that are tried (deg)
+OFFSET_RANGE = (32.0, 55.0)  # range of the stem's offset (mm)
+CELL_SIZE = 6.0  # size of cells (mm)
+CT_THRESHOLD = 600.0  # CT number at the endosteum
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ def write(
     """
     path = new_case.yaml(path)
     bone = segmentation.femur(labels, side, label)
-    proposal = _proposed(path.parent, bone, segmentation.canal(labels, bone), ct)
+    proposal = _propose(path.parent, bone, segmentation.canal(labels, bone), ct)
     keys: dict[str, object] = {
         "base": "stance",
         "title": f"Hip of {labels.name}",
         "geometry": {"kind": "patient", **proposal.keys},
-        "mesh": {"size": f"{SIZE:g} mm"},
+        "mesh": {"size": f"{CELL_SIZE:g} mm"},
         "loads": {"library": "one_leg_stance"},
     }
     new_case.save(
@@ -97,46 +97,46 @@ def write(
         "# `mantle place` shows and changes the position of the stem.\n\n"
         + yaml_file.to_yaml(keys, short=True),
     )
-    return path, list(_assumed(bone, ct, proposal))
+    return path, list(_assumptions(bone, ct, proposal))
 
 
-def _proposed(folder: Path, bone: Structure, canal: Structure | None, ct: Path | None) -> Proposal:
+def _propose(folder: Path, bone: Structure, canal: Structure | None, ct: Path | None) -> Proposal:
     """Return the largest stem of `STEMS` that fits, with the keys of its geometry.
 
     Raises:
         InputError: The bone is refused, or no stem fits.
     """
-    given: dict[str, object] = {"image": _relative(bone.path, folder), "label": bone.number}
+    bone_keys: dict[str, object] = {"image": _relative(bone.path, folder), "label": bone.number}
     if bone.side:
-        given["side"] = bone.side
+        bone_keys["side"] = bone.side
     canal_keys: dict[str, object] = {"ream": "broach"}
     if canal:
         image = {"image": _relative(canal.path, folder), "label": canal.number}
         canal_keys = image | canal_keys
     try:
-        femur = _made({"bone": given, "canal": canal_keys}, folder).femur
+        femur = _geometry_of({"bone": bone_keys, "canal": canal_keys}, folder).femur
     except InputError as error:
         text = str(error)
         raise InputError(text if str(bone.path) in text else f"{bone}: {text}") from error
     if ct and not canal and ct_canal.contains_canal(femur.frame):
-        canal_keys = {"ct": _relative(ct, folder), "threshold": THRESHOLD} | canal_keys
+        canal_keys = {"ct": _relative(ct, folder), "threshold": CT_THRESHOLD} | canal_keys
         # A CT without this femur is refused here, not as a reason against each stem.
-        _made({"bone": given, "canal": canal_keys}, folder)
+        _geometry_of({"bone": bone_keys, "canal": canal_keys}, folder)
     reasons = list[str]()
-    for angle in ANGLES:
-        resection = {"height": f"{HEIGHT:g} mm", "angle": f"{angle:g} deg"}
+    for angle in CUT_ANGLES:
+        resection = {"height": f"{CUT_HEIGHT:g} mm", "angle": f"{angle:g} deg"}
         for length, width in STEMS:
             keys: dict[str, object] = {
-                "bone": given,
+                "bone": bone_keys,
                 "canal": canal_keys,
                 "stem": _stem(length, width, femur),
                 "resection": resection,
                 "insertion": "best",
-                "cement_thickness": f"{CEMENT:g} mm",
+                "cement_thickness": f"{CEMENT_THICKNESS:g} mm",
             }
             try:
-                geometry = _made(keys, folder)
-                geometry.check_fit(MeshOptions.model_validate({"size": f"{SIZE:g} mm"}))
+                geometry = _geometry_of(keys, folder)
+                geometry.check_fit(MeshOptions.model_validate({"size": f"{CELL_SIZE:g} mm"}))
             except InputError as error:
                 reasons.append(f"{length:g} mm: {error}")
             else:
@@ -148,7 +148,7 @@ def _proposed(folder: Path, bone: Structure, canal: Structure | None, ct: Path |
     )
 
 
-def _made(keys: dict[str, object], folder: Path) -> Patient:
+def _geometry_of(keys: dict[str, object], folder: Path) -> Patient:
     """Return the geometry of keys.
 
     Raises:
@@ -164,14 +164,14 @@ def _made(keys: dict[str, object], folder: Path) -> Patient:
 
 def _stem(length: float, width: float, femur: PatientBone) -> dict[str, object]:
     """Return keys of a stem with the offset of the patient's head, as far as its neck allows."""
-    offset = min(max(round(float(femur.head[0])), OFFSETS[0]), OFFSETS[1])
+    offset = min(max(round(float(femur.head[0])), OFFSET_RANGE[0]), OFFSET_RANGE[1])
     stem: dict[str, object] = {"length": f"{length:g} mm", "head_offset": f"{offset:g} mm"}
     if width != 1.0:
         stem |= {key: f"{round(width * size, 2):g} mm" for key, size in WIDTHS.items()}
     return stem
 
 
-def _assumed(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[str]:
+def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[str]:
     """Lines on what was assumed."""
     geometry = proposal.geometry
     femur, implant, details = geometry.femur, geometry.implant, geometry.details
@@ -190,9 +190,10 @@ def _assumed(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterator[s
     yield f"bone: head of {frame.radius:.1f} mm, {neck}; {scan}"
     yield f"canal: {_canal(geometry, ct)}"
     angle = math.degrees(geometry.resection.angle)
-    cut = f"neck cut {HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
+    cut = f"neck cut {CUT_HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
     best = geometry.placement_details["best position"]
-    yield f"operation: {cut}; {_size(implant)} with {CEMENT:g} mm of cement; best position: {best}"
+    stem = f"{_size(implant)} with {CEMENT_THICKNESS:g} mm of cement"
+    yield f"operation: {cut}; {stem}; best position: {best}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
     yield f"loads: one leg, body weight 600 N; x is along {medial}; materials of `stance`"
     for doubt in femur.notes:

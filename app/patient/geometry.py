@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from app.patient.bone import PatientBone
     from meshes.layered_surfaces import LayeredSurfaces
 
-SHORTEST = 50.0  # mm of the stem in the bone
-SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
+SHORTEST_INSIDE = 50.0  # mm of the stem in the bone
+SHAFT_BELOW_PLUG = 70.0  # mm of shaft below the plug, or what the surface has
 
 
 SurfaceFile = Annotated[Path, file(".stl", ".ply", ".obj")]
@@ -44,7 +44,7 @@ Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
 
 
 class Outline(Section):
-    """A surface, or that of a label in an image."""
+    """Surface from a file of triangles, or around a label of an image."""
 
     surface: SurfaceFile | None = None
     """STL, PLY or OBJ file of its triangles; relative to the case file."""
@@ -55,10 +55,10 @@ class Outline(Section):
     """Number of its voxels in the image."""
     unit: Unit | None = None
     """Unit of the file. By default the unit with which the bone is as long as a femur, which is
-    reported; for a canal that of the bone."""
+    reported; for a canal the unit of the bone."""
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _has_one_source(self) -> Self:
         files = (self.surface is not None) + (self.image is not None)
         if (
             files > 1
@@ -75,7 +75,7 @@ class Outline(Section):
 
 
 class Bone(Outline):
-    """The outer surface of a femur, of all of it or of its proximal part."""
+    """Outer surface of a femur, whole or its proximal part."""
 
     side: Literal["left", "right"] | None = None
     """Side of the body; by default from the landmarks. A right femur is mirrored: x is medial, y is
@@ -144,7 +144,7 @@ class Patient(OperatedHip):
     surface ends."""
 
     @model_validator(mode="after")
-    def _placed(self) -> Patient:
+    def _check_placement(self) -> Patient:
         if self.canal.ct and (self.canal.path or not self.bone.image):
             fail("needs a bone with `image` and `label`, and no second canal", at=("canal", "ct"))
         self.check_end()
@@ -164,29 +164,35 @@ class Patient(OperatedHip):
                     fail(str(error), at=(part,))
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split(".")))
-        low = float(self.femur.surface.points[:, 2].min())
-        plug = float(placed.to_model([0.0, 0.0, implant.plug])[2])
+        lowest_z = float(self.femur.surface.points[:, 2].min())
+        plug_z = float(placed.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
         if level is None:
-            if plug < low + 5.0:
+            if plug_z < lowest_z + 5.0:
                 text = (
-                    f"puts {self.plug_end} at z = {plug:.0f} mm, but the bone ends at {low:.0f} mm"
+                    f"puts {self.plug_end} at z = {plug_z:.0f} mm, but the bone ends"
+                    f" at {lowest_z:.0f} mm"
                 )
-                missing = f"{low + 5.0 - plug:.0f} mm of bone are missing"
+                missing = f"{lowest_z + 5.0 - plug_z:.0f} mm of bone are missing"
                 remedy = "set geometry.bone.extend: true, or use a shorter stem"
                 fail(f"{text}: {missing}; {remedy}", at=("stem", "length"))
-            level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
-        if not low + 2.0 < level < plug - 2.0:
-            text = f"{level:g} mm is not between the end of the surface, {low:.0f} mm, and"
-            fail(f"{text} {self.plug_end}, {plug:.0f} mm", at=("distal_cut_z",))
-        least, inside = max(INSIDE * implant.length, SHORTEST), implant.length + placed.top
-        if inside < least:
-            text = f"leaves {inside:.0f} mm of the stem below the cut"
-            fail(f"{text}; expected at least {least:.0f} mm", at=("insertion", "depth"))
+            level = self.__dict__["distal_cut_z"] = round(
+                max(plug_z - SHAFT_BELOW_PLUG, lowest_z + 3.0), 1
+            )
+        if not lowest_z + 2.0 < level < plug_z - 2.0:
+            text = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
+            fail(f"{text} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
+        least_length, length_inside = (
+            max(INSIDE * implant.length, SHORTEST_INSIDE),
+            implant.length + placed.top,
+        )
+        if length_inside < least_length:
+            text = f"leaves {length_inside:.0f} mm of the stem below the cut"
+            fail(f"{text}; expected at least {least_length:.0f} mm", at=("insertion", "depth"))
         return self
 
     def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
-        """Keys of the case that do nothing beside others, with the reason; given ones or not."""
+        """Return the keys of the case that have no effect with the others, and the reason."""
         keys = super().without_effect(mesh)
         canal = self.canal
         if not canal.ct:
@@ -251,7 +257,7 @@ class Patient(OperatedHip):
 
     @property
     def more_room(self) -> tuple[str, str]:
-        """The key that says where the stem is, and what to change where it has no room."""
+        """Key of the stem's position, and the remedies where the stem has no room."""
         text = "ream (canal.ream: broach), use a smaller or shorter stem, or change varus and"
         return "geometry.insertion", f"{text} offsets (insertion: best, or mantle place)"
 
@@ -282,7 +288,7 @@ class Patient(OperatedHip):
         return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.level)]
 
     def in_file(self, x: Floats, depth: float) -> Floats:
-        """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
+        """Points (n, 3) in the axes of the bone's file, moved to a least depth in the bone."""
         return self.femur.in_file(x, depth)
 
     @property
@@ -292,7 +298,10 @@ class Patient(OperatedHip):
         return continuation.end if continuation and continuation.end > self.level else None
 
     def longer(self, length: float) -> Patient | None:
-        """The geometry whose continued shaft is held farther below (mm); None: it has no more."""
+        """Return the geometry with its continued shaft held farther below (mm).
+
+        None: the shaft ends above that level.
+        """
         level = self.level - length
         if level < float(self.femur.surface.points[:, 2].min()) + 2.0:
             return None
@@ -304,10 +313,12 @@ class Patient(OperatedHip):
         end = self.continued_below
         if end is None:
             return {}
-        plug = float(self.placement.to_model([0.0, 0.0, self.implant.plug])[2])
+        plug_z = float(self.placement.to_model([0.0, 0.0, self.implant.plug])[2])
         text = f"below z = {end:.0f} mm, where the scan ends: {end - self.level:.0f} mm"
-        beside = f", {end - plug:.0f} mm of them beside stem and plug" if end > plug else ""
-        return {"continued shaft": text + beside}
+        beside_stem = (
+            f", {end - plug_z:.0f} mm of them beside stem and plug" if end > plug_z else ""
+        )
+        return {"continued shaft": text + beside_stem}
 
     @property
     def details(self) -> dict[str, str]:
@@ -318,11 +329,13 @@ class Patient(OperatedHip):
             if surface and surface.notes:
                 details[name] = ", ".join(surface.notes)
         details |= self._continued
-        lost = femur.trochanter_lost(self.placement)
-        if lost > 0.5:
-            details["not modelled"] = f"the greater trochanter above the cut, {lost:.0f} mm of it"
-        moved = ", ".join(femur.projected(MUSCLES, self.placement)[1])
-        return details | self.stem.details | {"muscles moved (mm)": moved}
+        lost_height = femur.trochanter_lost(self.placement)
+        if lost_height > 0.5:
+            details["not modelled"] = (
+                f"the greater trochanter above the cut, {lost_height:.0f} mm of it"
+            )
+        muscle_distances = ", ".join(femur.projected(MUSCLES, self.placement)[1])
+        return details | self.stem.details | {"muscles moved (mm)": muscle_distances}
 
 
 def _content(*files: Path | None) -> str:

@@ -29,9 +29,9 @@ STIFFEST = 40e3
 SOFTEST = 500.0
 # The median of a cortex is below this [MPa].
 STIFF_CORTEX = 25e3
-AIR = -200.0  # CT number: air and lung are below it
-SHOWN = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are reported
-INSIDE = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it
+AIR_NUMBER = -200.0  # CT number: air and lung are below it
+REPORTED_DENSITIES = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are reported
+SURFACE_DEPTH = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it
 
 
 class Calibration(Section):
@@ -63,7 +63,7 @@ class ImageModulus(ModulusField):
     """Hash of the image; another image is refused."""
 
     @model_validator(mode="after")
-    def _sound(self) -> ImageModulus:
+    def _check_numbers(self) -> ImageModulus:
         try:
             image = self.image
         except InputError as error:
@@ -104,10 +104,10 @@ class ImageModulus(ModulusField):
     def at(self, x: Floats, geometry: Any) -> Floats:
         """Young's modulus at points (n, 3) of a geometry (n,) [MPa].
 
-        Points near the surface of a patient's bone have the modulus at `INSIDE` below it.
+        Points near the surface of a patient's bone have the modulus at `SURFACE_DEPTH` below it.
         """
         if isinstance(geometry, Patient):
-            x = geometry.in_file(x, INSIDE)
+            x = geometry.in_file(x, SURFACE_DEPTH)
         if self.axes == "LPS":
             x = x * [-1.0, -1.0, 1.0]
         return np.asarray(self.modulus_of(self.image.at(x)))
@@ -115,24 +115,29 @@ class ImageModulus(ModulusField):
     def details(self, geometry: Any) -> dict[str, str]:
         """Moduli at three densities, at the densest voxels, and below the surface of a patient."""
         dense, kind = self.image.dense, table_of(self.law)[0]
-        at, moduli = (
+        shown_densities, shown_moduli = (
             ", ".join(f"{v:{f}}" for v in values)
-            for values, f in ((SHOWN, "g"), (modulus(self.law, list(SHOWN)), ",.0f"))
+            for values, f in (
+                (REPORTED_DENSITIES, "g"),
+                (modulus(self.law, list(REPORTED_DENSITIES)), ",.0f"),
+            )
         )
-        densities = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
+        densities = ", ".join(
+            f"{rho:.2f} {density_kind}" for density_kind, rho in self.densities(dense).items()
+        )
         details = {
             "image": "; ".join(self.image.summary),
-            f"E at {at} g/cm3 ({kind} density)": f"{moduli} MPa",
+            f"E at {shown_densities} g/cm3 ({kind} density)": f"{shown_moduli} MPa",
             "densest voxels": f"CT number {dense:g}, {densities}, E {self.largest / 1e3:.1f} GPa",
         }
         if isinstance(geometry, Patient):
             E = np.percentile(self.below_surface(geometry), [5, 50, 95]) / 1e3
-            words = f"E {INSIDE:g} mm below the bone's surface (5, 50, 95 %)"
+            words = f"E {SURFACE_DEPTH:g} mm below the bone's surface (5, 50, 95 %)"
             details[words] = "{:.1f}, {:.1f}, {:.1f} GPa".format(*E)
         return details
 
     def below_surface(self, patient: Patient) -> Floats:
-        """Young's moduli at a depth of `INSIDE` below a patient's surface (n,) [MPa]."""
+        """Young's moduli at a depth of `SURFACE_DEPTH` below a patient's surface (n,) [MPa]."""
         return self.at(patient.skin, patient)
 
     def doubts(self, geometry: Any) -> list[str]:
@@ -141,13 +146,13 @@ class ImageModulus(ModulusField):
         notes = list(image.notes)
         if image.lost:
             notes.append(f"{name}: {image.lost:,} voxels are not numbers")
-        if image.least > AIR:
+        if image.least > AIR_NUMBER:
             text = f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
             notes.append(f"{text} no air, or was 1024 added to all numbers?")
         if isinstance(geometry, Patient):
             median = float(np.median(self.below_surface(geometry)))
             if median > STIFF_CORTEX:
-                text = f"{name}: the median of E {INSIDE:g} mm below the bone's surface is"
+                text = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
                 expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
                 notes.append(
                     f"{text} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"

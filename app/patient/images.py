@@ -1,8 +1,8 @@
 """Images of bones: numbers on a lattice of voxels, read from files and interpolated.
 
-nibabel reads NIfTI files, pydicom DICOM (`dicom_series`). What stands here checks that the header
-places the voxels, and in one way only: libraries take the sform without a word where it contradicts
-the qform or the sizes of voxels.
+nibabel reads NIfTI files, pydicom DICOM (`dicom_series`). This module checks that the header places
+the voxels, and in one way only. Libraries use the sform without a warning where it contradicts the
+qform or the sizes of voxels.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from app.foundation.files import parts
 from app.patient import dicom_segmentation, dicom_series, nrrd
 from app.patient.voxels import LabelSegment, Voxels
 
-HALF = 0.5 + 1e-6  # edges from the middle of a voxel to its end
-TILT = 0.01  # largest cosine of the angle between edges of voxels
+HALF_VOXEL = 0.5 + 1e-6  # edges from the middle of a voxel to its end
+MOST_TILT = 0.01  # largest cosine of the angle between edges of voxels
 # Of NIfTI files
-SIZE_OFF = 0.01  # largest relative difference of the edges of voxels by sform and by pixdim
-APART = 0.5  # voxels: largest distance of places by sform from those by qform
+SIZE_TOLERANCE = 0.01  # largest relative difference of the edges of voxels by sform and by pixdim
+PLACE_TOLERANCE = 0.5  # voxels: largest distance of places by sform from those by qform
 # Spaces in which sform and qform place voxels, by their codes.
 SPACES = {1: "scanner", 2: "aligned", 3: "Talairach", 4: "MNI"}
 TEMPLATES = (3, 4)  # spaces to which images of patients are scaled
 PADDING = -1500.0  # CT number: lower ones are written where nothing was measured
 GZIP = b"\x1f\x8b"
-SECOND = 540  # first number of NIfTI of version 2
+NIFTI2_SIZE = 540  # first number of NIfTI of version 2
 # Files of other kinds by their first bytes, and what to do with them.
-OTHERS = {
+OTHER_FORMATS = {
     b"ObjectType": "is a MetaImage (.mha, .mhd): save it as NIfTI or NRRD, as 3D Slicer does",
     b"# vtk": "is a file of VTK: save it as NIfTI or NRRD, as 3D Slicer does",
     b"<?xml": "is XML, as VTK writes it: save it as NIfTI or NRRD, as 3D Slicer does",
@@ -106,16 +106,16 @@ class Image:
         index = (x - self.affine[:3, 3]) @ np.linalg.inv(self.affine[:3, :3]).T
         # The outermost voxels reach half an edge beyond their middles.
         nearest = np.clip(index, 0.0, np.array(self.values.shape) - 1.0)
-        index = np.where(np.abs(index - nearest) <= HALF, nearest, index)
+        index = np.where(np.abs(index - nearest) <= HALF_VOXEL, nearest, index)
         values = ndimage.map_coordinates(self.values, index.T, float, order=1, cval=np.nan)
-        lost = ~np.isfinite(values)
-        if lost.any():
+        is_lost = ~np.isfinite(values)
+        if is_lost.any():
             last = np.array(self.values.shape) - 1
-            outside = lost & ((index < 0) | (index > last)).any(axis=1)
-            those = outside if outside.any() else lost
+            outside = is_lost & ((index < 0) | (index > last)).any(axis=1)
+            listed = outside if outside.any() else is_lost
             where = "outside the image" if outside.any() else "in voxels that are not numbers"
-            text = f"{int(those.sum()):,} of {len(x):,} points are {where}, such as "
-            text += "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[those][0])
+            text = f"{int(listed.sum()):,} of {len(x):,} points are {where}, such as "
+            text += "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[listed][0])
             remedy = "; is it in other axes? See the key `axes`"
             raise InputError(text + (remedy if outside.any() else "; fill these voxels"))
         return np.asarray(values)
@@ -130,8 +130,8 @@ def read(path: Path) -> Image:
     image = read_layers(path)
     if image.values.ndim > 3:
         count = image.values.shape[3]
-        what = "layers, since its segments overlap" if image.segments else "numbers per voxel"
-        raise InputError(f"{path}: has {count} {what}; expected one number per voxel")
+        content = "layers, since its segments overlap" if image.segments else "numbers per voxel"
+        raise InputError(f"{path}: has {count} {content}; expected one number per voxel")
     return image
 
 
@@ -185,20 +185,25 @@ def _read(path: Path, _changed: int) -> Image:
         raise InputError(f"{path}: is a single slice of {text} voxels; expected a volume")
     if not np.isfinite(affine).all():
         raise InputError(f"{path}: its affine contains values that are not numbers")
-    edges = np.linalg.norm(affine[:3, :3], axis=0)
-    if not (np.isfinite(edges).all() and edges.all()):
-        raise InputError(f"{path}: the spacing of its voxels is {_by(edges)} mm; expected above 0")
-    u = affine[:3, :3] / edges
-    if np.abs(u.T @ u - np.eye(3)).max() > TILT:
+    edge_lengths = np.linalg.norm(affine[:3, :3], axis=0)
+    if not (np.isfinite(edge_lengths).all() and edge_lengths.all()):
+        raise InputError(
+            f"{path}: the spacing of its voxels is {_product_text(edge_lengths)}"
+            " mm; expected above 0"
+        )
+    directions = affine[:3, :3] / edge_lengths
+    if np.abs(directions.T @ directions - np.eye(3)).max() > MOST_TILT:
         raise InputError(
             f"{path}: its axes are not perpendicular; was the gantry tilted? Resample it"
         )
     if not np.isfinite(values).any():
         raise InputError(f"{path}: none of its voxels is a number")
-    lattice, size = (" x ".join(f"{n:.4g}" for n in row) for row in (values.shape[:3], edges))
+    lattice, spacing = (
+        " x ".join(f"{n:.4g}" for n in row) for row in (values.shape[:3], edge_lengths)
+    )
     layers = f" in {values.shape[3]} layers" if layered else ""
-    taken = f"{voxels.kind}: {lattice} voxels of {size} mm{layers}, {values.dtype}"
-    summary = (taken, *voxels.left_out)
+    description = f"{voxels.kind}: {lattice} voxels of {spacing} mm{layers}, {values.dtype}"
+    summary = (description, *voxels.left_out)
     image = Image(values, affine, summary, voxels.doubts, voxels.segments)
     if image.lost:
         return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are not numbers"))
@@ -221,7 +226,7 @@ def _reader(path: Path) -> Callable[[Path], Voxels]:
         return nrrd.read
     if dicom_series.is_dicom(start):
         return _dicom
-    for content, words in OTHERS.items():
+    for content, words in OTHER_FORMATS.items():
         if start.startswith(content):
             raise InputError(f"{path}: {words}; expected NIfTI, NRRD, DICOM or .npz")
     return _nifti
@@ -231,11 +236,11 @@ def _dicom(path: Path) -> Voxels:
     """Read the slices of a series, or a segmentation if there is nothing else."""
     headers, left_out = dicom_series.headers_of(path)
     with_image = [header for header in headers if "Rows" in header]
-    segmentations = [one for one in with_image if dicom_segmentation.is_segmentation(one)]
+    segmentations = [header for header in with_image if dicom_segmentation.is_segmentation(header)]
     if not segmentations or len(segmentations) < len(with_image):
         return dicom_series.read(path, headers, left_out)
     if len(segmentations) > 1:
-        names = ", ".join(dicom_series.name_of(one) for one in segmentations[:3])
+        names = ", ".join(dicom_series.name_of(header) for header in segmentations[:3])
         raise InputError(f"{path}: has {len(segmentations)} segmentations: {names}; give one file")
     return dicom_segmentation.read(path, segmentations[0], left_out)
 
@@ -262,13 +267,13 @@ def _nifti(path: Path) -> Voxels:
 
     with path.open("rb") as file:
         compressed = file.read(len(GZIP)) == GZIP
-    named = path.suffix in (".nii", ".gz")
-    if named and compressed != (path.suffix == ".gz"):
+    has_nifti_suffix = path.suffix in (".nii", ".gz")
+    if has_nifti_suffix and compressed != (path.suffix == ".gz"):
         # Browsers and mail programs unpack files and keep the name, or the other way round.
         content = path.read_bytes()
         content = gzip.decompress(content) if compressed else content
-        is_second = int.from_bytes(content[:4], "little") == SECOND or (
-            int.from_bytes(content[:4], "big") == SECOND
+        is_second = int.from_bytes(content[:4], "little") == NIFTI2_SIZE or (
+            int.from_bytes(content[:4], "big") == NIFTI2_SIZE
         )
         kind = nibabel.Nifti2Image if is_second else nibabel.Nifti1Image
         image = kind.from_bytes(content)
@@ -292,9 +297,10 @@ def _nifti(path: Path) -> Voxels:
         by_sform = header.get_sform()
         edges = np.linalg.norm(by_sform[:3, :3], axis=0)
         sizes = np.abs(np.asarray(header["pixdim"][1:4], float))
-        if not np.allclose(edges, sizes, rtol=SIZE_OFF):
+        if not np.allclose(edges, sizes, rtol=SIZE_TOLERANCE):
             raise InputError(
-                f"{path}: its voxels have {_by(edges)} mm by sform but {_by(sizes)} mm by pixdim;"
+                f"{path}: its voxels have {_product_text(edges)} mm by sform but"
+                f" {_product_text(sizes)} mm by pixdim;"
                 " correct the header, or write the image again"
             )
         if qform:
@@ -322,13 +328,13 @@ def _against_qform(path: Path, shape: tuple[int, ...], sform: Floats, qform: Flo
             " correct the header, or write the image again"
         )
     corners = np.array([*np.ndindex(2, 2, 2)]) * (np.array(shape[:3]) - 1)
-    apart = (sform - qform)[:3, :3] @ corners.T + (sform - qform)[:3, 3:]
-    far = float(np.linalg.norm(apart, axis=0).max())
-    if far <= APART * float(np.linalg.norm(sform[:3, :3], axis=0).min()):
+    differences = (sform - qform)[:3, :3] @ corners.T + (sform - qform)[:3, 3:]
+    largest = float(np.linalg.norm(differences, axis=0).max())
+    if largest <= PLACE_TOLERANCE * float(np.linalg.norm(sform[:3, :3], axis=0).min()):
         return []
-    return [f"{path.name}: its sform and qform differ by up to {far:.3g} mm; sform is used"]
+    return [f"{path.name}: its sform and qform differ by up to {largest:.3g} mm; sform is used"]
 
 
-def _by(edges: Floats) -> str:
+def _product_text(edges: Floats) -> str:
     """Return lengths as text: ``1 x 1 x 2.5``."""
     return " x ".join(f"{edge:.4g}" for edge in edges)

@@ -15,13 +15,13 @@ from app.foundation.errors import InputError
 from app.patient import images
 from app.patient.voxels import LabelSegment
 
-NEARLY = 0.05  # largest difference of a label from a whole number
+WHOLE_TOLERANCE = 0.05  # largest difference of a label from a whole number
 # A label that was interpolated and then rounded is surrounded by at least as many smaller numbers,
-MIXED = 5
+LEAST_NUMBERS = 5
 # on at least this part of its surface,
-MOSTLY = 0.5
+LEAST_SHARE = 0.5
 # and a voxel of them has fewer neighbours with its number than this, on average.
-SCATTERED = 1.5
+LEAST_NEIGHBOURS = 1.5
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class LabelImage:
         values = [{int(value) for value in np.unique(layer) if value > 0} for layer in layers]
         if self.segments is None:
             return sorted(set().union(*values))
-        there = {
+        present = {
             n for n, segment in self.segments.items() if segment.value in values[segment.layer]
         }
-        return sorted(there)
+        return sorted(present)
 
     def inside(self, number: int) -> Bools:
         """Return True in the voxels of a label (i, j, k).
@@ -70,35 +70,36 @@ class LabelImage:
         values = self.layers[..., segment.layer]
         inside: Bools = values == segment.value
         if segment.layer < 0 or not inside.any():
-            there = self.numbers
+            present = self.numbers
             if self.segments is None:
-                there = [int(value) for value in np.unique(self.layers)]
-            labels = ", ".join(str(value) for value in there[:9])
+                present = [int(value) for value in np.unique(self.layers)]
+            labels = ", ".join(str(value) for value in present[:9])
             raise InputError(f"{self.path}: has no label {number}; it has {labels}")
         self._check_sharp(values, inside, number)
         return inside
 
     def _check_sharp(self, values: Numbers, inside: Bools, number: int) -> None:
         """Raise InputError if a label is surrounded by numbers that interpolation made of it."""
-        around = ndimage.binary_dilation(inside) & ~inside
-        between = around & (values > 0) & (values < number)
-        if between.sum() < MOSTLY * around.sum():
+        shell = ndimage.binary_dilation(inside) & ~inside
+        is_between = shell & (values > 0) & (values < number)
+        if is_between.sum() < LEAST_SHARE * shell.sum():
             return
-        rim = values[between]
-        if len(np.unique(rim)) < MIXED:
+        rim_values = values[is_between]
+        if len(np.unique(rim_values)) < LEAST_NUMBERS:
             return
-        equal = np.zeros(len(rim))
+        equal_neighbours = np.zeros(len(rim_values))
         padded = np.pad(values, 1)
-        place = np.argwhere(between) + 1
+        positions = np.argwhere(is_between) + 1
         for axis in range(3):
             for step in (-1, 1):
-                other = place.copy()
-                other[:, axis] += step
-                equal += padded[tuple(other.T)] == rim
-        if equal.mean() < SCATTERED:
+                neighbours = positions.copy()
+                neighbours[:, axis] += step
+                equal_neighbours += padded[tuple(neighbours.T)] == rim_values
+        if equal_neighbours.mean() < LEAST_NEIGHBOURS:
             raise InputError(
-                f"{self.path}: the label {number} is surrounded by numbers from {rim.min():g} to"
-                f" {rim.max():g} that differ from voxel to voxel; are they probabilities or"
+                f"{self.path}: the label {number} is surrounded by numbers from"
+                f" {rim_values.min():g} to"
+                f" {rim_values.max():g} that differ from voxel to voxel; are they probabilities or"
                 " interpolated labels? Export labels, or resample them by nearest neighbour"
             )
 
@@ -118,7 +119,7 @@ def read(path: Path) -> LabelImage:
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> LabelImage:
     image = images.read_layers(path)
-    values, rounded = whole(path, image.values)
+    values, rounded = as_whole_numbers(path, image.values)
     notes = [*image.summary, *rounded]
     names = {name: segment.value for name, segment in (image.segments or {}).items()}
     segments = None
@@ -133,7 +134,7 @@ def _read(path: Path, _changed: int) -> LabelImage:
     return LabelImage(path, layers, segments, known, image.affine, tuple(notes), image.notes)
 
 
-def whole(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:
+def as_whole_numbers(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:
     """Return labels as whole numbers, and notes on those that were rounded.
 
     Raises:
@@ -142,19 +143,20 @@ def whole(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:
     if values.dtype.kind != "f":
         return values, []
     finite = np.isfinite(values)
-    known = np.where(finite, values, 0.0)
-    rounded = np.round(known)
-    off = np.abs(known - rounded)
-    between = off > NEARLY
-    if between.any():
+    numbers = np.where(finite, values, 0.0)
+    rounded = np.round(numbers)
+    differences = np.abs(numbers - rounded)
+    is_fraction = differences > WHOLE_TOLERANCE
+    if is_fraction.any():
         raise InputError(
-            f"{path}: {int(between.sum()):,} voxels have values that are not whole numbers, such as"
-            f" {known[between][0]:.4g}; resample the segmentation by nearest neighbour"
+            f"{path}: {int(is_fraction.sum()):,} voxels have values that are not"
+            " whole numbers, such as"
+            f" {numbers[is_fraction][0]:.4g}; resample the segmentation by nearest neighbour"
         )
     notes = []
-    if off.any():
-        notes.append(f"labels rounded by up to {off.max():.2g}")
-    lost = int((~finite).sum())
-    if lost:
-        notes.append(f"{lost:,} voxels are not numbers; they count as 0")
+    if differences.any():
+        notes.append(f"labels rounded by up to {differences.max():.2g}")
+    lost_count = int((~finite).sum())
+    if lost_count:
+        notes.append(f"{lost_count:,} voxels are not numbers; they count as 0")
     return rounded, notes

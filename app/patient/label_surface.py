@@ -70,12 +70,12 @@ def read(path: Path, label: int) -> tuple[Floats, LabelBody]:
     return surface(whole_body.level, whole_body), whole_body
 
 
-def surface(level: Floats | NDArray[np.float32], of: LabelBody) -> Floats:
-    """Return triangles (m, 3, 3) [mm] where numbers of the voxels of a body change their sign."""
+def surface(level: Floats | NDArray[np.float32], label_body: LabelBody) -> Floats:
+    """Return triangles (m, 3, 3) [mm] on which a level of the voxels of a body is zero."""
     from skimage import measure
 
     points, triangles, *_ = measure.marching_cubes(level, 0.0)
-    return of.places(_smoothed(points, triangles))[triangles]
+    return label_body.places(_smoothed(points, triangles))[triangles]
 
 
 def body(path: Path, label: int) -> LabelBody:
@@ -119,23 +119,23 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
     for axis, layer in product(range(3), (1, -2)):
         face = np.moveaxis(solid, axis, 0)[layer]
         face |= ndimage.binary_fill_holes(face)
-    around, _ = ndimage.label(~solid)
-    solid = around != around[0, 0, 0]
+    outside, _ = ndimage.label(~solid)
+    solid = outside != outside[0, 0, 0]
     affine = labels.affine.copy()
     affine[:3, 3] += affine[:3, :3] @ [s.start - 1.0 for s in box]
-    borders = tuple(_at_borders(solid, box, inside.shape, affine))
+    borders = tuple(_border_places(solid, box, inside.shape, affine))
     level = solid.astype(np.float32) - 0.5
     edges = np.linalg.norm(affine[:3, :3], axis=0)
     axis = int(edges.argmax())
-    times = round(float(edges[axis] / np.median(edges)))
-    if times > 1:
-        level = _between_slices(solid, axis, times)
-        affine[:3, axis] /= times
-        notes.append(f"slices of {edges[axis]:g} mm interpolated {times}-fold")
+    slice_factor = round(float(edges[axis] / np.median(edges)))
+    if slice_factor > 1:
+        level = _between_slices(solid, axis, slice_factor)
+        affine[:3, axis] /= slice_factor
+        notes.append(f"slices of {edges[axis]:g} mm interpolated {slice_factor}-fold")
     return LabelBody(level > 0, level, affine, tuple(notes), tuple(doubts), borders)
 
 
-def _at_borders(
+def _border_places(
     solid: Bools, box: Sequence[slice], shape: Sequence[int], affine: Floats
 ) -> Iterator[Floats]:
     """Places of the voxels of a body in each outermost layer that it reaches (n, 3) [mm].
@@ -147,21 +147,21 @@ def _at_borders(
         affine: Matrix from voxels of `solid` to their places (4, 4) [mm].
     """
     index = np.argwhere(solid)
-    for axis, part in enumerate(box):
-        for end, layer in ((part.start == 0, 1), (part.stop == shape[axis], -2)):
-            if end:
-                there = index[index[:, axis] == layer % solid.shape[axis]]
-                if len(there):  # another piece may have been in the layer
-                    yield there @ affine[:3, :3].T + affine[:3, 3]
+    for axis, extent in enumerate(box):
+        for is_reached, layer in ((extent.start == 0, 1), (extent.stop == shape[axis], -2)):
+            if is_reached:
+                in_layer = index[index[:, axis] == layer % solid.shape[axis]]
+                if len(in_layer):  # another piece may have been in the layer
+                    yield in_layer @ affine[:3, :3].T + affine[:3, 3]
 
 
-def _between_slices(solid: Bools, axis: int, times: int) -> NDArray[np.float32]:
+def _between_slices(solid: Bools, axis: int, slice_factor: int) -> NDArray[np.float32]:
     """Return distances from the outlines of slices, inside positive, with slices between them.
 
     Args:
         solid: The body (i, j, k), without voxels in its first and last slice.
         axis: Axis across the slices.
-        times: Number of slices for each of the given ones.
+        slice_factor: Number of slices for each of the given ones.
     """
     slices: Bools = np.moveaxis(solid, axis, 0)
     outside = np.where(slices, 0, 1)
@@ -172,21 +172,21 @@ def _between_slices(solid: Bools, axis: int, times: int) -> NDArray[np.float32]:
         distance[k] -= ndimage.distance_transform_edt(outside[k])
     # Beside an end the body reaches half a slice: the negative distances of the last one.
     for empty in np.flatnonzero(~filled):
-        near = [k for k in (empty - 1, empty + 1) if 0 <= k < len(slices) and filled[k]]
-        distance[empty] = -np.abs(distance[near[0]]) if near else -1.0
-    number = (len(slices) - 1) * times + 1
-    low, part = np.divmod(np.arange(number), times)
+        neighbours = [k for k in (empty - 1, empty + 1) if 0 <= k < len(slices) and filled[k]]
+        distance[empty] = -np.abs(distance[neighbours[0]]) if neighbours else -1.0
+    slice_count = (len(slices) - 1) * slice_factor + 1
+    low, remainder = np.divmod(np.arange(slice_count), slice_factor)
     high = np.minimum(low + 1, len(slices) - 1)
-    weight = (part / times).astype(np.float32)[:, None, None]
+    weight = (remainder / slice_factor).astype(np.float32)[:, None, None]
     level = (1 - weight) * distance[low] + weight * distance[high]
     return np.asarray(np.moveaxis(np.clip(level, -2.0, 2.0), 0, axis))
 
 
 def _smoothed(points: Floats, triangles: Ints) -> Floats:
     """Return corners (n, 3) without the steps of voxels, by Taubin's smoothing."""
-    ends, n = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T, len(points)
-    near = coo_array((np.ones(len(ends[0])), ends), (n, n)).tocsr()
-    near = diags_array(1 / near.sum(axis=1)) @ near
+    edge_ends, count = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T, len(points)
+    averaging = coo_array((np.ones(len(edge_ends[0])), edge_ends), (count, count)).tocsr()
+    averaging = diags_array(1 / averaging.sum(axis=1)) @ averaging
     for step in (SHRINK, GROW) * SMOOTHINGS:
-        points = points + step * (near @ points - points)
+        points = points + step * (averaging @ points - points)
     return points

@@ -26,36 +26,38 @@ from app.patient.bone_surface import BoneSurface, place
 from meshes.femur_stem import unit
 from meshes.plane_sections import centroid, exits, section
 
-RADII = (14.0, 36.0)  # mm: of heads
-END = 90.0  # mm from an end of the bone within which its head is
-SAMPLES = 2.5  # mm between samples
-PAIRS = 1500  # pairs of samples that are tried
-SMOOTH = 4.0  # mm over which normals are averaged
-NEAR = 1.0  # mm from a sphere within which points belong to it
-ALONG = math.cos(math.radians(18.0))  # cosine of a normal to the radius of its sphere, at least
-COVERED = 0.33  # of a sphere, at least, by a head
-ROBUST = 0.5  # mm: residuals of the head beyond it count less
-STEP = 1.5  # mm between sections that are searched for the lesser trochanter
-REACH = 0.7  # mm: decay of the weights of an outermost place
-BESIDE = (-4.5, -1.5, 1.5, 4.5)  # mm: sections of the neck beside the least one, averaged
-SECTORS = 12  # of the head, one left out at a time
+HEAD_RADII = (14.0, 36.0)  # mm: smallest and largest radius of a head
+HEAD_FROM_END = 90.0  # mm from an end of the bone within which its head is
+SAMPLE_SIZE = 2.5  # mm between samples
+SAMPLE_PAIRS = 1500  # pairs of samples that are tried
+NORMAL_SMOOTHING = 4.0  # mm over which normals are averaged
+SPHERE_DISTANCE = 1.0  # mm from a sphere within which points belong to it
+# Least cosine of the angle between a normal and the radius of its sphere.
+LEAST_COSINE = math.cos(math.radians(18.0))
+LEAST_COVERED = 0.33  # part of a sphere that a head covers, at least
+OUTLIER_DISTANCE = 0.5  # mm: residuals of the head beyond it count less
+SECTION_STEP = 1.5  # mm between sections that are searched for the lesser trochanter
+REACH_DECAY = 0.7  # mm: decay of the weights of an outermost place
+NECK_OFFSETS = (-4.5, -1.5, 1.5, 4.5)  # mm: sections of the neck beside the least one, averaged
+HEAD_SECTORS = 12  # sectors of the head, one left out at a time
 # Usual values; others have a note.
 USUAL_RADII = (18.0, 30.0)  # radius of the head [mm]
 USUAL_NECKS = (110.0, 140.0)  # neck-shaft angle [deg]
 USUAL_LENGTHS = (15.0, 25.0)  # length of a femur with condyles in radii of its head
-SURE = 1.65  # standard deviations that hold 90 %
-LONG = 150.0  # mm that a surface is long whose principal axis is the shaft's
+NORMAL_QUANTILE = 1.65  # standard deviations that hold 90 %
+LONG_SURFACE = 150.0  # mm that a surface is long whose principal axis is the shaft's
 # In radii of the head:
-SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
-SHORT_SHAFT = (0.5, 0.75)  # the same where the surface ends there, at least
+SHAFT_RANGE = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
+SHORT_SHAFT_RANGE = (0.5, 0.75)  # the same where the surface ends there, at least
 LEAST_SHAFT = 5.0  # mm of sections that have an axis
 SHORT_SPREAD = math.radians(6.5)  # that holds 90 % of the shaft's axis if it is 1 radius long
-AXIS_INSIDE = (1.0, 1.4, 1.8, 2.2, 2.6)  # below the lesser trochanter, levels of the shaft
+# Levels of the shaft at which it must be solid, below the lesser trochanter.
+SOLID_CHECK_LEVELS = (1.0, 1.4, 1.8, 2.2, 2.6)
 CONDYLES_BELOW = 4.0  # below the lesser trochanter, at least, condyles are
-TROCHANTER = (1.3, 3.4)  # below the head's centre, where the lesser trochanter is
-CONDYLES = 3.0  # above the distal end
-APART = 2.1  # between the condyles
-WIDER = 1.8  # of the shaft's section: that of condyles, at least
+TROCHANTER_RANGE = (1.3, 3.4)  # below the head's centre, where the lesser trochanter is
+CONDYLE_HEIGHT = 3.0  # above the distal end
+CONDYLE_DISTANCE = 2.1  # between the condyles
+CONDYLE_AREA_RATIO = 1.8  # least area of a section of the condyles over the shaft's
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Frame:
 
     Attributes:
         head: Centre of the head (3,) [mm], in the surface's axes as all below.
-        radius: Of the head [mm].
+        radius: Radius of the head [mm].
         origin: Point of the shaft's axis at the level of the lesser trochanter (3,) [mm].
         axes: Unit vectors medial, anterior, proximal (3, 3), left-handed for a right femur.
         neck: Unit vector along the neck to the head (3,).
@@ -72,8 +74,8 @@ class Frame:
         side: ``left`` or ``right``.
         version: Angle of the neck to anterior of the condyles [rad]; None without condyles: then
             medial is along the neck.
-        spread: That holds 90 %, of head [mm], neck, version and shaft [rad].
-        length: Of the surface along the shaft [mm].
+        spread: Half-widths of the 90 % intervals of head [mm], neck, version and shaft [rad].
+        length: Length of the surface along the shaft [mm].
         end: Level above which the surface is whole, in the model's axes [mm].
     """
 
@@ -95,30 +97,31 @@ class Frame:
 
     @property
     def azimuth(self) -> float:
-        """Angle of the neck to anterior of medial, about the shaft [rad]."""
+        """Angle of the neck about the shaft, from medial to anterior [rad]."""
         x, y, _ = self.axes @ self.neck
         return math.atan2(y, x)
 
     def surface(self, surface: BoneSurface) -> BoneSurface:
         """A surface in the model's axes, still outward."""
-        way = slice(None, None, -1 if np.linalg.det(self.axes) < 0 else 1)
-        x, triangles = self.to_model(surface.points), surface.triangles[:, way]
+        corner_order = slice(None, None, -1 if np.linalg.det(self.axes) < 0 else 1)
+        x, triangles = self.to_model(surface.points), surface.triangles[:, corner_order]
         return replace(surface, points=x, triangles=triangles)
 
     @property
     def details(self) -> dict[str, str]:
         """Landmarks in words, with the intervals that hold 90 %."""
-        turn, s = math.degrees, self.spread
+        degrees, spread = math.degrees, self.spread
         places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
         version = "unknown without condyles: medial is along the neck"
         if self.version is not None:
-            version = f"{turn(self.version):.1f} deg ± {turn(s['version']):.1f}"
-        angle = turn(math.acos(-float(self.axes[2] @ self.neck)))
+            version = f"{degrees(self.version):.1f} deg ± {degrees(spread['version']):.1f}"
+        angle = degrees(math.acos(-float(self.axes[2] @ self.neck)))
+        angle_spread = degrees(math.hypot(spread["neck"], spread["shaft"]))
         return {
             "side": self.side + (", mirrored" if self.side == "right" else ""),
-            "head": f"{places[0]} ± {s['head']:.1f}, radius {self.radius:.1f} mm",
+            "head": f"{places[0]} ± {spread['head']:.1f}, radius {self.radius:.1f} mm",
             "lesser trochanter": places[1],
-            "neck-shaft angle": f"{angle:.1f} deg ± {turn(math.hypot(s['neck'], s['shaft'])):.1f}",
+            "neck-shaft angle": f"{angle:.1f} deg ± {angle_spread:.1f}",
             "version": version,
         } | self._short_shaft
 
@@ -165,12 +168,12 @@ class Frame:
 
 
 def find(surface: BoneSurface, given: Mapping[str, Any] | None = None) -> Frame:
-    """Find the landmarks of a femur; ``given`` has those that are known.
+    """Find the landmarks of a femur.
 
     Args:
         surface: Its surface, of the whole bone or of its proximal part.
-        given: Of ``head_centre``, ``lesser_trochanter``, ``shaft`` (two points, the distal one
-            first), ``condyles`` (two points) [mm], ``side``.
+        given: Known landmarks: ``head_centre``, ``lesser_trochanter``, ``shaft`` (two points, the
+            distal one first), ``condyles`` (two points) [mm], ``side``.
 
     Raises:
         GeometryError: It is no femur: no head, no lesser trochanter, no single side.
@@ -185,7 +188,7 @@ class _Finder:
         self.given, self.x, self.triangles = given, surface.points, surface.triangles
         a, b, c = surface.corners.transpose(1, 0, 2)
         self.normal = 0.5 * np.cross(b - a, c - a)
-        self.area, self.centre = _far(self.normal), (a + b + c) / 3
+        self.area, self.centre = _norms(self.normal), (a + b + c) / 3
         self.surface = surface
         self._find_head(self._long_axis())
         self.origin = self.head - 1.75 * self.radius * self.up
@@ -197,127 +200,160 @@ class _Finder:
         self._check_shaft()
         self._check_solid()
         self.low = float((self.x @ self.up).min())
-        levels = self.point @ self.up - self.low - 1.2 * self.radius, 0.0
-        distal, middle = (centroid(self._section(self.point - z * self.up))[1] for z in levels)
-        below = float(self.origin @ self.up) - self.low
-        self.has_condyles = below > CONDYLES_BELOW * self.radius and distal > WIDER * middle
+        section_depths = self.point @ self.up - self.low - 1.2 * self.radius, 0.0
+        distal, middle = (
+            centroid(self._section(self.point - depth * self.up))[1] for depth in section_depths
+        )
+        trochanter_height = float(self.origin @ self.up) - self.low
+        self.has_condyles = (
+            trochanter_height > CONDYLES_BELOW * self.radius
+            and distal > CONDYLE_AREA_RATIO * middle
+        )
 
     def _long_axis(self) -> Floats:
-        """Unit vector along the bone (3,), of a short one across the flat end of its surface."""
-        off = self.centre - np.average(self.centre, axis=0, weights=self.area)
-        axes = np.linalg.eigh((off * self.area[:, None]).T @ off)[1]
+        """Unit vector along the bone (3,).
+
+        For a short bone it is normal to the flat end of the surface.
+        """
+        offsets = self.centre - np.average(self.centre, axis=0, weights=self.area)
+        axes = np.linalg.eigh((offsets * self.area[:, None]).T @ offsets)[1]
         length = float(np.ptp(self.x @ axes[:, 2]))
-        end = shaft.flat_end(self.surface) if length < LONG else None
-        return np.asarray(axes[:, 2] if end is None else end)
+        end_normal = shaft.flat_end(self.surface) if length < LONG_SURFACE else None
+        return np.asarray(axes[:, 2] if end_normal is None else end_normal)
 
     def frame(self) -> Frame:
         """The landmarks."""
         neck, spread = self._neck()
         up, medial = self.up, unit(neck - (neck @ self.up) * self.up)
         side = self._side(np.asarray(np.cross(up, medial)))
-        way = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
-        version, turn = None, 0.0
+        anterior_sign = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
+        version, version_spread = None, 0.0
         if self.has_condyles or "condyles" in self.given:
-            across = self._condyles(-way * np.cross(up, medial))
-            across *= np.sign(across @ medial)
-            version = math.atan2(way * medial @ np.cross(up, across), medial @ across)
-            condyles = SURE * self.rms / (APART * self.radius)
-            turn = math.hypot(spread / math.sqrt(1 - float(up @ neck) ** 2), condyles)
-            medial = across
-        axes = np.stack([medial, way * np.cross(up, medial), up])
-        lacking = (
-            max(0.0, SHAFT[1] - self.below / self.radius) if "shaft" not in self.given else 0.0
+            condyle_axis = self._condyles(-anterior_sign * np.cross(up, medial))
+            condyle_axis *= np.sign(condyle_axis @ medial)
+            version = math.atan2(
+                anterior_sign * medial @ np.cross(up, condyle_axis), medial @ condyle_axis
+            )
+            condyles = NORMAL_QUANTILE * self.rms / (CONDYLE_DISTANCE * self.radius)
+            version_spread = math.hypot(spread / math.sqrt(1 - float(up @ neck) ** 2), condyles)
+            medial = condyle_axis
+        axes = np.stack([medial, anterior_sign * np.cross(up, medial), up])
+        missing_shaft = (
+            max(0.0, SHAFT_RANGE[1] - self.below / self.radius)
+            if "shaft" not in self.given
+            else 0.0
         )
-        lean = SHORT_SPREAD * lacking / (SHAFT[1] - 1.0)
-        intervals = {"head": self.spread, "neck": spread, "version": turn, "shaft": lean}
+        shaft_spread = SHORT_SPREAD * missing_shaft / (SHAFT_RANGE[1] - 1.0)
+        intervals = {
+            "head": self.spread,
+            "neck": spread,
+            "version": version_spread,
+            "shaft": shaft_spread,
+        }
         places = self.origin, axes, neck, self.trochanter
         length = float(np.ptp(self.x @ up))
         return Frame(self.head, self.radius, *places, side, version, intervals, length, -self.below)
 
     def _samples(self) -> tuple[Floats, Floats, Floats]:
-        """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""
-        box = np.floor((self.centre - self.centre.min(axis=0)) / SAMPLES).astype(np.int64)
-        of = np.unique(box, axis=0, return_inverse=True)[1].ravel()
-        area = np.asarray(np.bincount(of, self.area), dtype=float)
+        """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLE_SIZE`."""
+        box = np.floor((self.centre - self.centre.min(axis=0)) / SAMPLE_SIZE).astype(np.int64)
+        box_of_triangle = np.unique(box, axis=0, return_inverse=True)[1].ravel()
+        area = np.asarray(np.bincount(box_of_triangle, self.area), dtype=float)
         sums: list[Any] = [
-            np.stack([np.bincount(of, v[:, i]) for i in range(3)], axis=1)
-            for v in (self.area[:, None] * self.centre, self.normal)
+            np.stack([np.bincount(box_of_triangle, vectors[:, i]) for i in range(3)], axis=1)
+            for vectors in (self.area[:, None] * self.centre, self.normal)
         ]
         x, normal = sums[0] / area[:, None], sums[1]
         tree = cKDTree(x)
-        normal = normal + tree.sparse_distance_matrix(tree, SMOOTH).tocsr().sign() @ normal
-        return x, normal / _far(normal)[:, None], area
+        normal = (
+            normal + tree.sparse_distance_matrix(tree, NORMAL_SMOOTHING).tocsr().sign() @ normal
+        )
+        return x, normal / _norms(normal)[:, None], area
 
     def _find_head(self, axis: Floats) -> None:
-        """Centre, radius and spread of the head, and the way to proximal."""
+        """Find centre, radius and spread of the head, and the proximal direction."""
         x, normal, area = self._samples()
         spheres = []
         for up in (axis, -axis):
-            end = x @ up > (x @ up).max() - END
-            spheres.append((*_sphere(x[end], normal[end], area[end]), up))
-        covered, centre, radius, self.up = max(spheres, key=lambda f: f[0])
-        if covered < COVERED:
+            near_end = x @ up > (x @ up).max() - HEAD_FROM_END
+            spheres.append((*_largest_sphere(x[near_end], normal[near_end], area[near_end]), up))
+        covered, centre, radius, self.up = max(spheres, key=lambda candidate: candidate[0])
+        if covered < LEAST_COVERED:
             text = "has no head at either end: its surface covers at most"
             text += f" {100 * covered:.0f} % of a sphere, at {place(centre)}"
             remedy = "expected a femur with its head, in the right unit"
             raise GeometryError(f"geometry.bone: {text}; {remedy}")
         for _ in range(4):
-            out = x - centre
-            far = _far(out)
-            on = (np.abs(far - radius) < 2 * NEAR) & (_dot(out, normal) > ALONG * far)
-            pole = unit(area[on] @ (out[on] / far[on, None]))
-            out = self.centre - centre
-            cap = np.flatnonzero((out @ pole > 0) & (np.abs(_far(out) - radius) < 0.25 * radius))
-            points, size = self.centre[cap], self.area[cap]
-            centre, radius = _fit(points, size, centre, radius)
-        out, (one, other) = points - centre, _across(pole)
-        turn = np.arctan2(out @ one, out @ other) / (2 * np.pi) + 0.5
-        parts = [np.floor(SECTORS * turn) != k for k in range(SECTORS)]
-        left = np.array([_fit(points[p], size[p], centre, radius)[0] for p in parts])
-        variance = (SECTORS - 1) * left.var(axis=0).sum()
-        self.rms = math.sqrt(float(np.average((_far(out) - radius) ** 2, weights=size)))
-        self.head, self.radius, self.spread = centre, radius, SURE * math.sqrt(variance)
+            offsets = x - centre
+            distances = _norms(offsets)
+            on_sphere = (np.abs(distances - radius) < 2 * SPHERE_DISTANCE) & (
+                _row_dots(offsets, normal) > LEAST_COSINE * distances
+            )
+            pole = unit(area[on_sphere] @ (offsets[on_sphere] / distances[on_sphere, None]))
+            offsets = self.centre - centre
+            cap = np.flatnonzero(
+                (offsets @ pole > 0) & (np.abs(_norms(offsets) - radius) < 0.25 * radius)
+            )
+            points, areas = self.centre[cap], self.area[cap]
+            centre, radius = _fitted_sphere(points, areas, centre, radius)
+        offsets, (first_axis, second_axis) = points - centre, _perpendicular_axes(pole)
+        sector_angle = np.arctan2(offsets @ first_axis, offsets @ second_axis) / (2 * np.pi) + 0.5
+        kept_sectors = [np.floor(HEAD_SECTORS * sector_angle) != k for k in range(HEAD_SECTORS)]
+        centres = np.array(
+            [_fitted_sphere(points[kept], areas[kept], centre, radius)[0] for kept in kept_sectors]
+        )
+        variance = (HEAD_SECTORS - 1) * centres.var(axis=0).sum()
+        self.rms = math.sqrt(float(np.average((_norms(offsets) - radius) ** 2, weights=areas)))
+        self.head, self.radius, self.spread = centre, radius, NORMAL_QUANTILE * math.sqrt(variance)
         if "head_centre" in self.given:
             self.head, self.spread = np.array(self.given["head_centre"]), 0.0
 
     def _find_shaft(self) -> None:
-        """A point of the shaft's axis and its direction, from an estimate."""
+        """Find a point of the shaft's axis and its direction, from an estimate."""
         if "shaft" in self.given:
             distal, self.point = map(np.array, self.given["shaft"])
             self.up = unit(self.point - distal)
             return
         below = float(self.origin @ self.up) - shaft.end_level(self.surface, self.up)
-        low = min(below, SHAFT[1] * self.radius)
+        low = min(below, SHAFT_RANGE[1] * self.radius)
         # The lesser trochanter draws centroids aside, so that a long shaft begins farther below it.
-        part = (low / self.radius - SHORT_SHAFT[1]) / (SHAFT[1] - SHORT_SHAFT[1])
-        high = self.radius * (SHORT_SHAFT[0] + (SHAFT[0] - SHORT_SHAFT[0]) * max(part, 0.0))
+        shaft_share = (low / self.radius - SHORT_SHAFT_RANGE[1]) / (
+            SHAFT_RANGE[1] - SHORT_SHAFT_RANGE[1]
+        )
+        high = self.radius * (
+            SHORT_SHAFT_RANGE[0] + (SHAFT_RANGE[0] - SHORT_SHAFT_RANGE[0]) * max(shaft_share, 0.0)
+        )
         depths = np.linspace(min(high, low - LEAST_SHAFT), low, 33)
         points = [self.origin - depth * self.up for depth in depths]
-        plane = np.stack(_across(self.up))
-        middles = np.array([p + centroid(self._section(p))[0] @ plane for p in points])
-        self.point = middles.mean(axis=0)
-        axis = np.linalg.svd(middles - self.point, full_matrices=False)[2][0]
+        plane = np.stack(_perpendicular_axes(self.up))
+        centroids = np.array(
+            [point + centroid(self._section(point))[0] @ plane for point in points]
+        )
+        self.point = centroids.mean(axis=0)
+        axis = np.linalg.svd(centroids - self.point, full_matrices=False)[2][0]
         self.up = axis * np.sign(axis @ self.up)
 
     def _check_shaft(self) -> None:
         """Refuse a surface that ends so high that the direction of the shaft is not known."""
-        least = SHORT_SHAFT[1] * self.radius
-        if self.below < least and "shaft" not in self.given:
-            below = max(self.below, 0.0)
+        least_length = SHORT_SHAFT_RANGE[1] * self.radius
+        if self.below < least_length and "shaft" not in self.given:
+            shaft_length = max(self.below, 0.0)
             raise GeometryError(
-                f"geometry.bone: has {below:.0f} mm of complete shaft below the lesser trochanter,"
+                f"geometry.bone: has {shaft_length:.0f} mm of complete shaft below"
+                " the lesser trochanter,"
                 f" and ends {self.depth:.0f} mm below the head's centre. The direction of the shaft"
-                f" needs {least:.0f} mm: use a scan that ends {least - below:.0f} mm lower, or give"
+                f" needs {least_length:.0f} mm: use a scan that ends"
+                f" {least_length - shaft_length:.0f} mm lower, or give"
                 " landmarks.shaft"
             )
 
     def _check_solid(self) -> None:
         """Refuse a surface that has the wall of the canal, as one body with the outer surface."""
-        at = float((self.origin - self.point) @ self.up)
-        levels = [below for below in AXIS_INSIDE if below * self.radius < self.below]
+        origin_height = float((self.origin - self.point) @ self.up)
+        levels = [below for below in SOLID_CHECK_LEVELS if below * self.radius < self.below]
         times_around = []
         for below in levels[-2:]:
-            lines = self._section(self.point + (at - below * self.radius) * self.up)
+            lines = self._section(self.point + (origin_height - below * self.radius) * self.up)
             (x, y), (u, v) = lines[:, 0].T, lines[:, 1].T
             angles = np.arctan2(x * v - y * u, x * u + y * v)
             times_around.append(round(float(angles.sum()) / (2.0 * math.pi)))
@@ -330,29 +366,34 @@ class _Finder:
 
     def _section(self, point: Floats) -> Floats:
         """Lines (k, 2, 2) of the section through a point across the shaft, about the point."""
-        x = (self.x - point) @ np.column_stack([*_across(self.up), self.up])
+        x = (self.x - point) @ np.column_stack([*_perpendicular_axes(self.up), self.up])
         return section(x[:, :2], x[:, 2], self.triangles)
 
     def _find_trochanter(self) -> None:
-        """The apex of the lesser trochanter, and the point of the axis at its level."""
+        """Find the apex of the lesser trochanter, and the point of the axis at its level."""
         up, radius = self.up, self.radius
         if "lesser_trochanter" in self.given:
             self.trochanter = np.array(self.given["lesser_trochanter"])
         else:
-            top = self.point + ((self.head - self.point) @ up) * up
-            medial = unit(self.head - top)
-            turns = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 22)[:, None]
-            ways = np.cos(turns) * medial + np.sin(turns) * np.cross(up, medial)
-            depths = np.arange(0.3 * radius, 4.2 * radius, STEP)
-            depths = depths[depths < ((top - self.x) @ up).max() - 1.0]
-            flat = (ways @ np.column_stack(_across(up))).T
-            rows = [(self._section(top - d * up).reshape(-1, 2) @ flat).max(0) for d in depths]
-            reach = gaussian_filter1d(np.array(rows), 1.5 / STEP, axis=0)
+            axis_at_head = self.point + ((self.head - self.point) @ up) * up
+            medial = unit(self.head - axis_at_head)
+            angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 22)[:, None]
+            directions = np.cos(angles) * medial + np.sin(angles) * np.cross(up, medial)
+            depths = np.arange(0.3 * radius, 4.2 * radius, SECTION_STEP)
+            depths = depths[depths < ((axis_at_head - self.x) @ up).max() - 1.0]
+            plane_directions = (directions @ np.column_stack(_perpendicular_axes(up))).T
+            section_reaches = [
+                (
+                    self._section(axis_at_head - axis_depth * up).reshape(-1, 2) @ plane_directions
+                ).max(0)
+                for axis_depth in depths
+            ]
+            reach = gaussian_filter1d(np.array(section_reaches), 1.5 / SECTION_STEP, axis=0)
             peaks = np.zeros(reach.T.shape)
             for prominence, profile in zip(peaks, reach.T, strict=True):
-                at, properties = find_peaks(profile, prominence=0.5)
-                prominence[at] = properties["prominences"]
-            low, high = (part * radius for part in TROCHANTER)
+                peak_rows, properties = find_peaks(profile, prominence=0.5)
+                prominence[peak_rows] = properties["prominences"]
+            low, high = (ratio * radius for ratio in TROCHANTER_RANGE)
             peaks[:, (depths < low) | (depths > high)] = 0.0
             if not peaks.any():
                 text = f"no lesser trochanter was detected below the head at {place(self.head)}"
@@ -361,133 +402,149 @@ class _Finder:
                 raise GeometryError(f"geometry.bone: {text}; {remedy}")
             # It stands out in several directions, a false peak beside the neck in one.
             shared = np.where(peaks > 0, uniform_filter(peaks, 5, mode="constant"), 0.0)
-            best, at = np.unravel_index(shared.argmax(), peaks.shape)
-            way, depth = ways[best], depths[at]
+            best_direction, best_depth = np.unravel_index(shared.argmax(), peaks.shape)
+            direction, depth = directions[best_direction], depths[best_depth]
             for _ in range(3):
-                near = np.abs((self.centre - top) @ up + depth) < 0.4 * radius
-                self.trochanter = self._outermost(way, near)
-                out = self.trochanter - self.point
-                way = unit(out - (out @ up) * up)
+                near_apex = np.abs((self.centre - axis_at_head) @ up + depth) < 0.4 * radius
+                self.trochanter = self._outermost(direction, near_apex)
+                offset = self.trochanter - self.point
+                direction = unit(offset - (offset @ up) * up)
         self.origin = self.point + ((self.trochanter - self.point) @ up) * up
 
-    def _outermost(self, way: Floats, within: Bools) -> Floats:
-        """Mean place (3,) of what reaches farthest in a direction, of marked triangles."""
+    def _outermost(self, direction: Floats, within: Bools) -> Floats:
+        """Mean point (3,) of the part of marked triangles that reaches farthest in a direction."""
         x = self.centre[within]
-        weight = self.area[within] * np.exp((x @ way - (x @ way).max()) / REACH)
+        weight = self.area[within] * np.exp((x @ direction - (x @ direction).max()) / REACH_DECAY)
         return np.asarray(weight @ x / weight.sum())
 
     def _neck(self) -> tuple[Floats, float]:
         """Unit vector along the neck to the head, and its spread [rad]."""
         head, radius, up = self.head, self.radius, self.up
-        near = (_far(self.x - head) < 3.2 * radius)[self.triangles].all(axis=1)
-        used, triangles = np.unique(self.triangles[near], return_inverse=True)
-        x, triangles = self.x[used], triangles.reshape(-1, 3)
+        near_head = (_norms(self.x - head) < 3.2 * radius)[self.triangles].all(axis=1)
+        used_rows, triangles = np.unique(self.triangles[near_head], return_inverse=True)
+        x, triangles = self.x[used_rows], triangles.reshape(-1, 3)
         angles = 2 * np.pi * np.arange(72) / 72
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        toward = unit(head - (self.origin + 0.6 * radius * up))
-        one, other = _across(toward, up)
+        neck_estimate = unit(head - (self.origin + 0.6 * radius * up))
+        first_axis, second_axis = _perpendicular_axes(neck_estimate, up)
 
-        def cut(p: Floats, beside: float) -> tuple[float, Floats]:
+        def cut(parameters: Floats, offset: float) -> tuple[float, Floats]:
             """Area and centroid of a section."""
-            axis = unit(toward + p[0] * one + p[1] * other)
-            centre, plane = head - (p[2] * radius + beside) * axis, np.stack(_across(axis, up))
+            axis = unit(neck_estimate + parameters[0] * first_axis + parameters[1] * second_axis)
+            centre, plane = (
+                head - (parameters[2] * radius + offset) * axis,
+                np.stack(_perpendicular_axes(axis, up)),
+            )
             for _ in range(2):
-                y = (x - centre) @ np.vstack([plane, axis]).T
-                r, _ = exits(section(y[:, :2], y[:, 2], triangles), angles)
-                centre = centre + (r**3 / (1.5 * (r**2).sum())) @ rays @ plane
-            return math.pi * float((r**2).mean()), centre
+                section_x = (x - centre) @ np.vstack([plane, axis]).T
+                radii, _ = exits(section(section_x[:, :2], section_x[:, 2], triangles), angles)
+                centre = centre + (radii**3 / (1.5 * (radii**2).sum())) @ rays @ plane
+            return math.pi * float((radii**2).mean()), centre
 
         start = np.array([0.0, 0.0, 0.75])
         simplex = start + np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
         options = {"xatol": 3e-4, "fatol": 1e-3, "initial_simplex": simplex}
-        least = minimize(
-            lambda p: np.mean([cut(p, beside)[0] for beside in BESIDE]),
+        optimum = minimize(
+            lambda parameters: np.mean([cut(parameters, offset)[0] for offset in NECK_OFFSETS]),
             start,
             method="Nelder-Mead",
             options=options,
         ).x
-        out = head - np.mean([cut(least, beside)[1] for beside in BESIDE], axis=0)
-        spread = math.hypot(self.spread, 0.75 * self.rms) / float(np.linalg.norm(out))
-        return unit(out), spread
+        neck_vector = head - np.mean([cut(optimum, offset)[1] for offset in NECK_OFFSETS], axis=0)
+        spread = math.hypot(self.spread, 0.75 * self.rms) / float(np.linalg.norm(neck_vector))
+        return unit(neck_vector), spread
 
-    def _side(self, left: Floats) -> str:
-        """The side; ``left`` is anterior of a left femur (3,).
+    def _side(self, anterior_of_left: Floats) -> str:
+        """The side; ``anterior_of_left`` is anterior of a left femur (3,).
 
         The lesser trochanter and the condyles are posterior.
         """
-        behind = -float((self.trochanter - self.origin) @ left) / self.radius
+        posterior_offset = -float((self.trochanter - self.origin) @ anterior_of_left) / self.radius
         if self.has_condyles:
             distal = self.centre @ self.up < self.low + 1.5 * self.radius
-            out = (self.centre[distal] - self.origin) @ left
-            behind -= float(np.average(out, weights=self.area[distal])) / self.radius
-        side, given = "left" if behind > 0 else "right", self.given.get("side")
-        if abs(behind) < 0.15:
+            offsets = (self.centre[distal] - self.origin) @ anterior_of_left
+            posterior_offset -= float(np.average(offsets, weights=self.area[distal])) / self.radius
+        side, given_side = "left" if posterior_offset > 0 else "right", self.given.get("side")
+        if abs(posterior_offset) < 0.15:
             text = (
                 "left or right cannot be determined: the lesser trochanter is not behind the neck"
             )
-            if not given:
+            if not given_side:
                 raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
-        elif given not in (None, side):
-            off = abs(float((self.trochanter - self.origin) @ left))
-            text = f"the lesser trochanter is {off:.0f} mm behind the axis of a {side} femur"
+        elif given_side not in (None, side):
+            distance = abs(float((self.trochanter - self.origin) @ anterior_of_left))
+            text = f"the lesser trochanter is {distance:.0f} mm behind the axis of a {side} femur"
             raise GeometryError(f"geometry.bone.side: {text}; leave side out, or mirror the file")
-        return str(given or side)
+        return str(given_side or side)
 
-    def _condyles(self, back: Floats) -> Floats:
+    def _condyles(self, posterior: Floats) -> Floats:
         """Direction of the line between the most posterior points of the condyles (3,)."""
-        up, distal = self.up, self.centre @ self.up < self.low + CONDYLES * self.radius
+        up, distal = self.up, self.centre @ self.up < self.low + CONDYLE_HEIGHT * self.radius
         for _ in range(5):
-            across = np.cross(back, up)
-            at = self.centre @ across
-            middle = 0.5 * (at[distal].min() + at[distal].max())
-            ends = [self._outermost(back, distal & (s * (at - middle) > 0)) for s in (1, -1)]
+            across = np.cross(posterior, up)
+            across_positions = self.centre @ across
+            middle = 0.5 * (across_positions[distal].min() + across_positions[distal].max())
+            ends = [
+                self._outermost(posterior, distal & (sign * (across_positions - middle) > 0))
+                for sign in (1, -1)
+            ]
             line = np.subtract(*self.given.get("condyles", ends))
             line = unit(line - (line @ up) * up)
-            back = np.cross(up, line) * np.sign(np.cross(up, line) @ back)
+            posterior = np.cross(up, line) * np.sign(np.cross(up, line) @ posterior)
         return line
 
 
-def _sphere(x: Floats, normal: Floats, area: Floats) -> tuple[float, Floats, float]:
+def _largest_sphere(x: Floats, normal: Floats, area: Floats) -> tuple[float, Floats, float]:
     """Covered part, centre and radius of the sphere that covers most of itself."""
-    pairs = np.random.default_rng(1).integers(len(x), size=(2, PAIRS))
-    apart, turned = (v[pairs[0]] - v[pairs[1]] for v in (x, normal))
-    radii = _dot(apart, turned) / np.maximum(_dot(turned, turned), 1e-12)
-    good = (_dot(turned, turned) > 0.05) & (radii > RADII[0]) & (radii < RADII[1])
+    pairs = np.random.default_rng(1).integers(len(x), size=(2, SAMPLE_PAIRS))
+    point_differences, normal_differences = (v[pairs[0]] - v[pairs[1]] for v in (x, normal))
+    radii = _row_dots(point_differences, normal_differences) / np.maximum(
+        _row_dots(normal_differences, normal_differences), 1e-12
+    )
+    is_valid = (
+        (_row_dots(normal_differences, normal_differences) > 0.05)
+        & (radii > HEAD_RADII[0])
+        & (radii < HEAD_RADII[1])
+    )
     spheres = [(0.0, x[0], 1.0)]
-    for k, r in zip(pairs[0][good], radii[good], strict=True):
-        centre = x[k] - r * normal[k]
-        out = x - centre
-        near = np.flatnonzero(np.abs(_dot(out, out) - r * r) < 2 * r * NEAR)
-        on = near[_dot(out[near], normal[near]) > ALONG * r]
-        spheres.append((area[on].sum() / (4 * math.pi * r * r), centre, r))
-    return max(spheres, key=lambda f: f[0])
+    for row, radius in zip(pairs[0][is_valid], radii[is_valid], strict=True):
+        centre = x[row] - radius * normal[row]
+        offsets = x - centre
+        near_rows = np.flatnonzero(
+            np.abs(_row_dots(offsets, offsets) - radius * radius) < 2 * radius * SPHERE_DISTANCE
+        )
+        sphere_rows = near_rows[
+            _row_dots(offsets[near_rows], normal[near_rows]) > LEAST_COSINE * radius
+        ]
+        spheres.append((area[sphere_rows].sum() / (4 * math.pi * radius * radius), centre, radius))
+    return max(spheres, key=lambda sphere: sphere[0])
 
 
-def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats, float]:
+def _fitted_sphere(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats, float]:
     """Sphere through points (n, 3) by their areas, outliers counting less."""
-    root = np.sqrt(area / area.mean())
+    weights = np.sqrt(area / area.mean())
 
-    def off(p: Floats) -> Floats:
-        return np.asarray(root * (_far(x - p[:3]) - p[3]))
+    def residuals(sphere: Floats) -> Floats:
+        return np.asarray(weights * (_norms(x - sphere[:3]) - sphere[3]))
 
-    def slope(p: Floats) -> Floats:
-        out = p[:3] - x
-        return np.column_stack([root[:, None] * out / _far(out)[:, None], -root])
+    def jacobian(sphere: Floats) -> Floats:
+        offsets = sphere[:3] - x
+        return np.column_stack([weights[:, None] * offsets / _norms(offsets)[:, None], -weights])
 
     start = np.r_[centre, radius]
-    solution = least_squares(off, start, slope, loss="soft_l1", f_scale=ROBUST).x
+    solution = least_squares(residuals, start, jacobian, loss="soft_l1", f_scale=OUTLIER_DISTANCE).x
     return solution[:3], float(solution[3])
 
 
-def _across(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
+def _perpendicular_axes(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
     """Two unit vectors that are right-handed with an axis (3,), the first across a hint."""
-    one = unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
-    return one, np.asarray(np.cross(axis, one))
+    first = unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
+    return first, np.asarray(np.cross(axis, first))
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def _row_dots(a: Floats, b: Floats) -> Floats:
     return np.einsum("ni,ni->n", a, b)
 
 
-def _far(x: Floats) -> Floats:
-    return np.sqrt(_dot(x, x))
+def _norms(x: Floats) -> Floats:
+    return np.sqrt(_row_dots(x, x))

@@ -46,9 +46,9 @@ SPACES = {
     "left-anterior-superior": (-1.0, 1.0, 1.0),
     "las": (-1.0, 1.0, 1.0),
 }
-TEXTS = ("ascii", "text", "txt")  # encodings of numbers as words
+TEXT_ENCODINGS = ("ascii", "text", "txt")  # encodings of numbers as words
 # Fields without which voxels have no places.
-NEEDED = ("type", "sizes", "space directions", "space origin")
+REQUIRED_FIELDS = ("type", "sizes", "space directions", "space origin")
 
 
 def read(path: Path) -> Voxels:
@@ -64,28 +64,35 @@ def read(path: Path) -> Voxels:
     kind = next((k for k, names in TYPES.items() if header["type"] in names.split(",")), None)
     space = header.get("space", "").lower()
     if kind is None or space not in SPACES:
-        what = f"type `{header['type']}`" if kind is None else f"space `{space}`"
-        raise InputError(f"{path}: its {what} is not supported; save it as NIfTI in 3D Slicer")
+        unsupported = f"type `{header['type']}`" if kind is None else f"space `{space}`"
+        raise InputError(
+            f"{path}: its {unsupported} is not supported; save it as NIfTI in 3D Slicer"
+        )
     units = {*re.findall(r'"([^"]*)"', header.get("spaceunits", ""))} - {"", "mm", "none"}
     if units:
         raise InputError(f"{path}: its unit is {', '.join(sorted(units))}; expected mm")
-    ways = re.findall(r"\([^)]*\)|none", header["spacedirections"])
-    across = [axis for axis, way in enumerate(ways) if way == "none"]
-    if len(ways) != len(sizes) or len(ways) - len(across) != 3 or len(across) > 1:
+    directions = re.findall(r"\([^)]*\)|none", header["spacedirections"])
+    layer_axes = [axis for axis, direction in enumerate(directions) if direction == "none"]
+    if (
+        len(directions) != len(sizes)
+        or len(directions) - len(layer_axes) != 3
+        or len(layer_axes) > 1
+    ):
         raise InputError(
-            f"{path}: has {len(sizes)} axes, {len(ways) - len(across)} of them with a direction in"
+            f"{path}: has {len(sizes)} axes, {len(directions) - len(layer_axes)}"
+            " of them with a direction in"
             " space; expected 3, and at most one axis of layers"
         )
     dtype = np.dtype((">" if header.get("endian") == "big" else "<") + kind)
     flat, left_out = _numbers(path, header, contents, dtype, int(np.prod(sizes)))
     values = flat.reshape(sizes, order="F")
-    for axis in across:
+    for axis in layer_axes:
         values = np.moveaxis(values, axis, -1)
     affine = np.eye(4)
-    vectors = [_vector(way) for way in ways if way != "none"]
+    vectors = [_vector(direction) for direction in directions if direction != "none"]
     affine[:3] = np.column_stack([*vectors, _vector(header["spaceorigin"])])
     affine[:3] *= np.array(SPACES[space])[:, None]
-    segments = _segments(path, keys, sizes[across[0]] if across else 1)
+    segments = _segments(path, keys, sizes[layer_axes[0]] if layer_axes else 1)
     return Voxels(values, affine, f"NRRD, axes by its {space}", left_out, segments=segments)
 
 
@@ -99,10 +106,10 @@ def _segments(path: Path, keys: dict[str, str], layers: int) -> dict[str, LabelS
     """
     numbers = [m[1] for m in (re.fullmatch(r"Segment(\d+)_Name", key) for key in keys) if m]
     segments = dict[str, LabelSegment]()
-    for place, number in enumerate(sorted(numbers, key=int)):
+    for position, number in enumerate(sorted(numbers, key=int)):
         name = keys[f"Segment{number}_Name"]
         value = int(keys.get(f"Segment{number}_LabelValue", "1"))
-        layer = int(keys.get(f"Segment{number}_Layer", f"{place if layers > 1 else 0}"))
+        layer = int(keys.get(f"Segment{number}_Layer", f"{position if layers > 1 else 0}"))
         if not 0 <= layer < layers:
             text = f"its segment {name} is in layer {layer} (from 0) of {layers}"
             raise InputError(f"{path}: {text}; is the file damaged?")
@@ -130,10 +137,12 @@ def data_files(path: Path) -> list[Path]:
     else:
         names = [header["datafile"]]
     files = [path.parent / name for name in names]
-    lost = [file.name for file in files if not file.is_file()]
-    if lost or not files:
-        text = f"{len(lost)} of the {len(files)} files of its voxels are missing"
-        raise InputError(f"{path}: {text}, such as {', '.join(lost[:3])}; copy them to its folder")
+    missing = [file.name for file in files if not file.is_file()]
+    if missing or not files:
+        text = f"{len(missing)} of the {len(files)} files of its voxels are missing"
+        raise InputError(
+            f"{path}: {text}, such as {', '.join(missing[:3])}; copy them to its folder"
+        )
     return files
 
 
@@ -164,9 +173,9 @@ def _header(path: Path) -> tuple[dict[str, str], dict[str, str], list[str], int]
             keys[name] = value[1:].strip()
         elif mark and not line.startswith("#"):
             fields[name.lower().replace(" ", "")] = value.strip()
-    lost = [name for name in NEEDED if name.replace(" ", "") not in fields]
-    if lost:
-        raise InputError(f"{path}: its header has no {' and no '.join(lost)}")
+    missing = [name for name in REQUIRED_FIELDS if name.replace(" ", "") not in fields]
+    if missing:
+        raise InputError(f"{path}: its header has no {' and no '.join(missing)}")
     return fields, keys, [name for name in listed if name], end.end()
 
 
@@ -179,27 +188,29 @@ def _numbers(
         InputError: Numbers are missing or damaged.
     """
     encoding = header.get("encoding", "raw").lower()
-    skipped, lines = (int(header.get(key, "0")) for key in ("byteskip", "lineskip"))
-    parts = list[bytes]()
-    size = number * dtype.itemsize // len(contents)
+    skipped_bytes, skipped_lines = (int(header.get(key, "0")) for key in ("byteskip", "lineskip"))
+    blocks = list[bytes]()
+    block_size = number * dtype.itemsize // len(contents)
     for content in contents:
-        for _ in range(lines):
+        for _ in range(skipped_lines):
             content = content.partition(b"\n")[2]
-        part = _unpacked(path, encoding, content)
-        parts.append(part[-size:] if skipped < 0 else part[skipped:])
-    if encoding in TEXTS:
-        words = np.array(b" ".join(parts).split())
+        block = _unpacked(path, encoding, content)
+        blocks.append(block[-block_size:] if skipped_bytes < 0 else block[skipped_bytes:])
+    if encoding in TEXT_ENCODINGS:
+        words = np.array(b" ".join(blocks).split())
         raw = words.astype(dtype.newbyteorder("=")).tobytes()
         dtype = dtype.newbyteorder("=")
     else:
-        raw = b"".join(parts)
+        raw = b"".join(blocks)
     expected = number * dtype.itemsize
-    if len(raw) < expected or (len(parts) > 1 and any(len(part) != size for part in parts)):
+    if len(raw) < expected or (
+        len(blocks) > 1 and any(len(block) != block_size for block in blocks)
+    ):
         raise InputError(
             f"{path}: has only {len(raw):,} of the {expected:,} bytes of its voxels; copy it again"
         )
-    beyond = len(raw) - expected
-    left_out = (f"{beyond:,} bytes after its voxels left out",) if beyond else ()
+    extra_bytes = len(raw) - expected
+    left_out = (f"{extra_bytes:,} bytes after its voxels left out",) if extra_bytes else ()
     return np.frombuffer(raw, dtype, number).astype(dtype.newbyteorder("=")), left_out
 
 

@@ -29,29 +29,31 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     text, notes = decoded(path.read_bytes())
     points: list[tuple[float, ...]] = []
     faces: list[list[int]] = []
-    lines: list[int] = []  # of the faces
+    face_lines: list[int] = []  # of the faces
     unread: Counter[str] = Counter()
-    for number, (word, *rest) in _statements(text):
+    for number, (word, *arguments) in _statements(text):
         try:
             if word == "v":
-                x, y, z, *_ = rest  # a weight or a colour may follow
+                x, y, z, *_ = arguments  # a weight or a colour may follow
                 points.append((float(x), float(y), float(z)))
             elif word in ("f", "fo"):
-                numbers = [int(corner.partition("/")[0]) for corner in rest]
-                faces.append([i - 1 if i > 0 else _from_end(i, len(points)) for i in numbers])
-                lines.append(number)
+                numbers = [int(corner.partition("/")[0]) for corner in arguments]
+                faces.append(
+                    [i - 1 if i > 0 else _vertex_from_end(i, len(points)) for i in numbers]
+                )
+                face_lines.append(number)
             elif word not in SHAPELESS:
                 unread[word] += 1
         except ValueError:
-            what = "a vertex has three numbers" if word == "v" else "corners are whole numbers"
-            shown = " ".join([word, *rest])[:60]
-            raise GeometryError(f"{path}: line {number}: `{shown}`: {what}") from None
+            rule = "a vertex has three numbers" if word == "v" else "corners are whole numbers"
+            shown = " ".join([word, *arguments])[:60]
+            raise GeometryError(f"{path}: line {number}: `{shown}`: {rule}") from None
     if not faces:
         kinds = ", ".join(word[:20] for word in sorted(unread)[:5])
         text = f"; it has lines of {kinds}, which are not read" if kinds else ""
         raise GeometryError(f"{path}: has no faces (lines that begin with f){text}")
     corners, divided = corners_of(
-        path, np.array(points).reshape(-1, 3), faces, lambda k: f"line {lines[k]}: the face"
+        path, np.array(points).reshape(-1, 3), faces, lambda k: f"line {face_lines[k]}: the face"
     )
     if unread:
         named = ", ".join(f"{n:,} of {word[:20]}" for word, n in sorted(unread.items())[:5])
@@ -59,23 +61,23 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     return corners, [f"{len(faces):,} faces of an OBJ file", *divided, *notes]
 
 
-def _from_end(index: int, vertices: int) -> int:
+def _vertex_from_end(index: int, vertices: int) -> int:
     """Return the number of a vertex that is counted back from the last one; -1 if there is none."""
     return vertices + index if 0 < -index <= vertices else -1
 
 
 def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
     """Return the number and words of each line with words; a backslash continues a line."""
-    before = ""
+    continued = ""
     for number, line in enumerate(text.split("\n"), 1):
-        line = before + line.partition("#")[0]
+        line = continued + line.partition("#")[0]
         if line.rstrip().endswith("\\"):
-            before = line.rstrip()[:-1] + " "
+            continued = line.rstrip()[:-1] + " "
             continue
-        before = ""
+        continued = ""
         words = line.split()
         if words:
             yield number, [words[0].lower(), *words[1:]]
-    words = before.split()
+    words = continued.split()
     if words:
         yield number, [words[0].lower(), *words[1:]]

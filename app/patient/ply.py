@@ -91,9 +91,9 @@ def read(path: Path) -> tuple[Floats, list[str]]:
         points = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
     triangles, notes = corners_of(path, points, corners, lambda k: f"face {k + 1:,}")
     kind = "text" if not order else "binary"
-    left = [e.name for e in elements if e.name not in ("vertex", "face") and e.rows]
-    if left:
-        notes.append(f"elements that are not read: {', '.join(left)}")
+    unread = [e.name for e in elements if e.name not in ("vertex", "face") and e.rows]
+    if unread:
+        notes.append(f"elements that are not read: {', '.join(unread)}")
     return triangles, [f"{len(corners):,} faces of a {kind} PLY file", *notes]
 
 
@@ -104,7 +104,7 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
         raise _Damaged("is not a PLY file, or is cut short: it has no line `end_header`")
     order, elements = None, []
 
-    def known(*types: str) -> bool:
+    def are_known(*types: str) -> bool:
         return PLY_TYPES.keys() >= {*types}
 
     for line in re.split(r"[\r\n]+", data[: end.start()].decode("latin-1")):
@@ -113,14 +113,14 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                 order = PLY_ORDERS[name]
             case ["element", name, count] if count.isdecimal() and len(count) < 16:
                 elements.append(Element(name, int(count), ()))
-            case ["property", "list", count, kind, name] if elements and known(count, kind):
+            case ["property", "list", count, kind, name] if elements and are_known(count, kind):
                 if PLY_TYPES[count][0] == "f":
                     raise _Damaged(f"header: `{line.strip()[:60]}`: lengths of lists are integers")
                 if name in AXES:
                     raise _Damaged(f"header: `{line.strip()[:60]}`: a coordinate is not a list")
-                _add(elements, Property(name, PLY_TYPES[kind], PLY_TYPES[count]))
-            case ["property", kind, name] if elements and known(kind):
-                _add(elements, Property(name, PLY_TYPES[kind]))
+                _append_property(elements, Property(name, PLY_TYPES[kind], PLY_TYPES[count]))
+            case ["property", kind, name] if elements and are_known(kind):
+                _append_property(elements, Property(name, PLY_TYPES[kind]))
             case [word, *_] if word in ("format", "element", "property"):
                 raise _Damaged(f"header: `{line.strip()[:60]}` cannot be read")
     if order is None:
@@ -131,10 +131,10 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
     return order, elements, end.end()
 
 
-def _add(elements: list[Element], new: Property) -> None:
+def _append_property(elements: list[Element], added_property: Property) -> None:
     """Append a property to the last element."""
     last = elements[-1]
-    elements[-1] = Element(last.name, last.rows, (*last.properties, new))
+    elements[-1] = Element(last.name, last.rows, (*last.properties, added_property))
 
 
 # Values of an element by the names of its properties.
@@ -176,14 +176,14 @@ def _columns(rows: _Rows, element: Element) -> Columns:
                 elif p.name in AXES:
                     columns[p.name].append(float(values[0]))
         except IndexError:
-            raise _short(element, row) from None
+            raise _too_few_rows(element, row) from None
         except ValueError:
             text = f"row {row + 1:,} of element {element.name}"
             raise _Damaged(f"{text}: a corner or count is not a whole number") from None
     return columns
 
 
-def _short(element: Element, rows: int) -> _Damaged:
+def _too_few_rows(element: Element, rows: int) -> _Damaged:
     """Return the error on an element with fewer rows than its header says."""
     text = f"element {element.name} has {element.rows:,} rows in the header"
     return _Damaged(f"is cut short or damaged: {text}, but only {rows:,} in the file")
@@ -194,23 +194,23 @@ class _TextRows:
 
     def __init__(self, data: bytes, start: int) -> None:
         self._words = data[start:].decode("latin-1").split()
-        self._at = 0
+        self._position = 0
 
     def take(self, kind: str, count: int) -> list[str]:
         """Return the next words; raise IndexError beyond the end."""
-        if count < 0 or self._at + count > len(self._words):
+        if count < 0 or self._position + count > len(self._words):
             raise IndexError
-        self._at += count
-        return self._words[self._at - count : self._at]
+        self._position += count
+        return self._words[self._position - count : self._position]
 
     def table(self, element: Element) -> Columns | None:
         """Return the coordinates of all rows; None if rows have lists."""
         if element.has_lists:
             return None
         width = len(element.properties)
-        there = (len(self._words) - self._at) // width
-        if there < element.rows:
-            raise _short(element, there)
+        available = (len(self._words) - self._position) // width
+        if available < element.rows:
+            raise _too_few_rows(element, available)
         words = self.take("", width * element.rows)
         columns: Columns = {}
         for k, p in enumerate(element.properties):
@@ -223,9 +223,9 @@ class _TextRows:
 
     def check_end(self) -> None:
         """Refuse words after the last row."""
-        more = len(self._words) - self._at
-        if more:
-            raise _Damaged(f"is damaged: {more:,} words follow the rows that its header counts")
+        extra = len(self._words) - self._position
+        if extra:
+            raise _Damaged(f"is damaged: {extra:,} words follow the rows that its header counts")
 
 
 class _BinaryRows:
@@ -233,16 +233,16 @@ class _BinaryRows:
 
     def __init__(self, data: bytes, start: int, order: str) -> None:
         self._data = data
-        self._at = start
+        self._position = start
         self._order = order
 
     def take(self, kind: str, count: int) -> np.ndarray:
         """Return the next numbers; raise IndexError beyond the end."""
-        start = self._at
+        start = self._position
         end = start + count * int(kind[1:])
         if count < 0 or end > len(self._data):
             raise IndexError
-        self._at = end
+        self._position = end
         return np.frombuffer(self._data, self._order + kind, count, start)
 
     def table(self, element: Element) -> Columns | None:
@@ -255,21 +255,21 @@ class _BinaryRows:
             shape = ((size,),) if p.count_type else ()
             fields.append((f"value {k}", self._order + p.type, *shape))
         row = np.dtype(fields)
-        there = (len(self._data) - self._at) // row.itemsize
-        if there < element.rows:
+        available = (len(self._data) - self._position) // row.itemsize
+        if available < element.rows:
             if element.has_lists:
                 return None
-            raise _short(element, there)
-        rows = np.frombuffer(self._data, row, element.rows, self._at)
+            raise _too_few_rows(element, available)
+        rows = np.frombuffer(self._data, row, element.rows, self._position)
         for k, (p, size) in enumerate(zip(element.properties, sizes, strict=True)):
             if p.count_type and (rows[f"count {k}"] != size).any():
                 return None
-        self._at += row.itemsize * element.rows
+        self._position += row.itemsize * element.rows
         return {p.name: rows[f"value {k}"] for k, p in enumerate(element.properties)}
 
     def _first_sizes(self, element: Element) -> list[int]:
         """Lengths of the lists of the next row, 1 for numbers."""
-        start = self._at
+        start = self._position
         sizes = []
         try:
             for p in element.properties:
@@ -277,13 +277,13 @@ class _BinaryRows:
                 self.take(p.type, count)
                 sizes.append(count)
         except IndexError:
-            raise _short(element, 0) from None
-        self._at = start
+            raise _too_few_rows(element, 0) from None
+        self._position = start
         return sizes
 
     def check_end(self) -> None:
         """Refuse bytes after the last row that are not blank."""
-        rest = self._data[self._at :]
+        rest = self._data[self._position :]
         if rest.strip(b"\0 \r\n"):
             text = f"{len(rest):,} bytes follow the rows that its header counts"
             raise _Damaged(f"is damaged: {text}")

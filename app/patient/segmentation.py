@@ -18,12 +18,12 @@ from app.patient import label_image
 
 # Numbers of the femora in multi-label files of TotalSegmentator, and those of the hip bones, by
 # which a version is recognized.
-TOTAL = {
+TOTAL_SEGMENTATOR = {
     "version 2": {"femur_left": 75, "femur_right": 76, "hip_left": 77, "hip_right": 78},
     "version 1": {"femur_left": 88, "femur_right": 89, "hip_left": 90, "hip_right": 91},
 }
 # A file with more labels, or larger ones, is taken for one of TotalSegmentator.
-MANY = 20
+MANY_LABELS = 20
 ENDINGS = (".nii.gz", ".nii", ".seg.nrrd", ".nrrd", ".nhdr", ".npz", ".dcm")
 SIDES = ("left", "right")
 FEMUR = re.compile(r"femur|femoral|thigh ?bone|oberschenkelknochen", re.IGNORECASE)
@@ -86,23 +86,26 @@ def segments(path: Path) -> list[Structure]:
     numbers = image.numbers
     labels = _names(path) if image.names is None else image.names
     if labels:
-        there = {name: n for name, n in labels.items() if n in numbers}
-        return [Structure(path, n, name, "by its name") for name, n in there.items()]
+        present = {name: n for name, n in labels.items() if n in numbers}
+        return [Structure(path, n, name, "by its name") for name, n in present.items()]
     stem = path.name[: -len(next((e for e in ENDINGS if path.name.endswith(e)), ""))]
     if len(numbers) == 1:
         structure = Structure(path, numbers[0], stem, "by the name of the file")
         is_named = FEMUR.search(stem) or CANAL.search(stem) or structure.side
         return [structure if is_named else Structure(path, numbers[0], "", "")]
-    if len(numbers) > MANY or (numbers and max(numbers) > MANY):
+    if len(numbers) > MANY_LABELS or (numbers and max(numbers) > MANY_LABELS):
         return _of_total_segmentator(path, numbers)
     return [Structure(path, n, "", "") for n in numbers]
 
 
 def _of_total_segmentator(path: Path, numbers: Sequence[int]) -> list[Structure]:
     """Return the structures of a file with the numbers of TotalSegmentator."""
-    likely = max(TOTAL, key=lambda version: len({*TOTAL[version].values()} & {*numbers}))
+    likely = max(
+        TOTAL_SEGMENTATOR,
+        key=lambda version: len({*TOTAL_SEGMENTATOR[version].values()} & {*numbers}),
+    )
     source = f"by its number in TotalSegmentator, {likely}"
-    names = {n: name for name, n in TOTAL[likely].items()}
+    names = {n: name for name, n in TOTAL_SEGMENTATOR[likely].items()}
     return [Structure(path, n, names.get(n, ""), source if n in names else "") for n in numbers]
 
 
@@ -133,18 +136,21 @@ def femur(path: Path, side: str | None, label: str | None) -> Structure:
     Raises:
         InputError: There is no femur, or more than one.
     """
-    there = segments(path)
+    structures = segments(path)
     if label is not None:
-        asked = [s for s in there if label in (s.name, str(s.number))]
-        if not asked:
-            raise InputError(f"--label {label}: {path} has no such label; it has {_list(there)}")
-        return asked[0]
-    femora = [s for s in there if FEMUR.search(s.name) and not NO_FEMUR.search(s.name)]
-    if not femora and len(there) == 1:
-        femora = there
+        matching = [s for s in structures if label in (s.name, str(s.number))]
+        if not matching:
+            raise InputError(
+                f"--label {label}: {path} has no such label; it has {_list(structures)}"
+            )
+        return matching[0]
+    femora = [s for s in structures if FEMUR.search(s.name) and not NO_FEMUR.search(s.name)]
+    if not femora and len(structures) == 1:
+        femora = structures
     if not femora:
         raise InputError(
-            f"{path}: no label is named femur; its labels are {_list(there)}. Give --label with the"
+            f"{path}: no label is named femur; its labels are {_list(structures)}."
+            " Give --label with the"
             " name or number of the femur"
         )
     if len(femora) > 1 and side:
@@ -167,7 +173,7 @@ def canal(path: Path, bone: Structure) -> Structure | None:
     return canals[0] if len(canals) == 1 else None
 
 
-def _list(there: Sequence[Structure]) -> str:
+def _list(structures: Sequence[Structure]) -> str:
     """Return structures in words, the first ones of many."""
-    words = ", ".join(str(s) for s in there[:8])
-    return f"{words} and {len(there) - 8} more" if len(there) > 8 else words or "no label"
+    words = ", ".join(str(s) for s in structures[:8])
+    return f"{words} and {len(structures) - 8} more" if len(structures) > 8 else words or "no label"

@@ -18,19 +18,19 @@ from meshes.femur_stem import unit
 from meshes.plane_sections import centroid
 
 # Least downward part of a normal at the end of a surface [-].
-FACING = 0.5
+LEAST_DOWNWARD = 0.5
 # Distance above the end in which a smoothed edge may be round [mm].
-ROUND = 3.0
+EDGE_ROUNDING = 3.0
 # Length of the last sections, whose axis is continued [mm].
-LAST = 25.0
+LAST_LENGTH = 25.0
 # Shortest length of sections that have an axis [mm].
-SHORTEST = 10.0
+SHORTEST_AXIS = 10.0
 # Distance between sections [mm].
-STEP = 2.5
+SECTION_STEP = 2.5
 # Length of the rows of triangles below the end [mm].
-ROW = 10.0
+ROW_LENGTH = 10.0
 # Largest distance of a flat end's corners from its plane [mm].
-FLAT = 1.0
+FLATNESS = 1.0
 # Parts of lateral, medial and antero-posterior half-width in the mean one [-].
 HALF_WIDTHS = (0.25, 0.25, 0.5)
 # Level of the parametric femur's isthmus [mm].
@@ -50,20 +50,22 @@ def end_level(surface: BoneSurface, up: Floats) -> float:
     lowest = float(level.min())
     a, b, c = surface.corners.transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
-    down = np.flatnonzero(normal @ up < -FACING * np.linalg.norm(normal, axis=1))
+    downward = np.flatnonzero(normal @ up < -LEAST_DOWNWARD * np.linalg.norm(normal, axis=1))
     end = lowest
-    corners = surface.triangles[down]
-    lows = level[corners].min(axis=1)
-    if lows.min(initial=np.inf) < lowest + ROUND:
+    corners = surface.triangles[downward]
+    lowest_corners = level[corners].min(axis=1)
+    if lowest_corners.min(initial=np.inf) < lowest + EDGE_ROUNDING:
         # Triangles are joined through their corners.
-        row = np.repeat(np.arange(len(down)), 3)
-        parts = connected(len(down) + len(level), row, len(down) + corners.ravel())[: len(down)]
-        end = float(level[corners[parts == parts[lows.argmin()]]].max())
+        triangle_rows = np.repeat(np.arange(len(downward)), 3)
+        pieces = connected(
+            len(downward) + len(level), triangle_rows, len(downward) + corners.ravel()
+        )[: len(downward)]
+        end = float(level[corners[pieces == pieces[lowest_corners.argmin()]]].max())
     if len(surface.rim):
         rim = surface.rim @ up
         middle = 0.5 * (lowest + float(level.max()))
         end = max(end, float(rim[rim < middle].max(initial=lowest)))
-    return end + ROUND
+    return end + EDGE_ROUNDING
 
 
 def flat_end(surface: BoneSurface) -> Floats | None:
@@ -77,23 +79,33 @@ def flat_end(surface: BoneSurface) -> Floats | None:
         normal = np.linalg.svd(rim, full_matrices=False)[2][2]
         return np.asarray(normal * np.sign((x.mean(axis=0) - surface.rim.mean(axis=0)) @ normal))
     a, b, c = surface.corners.transpose(1, 0, 2)
-    area = 0.5 * np.cross(b - a, c - a)
-    size = np.linalg.norm(area, axis=1)
-    area, a, size = area[size > 0], a[size > 0], size[size > 0]
-    normals = area / size[:, None]
+    area_vectors = 0.5 * np.cross(b - a, c - a)
+    triangle_areas = np.linalg.norm(area_vectors, axis=1)
+    area_vectors, a, triangle_areas = (
+        area_vectors[triangle_areas > 0],
+        a[triangle_areas > 0],
+        triangle_areas[triangle_areas > 0],
+    )
+    normals = area_vectors / triangle_areas[:, None]
     # Planes by direction and distance from the origin.
-    keys = np.column_stack([np.round(normals * 20), np.round((normals * a).sum(axis=1) / FLAT)])
-    _, plane = np.unique(keys, axis=0, return_inverse=True)
-    areas = np.bincount(plane.ravel(), size)
-    best = int(areas.argmax())
-    inward = -unit(area[plane.ravel() == best].sum(axis=0))
-    beyond = (x @ inward).min() < (a[plane.ravel() == best] @ inward).min() - FLAT
-    return None if beyond or areas[best] < LEAST_AREA else inward
+    plane_keys = np.column_stack(
+        [np.round(normals * 20), np.round((normals * a).sum(axis=1) / FLATNESS)]
+    )
+    _, plane = np.unique(plane_keys, axis=0, return_inverse=True)
+    plane_areas = np.bincount(plane.ravel(), triangle_areas)
+    largest_plane = int(plane_areas.argmax())
+    inward = -unit(area_vectors[plane.ravel() == largest_plane].sum(axis=0))
+    extends_beyond = (x @ inward).min() < (
+        a[plane.ravel() == largest_plane] @ inward
+    ).min() - FLATNESS
+    return None if extends_beyond or plane_areas[largest_plane] < LEAST_AREA else inward
 
 
 @dataclass(frozen=True, eq=False)
 class Narrowing:
-    """Width of the parametric femur at levels over that at a level, constant below the isthmus.
+    """Width of the parametric femur relative to its width at one level.
+
+    It is constant below the isthmus.
 
     Attributes:
         table: Its rows: level, lateral, medial, antero-posterior half-width [mm].
@@ -108,12 +120,12 @@ class Narrowing:
     def __call__(self, z: Floats) -> Floats:
         """Return the width at levels [-]."""
         rows = self.table[np.argsort(self.table[:, 0])]
-        mean = rows[:, 1:4] @ HALF_WIDTHS
-        at, one = (
-            np.interp(np.maximum(level / self.size, ISTHMUS), rows[:, 0], mean)
+        mean_half_widths = rows[:, 1:4] @ HALF_WIDTHS
+        width_at_levels, width_at_end = (
+            np.interp(np.maximum(level / self.size, ISTHMUS), rows[:, 0], mean_half_widths)
             for level in (z, self.end)
         )
-        return np.asarray(at / one)
+        return np.asarray(width_at_levels / width_at_end)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,63 +153,70 @@ class Continuation:
             above: The surface, of the bone or of its canal.
             width: Its width at levels over that at the end.
         """
-        lines = above.level(self.end)
-        n = max(2, int((self.end - self.low) / ROW) + 1)
-        z: Floats = np.linspace(self.end, self.low, n, dtype=float)
-        rings = self._at(lines[None], z[:, None, None], width)
+        section_lines = above.level(self.end)
+        ring_count = max(2, int((self.end - self.low) / ROW_LENGTH) + 1)
+        z: Floats = np.linspace(self.end, self.low, ring_count, dtype=float)
+        rings = self._points_at_levels(section_lines[None], z[:, None, None], width)
         rings = np.concatenate(
             [rings, np.broadcast_to(z[:, None, None, None], (*rings.shape[:3], 1))], axis=3
         )
-        p, q = rings[:, :, 0], rings[:, :, 1]
-        sides = [
-            np.stack([p[:-1], p[1:], q[:-1]], axis=2),
-            np.stack([q[:-1], p[1:], q[1:]], axis=2),
+        ring_starts, ring_ends = rings[:, :, 0], rings[:, :, 1]
+        side_triangles = [
+            np.stack([ring_starts[:-1], ring_starts[1:], ring_ends[:-1]], axis=2),
+            np.stack([ring_ends[:-1], ring_starts[1:], ring_ends[1:]], axis=2),
         ]
-        middle = np.broadcast_to(
-            np.r_[self._at(self.centre, z[-1:], width)[0], self.low], p[-1].shape
+        end_centre = np.broadcast_to(
+            np.r_[self._points_at_levels(self.centre, z[-1:], width)[0], self.low],
+            ring_starts[-1].shape,
         )
         corners = np.concatenate(
             [
                 clipped(above, self.end),
-                *(part.reshape(-1, 3, 3) for part in sides),
-                np.stack([middle, q[-1], p[-1]], axis=1),
+                *(part.reshape(-1, 3, 3) for part in side_triangles),
+                np.stack([end_centre, ring_ends[-1], ring_starts[-1]], axis=1),
             ]
         )
         welded = welding.weld(corners)
         return replace(above, points=welded.points, triangles=welded.triangles)
 
-    def _at(self, x: Floats, z: Floats, width: Narrowing) -> Floats:
+    def _points_at_levels(self, x: Floats, z: Floats, width: Narrowing) -> Floats:
         """Return points of the last section (..., 2) moved to levels (...)."""
         z = z[..., None]
         return np.asarray(self.centre + (z - self.end) * self.slope + width(z) * (x - self.centre))
 
     def scanned(self, x: Floats) -> Floats:
-        """Return points (n, 3), those below the end moved up to the last section."""
+        """Return points (n, 3). Points below the end are moved up to the last section."""
         z = np.minimum(x[:, 2:], self.end)
-        below = x[:, :2] - self.centre - (z - self.end) * self.slope
+        offset = x[:, :2] - self.centre - (z - self.end) * self.slope
         return np.column_stack(
-            [self.centre + below / self.width(z), np.maximum(x[:, 2:], self.end)]
+            [self.centre + offset / self.width(z), np.maximum(x[:, 2:], self.end)]
         )
 
 
 def clipped(surface: BoneSurface, level: float) -> Floats:
-    """Return the triangles (m, 3, 3) of a surface above a level, those across it divided."""
+    """Return the triangles (m, 3, 3) of a surface above a level. Crossing ones are divided."""
     x = surface.corners
-    above = x[..., 2] >= level
-    count = above.sum(axis=1)
-    kept = [x[count == 3]]
-    for number in (1, 2):
-        part, odd = x[count == number], above[count == number] == (number == 1)
+    is_above = x[..., 2] >= level
+    corners_above = is_above.sum(axis=1)
+    kept_triangles = [x[corners_above == 3]]
+    for number_above in (1, 2):
+        crossing, is_alone = (
+            x[corners_above == number_above],
+            is_above[corners_above == number_above] == (number_above == 1),
+        )
         # The corner that is alone on its side of the level comes first.
-        first = odd.argmax(axis=1)
-        order = (first[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(part, order[..., None], axis=1).transpose(1, 0, 2)
-        ab, ac = (a + ((level - a[:, 2]) / (e[:, 2] - a[:, 2]))[:, None] * (e - a) for e in (b, c))
-        if number == 1:
-            kept.append(np.stack([a, ab, ac], axis=1))
+        alone_corner = is_alone.argmax(axis=1)
+        corner_order = (alone_corner[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(crossing, corner_order[..., None], axis=1).transpose(1, 0, 2)
+        ab, ac = (
+            a + ((level - a[:, 2]) / (other[:, 2] - a[:, 2]))[:, None] * (other - a)
+            for other in (b, c)
+        )
+        if number_above == 1:
+            kept_triangles.append(np.stack([a, ab, ac], axis=1))
         else:
-            kept += [np.stack([ab, b, c], axis=1), np.stack([ab, c, ac], axis=1)]
-    return np.concatenate(kept)
+            kept_triangles += [np.stack([ab, b, c], axis=1), np.stack([ab, c, ac], axis=1)]
+    return np.concatenate(kept_triangles)
 
 
 def axis_of_end(surface: BoneSurface, end: float, top: float) -> tuple[Floats, Floats]:
@@ -206,11 +225,12 @@ def axis_of_end(surface: BoneSurface, end: float, top: float) -> tuple[Floats, F
     Args:
         surface: The bone, in the model's axes.
         end: Level at which it ends.
-        top: Highest level of the shaft. Above `SHORTEST` below it, the change is taken as zero.
+        top: Highest level of the shaft. The change is zero if less than `SHORTEST_AXIS` of the
+            shaft lies between the end and this level.
     """
-    levels = np.arange(end, min(end + LAST, top) + 1e-9, STEP)
-    middles = np.array([centroid(surface.level(z))[0] for z in levels.tolist()])
-    if not len(middles) or levels[-1] - end < SHORTEST:
+    levels = np.arange(end, min(end + LAST_LENGTH, top) + 1e-9, SECTION_STEP)
+    centroids = np.array([centroid(surface.level(z))[0] for z in levels.tolist()])
+    if not len(centroids) or levels[-1] - end < SHORTEST_AXIS:
         return centroid(surface.level(end))[0], np.zeros(2)
-    slope, at_end = np.polyfit(levels - end, middles, 1)
+    slope, at_end = np.polyfit(levels - end, centroids, 1)
     return at_end, slope

@@ -12,11 +12,11 @@ from app.foundation.errors import GeometryError
 from app.patient.file_text import decoded, is_text, line_of
 
 # Bytes before the triangles of a binary file.
-HEADER = 84
+HEADER_SIZE = 84
 # Bytes of each of them.
 FACET_SIZE = 50
 # Counts in headers that were written before the triangles.
-UNKNOWN = (0, 2**32 - 1)
+UNKNOWN_COUNTS = (0, 2**32 - 1)
 FACET_TYPE = np.dtype([("normal and corners", "<f4", (4, 3)), ("attribute", "<u2")])
 
 # Words of a text file. They are case-insensitive; the name of a solid ends with its line.
@@ -49,45 +49,48 @@ def read(path: Path) -> tuple[Floats, list[str]]:
 
 def size(data: bytes) -> int | None:
     """Return the size of a binary file by its header [bytes]; None if it has no triangles."""
-    if len(data) < HEADER or not _count(data):
+    if len(data) < HEADER_SIZE or not _header_count(data):
         return None
-    return HEADER + FACET_SIZE * _count(data)
+    return HEADER_SIZE + FACET_SIZE * _header_count(data)
 
 
-def _count(data: bytes) -> int:
+def _header_count(data: bytes) -> int:
     """Number of triangles that a binary file's header gives."""
-    return int.from_bytes(data[HEADER - 4 : HEADER], "little")
+    return int.from_bytes(data[HEADER_SIZE - 4 : HEADER_SIZE], "little")
 
 
 def _binary(path: Path, data: bytes) -> tuple[Floats, list[str]]:
     """Read the triangles of a binary file; their number has to agree with its length."""
-    if len(data) < HEADER:
+    if len(data) < HEADER_SIZE:
         raise GeometryError(f"{path}: is not an STL file: it has only {len(data):,} bytes")
-    count, notes = _count(data), []
-    there, beyond = divmod(len(data) - HEADER, FACET_SIZE)
-    if count in UNKNOWN and not beyond:
+    count, notes = _header_count(data), []
+    stored_count, extra_bytes = divmod(len(data) - HEADER_SIZE, FACET_SIZE)
+    if count in UNKNOWN_COUNTS and not extra_bytes:
         notes.append("their number follows from the length of the file, not from its header")
-        count = there
-    swapped = int.from_bytes(data[HEADER - 4 : HEADER], "big")
-    if there and not beyond and swapped == there:
-        text = f"its {there:,} triangles are in big-endian order; STL files are little-endian"
+        count = stored_count
+    swapped = int.from_bytes(data[HEADER_SIZE - 4 : HEADER_SIZE], "big")
+    if stored_count and not extra_bytes and swapped == stored_count:
+        text = (
+            f"its {stored_count:,} triangles are in big-endian order; STL files are little-endian"
+        )
         raise GeometryError(f"{path}: {text}. Write it again")
-    if count > there:
+    if count > stored_count:
         raise GeometryError(
-            f"{path}: is not an STL file, or is cut short: read as binary STL, it has {there:,} of"
+            f"{path}: is not an STL file, or is cut short: read as binary STL, it"
+            f" has {stored_count:,} of"
             f" the {count:,} triangles in its header"
         )
-    rest = data[HEADER + FACET_SIZE * count :]
-    second = size(rest)
-    if second is not None and len(rest) >= second:
+    remaining = data[HEADER_SIZE + FACET_SIZE * count :]
+    second_size = size(remaining)
+    if second_size is not None and len(remaining) >= second_size:
         text = f"a second STL file follows its {count:,} triangles"
         raise GeometryError(f"{path}: {text}; merge both into one, or keep the femur alone")
-    if rest.strip(b"\0") and not beyond:
-        text = f"its header gives {count:,} triangles, but it contains {there:,}"
+    if remaining.strip(b"\0") and not extra_bytes:
+        text = f"its header gives {count:,} triangles, but it contains {stored_count:,}"
         raise GeometryError(f"{path}: {text}; write it again")
-    if rest:
-        notes.append(f"{len(rest):,} bytes after its end are left out")
-    rows = np.frombuffer(data, FACET_TYPE, count, HEADER)
+    if remaining:
+        notes.append(f"{len(remaining):,} bytes after its end are left out")
+    rows = np.frombuffer(data, FACET_TYPE, count, HEADER_SIZE)
     with np.errstate(invalid="ignore"):  # of damaged numbers
         corners = rows["normal and corners"][:, 1:].astype(float)
     return corners, [f"{count:,} triangles of a binary STL file", *notes]
@@ -97,34 +100,36 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
     """Read the triangles of a text file; all facets have to be read, and all solids to end."""
     text = text.rstrip("\0\x1a \t\n")
     corners: list[tuple[str, ...]] = []
-    at, solids = 0, 0
-    while at < len(text):
-        begin = SOLID_BEGIN.match(text, at)
+    position, solids = 0, 0
+    while position < len(text):
+        begin = SOLID_BEGIN.match(text, position)
         if not begin:
-            raise _unread(path, text, at, "`solid`")
+            raise _unexpected_text(path, text, position, "`solid`")
         solids += 1
-        first, at = begin.start() + 1, begin.end()
-        facet = FACET.match(text, at)
+        begin_position, position = begin.start() + 1, begin.end()
+        facet = FACET.match(text, position)
         while facet:
             corners.append(facet.groups())
-            at = facet.end()
-            facet = FACET.match(text, at)
-        end = SOLID_END.match(text, at)
+            position = facet.end()
+            facet = FACET.match(text, position)
+        end = SOLID_END.match(text, position)
         if not end:
-            rest = text[at:].lstrip()
-            read = f"after {len(corners):,} facets"
-            if not rest or SOLID_BEGIN.match(rest):
+            remaining = text[position:].lstrip()
+            progress = f"after {len(corners):,} facets"
+            if not remaining or SOLID_BEGIN.match(remaining):
                 raise GeometryError(
-                    f"{path}: the solid that begins in line {line_of(text, first)} has no"
-                    f" `endsolid` {read}; is the file cut short? If not, add that line"
+                    f"{path}: the solid that begins in line {line_of(text, begin_position)} has no"
+                    f" `endsolid` {progress}; is the file cut short? If not, add that line"
                 )
-            if FACET_END.search(rest):
-                raise _unread(path, text, at, "a facet of three vertices, or `endsolid`")
-            where = line_of(text, len(text) - len(rest))
+            if FACET_END.search(remaining):
+                raise _unexpected_text(
+                    path, text, position, "a facet of three vertices, or `endsolid`"
+                )
+            where = line_of(text, len(text) - len(remaining))
             raise GeometryError(
-                f"{path}: line {where}: the file is cut short or damaged in a facet, {read}"
+                f"{path}: line {where}: the file is cut short or damaged in a facet, {progress}"
             )
-        at = end.end()
+        position = end.end()
     facets = len(FACET_END.findall(text))
     if facets > len(corners):
         raise GeometryError(
@@ -144,11 +149,11 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
     ]
 
 
-def _unread(path: Path, text: str, at: int, expected: str) -> GeometryError:
-    """Return the error on text that an STL file does not have there."""
-    rest = text[at:].lstrip()
-    words = " ".join(rest.split()[:6])[:60]
-    where = line_of(text, len(text) - len(rest))
+def _unexpected_text(path: Path, text: str, position: int, expected: str) -> GeometryError:
+    """Return the error on unexpected text at a position."""
+    remaining = text[position:].lstrip()
+    words = " ".join(remaining.split()[:6])[:60]
+    where = line_of(text, len(text) - len(remaining))
     return GeometryError(f"{path}: line {where}: expected {expected}, but it has `{words}`")
 
 

@@ -22,7 +22,7 @@ from app.patient.file_text import decoded, is_text
 
 SUFFIXES = (".stl", ".ply", ".obj")
 # Files of other formats, by their first bytes.
-OTHERS = {
+OTHER_FORMATS = {
     b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
     b"PK\x03\x04": "is a ZIP archive: unpack it",
     b"\x1f\x8b": "is compressed by gzip: unpack it",
@@ -56,7 +56,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
         raise GeometryError(f"{path}: is empty")
     size = path.stat().st_size
     # The header of a binary STL may begin with any words.
-    for content, words in OTHERS.items() if size != stl.size(start) else ():
+    for content, words in OTHER_FORMATS.items() if size != stl.size(start) else ():
         if start[: len(content)].lower() == content.lower():
             raise GeometryError(f"{path}: {words}; expected one of {expected}")
     kind = _format_of(start, size)
@@ -77,11 +77,11 @@ def _format_of(start: bytes, size: int) -> str | None:
         return ".stl"
     if not is_text(start) and not start.startswith(b"ply"):
         return None
-    words = [line.split() for line in decoded(start)[0].split("\n")]
-    kinds = [line[0].lower() for line in words if line]
-    match kinds[:1]:
+    word_lists = [line.split() for line in decoded(start)[0].split("\n")]
+    first_words = [line[0].lower() for line in word_lists if line]
+    match first_words[:1]:
         case ["ply"]:
             return ".ply"
         case ["solid"]:
             return ".stl"
-    return ".obj" if "v" in kinds else None
+    return ".obj" if "v" in first_words else None

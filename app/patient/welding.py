@@ -18,12 +18,12 @@ from meshes.data import connected
 Polygon = Sequence[int]
 
 # Nearer corners are one [mm], and the same as a part of the largest coordinate.
-WELD = 1e-4
+WELD_DISTANCE = 1e-4
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
-SHORT = 1.0  # percentile of the lengths of edges that counts as a short edge
+SHORT_PERCENTILE = 1.0  # percentile of the lengths of edges that counts as a short edge
 # Nearer corners of open edges are one, too: as a part of a short edge, and at most [mm].
-PART = 0.1
-FARTHEST = 0.05
+WIDER_PART = 0.1
+WIDER_MOST = 0.05
 # A nearer corner divides an open edge [mm], and at most as a part of the edge.
 ON_EDGE = 0.01
 ON_EDGE_PART = 0.02
@@ -46,29 +46,35 @@ class Welded:
 
 def weld(corners: Floats) -> Welded:
     """Return the surface of triangles with corners (m, 3, 3) [mm]."""
-    flat = corners.reshape(-1, 3)
-    points, of = np.unique(flat, axis=0, return_inverse=True)
-    size = max(WELD, ROUNDING * float(np.abs(flat).max(initial=0.0)))
-    same = _clusters(points, size)
-    points, of = _means(points, same), same[of.ravel()]
-    surface = _without_repeats(Welded(points, of.reshape(-1, 3)))
+    all_corners = corners.reshape(-1, 3)
+    points, point_of_corner = np.unique(all_corners, axis=0, return_inverse=True)
+    distance = max(WELD_DISTANCE, ROUNDING * float(np.abs(all_corners).max(initial=0.0)))
+    cluster_of_point = _clusters(points, distance)
+    points, point_of_corner = (
+        _means(points, cluster_of_point),
+        cluster_of_point[point_of_corner.ravel()],
+    )
+    surface = _without_repeats(Welded(points, point_of_corner.reshape(-1, 3)))
     if not open_edges(surface.triangles).size:
         return surface
-    return _divided_edges(_welded_wider(surface, size))
+    return _divided_edges(_welded_wider(surface, distance))
 
 
 def thin(surface: Welded, size: float) -> Welded:
     """Return a surface on which all corners in a box of a size [mm] are one."""
-    low = surface.points.min(axis=0)
-    box = np.round((surface.points - low) / size).astype(np.int64)
-    _, of = np.unique(box, axis=0, return_inverse=True)
-    points, triangles = _means(surface.points, of.ravel()), of.ravel()[surface.triangles]
+    origin = surface.points.min(axis=0)
+    box = np.round((surface.points - origin) / size).astype(np.int64)
+    _, box_of_point = np.unique(box, axis=0, return_inverse=True)
+    points, triangles = (
+        _means(surface.points, box_of_point.ravel()),
+        box_of_point.ravel()[surface.triangles],
+    )
     triangles = triangles[_has_three(triangles)]
     # Two triangles with the same corners are a fold without thickness: both are left out.
-    _, first, times = np.unique(
+    _, first_rows, counts = np.unique(
         np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True
     )
-    kept = triangles[np.sort(first[times % 2 == 1])]
+    kept = triangles[np.sort(first_rows[counts % 2 == 1])]
     note = f"{len(kept):,} of {len(surface.triangles):,} triangles left after merging corners"
     notes = [*surface.notes, f"{note} within {size} mm"]
     return _used(Welded(points, kept, notes))
@@ -77,8 +83,8 @@ def thin(surface: Welded, size: float) -> Welded:
 def open_edges(triangles: Ints) -> Ints:
     """Return the corners (k, 2) of edges that belong to one triangle, in its direction."""
     ends, key = _edges(triangles)
-    _, of, times = np.unique(key, return_inverse=True, return_counts=True)
-    return np.asarray(ends[times[of.ravel()] == 1])
+    _, edge_of_end, counts = np.unique(key, return_inverse=True, return_counts=True)
+    return np.asarray(ends[counts[edge_of_end.ravel()] == 1])
 
 
 def apart(surface: Welded) -> float:
@@ -99,14 +105,14 @@ def _edges(triangles: Ints) -> tuple[Ints, Ints]:
 
 def _clusters(points: Floats, size: float) -> Ints:
     """Return the number of the group of each point (n,). Points nearer than a size share one."""
-    one, other = cKDTree(points).query_pairs(size, output_type="ndarray").T
-    return connected(len(points), one, other)
+    first, second = cKDTree(points).query_pairs(size, output_type="ndarray").T
+    return connected(len(points), first, second)
 
 
-def _means(points: Floats, of: Ints) -> Floats:
+def _means(points: Floats, group: Ints) -> Floats:
     """Return the mean points (k, 3) of groups of points."""
-    count = np.bincount(of)
-    return np.stack([np.bincount(of, points[:, i]) / count for i in range(3)], axis=1)
+    count = np.bincount(group)
+    return np.stack([np.bincount(group, points[:, i]) / count for i in range(3)], axis=1)
 
 
 def _has_three(triangles: Ints) -> Bools:
@@ -123,20 +129,20 @@ def _used(surface: Welded) -> Welded:
 
 def _without_repeats(surface: Welded) -> Welded:
     """Drop triangles with equal corners, copies of facets, and folds without thickness."""
-    real = _has_three(surface.triangles)
+    has_area = _has_three(surface.triangles)
     notes = list(surface.notes)
-    if not real.all():
-        notes.append(f"{int((~real).sum()):,} triangles without area left out")
-    triangles = surface.triangles[real]
+    if not has_area.all():
+        notes.append(f"{int((~has_area).sum()):,} triangles without area left out")
+    triangles = surface.triangles[has_area]
     ordered = np.sort(triangles, axis=1)
-    _, first, times = np.unique(ordered, axis=0, return_index=True, return_counts=True)
-    fold = _folds(triangles[first], times % 2 == 0)
+    _, first_rows, counts = np.unique(ordered, axis=0, return_index=True, return_counts=True)
+    fold = _folds(triangles[first_rows], counts % 2 == 0)
     if fold.any():
-        notes.append(f"{int(times[fold].sum()):,} triangles of folds without thickness left out")
-    doubled = int((times - 1)[~fold].sum())
+        notes.append(f"{int(counts[fold].sum()):,} triangles of folds without thickness left out")
+    doubled = int((counts - 1)[~fold].sum())
     if doubled:
         notes.append(f"{doubled:,} doubled facets left out")
-    return _used(Welded(surface.points, triangles[np.sort(first[~fold])], notes))
+    return _used(Welded(surface.points, triangles[np.sort(first_rows[~fold])], notes))
 
 
 def _folds(facets: Ints, doubled: Bools) -> Bools:
@@ -145,21 +151,23 @@ def _folds(facets: Ints, doubled: Bools) -> Bools:
     At the edge of a patch of copies there is one other facet. Where a fold begins there are two.
     """
     copies = np.flatnonzero(doubled)
-    _, key = _edges(facets)
-    _, edge = np.unique(key, return_inverse=True)
-    edge = edge.reshape(-1, 3)
-    number = edge.max(initial=-1) + 1
-    others = np.bincount(edge[~doubled].ravel(), minlength=number)
-    same = np.bincount(edge[doubled].ravel(), minlength=number)
-    row = np.repeat(np.arange(len(copies)), 3)
-    at = edge[copies].ravel()
-    order = np.argsort(at, kind="stable")
-    shared = np.diff(at[order]) == 0
-    patch = connected(len(copies), row[order][:-1][shared], row[order][1:][shared])
-    votes = np.where(others[at] % 2 == 1, 1, np.where(others[at] > 0, -1, 0)) * (same[at] == 1)
+    _, edge_keys = _edges(facets)
+    _, edge_numbers = np.unique(edge_keys, return_inverse=True)
+    edge_numbers = edge_numbers.reshape(-1, 3)
+    edge_count = edge_numbers.max(initial=-1) + 1
+    other_counts = np.bincount(edge_numbers[~doubled].ravel(), minlength=edge_count)
+    doubled_counts = np.bincount(edge_numbers[doubled].ravel(), minlength=edge_count)
+    copy_rows = np.repeat(np.arange(len(copies)), 3)
+    copy_edges = edge_numbers[copies].ravel()
+    order = np.argsort(copy_edges, kind="stable")
+    shared = np.diff(copy_edges[order]) == 0
+    patch = connected(len(copies), copy_rows[order][:-1][shared], copy_rows[order][1:][shared])
+    votes = np.where(
+        other_counts[copy_edges] % 2 == 1, 1, np.where(other_counts[copy_edges] > 0, -1, 0)
+    ) * (doubled_counts[copy_edges] == 1)
     fold = np.zeros(len(facets), dtype=bool)
     if len(copies):
-        fold[copies] = np.bincount(patch[row], votes)[patch] < 0
+        fold[copies] = np.bincount(patch[copy_rows], votes)[patch] < 0
     return fold
 
 
@@ -167,23 +175,27 @@ def _welded_wider(surface: Welded, size: float) -> Welded:
     """Join corners of open edges that are nearer to each other than a part of a short edge."""
     ends, _ = _edges(surface.triangles)
     lengths = np.linalg.norm(np.subtract(*surface.points[ends].transpose(1, 0, 2)), axis=1)
-    wider = min(PART * float(np.percentile(lengths, SHORT)), FARTHEST) if len(lengths) else 0.0
-    if wider <= size:
+    wider_distance = (
+        min(WIDER_PART * float(np.percentile(lengths, SHORT_PERCENTILE)), WIDER_MOST)
+        if len(lengths)
+        else 0.0
+    )
+    if wider_distance <= size:
         return surface
     rim = np.unique(open_edges(surface.triangles))
-    of = np.arange(len(surface.points))
-    group = _clusters(surface.points[rim], wider)
-    _, first = np.unique(group, return_index=True)
-    of[rim] = rim[first][group]
-    if (of[rim] == rim).all():
+    representative = np.arange(len(surface.points))
+    group = _clusters(surface.points[rim], wider_distance)
+    _, first_rows = np.unique(group, return_index=True)
+    representative[rim] = rim[first_rows][group]
+    if (representative[rim] == rim).all():
         return surface
-    _, label = np.unique(of, return_inverse=True)
-    points = _means(surface.points, label)
-    moved = float(np.linalg.norm(points[label] - surface.points, axis=1).max())
-    joined = int((of[rim] != rim).sum())
-    text = f"{joined:,} corners within {wider:.2g} mm of another merged with it"
+    _, merged_rows = np.unique(representative, return_inverse=True)
+    points = _means(surface.points, merged_rows)
+    moved = float(np.linalg.norm(points[merged_rows] - surface.points, axis=1).max())
+    joined = int((representative[rim] != rim).sum())
+    text = f"{joined:,} corners within {wider_distance:.2g} mm of another merged with it"
     notes = [*surface.notes, f"{text}, moved by at most {moved:.1g} mm"]
-    return _without_repeats(Welded(points, label[surface.triangles], notes))
+    return _without_repeats(Welded(points, merged_rows[surface.triangles], notes))
 
 
 def _divided_edges(surface: Welded) -> Welded:
@@ -193,28 +205,30 @@ def _divided_edges(surface: Welded) -> Welded:
     if not len(rim):
         return surface
     start, end = x[edges[:, 0]], x[edges[:, 1]]
-    along, length = end - start, np.linalg.norm(end - start, axis=1)
+    direction, length = end - start, np.linalg.norm(end - start, axis=1)
     tree = cKDTree(x[rim])
     between: dict[tuple[int, int], list[int]] = {}
-    for k, near in enumerate(tree.query_ball_point((start + end) / 2, length / 2)):
-        those = rim[near]
-        part = (x[those] - start[k]) @ along[k] / length[k] ** 2
-        aside = np.linalg.norm(x[those] - start[k] - part[:, None] * along[k], axis=1)
-        inner = np.isin(those, edges[k], invert=True) & (part > 0) & (part < 1)
-        on = inner & (aside < min(ON_EDGE, ON_EDGE_PART * length[k]))
-        if on.any():
+    for k, near_rows in enumerate(tree.query_ball_point((start + end) / 2, length / 2)):
+        candidates = rim[near_rows]
+        fraction = (x[candidates] - start[k]) @ direction[k] / length[k] ** 2
+        distance = np.linalg.norm(
+            x[candidates] - start[k] - fraction[:, None] * direction[k], axis=1
+        )
+        inner = np.isin(candidates, edges[k], invert=True) & (fraction > 0) & (fraction < 1)
+        on_edge = inner & (distance < min(ON_EDGE, ON_EDGE_PART * length[k]))
+        if on_edge.any():
             a, b = (int(corner) for corner in edges[k])
-            between[a, b] = [int(i) for i in those[on][np.argsort(part[on])]]
+            between[a, b] = [int(i) for i in candidates[on_edge][np.argsort(fraction[on_edge])]]
     if not between:
         return surface
-    rows, whole = [], np.ones(len(surface.triangles), dtype=bool)
+    rows, is_whole = [], np.ones(len(surface.triangles), dtype=bool)
     for t in np.flatnonzero(np.isin(surface.triangles, edges).any(axis=1)):
         a, b, c = (int(corner) for corner in surface.triangles[t])
         sides = ((a, b), (b, c), (c, a))
         if any(side in between for side in sides):
-            whole[t] = False
+            is_whole[t] = False
             rows.append([i for side in sides for i in (side[0], *between.get(side, ()))])
-    triangles = np.concatenate([surface.triangles[whole], divided(x, rows)])
+    triangles = np.concatenate([surface.triangles[is_whole], divided(x, rows)])
     note = f"{len(between):,} edges that were divided on one side only are divided on both"
     return _without_repeats(Welded(x, triangles, [*surface.notes, note]))
 
@@ -237,51 +251,51 @@ def _fans(points: Floats, rows: Ints) -> Ints:
     """
     with np.errstate(all="ignore"):  # of corners that are too far for a bone
         x = points[rows]
-        out = x[:, 1:] - x[:, :1]
-        normal = np.cross(out[:, :-1], out[:, 1:]).sum(axis=1)
-        least = []
+        spokes = x[:, 1:] - x[:, :1]
+        normal = np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1)
+        least_areas = []
         for start in range(rows.shape[1]):
-            turned = np.roll(x, -start, axis=1)
-            out = turned[:, 1:] - turned[:, :1]
-            areas = np.einsum("nki,ni->nk", np.cross(out[:, :-1], out[:, 1:]), normal)
-            least.append(areas.min(axis=1))
-        areas = np.array(least)
+            rotated = np.roll(x, -start, axis=1)
+            spokes = rotated[:, 1:] - rotated[:, :1]
+            areas = np.einsum("nki,ni->nk", np.cross(spokes[:, :-1], spokes[:, 1:]), normal)
+            least_areas.append(areas.min(axis=1))
+        areas = np.array(least_areas)
         best = areas.argmax(axis=0)
         convex = areas.max(axis=0) > 0
-        turn = (best[:, None] + np.arange(rows.shape[1])) % rows.shape[1]
-        fans = np.take_along_axis(rows, turn, axis=1)[convex]
+        rotation = (best[:, None] + np.arange(rows.shape[1])) % rows.shape[1]
+        fans = np.take_along_axis(rows, rotation, axis=1)[convex]
         first = np.repeat(fans[:, :1], rows.shape[1] - 2, axis=1)
-        made = np.stack([first, fans[:, 1:-1], fans[:, 2:]], axis=2).reshape(-1, 3)
+        fan_triangles = np.stack([first, fans[:, 1:-1], fans[:, 2:]], axis=2).reshape(-1, 3)
         clipped = [
             row[_ears(corners, up)]
             for row, corners, up in zip(rows[~convex], x[~convex], normal[~convex], strict=True)
         ]
-    return np.concatenate([made, *clipped])
+    return np.concatenate([fan_triangles, *clipped])
 
 
 def _ears(x: Floats, normal: Floats) -> Ints:
     """Return the triangles (k - 2, 3) of a polygon with corners (k, 3), by ear clipping."""
-    drop = int(np.abs(normal).argmax())
-    xy = np.delete(x, drop, axis=1) * ([1, -1] if drop == 1 else [1, 1])
-    if normal[drop] < 0:
+    dropped_axis = int(np.abs(normal).argmax())
+    xy = np.delete(x, dropped_axis, axis=1) * ([1, -1] if dropped_axis == 1 else [1, 1])
+    if normal[dropped_axis] < 0:
         xy = xy * [1, -1]
 
     def twice_area(a: Floats, b: Floats, c: Floats) -> Floats:
         (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
         return np.asarray(p * s - q * r)
 
-    left, ears = list(range(len(x))), []
-    while len(left) > 3:
+    remaining, ears = list(range(len(x))), []
+    while len(remaining) > 3:
         best = 0  # a polygon that crosses itself may have no ear: any corner is cut off
-        for k in range(len(left)):
-            a, b, c = (xy[left[(k + step) % len(left)]] for step in (-1, 0, 1))
+        for k in range(len(remaining)):
+            a, b, c = (xy[remaining[(k + step) % len(remaining)]] for step in (-1, 0, 1))
             if twice_area(a, b, c) <= 0:
                 continue
-            rest = xy[[i for i in left if not ((xy[i] == [a, b, c]).all(axis=1)).any()]]
+            rest = xy[[i for i in remaining if not ((xy[i] == [a, b, c]).all(axis=1)).any()]]
             sides = [twice_area(rest, *side) for side in ((a, b), (b, c), (c, a))]
             if not (np.array(sides) >= 0).all(axis=0).any():
                 best = k
                 break
-        ears.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
-        del left[best]
-    return np.array([*ears, left])
+        ears.append([remaining[best - 1], remaining[best], remaining[(best + 1) % len(remaining)]])
+        del remaining[best]
+    return np.array([*ears, remaining])

@@ -123,6 +123,6 @@ def test_first_case_refuses_a_femur_in_which_no_stem_fits(
     widths = {key: 2.4 * size for key, size in first_case.WIDTHS.items()}
     monkeypatch.setattr(first_case, "WIDTHS", widths | {"trunnion_diameter": 12.0})
     monkeypatch.setattr(first_case, "STEMS", ((100.0, 0.99),))
-    monkeypatch.setattr(first_case, "ANGLES", (38.0,))
+    monkeypatch.setattr(first_case, "CUT_ANGLES", (38.0,))
     with pytest.raises(InputError, match="no stem of 100 to 100 mm fits into this femur"):
         first_case.write(folder / "hip", folder / "labels.nii.gz", None, None, None)

@@ -734,7 +734,7 @@ def test_images_damaged_files_are_read_or_refused(folder: Path, tmp_path: Path) 
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the readers, on what is damaged
                 image = images.read(path)
-                label_image.whole(path, image.values)
+                label_image.as_whole_numbers(path, image.values)
                 if name == "npz":
                     label_surface.read(path, 1)
         except InputError as error:

@@ -199,8 +199,8 @@ def test_bone_surface_open_distal_end_is_reported(tmp_path: Path) -> None:
 def test_bone_surface_many_triangles_are_thinned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bone_surface, "MOST", 1000)
-    monkeypatch.setattr(bone_surface, "THIN", 6.0)
+    monkeypatch.setattr(bone_surface, "MOST_TRIANGLES", 1000)
+    monkeypatch.setattr(bone_surface, "THINNING_SIZE", 6.0)
     surface = bone_surface.read(bytes_of(tmp_path, lambda s: s))
     assert len(surface.triangles) < 0.7 * len(parametric_femur().triangles)
     assert "of 5,056 triangles left after merging corners within 6.0 mm" in " ".join(surface.notes)

@@ -64,7 +64,7 @@ def test_shaft_end_of_a_cylinder(tilt: float) -> None:
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
     surface = scanned(cylinder(), np.array([0.0, 0.0, -30.0]), normal)
     assert shaft.flat_end(surface) == pytest.approx(normal, abs=1e-6)
-    end = -30.0 + RADIUS * math.tan(angle) + shaft.ROUND
+    end = -30.0 + RADIUS * math.tan(angle) + shaft.EDGE_ROUNDING
     assert shaft.end_level(surface, np.array([0.0, 0.0, 1.0])) == pytest.approx(end, abs=0.05)
 
 
@@ -90,7 +90,7 @@ def test_shaft_continued_is_that_of_the_whole_femur(tmp_path: Path, below: float
     femur, whole = geometry.femur, landmarks.find(parametric_femur())
     end = geometry.continued_below
     assert end is not None
-    assert end == pytest.approx(54.0 - below - whole.origin[2] + shaft.ROUND, abs=3.0)
+    assert end == pytest.approx(54.0 - below - whole.origin[2] + shaft.EDGE_ROUNDING, abs=3.0)
     lean = math.acos(min(1.0, femur.frame.axes[2] @ whole.axes[2]))
     assert lean <= max(femur.frame.spread["shaft"], math.radians(0.5))
     for z in (end - 20.0, end - 50.0):
