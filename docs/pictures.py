@@ -74,7 +74,7 @@ def reference_body_and_image() -> None:
     surfaces = LayeredSurfaces(case.geometry, case.mesh)
     body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
     image = swept.mesh(surfaces, curved=False)
-    column, z = body.at, image.nodes.x[:, 2]
+    column, z = body.section, image.nodes.x[:, 2]
     levels = np.linspace(z.min(), z.max(), int(body.slab.max()) + 2)  # equidistant stations
     x = np.column_stack([np.tile(column, (len(levels), 1)), np.repeat(levels, len(column))])
     prisms = np.sort(body.columns, axis=1) + len(column) * body.slab[:, None]

@@ -47,8 +47,8 @@ __all__ = ["MeshData", "build", "write_msh"]
 # A mantle that fills the canal divides the cancellous bone; each piece is held by the cortex.
 DIVISIBLE = frozenset({"cancellous_bone"})
 # Factors on the size, and on the thickness of cement, that are tried where cells are poor.
-OTHERS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
-MANTLE = (1.0, 8.0)  # mm of cement that a femur may have
+SIZE_FACTORS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
+MANTLE_RANGE = (1.0, 8.0)  # mm of cement that a femur may have
 
 
 def build(geometry: GeometryKeys, mesh: MeshKeys, cache: Path | None = None) -> MeshData:
@@ -96,13 +96,13 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
             for name in data.interfaces
         },
     }
-    for m in geometry.mantles:
+    for mantle_keys in geometry.mantles:
         from meshes import gruen, mantle
 
         zones = gruen.Zones(geometry) if is_hip(geometry) else None
-        notes["mantle"] = mantle.describe(data, m.thickness, m.tip, zones)
+        notes["mantle"] = mantle.describe(data, mantle_keys.thickness, mantle_keys.tip, zones)
         if zones:
-            notes["mantle"]["cortex_min"] = mantle.least_cortex(data, m.tip)
+            notes["mantle"]["cortex_min"] = mantle.least_cortex(data, mantle_keys.tip)
     if "stem_bone" in data.interfaces and is_hip(geometry):
         from meshes import mantle
 
@@ -111,7 +111,7 @@ def _make(geometry: GeometryKeys, mesh: MeshKeys) -> MeshData:
 
 
 def _checked(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> tuple[MeshData, Floats]:
-    """The mesh and the quality of its cells (m,), all of which are good enough."""
+    """Return the mesh and the quality of its cells (m,), all of which are good enough."""
     data = canonical(mesher.build(geometry, mesh))
     return data, _quality.check(data.points, data.cells, data.cell_tags, data.regions)
 
@@ -121,33 +121,36 @@ def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
     if is_file(geometry):
         return "Try another mesh.size." if geometry.is_script else "Repair the mesh file."
 
-    def near(length: float, least: float, most: float) -> list[float]:
-        others = (float(f"{factor * length:.2g}") for factor in OTHERS)
-        return [other for other in others if least <= other <= most]
+    def lengths_near(length: float, lowest: float, highest: float) -> list[float]:
+        candidates = (float(f"{factor * length:.2g}") for factor in SIZE_FACTORS)
+        return [candidate for candidate in candidates if lowest <= candidate <= highest]
 
-    sizes = near(mesh.size, 0.0, min(mesh.far, geometry.coarsest_size))
+    sizes = lengths_near(mesh.size, 0.0, min(mesh.far, geometry.coarsest_size))
     changes: list[tuple[str, float, GeometryKeys, MeshKeys]] = [
         ("mesh.size", x, geometry, mesh.model_copy(update={"size": x})) for x in sizes
     ]
     thickness = getattr(geometry, "cement_thickness", None)
     if isinstance(thickness, float):
-        for x in near(thickness, *MANTLE):
+        for x in lengths_near(thickness, *MANTLE_RANGE):
             thinner = geometry.model_copy(update={"cement_thickness": x})
             changes.append(("geometry.cement_thickness", x, thinner, mesh))
-    for key, length, other, keys in changes:
+    for key, length, other_geometry, keys in changes:
         with contextlib.suppress(GeometryError):
-            _checked(mesher, other, keys)
+            _checked(mesher, other_geometry, keys)
             return f"Set {key}: {length:g} mm; all elements are good then."
     tried = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
-    words = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
-    tried_text = f"elements are also inverted or nearly flat with {' and '.join(words)}"
+    tried_ranges = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
+    tried_text = f"elements are also inverted or nearly flat with {' and '.join(tried_ranges)}"
     return f"Change {geometry.shape_keys}: {tried_text}."
 
 
-def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] = ()) -> None:
-    """Require every region, boundary and interface; regions in ``whole`` must be connected.
+def _check_parts(data: MeshData, connected: Collection[str], apart: Collection[str] = ()) -> None:
+    """Require every region, boundary and interface.
 
-    The sides of interfaces in ``apart`` share no facet.
+    Args:
+        data: The mesh.
+        connected: Regions that must be one body.
+        apart: Interfaces whose sides share no facet.
     """
     missing = [
         *(f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()),
@@ -164,7 +167,7 @@ def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] 
         text = "the mesh has no " + ", no ".join(missing) + hint
         raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
     component = components(data.neighbours, data.cell_tags)
-    pieces = {n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in whole}
+    pieces = {n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in connected}
     broken = ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
     if broken:
         raise GeometryError(
@@ -181,11 +184,11 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
     allowed = {frozenset(p) for sides in data.interfaces.values() for p in product(*sides)}
     allowed |= {frozenset(pair) for body in joined for pair in combinations(body, 2)}
     messages, names = [], []
-    for a, b, between in _between(data):
+    for a, b, facets in _touching_regions(data):
         if {a, b} in allowed:
             continue
-        area = facet_areas(data.points, between).sum()
-        centres = data.points[between[:, :3]].mean(axis=1)
+        area = facet_areas(data.points, facets).sum()
+        centres = data.points[facets[:, :3]].mean(axis=1)
         x, y, z = centres[np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin()]
         messages.append(
             f"{a} meets {b} where no interface is declared, on {area:.3g} mm2 about "
@@ -202,16 +205,16 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
         )
 
 
-def _between(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
+def _touching_regions(data: MeshData) -> Iterator[tuple[str, str, Ints]]:
     """Pairs of regions that meet, and the facets (n, 3) or (n, 6) between them."""
     cell, face, behind = data.between
-    for (a, tag), (b, other) in combinations(data.regions.items(), 2):
-        on = (data.cell_tags[cell] == tag) & (data.cell_tags[behind] == other)
-        if on.any():
-            yield a, b, faces_of(data.cells, cell[on], face[on])
+    for (a, first_tag), (b, second_tag) in combinations(data.regions.items(), 2):
+        is_between = (data.cell_tags[cell] == first_tag) & (data.cell_tags[behind] == second_tag)
+        if is_between.any():
+            yield a, b, faces_of(data.cells, cell[is_between], face[is_between])
 
 
 def meeting(geometry: FileKeys, mesh: MeshKeys) -> tuple[list[tuple[str, str]], list[str]]:
     """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
     data = canonical(build_imported(geometry, mesh))
-    return [(a, b) for a, b, _ in _between(data)], data.notes["interior_surfaces"]
+    return [(a, b) for a, b, _ in _touching_regions(data)], data.notes["interior_surfaces"]

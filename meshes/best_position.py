@@ -31,18 +31,18 @@ from meshes.room import StemSurface, WidestCanal
 
 SEARCH_VERSION = 2  # raise it whenever the same input gives another position
 NUMBERS = ("varus", "flexion", "version", "medial", "anterior")
-WORTH = 0.05  # mm of room for which a number may go as far as its limit
-TRUST = 0.3  # of the limits: first size of the trust region
-SMALLEST = 0.005  # of the limits: last size of the trust region
-DIFFERENCE = 0.01  # of the limits: step of the derivatives
-CLOSE = 2.0  # mm of room above the least: points that a step may make the closest
-THINNED = 3  # lines along the stem of which one is searched
-RESERVE = 0.1  # mm of room above the wanted thickness that count; more does not
+ROOM_PER_CHANGE = 0.05  # mm of room for which a number may go as far as its limit
+FIRST_TRUST = 0.3  # of the limits: first size of the trust region
+LAST_TRUST = 0.005  # of the limits: last size of the trust region
+DERIVATIVE_STEP = 0.01  # of the limits: step of the derivatives
+CLOSE_POINTS = 2.0  # mm of room above the least: points that a step may make the closest
+LINE_STRIDE = 3  # lines along the stem of which one is searched
+COUNTED_RESERVE = 0.1  # mm of room above the wanted thickness that count; more does not
 UNCEMENTED = 2.0  # mm of room that is wanted without cement
-STEPS = 60  # at most
+MOST_STEPS = 60  # at most
 # Starts of the search next to the given position: number of `NUMBERS`, and part of its limit.
 STARTS = ((2, 0.5), (2, -0.5))
-TILTS = [0, 1]  # numbers of `NUMBERS` that are tilts
+TILT_NUMBERS = [0, 1]  # numbers of `NUMBERS` that are tilts
 MOST_TILT = 0.2  # rad: largest varus and flexion of a position
 ANGLE_DIGITS = 1  # decimals of a position's angles [deg]
 LENGTH_DIGITS = 1  # decimals of a position's lengths [mm]
@@ -133,60 +133,71 @@ def best(
         limits: Largest changes of it.
         wanted: Thickness of the mantle that is asked for, at angles and levels of the stem.
     """
-    points = None if stem.points is None else stem.points[:, ::THINNED]
-    coarse = replace(stem, start=stem.start[::THINNED], way=stem.way[::THINNED], points=points)
-    first = np.array([getattr(start, name) for name in NUMBERS])
+    points = None if stem.points is None else stem.points[:, ::LINE_STRIDE]
+    coarse = replace(
+        stem,
+        start=stem.start[::LINE_STRIDE],
+        direction=stem.direction[::LINE_STRIDE],
+        points=points,
+    )
+    start_numbers = np.array([getattr(start, name) for name in NUMBERS])
     scale = np.array([getattr(limits, name) for name in NUMBERS])
-    scale[TILTS] = np.minimum(scale[TILTS], MOST_TILT - np.abs(first[TILTS]))
+    scale[TILT_NUMBERS] = np.minimum(
+        scale[TILT_NUMBERS], MOST_TILT - np.abs(start_numbers[TILT_NUMBERS])
+    )
     free = np.flatnonzero(scale > 0)
 
     def changed(u: Floats) -> Position:
-        return replace(start, **dict(zip(NUMBERS, map(float, first + scale * u), strict=True)))
+        return replace(
+            start, **dict(zip(NUMBERS, map(float, start_numbers + scale * u), strict=True))
+        )
 
     def excess_at(u: Floats, points: Floats | None = None) -> tuple[Floats, Floats]:
         return _excess(canal, coarse, changed(u), wanted, points)
 
-    def worth(excess: Floats, u: Floats) -> float:
-        return float(min(excess.min(), RESERVE) - WORTH * np.abs(u).sum())
+    def objective(excess: Floats, u: Floats) -> float:
+        return float(min(excess.min(), COUNTED_RESERVE) - ROOM_PER_CHANGE * np.abs(u).sum())
 
-    def worth_of_all_lines(u: Floats) -> float:
-        return worth(_excess(canal, stem, changed(u), wanted)[0], u)
+    def objective_of_all_lines(u: Floats) -> float:
+        return objective(_excess(canal, stem, changed(u), wanted)[0], u)
 
     def searched_from(u: Floats) -> Floats:
         """Changes of the best position near a start."""
-        trust, (excess, x) = TRUST, excess_at(u)
-        for _ in range(STEPS):
-            near = x[excess < excess.min() + CLOSE]
-            here, _ = excess_at(u, near)
-            shifts = DIFFERENCE * np.eye(len(NUMBERS))[free]
-            slopes = np.array([(excess_at(u + s, near)[0] - here) / DIFFERENCE for s in shifts])
+        trust, (excess, x) = FIRST_TRUST, excess_at(u)
+        for _ in range(MOST_STEPS):
+            near_points = x[excess < excess.min() + CLOSE_POINTS]
+            excess_here, _ = excess_at(u, near_points)
+            shifts = DERIVATIVE_STEP * np.eye(len(NUMBERS))[free]
+            slopes = np.array(
+                [(excess_at(u + s, near_points)[0] - excess_here) / DERIVATIVE_STEP for s in shifts]
+            )
             step = np.zeros(len(NUMBERS))
-            step[free] = _largest_least(here, slopes.T, u[free], trust)
+            step[free] = _largest_least(excess_here, slopes.T, u[free], trust)
             next_excess, next_x = excess_at(u + step)
-            if worth(next_excess, u + step) > worth(excess, u):
+            if objective(next_excess, u + step) > objective(excess, u):
                 u, excess, x = u + step, next_excess, next_x
             else:
                 trust /= 2
-                if trust < SMALLEST:
+                if trust < LAST_TRUST:
                     break
         return u
 
-    given = np.zeros(len(NUMBERS))
-    starts = [part * np.eye(len(NUMBERS))[number] for number, part in STARTS if scale[number]]
+    no_change = np.zeros(len(NUMBERS))
+    starts = [share * np.eye(len(NUMBERS))[number] for number, share in STARTS if scale[number]]
     # The given position stays if the lines that were not searched take the gain away.
-    positions = [given, *(searched_from(u) for u in (given, *starts))]
-    return changed(max(positions, key=worth_of_all_lines))
+    positions = [no_change, *(searched_from(u) for u in (no_change, *starts))]
+    return changed(max(positions, key=objective_of_all_lines))
 
 
 def _excess(
     canal: WidestCanal,
     stem: StemSurface,
-    at: Position,
+    stem_position: Position,
     wanted: Thickness,
     points: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Excess of room of points of a stem (n,), by default of all in cement; points (n, 3) [mm]."""
-    placed = canal.cut.put(stem.implant, at, False)
+    placed = canal.cut.put(stem.implant, stem_position, False)
     x = stem.cemented(placed, canal.cut) if points is None else points
     return canal.room(placed.to_model(x)) - wanted(np.arctan2(x[:, 1], x[:, 0]), x[:, 2]), x
 
@@ -254,46 +265,46 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
     assert limits is not None  # the position is to be searched
     canal, neck = room.canal(geometry), geometry.femur.neck
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
-    given = cut.put(implant, start, mirrored)
-    stem = StemSurface.of(implant, given)
-    wanted = wanted_thickness(geometry, given)
-    chosen = best(canal, stem, start, Limits.of(limits), wanted)
-    relative = neck if insertion.version.relative_to == "neck" else 0.0
+    given_placement = cut.put(implant, start, mirrored)
+    stem = StemSurface.of(implant, given_placement)
+    wanted = wanted_thickness(geometry, given_placement)
+    best_found = best(canal, stem, start, Limits.of(limits), wanted)
+    reference_azimuth = neck if insertion.version.relative_to == "neck" else 0.0
     rounded = Position(
         start.depth,
-        _rounded_angle(chosen.varus),
-        _rounded_angle(chosen.flexion),
-        _rounded_angle(chosen.version - relative) + relative,
-        round(chosen.medial, LENGTH_DIGITS),
-        round(chosen.anterior, LENGTH_DIGITS),
+        _rounded_angle(best_found.varus),
+        _rounded_angle(best_found.flexion),
+        _rounded_angle(best_found.version - reference_azimuth) + reference_azimuth,
+        round(best_found.medial, LENGTH_DIGITS),
+        round(best_found.anterior, LENGTH_DIGITS),
     )
     # Rounding may cost more than the search gained.
     excess_given, excess_rounded = (
-        _excess(canal, stem, at, wanted)[0].min() for at in (start, rounded)
+        _excess(canal, stem, candidate, wanted)[0].min() for candidate in (start, rounded)
     )
     if excess_rounded <= excess_given:
         rounded = start
-    varus, flexion, angle = rounded.varus, rounded.flexion, rounded.version - relative
+    varus, flexion, angle = rounded.varus, rounded.flexion, rounded.version - reference_azimuth
     medial, anterior = rounded.medial, rounded.anterior
     placed = cut.put(implant, rounded, mirrored)
-    after, before = room.fit(canal, stem, placed), room.fit(canal, stem, given)
-    words = (
+    after, before = room.fit(canal, stem, placed), room.fit(canal, stem, given_placement)
+    position_text = (
         f"varus {math.degrees(varus):.1f}, flexion {math.degrees(flexion):.1f},"
         f" version {math.degrees(angle):.1f} deg from the {insertion.version.relative_to},"
         f" offsets {medial:.1f} mm medial, {anterior:.1f} mm anterior"
     )
     if after.least < geometry.least_room:
-        does = f"leaves {after.least:.2f} mm"
+        shortfall = f"leaves {after.least:.2f} mm"
         if after.least < 0:
-            does = f"cuts {-after.least:.2f} mm into the cortex"
+            shortfall = f"cuts {-after.least:.2f} mm into the cortex"
         raise GeometryError(
             "geometry.insertion: no position within the limits of the search leaves"
-            f" {geometry.least_room:g} mm around the stem; the best ({words}) {does}"
+            f" {geometry.least_room:g} mm around the stem; the best ({position_text}) {shortfall}"
             f" {after.side} at {placed.where(after.place)}; ream the canal, use a smaller or"
             " shorter stem, or widen insertion.best"
         )
     gain = f"{after.words(placed)}, {after.least - before.least:.2f} mm more than as given"
-    return [varus, flexion, angle, medial, anterior], f"{words}: room {gain}"
+    return [varus, flexion, angle, medial, anterior], f"{position_text}: room {gain}"
 
 
 def _rounded_angle(angle: float) -> float:
@@ -312,16 +323,16 @@ def _largest_least(excess: Floats, slopes: Floats, u: Floats, trust: float) -> F
     """
     n, k = slopes.shape
     # Unknowns are the step (k,), the size of the whole change (k,), and the least excess.
-    cost = np.concatenate([np.zeros(k), np.full(k, WORTH), [-1.0]])
-    eye, none = np.eye(k), np.zeros((k, 1))
-    left = np.block(
+    cost = np.concatenate([np.zeros(k), np.full(k, ROOM_PER_CHANGE), [-1.0]])
+    eye, zeros = np.eye(k), np.zeros((k, 1))
+    constraint_matrix = np.block(
         [
             [-slopes, np.zeros((n, k)), np.ones((n, 1))],
-            [eye, -eye, none],
-            [-eye, -eye, none],
+            [eye, -eye, zeros],
+            [-eye, -eye, zeros],
         ]
     )
-    right = np.concatenate([excess, -u, u])
+    constraint_limits = np.concatenate([excess, -u, u])
     low, high = np.maximum(-trust, -1.0 - u), np.minimum(trust, 1.0 - u)
-    bounds = [*zip(low, high, strict=True), *[(0.0, None)] * k, (None, RESERVE)]
-    return np.asarray(linprog(cost, left, right, bounds=bounds).x[:k])
+    bounds = [*zip(low, high, strict=True), *[(0.0, None)] * k, (None, COUNTED_RESERVE)]
+    return np.asarray(linprog(cost, constraint_matrix, constraint_limits, bounds=bounds).x[:k])

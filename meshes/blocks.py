@@ -47,9 +47,9 @@ def _stack(gmsh: ModuleType, lx: float, ly: float, planes: Floats) -> None:
     corners, rims, covers = [], [], []
     for left, right in planes:
         ring = [(0, 0, left), (lx, 0, right), (lx, ly, right), (0, ly, left)]
-        c = [geo.addPoint(*map(float, xyz)) for xyz in ring]
-        corners.append(c)
-        rims.append([geo.addLine(c[i], c[(i + 1) % 4]) for i in range(4)])
+        points = [geo.addPoint(*map(float, xyz)) for xyz in ring]
+        corners.append(points)
+        rims.append([geo.addLine(points[i], points[(i + 1) % 4]) for i in range(4)])
         covers.append(geo.addPlaneSurface([geo.addCurveLoop(rims[-1])]))
     for k in range(len(planes) - 1):
         posts = [geo.addLine(*ends) for ends in zip(corners[k], corners[k + 1], strict=True)]
@@ -61,8 +61,8 @@ def _stack(gmsh: ModuleType, lx: float, ly: float, planes: Floats) -> None:
 
 def _boundaries(x: Floats, block: Ints, regions: dict[str, int], size: Floats) -> dict[str, Bools]:
     """Masks over facets with centres x (n, 3): sides of the stack, and of each block."""
-    near = 1e-6 * size.max()
-    low, high = (x < near).T, (x > size - near).T
+    tolerance = 1e-6 * size.max()
+    low, high = (x < tolerance).T, (x > size - tolerance).T
     sides = {"x_min": low[0], "x_max": high[0], "y_min": low[1], "y_max": high[1]}
     masks = {**sides, "bottom": low[2], "top": high[2]}
     for name, tag in regions.items():

@@ -19,8 +19,8 @@ from app.foundation.errors import GeometryError
 from meshes.layers import CORE_OVER, Sections, root
 from meshes.placement import ResectedBone
 
-REACH = 90.0  # mm: farther from the axis there is no bone
-WAYS = np.linspace(0.0, 1.2, 25)  # of a line: places that are in bone or not
+RAY_LENGTH = 90.0  # mm: farther from the axis there is no bone
+LINE_FRACTIONS = np.linspace(0.0, 1.2, 25)  # of a line: places that are in bone or not
 TABLE_CORE = 0.5  # of the table's canal: the innermost surface below the plug
 
 
@@ -30,7 +30,7 @@ class StemShape(Protocol):
     def outline(self, phi: Floats, sections: Sections, zeta: Floats) -> Floats:
         """Points of the stem's outline at angles [turns] in sections at heights (n, 3) [mm]."""
 
-    def covered(self, zeta: Floats, start: Floats, end: Floats, more: float = 0.0) -> Floats:
+    def covered(self, zeta: Floats, start: Floats, end: Floats, oversize: float = 0.0) -> Floats:
         """Fraction of lines from the outline to an end (n, 3) that is in the mantle (n,)."""
 
 
@@ -94,71 +94,82 @@ class TableLayers:
         self.notes = list[str]()
         self._bone, self._sections = bone, sections
         # The shaft's axis, in the stem's axes.
-        foot, way = sections.placed.to_stem(np.zeros(3)), sections.placed.turn[2]
-        self._foot, self._tilt = foot, way[:2] / way[2]
+        foot, axis = sections.placed.to_stem(np.zeros(3)), sections.placed.rotation[2]
+        self._foot, self._tilt = foot, axis[:2] / axis[2]
 
     def _centre(self, zeta: Floats) -> Floats:
         """Centre of sections (n, 2) [mm]."""
         shaft = self._foot[:2] + np.outer(zeta - self._foot[2], self._tilt)
         return np.asarray(self._sections.below_plug(zeta)[:, None] * shaft)
 
-    def _on(self, theta: Floats, zeta: Floats, radii: Floats) -> Floats:
+    def _section_points(self, theta: Floats, zeta: Floats, radii: Floats) -> Floats:
         """Points of sections (n, 3), about their centres."""
-        out = np.stack([np.cos(theta), np.sin(theta)], axis=1)
-        return self._sections.in_plane(self._centre(zeta) + radii[:, None] * out, zeta)
+        directions = np.stack([np.cos(theta), np.sin(theta)], axis=1)
+        return self._sections.in_plane(self._centre(zeta) + radii[:, None] * directions, zeta)
 
-    def _within(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+    def _depth_inside(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
         """Depth of points of the model inside a surface, across the z axis (n,) [mm]."""
         x, y, z = points.T
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
-    def _meets(
+    def _exit_radii(
         self, radius: Callable[[Floats, Floats], Floats], theta: Floats, zeta: Floats
     ) -> Floats:
         """Radii, about the centres of sections, at which lines leave a surface (n,) [mm]."""
         to_model = self._sections.placed.to_model
-        centre = to_model(self._on(theta, zeta, np.zeros(len(theta))))
-        way = to_model(self._on(theta, zeta, np.ones(len(theta)))) - centre
+        centre = to_model(self._section_points(theta, zeta, np.zeros(len(theta))))
+        direction = to_model(self._section_points(theta, zeta, np.ones(len(theta)))) - centre
 
-        def within(r: Floats, k: Ints) -> Floats:
-            return self._within(radius, centre[k] + r[:, None] * way[k])
+        def depth(r: Floats, k: Ints) -> Floats:
+            return self._depth_inside(radius, centre[k] + r[:, None] * direction[k])
 
-        return root(within, np.full(len(theta), REACH))
+        return root(depth, np.full(len(theta), RAY_LENGTH))
 
     def ends(self, theta: Floats, zeta: Floats) -> Floats:
         """Points of the periosteum in sections (n, 3) [mm]."""
-        return self._on(theta, zeta, self._meets(self._bone.periosteum, theta, zeta))
+        return self._section_points(
+            theta, zeta, self._exit_radii(self._bone.periosteum, theta, zeta)
+        )
 
     def canal(self, theta: Floats, zeta: Floats) -> Floats:
         """Points of the endosteum in sections (n, 3) [mm]."""
-        return self._on(theta, zeta, self._meets(self._bone.endosteum, theta, zeta))
+        return self._section_points(
+            theta, zeta, self._exit_radii(self._bone.endosteum, theta, zeta)
+        )
 
     def depth(self, x: Floats, zeta: Floats) -> Floats:
         """Depth of points (n, 3) within the endosteum (n,) [mm]."""
-        return self._within(self._bone.endosteum, self._sections.placed.to_model(x))
+        return self._depth_inside(self._bone.endosteum, self._sections.placed.to_model(x))
 
     def core(self, start: Floats, theta: Floats, zeta: Floats) -> Floats:
         """Points between the outline at the plug and a part of the canal (n, 3) [mm]."""
         x = start.copy()
-        below = zeta < self._sections.plug
-        theta, zeta = theta[below], zeta[below]
-        radii = TABLE_CORE * self._meets(self._bone.endosteum, theta, zeta)
-        part = np.minimum((self._sections.plug - zeta) / CORE_OVER, 1.0)[:, None]
-        xy = (1 - part) * start[below, :2] + part * self._on(theta, zeta, radii)[:, :2]
-        x[below] = self._sections.in_plane(xy, zeta)
+        is_below = zeta < self._sections.plug
+        theta, zeta = theta[is_below], zeta[is_below]
+        radii = TABLE_CORE * self._exit_radii(self._bone.endosteum, theta, zeta)
+        share = np.minimum((self._sections.plug - zeta) / CORE_OVER, 1.0)[:, None]
+        xy = (1 - share) * start[is_below, :2] + share * self._section_points(theta, zeta, radii)[
+            :, :2
+        ]
+        x[is_below] = self._sections.in_plane(xy, zeta)
         return x
 
     def check(self, start: Floats, end: Floats) -> None:
         """Raise GeometryError where lines meet a surface of bone more than once."""
         placed = self._sections.placed
-        start, way = placed.to_model(start), (end - start) @ placed.turn.T
+        start, direction = placed.to_model(start), (end - start) @ placed.rotation.T
         surfaces = {"periosteum": self._bone.periosteum, "endosteum": self._bone.endosteum}
         for name, radius in surfaces.items():
-            inside = np.array([self._within(radius, start + part * way) for part in WAYS])
+            inside = np.array(
+                [
+                    self._depth_inside(radius, start + fraction * direction)
+                    for fraction in LINE_FRACTIONS
+                ]
+            )
             crossings = ((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0)
-            twice = np.flatnonzero(crossings > 1)
-            if len(twice):
-                x = placed.where(start[twice[0]])
+            crossing_lines = np.flatnonzero(crossings > 1)
+            if len(crossing_lines):
+                x = placed.where(start[crossing_lines[0]])
                 raise GeometryError(
                     f"geometry: a line across the bone from {x} meets the {name} more than once;"
                     " move or rotate the stem, or smooth the surface there"

@@ -17,26 +17,26 @@ from scipy.spatial import cKDTree
 from app.foundation.arrays import Bools, FloatOrFloats, Floats
 from app.foundation.errors import GeometryError
 from meshes.data import StepKeys
-from meshes.femur_stem import ARC, LEAST_WHOLE, Thickness, allotted, limited, unit
+from meshes.femur_stem import ARC_WEIGHT, LEAST_WHOLE, Thickness, allotted, limited, unit
 from meshes.mantle import distance
 from meshes.placement import Placement
-from meshes.plane_sections import met, section
+from meshes.plane_sections import ray_crossings, section
 
-WINDOW = 1 / 60  # of the length around: bend is averaged over it; shorter corners are points
-CLOSED = 1.5 / 60  # of the length around: flats between corners are longer
-BENT = 1.2  # of the mean bend by length: corners bend more
+BEND_WINDOW = 1 / 60  # of the length around: bend is averaged over it; shorter corners are points
+SHORTEST_FLAT = 1.5 / 60  # of the length around: flats between corners are longer
+CORNER_BEND = 1.2  # of the mean bend by length: corners bend more
 LEAST_BEND = 0.2  # radians: what bends less is no corner
-MOVED = 0.08  # of the length around: a corner is that of another section, if it is nearer
-ROUND = 720  # rays around
-THETA = 2 * np.pi * np.arange(ROUND) / ROUND
-HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
-TIP = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
-NECK = 0.38  # of the neck's length: what the points between axis and neck head for
-INSIDE = 1e-3  # mm that the last section is within the neck
+CORNER_SHIFT = 0.08  # of the length around: a corner is that of another section, if it is nearer
+RAYS = 720  # rays around
+THETA = 2 * np.pi * np.arange(RAYS) / RAYS
+HIDDEN_METAL = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
+TIP_MARGIN = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
+NECK_SHARE = 0.38  # of the neck's length: what the points between axis and neck head for
+NECK_INSET = 1e-3  # mm that the last section is within the neck
 
 
 def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
-    """Where rays from a point leave triangles (m, 3, 3) in a plane (`ROUND`, 3) [mm].
+    """Points at which rays from a point in a plane leave triangles (m, 3, 3); (`RAYS`, 3) [mm].
 
     Angles are from the first to the second of two directions in it (2, 3).
 
@@ -44,17 +44,17 @@ def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
         ValueError: The point is outside, or rays meet the surface again.
     """
     x = x.reshape(-1, 3) - origin
-    ray, r = met(section(x, x @ np.cross(*plane)) @ np.linalg.pinv(plane), THETA)
-    near, far = np.full(ROUND, np.inf), np.zeros(ROUND)
+    ray, r = ray_crossings(section(x, x @ np.cross(*plane)) @ np.linalg.pinv(plane), THETA)
+    near, far = np.full(RAYS, np.inf), np.zeros(RAYS)
     np.minimum.at(near, ray, r)
     np.maximum.at(far, ray, r)
-    if not (np.isfinite(near).all() and (far - near).max() < HIDDEN):
+    if not (np.isfinite(near).all() and (far - near).max() < HIDDEN_METAL):
         raise ValueError
     ends = near * [np.cos(THETA), np.sin(THETA)]
     return np.asarray(origin + ends.T @ plane)
 
 
-def around(x: Floats) -> float:
+def outline_length(x: Floats) -> float:
     """Length of an outline [mm]."""
     return float(np.sqrt(((x - np.roll(x, 1, axis=0)) ** 2).sum(axis=1)).sum())
 
@@ -80,41 +80,41 @@ def corners(x: Floats) -> tuple[Floats, Floats]:
     A corner is where it bends more than in the mean, up to where it bends half as much as there.
     Bend is averaged over a window: a sharp corner is as wide as that.
     """
-    at, bend = positions(x), bends(x)
+    arc, bend = positions(x), bends(x)
     total = bend.sum()
-    turned = np.cumsum(bend) - 0.5 * bend
-    at = np.concatenate([at - 1, at, at + 1])
-    turned = np.concatenate([turned - total, turned, turned + total])
-    place = np.arange(2 * ROUND) / (2 * ROUND)
-    ends = [np.interp(place + side * WINDOW, at, turned) for side in (-0.5, 0.5)]
-    density = (ends[1] - ends[0]) / (WINDOW * total)
-    high = density > BENT
-    if high.all() or not high.any():
+    turned_angle = np.cumsum(bend) - 0.5 * bend
+    arc = np.concatenate([arc - 1, arc, arc + 1])
+    turned_angle = np.concatenate([turned_angle - total, turned_angle, turned_angle + total])
+    grid = np.arange(2 * RAYS) / (2 * RAYS)
+    ends = [np.interp(grid + side * BEND_WINDOW, arc, turned_angle) for side in (-0.5, 0.5)]
+    density = (ends[1] - ends[0]) / (BEND_WINDOW * total)
+    is_high = density > CORNER_BEND
+    if is_high.all() or not is_high.any():
         return np.zeros(0), np.zeros(0)
-    shift, n, pieces = int(np.argmin(high)), len(place), []
-    density, high = np.roll(density, -shift), np.roll(high, -shift)
-    firsts, lasts = np.flatnonzero(np.diff(high.astype(int), append=0)).reshape(-1, 2).T
+    shift, n, pieces = int(np.argmin(is_high)), len(grid), []
+    density, is_high = np.roll(density, -shift), np.roll(is_high, -shift)
+    firsts, lasts = np.flatnonzero(np.diff(is_high.astype(int), append=0)).reshape(-1, 2).T
     # An arc is facets: what is between them is no flat.
-    apart = np.append(firsts[1:] - lasts[:-1] > CLOSED * n, True)
-    for first, last in zip(firsts[np.roll(apart, 1)] + 1, lasts[apart], strict=True):
-        half = 0.5 * density[first : last + 1].mean()
-        within = first + np.flatnonzero(density[first : last + 1] >= half)
-        before = _outwards(density, half, int(within[0]), -1)
-        after = _outwards(density, half, int(within[-1]), 1)
+    is_separate = np.append(firsts[1:] - lasts[:-1] > SHORTEST_FLAT * n, True)
+    for first, last in zip(firsts[np.roll(is_separate, 1)] + 1, lasts[is_separate], strict=True):
+        half_density = 0.5 * density[first : last + 1].mean()
+        peak = first + np.flatnonzero(density[first : last + 1] >= half_density)
+        before = _outwards(density, half_density, int(peak[0]), -1)
+        after = _outwards(density, half_density, int(peak[-1]), 1)
         width = (after - before) / n
-        if 2 * half * width * total > LEAST_BEND:
+        if 2 * half_density * width * total > LEAST_BEND:
             pieces.append(((0.5 * (before + after) + shift) / n, width))
     middles, widths = np.transpose(pieces) if pieces else np.zeros((2, 0))
     return np.asarray(middles % 1.0), np.asarray(widths)
 
 
-def _outwards(density: Floats, level: float, start: int, way: int) -> float:
+def _outwards(density: Floats, level: float, start: int, step: int) -> float:
     """Place, from a start in a direction, where a density on a ring falls below a level."""
     n, k = len(density), start
-    while density[(k + way) % n] >= level and abs(k - start) < n:
-        k += way
-    high, low = density[k % n], density[(k + way) % n]
-    return k + way * float((high - level) / (high - low))
+    while density[(k + step) % n] >= level and abs(k - start) < n:
+        k += step
+    high, low = density[k % n], density[(k + step) % n]
+    return k + step * float((high - level) / (high - low))
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class CornerLines:
         middles: Middles of the corners in parts of the length around (k,).
         sharp: True for corners that are points (k,).
         first: Number of the end of a corner at which the first line is; -1: it is on the first ray.
-        weights: 1 for flats, `ARC` for corners, from the first line on (m,).
+        weights: 1 for flats, `ARC_WEIGHT` for corners, from the first line on (m,).
         shares: Fraction of all lines on each flat and corner (m,).
     """
 
@@ -139,14 +139,14 @@ class CornerLines:
     def of(cls, x: Floats, lines: int) -> CornerLines:
         """Corners and flats of an outline (n, 3)."""
         middles, widths = corners(x)
-        sharp = widths < 1.3 * WINDOW
+        sharp = widths < 1.3 * BEND_WINDOW
         ends = cls._ends(middles, widths, sharp)
-        away = (ends + 0.5) % 1.0 - 0.5
-        near = int(np.argmin(np.abs(away))) if len(ends) else -1
-        first = near if len(ends) and abs(away[near]) < 0.5 / lines else -1
+        offsets = (ends + 0.5) % 1.0 - 0.5
+        nearest = int(np.argmin(np.abs(offsets))) if len(ends) else -1
+        first = nearest if len(ends) and abs(offsets[nearest]) < 0.5 / lines else -1
         pieces = cls(middles, sharp, first, np.zeros(0), np.zeros(0))
         bounds, inside = pieces._bounds(ends)
-        weights = np.where(inside, ARC, 1.0)
+        weights = np.where(inside, ARC_WEIGHT, 1.0)
         lengths = weights * np.diff(bounds)
         whole = lines % 4 == 0 and lines >= max(LEAST_WHOLE, 2 * len(lengths))
         shares = allotted(lengths, lines) if whole else lengths
@@ -156,10 +156,10 @@ class CornerLines:
     def _ends(middles: Floats, widths: Floats, sharp: Bools) -> Floats:
         """Ends of corners, of a sharp one its point, in parts of the length around (j,)."""
         ends = [
-            [m] if point else [m - 0.5 * w, m + 0.5 * w]
-            for m, w, point in zip(middles, widths, sharp, strict=True)
+            [middle] if point else [middle - 0.5 * width, middle + 0.5 * width]
+            for middle, width, point in zip(middles, widths, sharp, strict=True)
         ]
-        return np.array([at for piece in ends for at in piece])
+        return np.array([end for piece in ends for end in piece])
 
     def _bounds(self, ends: Floats) -> tuple[Floats, Bools]:
         """Bounds of the pieces from the first line on (m + 1,), and which are corners (m,)."""
@@ -168,28 +168,31 @@ class CornerLines:
         )
         start = ends[self.first] if self.first >= 0 else 0.0
         all_ends = ends if self.first >= 0 else np.append(ends, 0.0)
-        after = corner if self.first >= 0 else np.append(corner, False)
-        place = (all_ends - start) % 1.0
-        order = np.argsort(place, kind="stable")
-        inside = after[order].astype(bool)
+        is_after_corner = corner if self.first >= 0 else np.append(corner, False)
+        arc = (all_ends - start) % 1.0
+        order = np.argsort(arc, kind="stable")
+        inside = is_after_corner[order].astype(bool)
         if self.first < 0 and len(ends):
             # The first ray may be within a corner.
             inside[0] = inside[-1]
-        return start + np.append(place[order], 1.0), inside
+        return start + np.append(arc[order], 1.0), inside
 
     def knots(self, x: Floats) -> tuple[Floats, Floats] | None:
-        """Places in an outline (n, 3), and the turns there (m + 1,); None if corners are others."""
+        """Positions in an outline (n, 3), and the turns there (m + 1,).
+
+        None: the outline has other corners.
+        """
         middles, widths = corners(x)
         if len(middles) != len(self.middles):
             return None
-        apart = (middles[None] - self.middles[:, None] + 0.5) % 1.0 - 0.5
-        nearest = np.abs(apart).argmin(axis=1) if len(middles) else np.zeros(0, dtype=int)
-        away = apart[np.arange(len(nearest)), nearest]
-        if len(np.unique(nearest)) < len(nearest) or (np.abs(away) > MOVED).any():
+        differences = (middles[None] - self.middles[:, None] + 0.5) % 1.0 - 0.5
+        nearest = np.abs(differences).argmin(axis=1) if len(middles) else np.zeros(0, dtype=int)
+        shifts = differences[np.arange(len(nearest)), nearest]
+        if len(np.unique(nearest)) < len(nearest) or (np.abs(shifts) > CORNER_SHIFT).any():
             return None
-        ends = self._ends(self.middles + away, widths[nearest], self.sharp)
+        ends = self._ends(self.middles + shifts, widths[nearest], self.sharp)
         bounds, inside = self._bounds(ends)
-        weights = np.where(inside, ARC, 1.0)
+        weights = np.where(inside, ARC_WEIGHT, 1.0)
         if (weights != self.weights).any() or (np.diff(bounds) <= 0).any():
             return None
         lengths = weights * np.diff(bounds)
@@ -209,19 +212,24 @@ class CadStem:
     ) -> None:
         """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
         (self._low, high), self._placed = ends, placed
-        self._high = self._low + float(shape["shoulder"]) - TIP if high < placed.top else np.inf
-        way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, self._low])
-        self._x, self._coarse = shape["x"] * way + shift, shape["coarse"] * way + shift
-        self._kept = lru_cache(maxsize=4096)(self._outline)
-        self._placed_lines = lru_cache(maxsize=4096)(self._lines)
-        self._pieces: CornerLines | None = None
-        end, up = shape["end"] * way + shift, shape["neck"] * way
-        bend = end - (1 - NECK) * end[0] / up[0] * up
-        self._path = np.array([[0.0, 0.0, high], bend, end - INSIDE * up])
-        medial = unit(np.array([1.0, 0.0, 0.0]) - up[0] * up)
+        self._high = (
+            self._low + float(shape["shoulder"]) - TIP_MARGIN if high < placed.top else np.inf
+        )
+        mirror, shift = (
+            [1.0, -1.0 if placed.mirrored else 1.0, 1.0],
+            np.array([0.0, 0.0, self._low]),
+        )
+        self._x, self._coarse = shape["x"] * mirror + shift, shape["coarse"] * mirror + shift
+        self._cached_outline = lru_cache(maxsize=4096)(self._outline)
+        self._cached_lines = lru_cache(maxsize=4096)(self._lines)
+        self._corner_lines: CornerLines | None = None
+        end, neck_axis = shape["end"] * mirror + shift, shape["neck"] * mirror
+        bend = end - (1 - NECK_SHARE) * end[0] / neck_axis[0] * neck_axis
+        self._path = np.array([[0.0, 0.0, high], bend, end - NECK_INSET * neck_axis])
+        medial = unit(np.array([1.0, 0.0, 0.0]) - neck_axis[0] * neck_axis)
         steepest, self._lean = placed.slopes
-        self._planes = np.stack([self._plane(steepest), [medial, np.cross(up, medial)]])
-        self._cut = self._along(placed.top, steepest)
+        self._planes = np.stack([self._plane(steepest), [medial, np.cross(neck_axis, medial)]])
+        self._cut = self._path_fraction(placed.top, steepest)
         length = np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()
         self.ends = (mesh.steps((1 - self._cut) * length),)
 
@@ -229,22 +237,31 @@ class CadStem:
         """Directions in a section, over x and over y (2, 3)."""
         return np.array([[1.0, 0.0, -slope], [0.0, 1.0, -slope * self._lean]])
 
-    def _along(self, height: float, slope: float) -> float:
-        """Where the path meets a section, of its length; 0 if it begins above."""
+    def _path_fraction(self, height: float, slope: float) -> float:
+        """Fraction of the path at which it meets a section; 0 if it begins above."""
         p, q, r = self._path @ [slope, slope * self._lean, 1.0]
         rise = height - p
         if rise <= 0:
             return 0.0
         return float(rise / (q - p + np.sqrt((q - p) ** 2 + (p - 2 * q + r) * rise)))
 
-    def _outline(self, height: float, slope: float, part: float = 0.0) -> Floats:
-        """Outline (`ROUND`, 3) [mm]; a part above 0 is that of the way from cut to neck's end."""
-        t, at = 1 - part, self._cut + (1 - self._cut) * part
+    def _outline(self, height: float, slope: float, fraction: float = 0.0) -> Floats:
+        """Outline (`RAYS`, 3) [mm]. A fraction above 0 counts from the cut to the neck's end."""
+        t, path_fraction = 1 - fraction, self._cut + (1 - self._cut) * fraction
         plane = t * t * self._planes[0] + (1 - t * t) * self._planes[1]
-        if part <= 0:
-            at, plane = self._along(height, slope), self._plane(slope)
-        origin = np.array([(1 - at) ** 2, 2 * (1 - at) * at, at * at]) @ self._path
-        if at <= 0:
+        if fraction <= 0:
+            path_fraction, plane = self._path_fraction(height, slope), self._plane(slope)
+        origin = (
+            np.array(
+                [
+                    (1 - path_fraction) ** 2,
+                    2 * (1 - path_fraction) * path_fraction,
+                    path_fraction * path_fraction,
+                ]
+            )
+            @ self._path
+        )
+        if path_fraction <= 0:
             origin = np.array([0.0, 0.0, height])
         try:
             return outline(self._x, origin, plane)
@@ -258,69 +275,82 @@ class CadStem:
                 " collar from the file"
             ) from None
 
-    def _lines(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
+    def _lines(self, height: float, slope: float, fraction: float = 0.0) -> tuple[Floats, Floats]:
         """Points of an outline (n, 3) [mm], and the lines there in turns (n,)."""
-        x = self._kept(height, slope, part)
-        if part <= 0:
-            return self._turned(x)
+        x = self._cached_outline(height, slope, fraction)
+        if fraction <= 0:
+            return self._with_corner_points(x)
         return x, positions(x)  # corners are those of shoulder and neck
 
-    def _turned(self, x: Floats) -> tuple[Floats, Floats]:
-        """Points of an outline, those of rays (`ROUND`, 3) first, and the lines there in turns."""
-        place = positions(x)
-        known = self._pieces.knots(x) if self._pieces else None
-        if known:
-            bounds, turns = known
-            start, on = bounds[0], bounds[:-1]
-            more = np.stack([np.interp(on, place, v, period=1.0) for v in x.T], axis=1)
-            at = np.append((place - start) % 1.0 + start, on)
-            return np.concatenate([x, more]), np.interp(at, bounds, turns)
-        return x, place
+    def _with_corner_points(self, x: Floats) -> tuple[Floats, Floats]:
+        """Points of an outline, first the (`RAYS`, 3) of the rays, and the lines there in turns."""
+        arc = positions(x)
+        knots = self._corner_lines.knots(x) if self._corner_lines else None
+        if knots:
+            bounds, turns = knots
+            start, corner_arcs = bounds[0], bounds[:-1]
+            corner_points = np.stack(
+                [np.interp(corner_arcs, arc, v, period=1.0) for v in x.T], axis=1
+            )
+            all_arcs = np.append((arc - start) % 1.0 + start, corner_arcs)
+            return np.concatenate([x, corner_points]), np.interp(all_arcs, bounds, turns)
+        return x, arc
 
-    def _at(self, phi: Floats, *planes: Floats) -> Floats:
+    def _points_on_outlines(self, phi: Floats, *planes: Floats) -> Floats:
         """Points of outlines (n, 3) [mm], one outline for all with the same arguments (n,)."""
-        keys, of = np.unique(np.stack(planes, axis=1), axis=0, return_inverse=True)
+        keys, outline_of_point = np.unique(np.stack(planes, axis=1), axis=0, return_inverse=True)
         points = np.empty((len(phi), 3))
         for k in range(len(keys)):
-            here = of.ravel() == k
-            x, at = self._placed_lines(*keys[k])
-            points[here] = np.stack([np.interp(phi[here], at, v, period=1.0) for v in x.T], axis=1)
+            on_outline = outline_of_point.ravel() == k
+            x, turns = self._cached_lines(*keys[k])
+            points[on_outline] = np.stack(
+                [np.interp(phi[on_outline], turns, v, period=1.0) for v in x.T], axis=1
+            )
         return points
 
     def section(self, z: float) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius of a square of the same length around [mm]."""
-        half = around(self._kept(z, 0.0, 0.0)) / 8
+        half = outline_length(self._cached_outline(z, 0.0, 0.0)) / 8
         return half, half, 0.0
 
-    def divided(self, z: float, around: int) -> CadStem:
+    def divided(self, z: float, line_count: int) -> CadStem:
         """Itself, with lines on the corners of its section at z [mm]."""
-        self._pieces = CornerLines.of(self._kept(z, 0.0, 0.0), around)
-        self._placed_lines.cache_clear()
+        self._corner_lines = CornerLines.of(self._cached_outline(z, 0.0, 0.0), line_count)
+        self._cached_lines.cache_clear()
         return self
 
     def point(self, phi: Floats, zeta: FloatOrFloats, slope: FloatOrFloats) -> Floats:
         """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""
         zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
-        return self._at(phi, self._low + np.abs(zeta - self._low), slope, np.zeros(len(phi)))
+        return self._points_on_outlines(
+            phi, self._low + np.abs(zeta - self._low), slope, np.zeros(len(phi))
+        )
 
     def points(self, phi: Floats, s: Floats) -> Floats:
         """Points at stations above the cut (n, 3) [mm]."""
         zero = np.zeros(len(phi))
-        return self._at(phi, zero, zero, np.asarray(s) / self.ends[-1])
+        return self._points_on_outlines(phi, zero, zero, np.asarray(s) / self.ends[-1])
 
     def depth(self, thickness: Thickness, x: Floats) -> Floats:
-        """Depth of points (n, 3) within the surface at a distance [mm], or that of what is below.
+        """Depth of points (n, 3) within the outer side of a mantle (n,) [mm].
 
-        Below the tip, and above a shoulder below the cut, it goes on as it is there.
+        Below the tip, and above a shoulder that is below the cut, the surface continues unchanged.
         """
-        x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP)], axis=1)
+        x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP_MARGIN)], axis=1)
         wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
-        away = distance(x, self._coarse)
-        over = x[:, 2] > self._high
-        if over.any():
-            edge, at = self._kept(self._high, 0.0, 0.0)[:, :2], x[over, :2]
-            turn = np.arctan2(at[:, 1], at[:, 0])
-            out = np.hypot(*at.T) - np.interp(turn, THETA, np.hypot(*edge.T), period=2 * np.pi)
-            beside = np.where(out > 0, cKDTree(edge).query(at)[0], 0.0)
-            away[over] = np.minimum(away[over], beside)
-        return np.asarray(wanted - away)
+        distances = distance(x, self._coarse)
+        is_above = x[:, 2] > self._high
+        if is_above.any():
+            shoulder_outline, plane_points = (
+                self._cached_outline(self._high, 0.0, 0.0)[:, :2],
+                x[is_above, :2],
+            )
+            angles = np.arctan2(plane_points[:, 1], plane_points[:, 0])
+            outside = np.hypot(*plane_points.T) - np.interp(
+                angles, THETA, np.hypot(*shoulder_outline.T), period=2 * np.pi
+            )
+            edge_distances = np.where(
+                outside > 0, cKDTree(shoulder_outline).query(plane_points)[0], 0.0
+            )
+            distances[is_above] = np.minimum(distances[is_above], edge_distances)
+        return np.asarray(wanted - distances)

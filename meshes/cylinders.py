@@ -13,7 +13,7 @@ from meshes.geometry import CylinderKeys
 from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
 
-SLICE = 2.0  # mesh sizes: shorter cylinders may be swept
+SLICE_LENGTH = 2.0  # mesh sizes: shorter cylinders may be swept
 Radii = tuple[float, float, float]  # of the stem, the cement and the bone [mm]
 
 
@@ -34,7 +34,7 @@ def build(geometry: CylinderKeys, mesh: MeshKeys) -> MeshData:
     middle = geometry.stem_radius + geometry.cement_thickness
     radii = (geometry.stem_radius, middle, middle + geometry.bone_thickness)
     points, cells, entity = _tetrahedra(geometry, mesh, radii, swept=False)
-    if geometry.taper == 0 and geometry.length < SLICE * mesh.size:
+    if geometry.taper == 0 and geometry.length < SLICE_LENGTH * mesh.size:
         # Between two faces a cell apart the generator left a flat cell in 10 of 100 slices. Where
         # it does not, its cells give smoother pressures than swept ones.
         if sicn(points, cells).min() < POOR:
@@ -71,10 +71,10 @@ def _tetrahedra(
 def _solids(gmsh: ModuleType, radii: Radii, rise: float, length: float, angle: float) -> None:
     occ = gmsh.model.occ
     solids = [
-        (3, occ.addCone(0, 0, 0, 0, 0, length, radius - more, radius + more, angle=angle))
-        if more
+        (3, occ.addCone(0, 0, 0, 0, 0, length, radius - widening, radius + widening, angle=angle))
+        if widening
         else (3, occ.addCylinder(0, 0, 0, 0, 0, length, radius, angle=angle))
-        for radius, more in zip(radii, (rise, rise, 0.0), strict=True)
+        for radius, widening in zip(radii, (rise, rise, 0.0), strict=True)
     ]
     stem, cement, bone = solids
     occ.fragment([bone], [cement, stem])
@@ -102,16 +102,16 @@ def _boundaries(
     x: Floats, region: Ints, regions: dict[str, int], geometry: CylinderKeys, outer: float
 ) -> dict[str, Bools]:
     """Masks over facets with corners x (n, 3, 3): ends, planes of symmetry, the outer surface."""
-    near = 1e-6 * geometry.length
-    on_x, on_y, bottom = np.all(np.abs(x) < near, axis=1).T
-    top = np.all(np.abs(x[..., 2] - geometry.length) < near, axis=1)
+    tolerance = 1e-6 * geometry.length
+    on_x, on_y, bottom = np.all(np.abs(x) < tolerance, axis=1).T
+    top = np.all(np.abs(x[..., 2] - geometry.length) < tolerance, axis=1)
     masks: dict[str, Bools] = {}
     for name, tag in regions.items():
         masks |= {f"{name}_bottom": bottom & (region == tag), f"{name}_top": top & (region == tag)}
     masks |= {"bottom": bottom, "top": top}
     planes = {"symmetry_x": on_x, "symmetry_y": on_y}
     side = ~bottom & ~top
-    masks |= {n: on & side for n, on in planes.items() if n in geometry.boundary_names}
+    masks |= {n: mask & side for n, mask in planes.items() if n in geometry.boundary_names}
     masks["bone_surface"] = np.all(
         np.abs(np.hypot(x[..., 0], x[..., 1]) - outer) < 1e-6 * outer, axis=1
     )

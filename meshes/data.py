@@ -22,7 +22,7 @@ from app.foundation.arrays import Bools, Floats, Ints
 Tags = npt.NDArray[np.integer]
 # Names of the regions on the two sides of an interface.
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
-AT_ONCE = 1 << 13  # cells, of which all intermediate numbers fit a cache
+CHUNK_CELLS = 1 << 13  # cells, of which all intermediate numbers fit a cache
 
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
 # The nodes of each face of a quadratic tetrahedron as a facet's, outward for positive volume.
@@ -127,8 +127,8 @@ class MeshData:
         Each facet occurs twice, as seen from either side.
         """
         behind = self.neighbours
-        other = self.cell_tags[behind] != self.cell_tags[:, None]
-        cell, face = np.nonzero(other & (behind >= 0))
+        is_other = self.cell_tags[behind] != self.cell_tags[:, None]
+        cell, face = np.nonzero(is_other & (behind >= 0))
         return cell, face, behind[cell, face]
 
 
@@ -155,18 +155,21 @@ def match_faces(cells: Ints) -> Ints:
     keys = low * (int(cells.max()) + 1) + middle
     rows = np.lexsort((high, keys))
     keys, high = keys[rows], high[rows]
-    same = (keys[1:] == keys[:-1]) & (high[1:] == high[:-1])
-    if np.any(same[1:] & same[:-1]):
+    is_same = (keys[1:] == keys[:-1]) & (high[1:] == high[:-1])
+    if np.any(is_same[1:] & is_same[:-1]):
         raise ValueError("a face belongs to more than two cells")
     partner = np.full(len(rows), -1, dtype=np.int64)
-    first = np.flatnonzero(same)
-    partner[rows[first]] = rows[first + 1]
-    partner[rows[first + 1]] = rows[first]
+    first_rows = np.flatnonzero(is_same)
+    partner[rows[first_rows]] = rows[first_rows + 1]
+    partner[rows[first_rows + 1]] = rows[first_rows]
     return partner
 
 
 def same_triangles(a: Ints, b: Ints) -> tuple[Ints, Ints]:
-    """The same number for the same triangle of either list, in any order of its corners."""
+    """Return numbers of the triangles of two lists; equal for equal triangles.
+
+    The order of the corners does not matter.
+    """
     low, middle, high = np.sort(np.concatenate([a, b]), axis=1).T
     n = int(high.max(initial=0)) + 1
     label = np.unique(low * n + middle, return_inverse=True)[1] * n + high
@@ -189,8 +192,8 @@ def connected(n: int, a: Ints, b: Ints) -> Ints:
         while not np.array_equal(further := label[label], label):
             label = further
         a, b = label[a], label[b]
-        apart = a != b
-        a, b = a[apart], b[apart]
+        differs = a != b
+        a, b = a[differs], b[differs]
     return np.asarray((np.cumsum(label == node) - 1)[label])
 
 
@@ -217,25 +220,27 @@ _TRI_POINTS = np.vstack(
 _TRI_WEIGHTS = np.repeat([9 / 40, *((155 + s * np.sqrt(15)) / 1200 for s in (-1, 1))], [1, 3, 3])
 
 
-def tangents(x: Floats, at: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
+def tangents(x: Floats, barycentric: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
     """Derivatives dx/dLk - dx/dL0, k > 0, of quadratic cells or facets; shape (k, 3, m, q).
 
-    ``x`` are their nodes (m, v + e, 3), ``at`` barycentric points (q, v), ``edges`` the e pairs of
-    vertices with a node in the middle.
+    Args:
+        x: Nodes of the cells or facets (m, v + e, 3).
+        barycentric: Coordinates of the points (q, v).
+        edges: The e pairs of vertices with a node in the middle.
     """
-    one, (i, j) = np.eye(at.shape[1]), np.array(edges).T
-    middles = 4 * at[:, j, None] * one[i] + 4 * at[:, i, None] * one[j]
-    d = np.concatenate([(4 * at[:, :, None] - 1) * one, middles], axis=1)
+    identity, (i, j) = np.eye(barycentric.shape[1]), np.array(edges).T
+    middles = 4 * barycentric[:, j, None] * identity[i] + 4 * barycentric[:, i, None] * identity[j]
+    derivatives = np.concatenate([(4 * barycentric[:, :, None] - 1) * identity, middles], axis=1)
     # By BLAS, which takes a fifteenth of the time of sums by numpy.
-    by_edges = d[:, :, 1:] - d[:, :, :1]
+    by_edges = derivatives[:, :, 1:] - derivatives[:, :, :1]
     return np.asarray(np.einsum("qak,maj->kjmq", by_edges, x, optimize=True))
 
 
 def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
     """Edges from the first corner of straight cells (3, k), in chunks that fit a cache."""
     x = np.ascontiguousarray(points.T)
-    for start in range(0, max(len(cells), 1), AT_ONCE):
-        first, *others = (x[:, nodes] for nodes in cells[start : start + AT_ONCE].T)
+    for start in range(0, max(len(cells), 1), CHUNK_CELLS):
+        first, *others = (x[:, nodes] for nodes in cells[start : start + CHUNK_CELLS].T)
         yield [other - first for other in others]
 
 
@@ -247,8 +252,8 @@ def dot(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> Floats:
 def cell_volumes(points: Floats, cells: Ints) -> Floats:
     """Volumes of the cells [mm^3], negative when inverted; shape (m,)."""
     if cells.shape[1] == 4:
-        some = edge_vectors(points, cells)
-        return np.concatenate([dot(a, np.cross(b, c, axis=0)) for a, b, c in some]) / 6
+        chunks = edge_vectors(points, cells)
+        return np.concatenate([dot(a, np.cross(b, c, axis=0)) for a, b, c in chunks]) / 6
     a, b, c = tangents(points[cells], _TET_POINTS, EDGES)
     return dot(a, np.cross(b, c, axis=0)) @ _TET_WEIGHTS / 6
 
@@ -292,31 +297,31 @@ def boundary_facets(data: MeshData, name: str) -> Ints:
 
 def interface_nodes(data: MeshData, name: str, faces: Mapping[str, tuple[str, str]]) -> Ints:
     """Corner nodes of an interface (n,); of its second boundary in ``faces`` if meshed apart."""
-    apart = faces.get(name)
-    facets = boundary_facets(data, apart[1]) if apart else interface_facets(data, name)[0]
+    boundaries = faces.get(name)
+    facets = boundary_facets(data, boundaries[1]) if boundaries else interface_facets(data, name)[0]
     return np.unique(facets[:, :3])
 
 
 def canonical(data: MeshData) -> MeshData:
-    """The same mesh without unused nodes and in an order that depends on the geometry alone.
+    """Return the mesh without unused nodes, in an order that depends on the geometry alone.
 
     Nodes are sorted by z, y, x; cells by region and nodes; facets by tag and nodes.
     """
-    used = np.zeros(len(data.points), dtype=bool)
-    used[data.cells] = True
-    nodes = np.flatnonzero(used)
+    is_used = np.zeros(len(data.points), dtype=bool)
+    is_used[data.cells] = True
+    nodes = np.flatnonzero(is_used)
     nodes = nodes[np.lexsort(np.round(data.points[nodes], 9).T)]
-    number = np.full(len(data.points), -1, dtype=np.int64)
-    number[nodes] = np.arange(len(nodes))
-    cells, facets = number[data.cells], number[data.facets]
+    new_node = np.full(len(data.points), -1, dtype=np.int64)
+    new_node[nodes] = np.arange(len(nodes))
+    cells, facets = new_node[data.cells], new_node[data.facets]
     a, b, c, d = np.sort(cells[:, :4], axis=1).T
     n = len(nodes)
     by_cell = np.lexsort((c * n + d, (data.cell_tags.astype(np.int64) * n + a) * n + b))
     behind = data.behind
     if behind is not None:
-        row = np.full(len(cells) + 1, -1, dtype=np.int64)  # the last for what is -1
-        row[by_cell] = np.arange(len(cells))
-        behind = row[behind.take(by_cell, axis=0)]
+        new_cell = np.full(len(cells) + 1, -1, dtype=np.int64)  # the last entry keeps -1
+        new_cell[by_cell] = np.arange(len(cells))
+        behind = new_cell[behind.take(by_cell, axis=0)]
     by_facet = np.lexsort((*np.sort(facets[:, :3], axis=1).T[::-1], data.facet_tags))
     return replace(
         data,
@@ -351,13 +356,13 @@ def assemble(
     masks = np.array([*boundaries.values()], dtype=bool).reshape(-1, len(facets))
     patterns, inverse = np.unique(masks.T, axis=0, return_inverse=True)
     tags = np.cumsum(patterns.any(axis=1), dtype=np.int32) * patterns.any(axis=1)
-    named = masks.any(axis=0)
+    has_name = masks.any(axis=0)
     return MeshData(
         points=points,
         cells=cells,
         cell_tags=cell_tags.astype(np.int32),
-        facets=facets[named],
-        facet_tags=tags[inverse.ravel()][named],
+        facets=facets[has_name],
+        facet_tags=tags[inverse.ravel()][has_name],
         regions=dict(regions),
         boundaries={
             name: tuple(tags[pattern].tolist())

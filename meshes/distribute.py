@@ -131,12 +131,12 @@ def _tags(mesh: dolfinx.mesh.Mesh, dim: int, sets: Sequence[Entities]) -> MeshTa
 
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     """Distribute the mesh of rank 0 (None on the others) to all ranks; collective."""
-    without = {name: getattr(data, name)[:0] for name in ARRAYS} if data is not None else {}
-    known: MeshData = comm.bcast(data and replace(data, behind=None, **without))
-    source = known if data is None else data
+    emptied = {name: getattr(data, name)[:0] for name in ARRAYS} if data is not None else {}
+    shared: MeshData = comm.bcast(data and replace(data, behind=None, **emptied))
+    source = shared if data is None else data
     corners, width = source.cells.shape[1], source.facets.shape[1]
-    given = os.environ.get(THREADS)
-    os.environ[THREADS] = given or "1"  # several part a mesh in another way each time
+    threads_before = os.environ.get(THREADS)
+    os.environ[THREADS] = threads_before or "1"  # several part a mesh in another way each time
     try:
         mesh = dolfinx.mesh.create_mesh(
             comm,
@@ -146,12 +146,12 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
             partitioner=dolfinx_features.partitioner(GhostMode.shared_facet),
         )
     finally:
-        if given is None:
+        if threads_before is None:
             del os.environ[THREADS]
     connect(mesh)
     original = mesh.topology.original_cell_index
     cells = np.arange(len(original), dtype=np.int32)
-    regions = meshtags(mesh, 3, cells, known.cell_tags[original])
+    regions = meshtags(mesh, 3, cells, shared.cell_tags[original])
     regions.name = "regions"
     facets = source.facets[:, cell_perm_array(CellType.triangle, width)].copy()
     local, values = distribute_entity_data(mesh, 2, facets, source.facet_tags)
@@ -159,7 +159,7 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
         mesh, 2, adjacencylist(local), values.astype(np.int32, copy=False)
     )
     patches.name = "boundaries"
-    names = (known.regions, known.boundaries, known.interfaces, known.notes)
+    names = (shared.regions, shared.boundaries, shared.interfaces, shared.notes)
     return TaggedMesh(mesh, regions, patches, *names)
 
 
@@ -186,26 +186,26 @@ def gather(tagged: TaggedMesh) -> MeshData | None:
     mesh.topology.create_connectivity(3, 2)
     cell_of = mesh.topology.connectivity(2, 3)
     facets_of = mesh.topology.connectivity(3, 2)
-    beside = np.array([cell_of.links(f)[0] for f in tagged_facets], dtype=np.int64)
+    cell_of_facet = np.array([cell_of.links(f)[0] for f in tagged_facets], dtype=np.int64)
     opposite = [
         int(np.flatnonzero(facets_of.links(c) == f)[0])
-        for f, c in zip(tagged_facets, beside, strict=True)
+        for f, c in zip(tagged_facets, cell_of_facet, strict=True)
     ]
     # Facet i of dolfinx is opposite to vertex i; face f of `FACES` is opposite to vertex 3 - f.
     faces = 3 - np.array(opposite, dtype=np.int64)
     local = cells_map.size_local
-    of_rank = (
+    rank_arrays = (
         geometry.x[: nodes.size_local],
         cells[:local],
         regions[:local],
-        faces_of(cells, beside, faces),
+        faces_of(cells, cell_of_facet, faces),
         tagged.facet_tags.values[owned],
     )
-    parts = comm.gather(of_rank)
+    parts = comm.gather(rank_arrays)
     if parts is None:
         return None
-    points, every, cell_tags, facets, facet_tags = (
+    points, all_cells, cell_tags, facets, facet_tags = (
         np.concatenate(arrays) for arrays in zip(*parts, strict=True)
     )
     names = (dict(tagged.regions), dict(tagged.boundaries), dict(tagged.interfaces))
-    return MeshData(points, every, cell_tags, facets, facet_tags, *names)
+    return MeshData(points, all_cells, cell_tags, facets, facet_tags, *names)

@@ -11,38 +11,38 @@ from meshes.data import tangents
 NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
 
 
-def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
+def surface(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
     if x.shape[1] == 6:
-        a, b = tangents(x, at, ((1, 2), (2, 0), (0, 1)))
+        a, b = tangents(x, barycentric, ((1, 2), (2, 0), (0, 1)))
     else:
         flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
-        a, b = np.broadcast_to(flat, (*flat.shape[:3], len(at)))
+        a, b = np.broadcast_to(flat, (*flat.shape[:3], len(barycentric)))
     normal = np.moveaxis(np.ascontiguousarray(np.cross(a, b, axis=0)), 0, -1)
     size = np.linalg.norm(normal, axis=2)
     return normal / size[:, :, None], size
 
 
-def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:
+def nodal_normals(x: Floats, inside: Floats, barycentric: Floats) -> Floats:
     """Outward normals (f, q, 3) at barycentric points (q, 3), as long as the facet areas [mm2].
 
     ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
     """
-    normals, size = surface(x, at)
+    normals, size = surface(x, barycentric)
     flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    away = np.sign(np.einsum("fi,fi->f", flat, x[:, 0] - inside))
-    return normals * (away * size.mean(axis=1) / 2)[:, None, None]
+    outward = np.sign(np.einsum("fi,fi->f", flat, x[:, 0] - inside))
+    return normals * (outward * size.mean(axis=1) / 2)[:, None, None]
 
 
-def shape_functions(at: Floats, nodes: int) -> Floats:
+def shape_functions(barycentric: Floats, nodes: int) -> Floats:
     """Shape functions of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
 
     Node 3 + k of six is the middle of the edge opposite vertex k.
     """
     if nodes == 3:
-        return at
-    middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
-    return np.concatenate([at * (2 * at - 1), middles], axis=1)
+        return barycentric
+    middles = 4 * barycentric[:, [1, 2, 0]] * barycentric[:, [2, 0, 1]]
+    return np.concatenate([barycentric * (2 * barycentric - 1), middles], axis=1)
 
 
 def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
@@ -56,25 +56,25 @@ def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
     is exact for translations, for rotations and for a widening in the plane of the edge. Returned
     are the factors (e, 3, 3) of the difference.
     """
-    off, chord = middle - (start + end) / 2, end - start
-    both = np.einsum("ei,ej->eij", off, chord)
+    offset, chord = middle - (start + end) / 2, end - start
+    outer_products = np.einsum("ei,ej->eij", offset, chord)
     length2 = np.einsum("ei,ei->e", chord, chord)
-    return (both - both.transpose(0, 2, 1)) / length2[:, None, None]
+    return (outer_products - outer_products.transpose(0, 2, 1)) / length2[:, None, None]
 
 
 def foot(x: Floats, corners: Floats) -> Floats:
     """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
-    edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
-    along = np.einsum("nki,nki->nk", off, edges) / np.einsum("nki,nki->nk", edges, edges)
+    edges, offsets = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
+    fractions = np.einsum("nki,nki->nk", offsets, edges) / np.einsum("nki,nki->nk", edges, edges)
     # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
-    a, b, d = edges[:, 0], -edges[:, 2], off[:, 0]
+    a, b, d = edges[:, 0], -edges[:, 2], offsets[:, 0]
     aa, ab, bb, da, db = (
         np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))
     )
     v, w = bb * da - ab * db, aa * db - ab * da
     inner = np.stack([aa * bb - ab**2 - v - w, v, w], axis=1) / (aa * bb - ab**2)[:, None]
-    s = np.clip(along, 0.0, 1.0)[:, :, None]
+    s = np.clip(fractions, 0.0, 1.0)[:, :, None]
     on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
-    away = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
-    edge = on_edges[np.arange(len(x)), away.argmin(axis=1)]
+    distances = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
+    edge = on_edges[np.arange(len(x)), distances.argmin(axis=1)]
     return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)

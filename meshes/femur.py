@@ -48,17 +48,19 @@ def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
             does not go with the neck cut.
     """
     surfaces = geometry.surfaces(mesh)
-    made = swept.mesh(surfaces, bool(mesh.curved))
-    facets, owner = made.facets
-    bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
+    swept_mesh = swept.mesh(surfaces, bool(mesh.curved))
+    facets, owner = swept_mesh.facets
+    bone = np.array([name.endswith("bone") for name in swept_mesh.names])[swept_mesh.region[owner]]
     masks = {
-        "distal_cut": made.on(facets, s=0),
-        "bone_surface": bone & made.on(facets, rho=4),
-        "stem_trunnion": made.on(facets, s=surfaces.collar[1] + surfaces.segments[-1].steps),
-        "resection": bone & made.on(facets, s=surfaces.cut),
+        "distal_cut": swept_mesh.on(facets, s=0),
+        "bone_surface": bone & swept_mesh.on(facets, rho=4),
+        "stem_trunnion": swept_mesh.on(facets, s=surfaces.collar[1] + surfaces.segments[-1].steps),
+        "resection": bone & swept_mesh.on(facets, s=surfaces.cut),
     }
-    x = geometry.placement.to_model(made.nodes.x)
-    data = assembled(geometry, made, x, geometry.region_names, geometry.interface_sides, masks)
+    x = geometry.placement.to_model(swept_mesh.nodes.x)
+    data = assembled(
+        geometry, swept_mesh, x, geometry.region_names, geometry.interface_sides, masks
+    )
     messages = [*surfaces.bone.notes, *surfaces.notes]
     if "collar_bone" in data.interfaces:
         messages.append(_collar(data, surfaces))
@@ -67,9 +69,9 @@ def build(geometry: OperatedHipKeys, mesh: MeshKeys) -> MeshData:
 
 def _collar(data: MeshData, surfaces: LayeredSurfaces) -> str:
     """Angle and areas on which a collar rests, in words."""
-    facets, _, under = interface_facets(data, "collar_bone")
+    facets, _, cells_below = interface_facets(data, "collar_bone")
     area = facet_areas(data.points, facets)
-    on_cortex = area[data.cell_tags[under] == data.regions["cortical_bone"]].sum()
+    on_cortex = area[data.cell_tags[cells_below] == data.regions["cortical_bone"]].sum()
     angle = 360.0 * len(surfaces.spans) / surfaces.around
     text = f"collar: rests on {area.sum():.0f} mm2 over {angle:.0f} deg around medial"
     return f"{text}, {on_cortex:.0f} mm2 of them on cortical bone"
@@ -77,7 +79,7 @@ def _collar(data: MeshData, surfaces: LayeredSurfaces) -> str:
 
 def assembled(
     geometry: HipKeys,
-    made: swept.Swept,
+    swept_mesh: swept.Swept,
     x: Floats,
     regions: tuple[str, ...],
     interfaces: Mapping[str, Sides],
@@ -85,12 +87,12 @@ def assembled(
 ) -> MeshData:
     """The mesh of nodes x with tags, patches and notes; masks are over its exterior facets."""
     tag_of = number(regions)
-    tags = np.array([tag_of.get(name, 0) for name in made.names])[made.region]
-    facets, _ = made.facets
+    tags = np.array([tag_of.get(name, 0) for name in swept_mesh.names])[swept_mesh.region]
+    facets, _ = swept_mesh.facets
     masks |= _patches(geometry, x, facets, masks["bone_surface"])
-    data = assemble(x, made.cells, tags, tag_of, interfaces, masks, facets)
-    notes = {"head_centre": list(geometry.head_centre), "layers": made.describe()}
-    return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
+    data = assemble(x, swept_mesh.cells, tags, tag_of, interfaces, masks, facets)
+    notes = {"head_centre": list(geometry.head_centre), "layers": swept_mesh.describe()}
+    return replace(data, notes=notes, behind=swept_mesh.partner.reshape(-1, 4) // 4)
 
 
 def _patches(geometry: HipKeys, points: Floats, facets: Ints, surface: Bools) -> dict[str, Bools]:

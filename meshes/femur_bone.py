@@ -73,7 +73,7 @@ DRAWN_AROUND = 72  # points around in pictures
 DRAWN_ALONG = 160  # sections in pictures
 CORTEX_LEFT = 2.5  # mm of cortical bone that reaming leaves
 # Levels [mm] between which a given thickness of the metaphyseal cortex blends into the table.
-BLENDED = (-50.0, -10.0)
+BLEND_LEVELS = (-50.0, -10.0)
 
 
 def tube_triangles(along: int, around: int) -> Ints:
@@ -81,8 +81,8 @@ def tube_triangles(along: int, around: int) -> Ints:
 
     Seen from outside corners are counterclockwise if the sections rise and their points turn left.
     """
-    row, turn = (v.ravel() for v in np.mgrid[: along - 1, :around])
-    a, b = row * around + turn, row * around + (turn + 1) % around
+    row, column = (v.ravel() for v in np.mgrid[: along - 1, :around])
+    a, b = row * around + column, row * around + (column + 1) % around
     return np.concatenate(
         [np.stack([a, b, b + around], axis=1), np.stack([a, b + around, a + around], axis=1)]
     )
@@ -106,12 +106,12 @@ def monotone(x: Floats, y: Floats) -> Callable[[Floats], Floats]:
     square = (3 * m - 2 * slopes[:-1] - slopes[1:]) / h
     cube = (slopes[:-1] + slopes[1:] - 2 * m) / h**2
 
-    def at(places: Floats) -> Floats:
+    def interpolated(places: Floats) -> Floats:
         k = np.clip(np.searchsorted(x, places, side="right") - 1, 0, len(h) - 1)
         t = (places - x[k])[..., None]
         return np.asarray(y[k] + t * (slopes[k] + t * (square[k] + t * cube[k])))
 
-    return at
+    return interpolated
 
 
 def _end_slope(h: Floats, m: Floats) -> Floats:
@@ -159,8 +159,12 @@ class Tube:
             -1 / n
         )
         height, angle, spread, length = self.bump
-        apart = np.angle(np.exp(1j * (theta - angle)))  # from -pi to pi
-        return r + self.offset + height * np.exp(-((apart / spread) ** 2) - (z / length) ** 2)
+        angle_difference = np.angle(np.exp(1j * (theta - angle)))  # from -pi to pi
+        return (
+            r
+            + self.offset
+            + height * np.exp(-((angle_difference / spread) ** 2) - (z / length) ** 2)
+        )
 
 
 PERIOSTEUM = Tube(OUTER, TROCHANTER)
@@ -173,7 +177,7 @@ class FemurBone:
     Attributes:
         neck: Azimuth of the neck, its anteversion [rad].
         widening: Reaming: distance by which the endosteum is moved outwards [mm].
-        cortex: Thickness of the cortex above the levels `BLENDED` [mm]; None: as in the table.
+        cortex: Thickness of the cortex above the levels `BLEND_LEVELS` [mm]; None: as in the table.
     """
 
     neck: float = 0.0
@@ -191,8 +195,8 @@ class FemurBone:
     @property
     def head(self) -> Floats:
         """Centre of the head (3,) [mm]."""
-        way = np.array([np.cos(self.neck), np.sin(self.neck)])
-        return np.append(HEAD_OFFSET * way, HEAD_HEIGHT)
+        direction = np.array([np.cos(self.neck), np.sin(self.neck)])
+        return np.append(HEAD_OFFSET * direction, HEAD_HEIGHT)
 
     @property
     def drawn(self) -> tuple[Floats, Ints]:
@@ -227,12 +231,12 @@ class FemurBone:
         """Distance of the endosteum from the z axis [mm].
 
         Reaming leaves `CORTEX_LEFT`. A given thickness of the cortex blends into that of the table
-        between the levels `BLENDED`.
+        between the levels `BLEND_LEVELS`.
         """
         bone = self.periosteum(theta, z)
         canal = np.minimum(self._canal.radius(theta, z), bone - CORTEX_LEFT)
         if self.cortex is None:
             return canal
-        t = np.clip((z - BLENDED[0]) / (BLENDED[1] - BLENDED[0]), 0.0, 1.0)
+        t = np.clip((z - BLEND_LEVELS[0]) / (BLEND_LEVELS[1] - BLEND_LEVELS[0]), 0.0, 1.0)
         share = t * t * (3 - 2 * t)  # smooth from 0 to 1
         return np.asarray((1 - share) * canal + share * (bone - self.cortex))

@@ -21,19 +21,19 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes.data import StepKeys
 
-ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
-FULL = 3.0  # lines on a piece of a quarter over those by its length, at most
+ARC_WEIGHT = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
+MOST_LINES = 3.0  # lines on a piece of a quarter over those by its length, at most
 LEAST_WHOLE = 12  # lines around from which each piece has whole lines
 # A rounded tip becomes a bowl where its ellipsoid has turned by 30 degrees.
-RIM = math.sqrt(0.75)  # cosine of that angle
-ZONE = 0.5  # sine of that angle
-SHALLOW = 0.3  # depth of the bowl over that of the ellipsoid
-BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
-CLEAR = 2.0  # mm that the round neck is above the cut
-OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
-ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
+RIM_COSINE = math.sqrt(0.75)  # cosine of that angle
+RIM_SINE = 0.5  # sine of that angle
+BOWL_DEPTH = 0.3  # depth of the bowl over that of the ellipsoid
+BLEND_RANGE = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
+NECK_CLEARANCE = 2.0  # mm that the round neck is above the cut
+SHOULDER_SLOPE = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
+ARM_SHARE = 0.4  # of the lines before and after the turn to the neck: what it may take
 LEAST_ARM = 0.5  # mm before and after it
-SHOULDER = 6.0  # mm that the shoulder may be above the cut without standing out
+SHOULDER_RISE = 6.0  # mm that the shoulder may be above the cut without standing out
 
 
 # Thickness of a mantle at angles [rad] and levels [mm] (n,) [mm].
@@ -52,30 +52,30 @@ def thickness(given: float | Graded, low: float, top: float) -> Thickness:
     """Thickness of a mantle at angles and levels, given from the tip's level to the cut's [mm]."""
     if isinstance(given, float):
         return lambda theta, z: np.full(np.shape(z), given)
-    (parts, means), (turns, ratios) = (np.transpose(table) for table in given.tables)
+    (fractions, means), (turns, ratios) = (np.transpose(table) for table in given.tables)
 
-    def at(theta: Floats, z: Floats) -> Floats:
+    def interpolated(theta: Floats, z: Floats) -> Floats:
         turn = turns[0] + np.mod(np.asarray(theta) / (2 * np.pi) - turns[0], 1.0)
         side = np.interp(turn, turns, np.arange(len(turns)))
         wave = np.floor(side) + 0.5 * (1 - np.cos(np.pi * (side % 1)))
-        mean = np.interp((z - low) / (top - low), parts, means)
+        mean = np.interp((z - low) / (top - low), fractions, means)
         return np.asarray(mean * np.interp(wave, np.arange(len(turns)), ratios))
 
-    return at
+    return interpolated
 
 
 def allotted(lengths: Floats, lines: int) -> Floats:
     """Numbers of lines (k,) on pieces of lengths (k,), one at least: the longest edge is least."""
-    whole = np.ones(len(lengths))
-    while whole.sum() < lines:
-        whole[np.argmax(lengths / whole)] += 1
-    return whole
+    counts = np.ones(len(lengths))
+    while counts.sum() < lines:
+        counts[np.argmax(lengths / counts)] += 1
+    return counts
 
 
 def limited(shares: Floats, weights: Floats) -> Floats:
-    """Shares (k, ...) that are at most `FULL` times weights (k, ...); both have the sum 1."""
-    capped = np.minimum(shares, FULL * weights)
-    room = FULL * weights - capped
+    """Shares (k, ...) of at most `MOST_LINES` times their weights (k, ...); both sum to 1."""
+    capped = np.minimum(shares, MOST_LINES * weights)
+    room = MOST_LINES * weights - capped
     return np.asarray(capped + (1.0 - capped.sum(axis=0)) * room / room.sum(axis=0))
 
 
@@ -104,12 +104,12 @@ class Body:
     def _weights(self, z: FloatOrFloats) -> Floats:
         """Lengths of half a side, a corner, which counts more, and half a front, (3, ...) [mm]."""
         a, b, r = self.section(np.asarray(z))
-        return np.stack([b - r, ARC * 0.5 * np.pi * r, a - r])
+        return np.stack([b - r, ARC_WEIGHT * 0.5 * np.pi * r, a - r])
 
     def divided(self, z: float, around: int) -> Body:
-        """The same with shares of its section at z [mm] for a number of lines around.
+        """Return the body with shares of its section at z [mm] for a number of lines around.
 
-        Of multiples of 4 each piece has whole lines, so that lines are where arcs end.
+        For multiples of 4 each piece has whole lines, so that lines are where arcs end.
         """
         weights = self._weights(z)
         if around % 4 == 0 and around >= LEAST_WHOLE:
@@ -149,21 +149,21 @@ class Body:
             slope: Slopes of the planes.
         """
         quarter = np.floor(4 * phi).astype(int) % 4
-        part = 4 * phi - np.floor(4 * phi)
-        part = np.where(quarter % 2 == 1, 1 - part, part)
+        quarter_fraction = 4 * phi - np.floor(4 * phi)
+        quarter_fraction = np.where(quarter % 2 == 1, 1 - quarter_fraction, quarter_fraction)
         side, corner, front = self._shares(zeta)
-        beside = np.clip(part / side, 0.0, 1.0)
-        angle = 0.5 * np.pi * np.clip((part - side) / corner, 0.0, 1.0)
-        across = np.clip((part - side - corner) / front, 0.0, 1.0)
+        side_fraction = np.clip(quarter_fraction / side, 0.0, 1.0)
+        angle = 0.5 * np.pi * np.clip((quarter_fraction - side) / corner, 0.0, 1.0)
+        front_fraction = np.clip((quarter_fraction - side - corner) / front, 0.0, 1.0)
         # x = X a + U r and y = Y b + V r of the section where the plane meets the point.
         c, s = np.cos(angle), np.sin(angle)
         (a0, b0, r0), (a1, b1, r1) = self.half, self.slope
         sign = np.where((quarter == 1) | (quarter == 2), -1.0, 1.0)
-        flat = 1 - across
+        flat = 1 - front_fraction
         x0, x1 = (sign * (flat * (p - q) + c * q) for p, q in ((a0, r0), (a1, r1)))
         x = (x0 + x1 * zeta) / (1 + slope * x1)
         z = zeta - slope * x
-        y = beside * (b0 - r0 + (b1 - r1) * z) + s * (r0 + r1 * z)
+        y = side_fraction * (b0 - r0 + (b1 - r1) * z) + s * (r0 + r1 * z)
         y = np.where(quarter < 2, y, -y)
         if self.lean:  # the body tapers: each time the error is a few percent of what it was
             level = replace(self, lean=0.0)
@@ -173,17 +173,17 @@ class Body:
         return np.stack([x, y, z], axis=1)
 
     def offset(self, thickness: FloatOrFloats) -> Body:
-        """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
+        """Surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
         a, b, r = self.half
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
         return Body((a + across[0], b + across[1], r + thickness), self.slope)
 
     def outside(self, thickness: Thickness, theta: Floats, z: Floats) -> Floats:
-        """As `radius`, of the surface whose points have the thickness of their place."""
+        """Distance from the z axis to the outer side of a mantle in the direction theta [mm]."""
         return self.offset(thickness(theta, z)).radius(theta, z)
 
     def depth(self, thickness: Thickness, x: Floats) -> Floats:
-        """Depth of points (n, 3) within that surface, across the z axis (n,) [mm]."""
+        """Depth of points (n, 3) within a mantle's outer side, across the z axis (n,) [mm]."""
         r = self.outside(thickness, np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         return np.asarray(r - np.hypot(x[:, 0], x[:, 1]))
 
@@ -209,9 +209,9 @@ def edge(implant: Implant, slope: float) -> float:
 class Tip:
     """The end of the stem: a zone of an ellipsoid in the shape of its sections, and a shallow bowl.
 
-    The bowl begins where sections are narrowed to `RIM`, and has `SHALLOW` of the depth of the
-    ellipsoid: were it as deep, cells at its rim would have a straight angle there.
-    Below, the surfaces that go on in the plug widen again.
+    The bowl begins where sections are narrowed to `RIM_COSINE`. Its depth is `BOWL_DEPTH` of the
+    ellipsoid's: with the whole depth, cells at its rim would have a straight angle. The surfaces
+    that continue in the plug below widen again.
 
     Attributes:
         low: Level of the tip [mm].
@@ -226,29 +226,29 @@ class Tip:
     @property
     def axis(self) -> float:
         """Half an axis of the ellipsoid, along the stem [mm]."""
-        return self.height / (ZONE + SHALLOW * (1.0 - ZONE))
+        return self.height / (RIM_SINE + BOWL_DEPTH * (1.0 - RIM_SINE))
 
     @property
     def rim(self) -> float:
         """Level of the last section [mm]."""
-        return self.low + self.height - ZONE * self.axis
+        return self.low + self.height - RIM_SINE * self.axis
 
     def width(self, z: Floats) -> Floats:
         """Width of sections at levels z [mm], over that of the body."""
         if not self.height:
             return np.ones_like(z)
-        off = np.clip((self.low + self.height - z) / self.axis, 0.0, ZONE)
-        width, plug = np.sqrt(1.0 - off**2), (self.rim - z) / (self.rim - self.plug)
+        depth = np.clip((self.low + self.height - z) / self.axis, 0.0, RIM_SINE)
+        width, plug = np.sqrt(1.0 - depth**2), (self.rim - z) / (self.rim - self.plug)
         return np.asarray(width + (1.0 - width) * np.clip(plug, 0.0, 1.0))
 
-    def bulge(self, part: Floats, z: Floats) -> Floats:
+    def bulge(self, share: Floats, z: Floats) -> Floats:
         """Distance of sections below their outlines at parts of their width [mm].
 
         The last section is the bowl; in the plug sections get flat again.
         """
-        deep = np.sqrt(np.maximum(1.0 - (RIM * part) ** 2, 0.0)) - ZONE
+        depth = np.sqrt(np.maximum(1.0 - (RIM_COSINE * share) ** 2, 0.0)) - RIM_SINE
         level = np.clip((z - self.plug) / (self.rim - self.plug), 0.0, 1.0)
-        return np.asarray(SHALLOW * self.axis * deep * level)
+        return np.asarray(BOWL_DEPTH * self.axis * depth * level)
 
 
 @dataclass(frozen=True)
@@ -256,12 +256,12 @@ class Upper:
     """The stem above the neck cut.
 
     Attributes:
-        body: What is below.
+        body: The stem below the neck cut.
         planes: Height at the axis [mm] and slope of the body's sections at the cut and at its end.
-        buried: How far the body's end is below the cut, along the axis; both planes are there then.
+        buried: Depth of the body's end below the cut, along the axis; both planes are there then.
         rings: Centres of the first and the last round section, which is the head's (2, 3) [mm].
         radii: Their radii [mm].
-        arm: How far before and after the first ring lines begin and end to turn [mm].
+        arm: Length before and after the first ring over which lines turn [mm].
         ends: Stations, from 0 at the cut, at which the body, the lines to the ring, their turn and
             the cone end.
     """
@@ -277,42 +277,42 @@ class Upper:
     def ring(self, phi: Floats, end: int) -> Floats:
         """Points of the first or the last round section (n, 3) [mm]."""
         axis = unit(self.rings[1] - self.rings[0])
-        turn = 2 * np.pi * phi[:, None]
-        across = np.cos(turn) * [axis[2], 0.0, -axis[0]] + np.sin(turn) * [0.0, 1.0, 0.0]
-        return np.asarray(self.rings[end] + self.radii[end] * across)
+        angles = 2 * np.pi * phi[:, None]
+        directions = np.cos(angles) * [axis[2], 0.0, -axis[0]] + np.sin(angles) * [0.0, 1.0, 0.0]
+        return np.asarray(self.rings[end] + self.radii[end] * directions)
 
-    def ways(self, phi: Floats) -> tuple[Floats, Floats]:
-        """From the body to the first ring, and on to the last (n, 3) [mm]."""
+    def line_directions(self, phi: Floats) -> tuple[Floats, Floats]:
+        """Vectors from the body to the first ring, and from there to the last one (n, 3) [mm]."""
         ring = self.ring(phi, 0)
         return ring - self.body.point(phi, *self.planes[1]), self.ring(phi, 1) - ring
 
     def point(self, phi: Floats, zeta: FloatOrFloats) -> Floats:
         """Points in planes above the body's end, parallel to it (n, 3) [mm]."""
-        (way, _), (base, slope) = self.ways(phi), self.planes[1]
-        rise = way[:, 2] + slope * (way[:, 0] + self.body.lean * way[:, 1])
-        return np.asarray(self.ring(phi, 0) + ((zeta - base) / rise - 1)[:, None] * way)
+        (direction, _), (base, slope) = self.line_directions(phi), self.planes[1]
+        rise = direction[:, 2] + slope * (direction[:, 0] + self.body.lean * direction[:, 1])
+        return np.asarray(self.ring(phi, 0) + ((zeta - base) / rise - 1)[:, None] * direction)
 
     def points(self, phi: Floats, s: Floats) -> Floats:
-        """Points at stations above the cut (n, 3) [mm]: the sum of the ways up to there.
+        """Points at stations above the cut (n, 3) [mm]: the sum of the parts up to there.
 
         Lines turn from one direction to another by a quadratic Bézier curve.
         """
-        out, loft, turn, cone = (
+        body_part, loft_part, turn_part, cone_part = (
             np.clip((s - a) / max(b - a, 1), 0.0, 1.0)[:, None]
             for a, b in pairwise((0, *self.ends))
         )
         planes = zip(*self.planes, strict=True)
-        x = self.body.point(phi, *(a + out[:, 0] * (b - a) for a, b in planes))
-        first, second = self.ways(phi)
+        x = self.body.point(phi, *(a + body_part[:, 0] * (b - a) for a, b in planes))
+        first, second = self.line_directions(phi)
         before, after = self.arm * unit(first), self.arm * unit(second)
         if self.buried:
-            under = self.point(phi, self.planes[1][0] + self.buried) - x
-            x, first = x + under, first - under
-        x += loft * (first - before) + cone * (second - after)
-        return np.asarray(x + (1 - (1 - turn) ** 2) * before + turn**2 * after)
+            offset = self.point(phi, self.planes[1][0] + self.buried) - x
+            x, first = x + offset, first - offset
+        x += loft_part * (first - before) + cone_part * (second - after)
+        return np.asarray(x + (1 - (1 - turn_part) ** 2) * before + turn_part**2 * after)
 
     def with_fillet(self, radius: float) -> Upper:
-        """With lines that turn with this radius [mm], or a larger one.
+        """Return the stem whose lines turn with at least this radius [mm].
 
         Where the directions are theta apart the curve has the least radius
         arm cos(theta / 2)^2 / sin(theta / 2); the arm is one for all lines, that of the sharpest
@@ -321,10 +321,12 @@ class Upper:
         Raises:
             GeometryError: There is no room.
         """
-        first, second = self.ways(np.arange(72) / 72)
-        turn = float((unit(first) * unit(second)).sum(axis=1).min())
-        arm = radius * math.sqrt(2 * (1 - turn)) / (1 + turn)
-        room = ROOM * math.sqrt(min((way**2).sum(axis=1).min() for way in (first, second)))
+        first, second = self.line_directions(np.arange(72) / 72)
+        cosine = float((unit(first) * unit(second)).sum(axis=1).min())
+        arm = radius * math.sqrt(2 * (1 - cosine)) / (1 + cosine)
+        room = ARM_SHARE * math.sqrt(
+            min((directions**2).sum(axis=1).min() for directions in (first, second))
+        )
         if arm > room:
             raise GeometryError(
                 f"geometry.stem.neck_fillet: {radius:g} mm does not fit between the neck cut and"
@@ -339,11 +341,12 @@ def unit(x: Floats) -> Floats:
 
 
 def upper(
-    implant: Implant, body: Body, mesh: StepKeys, low: float, top: float, steep: float
+    implant: Implant, body: Body, mesh: StepKeys, low: float, top: float, cut_slope: float
 ) -> Upper:
-    """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
+    """Return the stem above the neck cut.
 
-    Below it, the shoulder's lateral edge is in a parallel plane at the height `low` <= `top`.
+    The cut meets the axis at the height `top` with the slope `cut_slope`. The shoulder's lateral
+    edge is in a parallel plane at the height `low` <= `top`.
 
     Raises:
         GeometryError: The neck is not above the cut.
@@ -352,32 +355,43 @@ def upper(
     axis = np.array([sine, 0.0, cosine])
     head = np.array([implant.head_offset, 0.0, implant.head_height])
     length = implant.head_offset / sine
-    slope = max(OUT, steep)
+    slope = max(SHOULDER_SLOPE, cut_slope)
     shoulder = implant.shoulder
-    out = shoulder - slope * float(body.section(shoulder)[0])
-    base, slope = (out, slope) if out > top + SHOULDER else (low, steep)
+    edge_height = shoulder - slope * float(body.section(shoulder)[0])
+    base, slope = (edge_height, slope) if edge_height > top + SHOULDER_RISE else (low, cut_slope)
     buried = max(top - low, 0.0)
-    clear = CLEAR if low == top else implant.neck_fillet + buried / math.hypot(slope, 1.0)
+    clearance = (
+        NECK_CLEARANCE if low == top else implant.neck_fillet + buried / math.hypot(slope, 1.0)
+    )
     first, last = 0.5 * implant.neck_diameter, 0.5 * implant.trunnion_diameter
     normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
     # How far the lowest point of a ring is from its centre towards the section below.
-    dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
+    ring_dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
     rise = float(axis @ normal)
     # The neck's axis is in the section that it leaves at this part of its length, or below.
-    root_ = head - length * axis
-    needed = (clear + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
-    if rise <= 0 or needed > BLEND[1]:
+    neck_root = head - length * axis
+    needed = (clearance + ring_dip - float(normal @ (neck_root - [0.0, 0.0, base]))) / (
+        rise * length
+    )
+    if rise <= 0 or needed > BLEND_RANGE[1]:
         raise GeometryError(
             f"geometry: the neck, {implant.neck_diameter:g} mm thick towards a head"
             f" {implant.head_height - shoulder:g} mm above the shoulder, does not clear the neck"
             " cut; raise the head or cut lower"
         )
-    part = max(BLEND[0], needed)
-    ring = root_ + part * length * axis
-    planes, centres = ((min(base, top), steep), (base, slope)), np.stack([ring, head])
-    made = Upper(body, planes, centres, (first, last), buried).with_fillet(implant.neck_fillet)
+    ring_fraction = max(BLEND_RANGE[0], needed)
+    ring = neck_root + ring_fraction * length * axis
+    planes, centres = ((min(base, top), cut_slope), (base, slope)), np.stack([ring, head])
+    stem_above = Upper(body, planes, centres, (first, last), buried).with_fillet(
+        implant.neck_fillet
+    )
     blend = float(np.linalg.norm(ring - [0.0, 0.0, max(base, top)]))
-    cone = (1.0 - part) * length
-    lengths = max(base - top, 0.0), blend - made.arm, 2 * made.arm, cone - made.arm
+    cone = (1.0 - ring_fraction) * length
+    lengths = (
+        max(base - top, 0.0),
+        blend - stem_above.arm,
+        2 * stem_above.arm,
+        cone - stem_above.arm,
+    )
     steps = np.cumsum([mesh.steps(length) if length else 0 for length in lengths])
-    return replace(made, ends=tuple(map(int, steps)))
+    return replace(stem_above, ends=tuple(map(int, steps)))

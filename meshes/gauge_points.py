@@ -23,9 +23,9 @@ from meshes.data import tangents
 RINGS = 8
 AROUND = 32
 # Largest angle between the normal of the gauge and that of the surface below it [deg].
-BEND = 60.0
+MOST_BEND = 60.0
 # Largest angle between the direction of the grid and the tangent plane [deg].
-STEEP = 60.0
+MOST_STEEP = 60.0
 # Rounding of barycentric coordinates.
 ROUNDING = 1e-9
 # Points this far outside the flat triangle of a curved facet may lie in the facet.
@@ -109,18 +109,18 @@ def gauge_points(
         GaugeFault: The line of sight misses the surface, the direction is along the normal, or the
             circle leaves the surface.
     """
-    given = np.asarray(at, dtype=float)
+    given_point = np.asarray(at, dtype=float)
     if towards is None:
-        facet, share = _nearest(x, given)
+        facet, share = _nearest(x, given_point)
     else:
-        facet, share = _seen(x, given, np.asarray(towards, dtype=float))
+        facet, share = _seen(x, given_point, np.asarray(towards, dtype=float))
     centre = _places(x[facet], share)
     normal = _normals(x[[facet]], share[None])[0]
-    radius, around, weight = _disc(diameter / 2)
+    radius, angle, weight = _disc(diameter / 2)
     for _ in range(IMPROVEMENTS + 1):
         grid = _grid(direction, normal)
         across = np.cross(normal, grid)
-        plane = radius * np.cos(around), radius * np.sin(around)
+        plane = radius * np.cos(angle), radius * np.sin(angle)
         points = centre + np.outer(plane[0], grid) + np.outer(plane[1], across)
         hits = _projected(x, points, normal, diameter)
         covered = hits.facet >= 0
@@ -129,11 +129,11 @@ def gauge_points(
         slope = normals @ normal
         normals *= np.sign(slope)[:, None]
         mean = weight @ normals
-        good = covered & (np.abs(slope) >= np.cos(np.radians(BEND)))
-        if not good.all():
-            raise _leaves(radius, covered, good, centre)
+        is_allowed = covered & (np.abs(slope) >= np.cos(np.radians(MOST_BEND)))
+        if not is_allowed.all():
+            raise _circle_fault(radius, covered, is_allowed, centre)
         normal = mean / np.linalg.norm(mean)
-    distance = float(np.linalg.norm(centre - given)) if towards is None else 0.0
+    distance = float(np.linalg.norm(centre - given_point)) if towards is None else 0.0
     return GaugePoints(centre, normal, grid, distance, hits.facet, hits.share, weight)
 
 
@@ -144,15 +144,15 @@ def _grid(direction: Sequence[float], normal: Floats) -> Floats:
         GaugeFault: It is about the normal.
     """
     unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    along = unit - (unit @ normal) * normal
-    size = float(np.linalg.norm(along))
-    if size < np.cos(np.radians(STEEP)):
+    in_plane = unit - (unit @ normal) * normal
+    size = float(np.linalg.norm(in_plane))
+    if size < np.cos(np.radians(MOST_STEEP)):
         angle = np.degrees(np.arccos(min(size, 1.0)))
         nx, ny, nz = normal + 0.0
         text = f"is {angle:.0f} degrees out of the surface, whose normal is "
         text += f"[{nx:.2f}, {ny:.2f}, {nz:.2f}]"
-        raise GaugeFault("direction", text, f"expected at most {STEEP:g} degrees")
-    return np.asarray(along / size)
+        raise GaugeFault("direction", text, f"expected at most {MOST_STEEP:g} degrees")
+    return np.asarray(in_plane / size)
 
 
 def _disc(largest: float) -> tuple[Floats, Floats, Floats]:
@@ -168,16 +168,18 @@ def _disc(largest: float) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def _leaves(radius: Floats, covered: Bools, good: Bools, centre: Floats) -> GaugeFault:
+def _circle_fault(radius: Floats, covered: Bools, is_allowed: Bools, centre: Floats) -> GaugeFault:
     """Error on a circle that is not on the surface, with the largest that is."""
     place = ", ".join(f"{c:.4g}" for c in centre + 0.0)
     if covered.all():
-        text = f"the surface bends by more than {BEND:g} degrees below a circle at [{place}] mm"
+        text = (
+            f"the surface bends by more than {MOST_BEND:g} degrees below a circle at [{place}] mm"
+        )
     else:
         missing = 100 * (1 - covered.mean())
         text = f"{missing:.0f} % of the circle at [{place}] mm is beyond the edge of the surface"
     rings = np.unique(radius)
-    inside = rings[rings < radius[~good].min() * (1 - ROUNDING)]
+    inside = rings[rings < radius[~is_allowed].min() * (1 - ROUNDING)]
     if len(inside):
         cure = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
     else:
@@ -218,8 +220,8 @@ def _projected(x: Floats, points: Floats, normal: Floats, diameter: float) -> _H
     """Nearest points of the surface on the lines through points (n, 3) along a normal."""
     middle = x[:, :3].mean(axis=1)
     size = np.linalg.norm(x[:, :3] - middle[:, None], axis=2).max(axis=1)
-    off = np.linalg.norm(middle - points.mean(axis=0), axis=1)
-    rows = np.flatnonzero(off <= size + 1.5 * diameter)
+    distances = np.linalg.norm(middle - points.mean(axis=0), axis=1)
+    rows = np.flatnonzero(distances <= size + 1.5 * diameter)
     hits = _on_lines(x[rows], points, normal)
     facet = np.full(len(points), -1, dtype=np.int64)
     share = np.zeros((len(points), 3))
@@ -247,8 +249,8 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
     longest = np.linalg.norm(x[:, 1:3] - x[:, :1], axis=2).max(axis=1)
     seen = np.flatnonzero(area > ROUNDING * longest**2)
     inverse = np.linalg.inv(edge[seen])
-    part = np.einsum("fij,nfj->nfi", inverse, wanted[:, None] - a[seen])
-    shares = np.concatenate([1 - part.sum(axis=2, keepdims=True), part], axis=2)
+    inner_shares = np.einsum("fij,nfj->nfi", inverse, wanted[:, None] - a[seen])
+    shares = np.concatenate([1 - inner_shares.sum(axis=2, keepdims=True), inner_shares], axis=2)
     margin = ROUNDING if x.shape[1] == 3 else OUTSIDE
     line, facet = np.nonzero(shares.min(axis=2) >= -margin)
     share = shares[line, facet]
@@ -262,18 +264,19 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
     place = np.einsum("nk,nkc->nc", _shape(share, x.shape[1]), x[facet])
     height = (place - points[line]) @ axis
     return [
-        (int(n), int(f), s, float(h)) for n, f, s, h in zip(line, facet, share, height, strict=True)
+        (int(number), int(facet_number), s, float(h))
+        for number, facet_number, s, h in zip(line, facet, share, height, strict=True)
     ]
 
 
 def _in_curved(flat: Floats, wanted: Floats, share: Floats) -> Floats:
     """Coordinates (n, 3) in curved facets, seen in a plane (n, 6, 2), of points there (n, 2)."""
     i, j = np.array(EDGES).T
-    one = np.eye(3)
+    identity = np.eye(3)
     for _ in range(ITERATIONS if len(share) else 0):
         residual = wanted - np.einsum("nk,nkc->nc", _shape(share, 6), flat)
-        corners = (4 * share - 1)[:, :, None] * one
-        middles = 4 * (share[:, i, None] * one[j] + share[:, j, None] * one[i])
+        corners = (4 * share - 1)[:, :, None] * identity
+        middles = 4 * (share[:, i, None] * identity[j] + share[:, j, None] * identity[i])
         slopes = np.concatenate([corners, middles], axis=1)
         slopes = slopes[:, :, 1:] - slopes[:, :, :1]
         jacobian = np.einsum("nkc,nkd->ncd", flat, slopes)
@@ -297,17 +300,17 @@ def _nearest(x: Floats, point: Floats) -> tuple[int, Floats]:
     shares = np.zeros((len(x), 3))
     for i, j in EDGES:
         edge = corners[:, j] - corners[:, i]
-        part = np.einsum("fc,fc->f", point - corners[:, i], edge) / (edge**2).sum(axis=1)
-        part = np.clip(part, 0.0, 1.0)
+        fraction = np.einsum("fc,fc->f", point - corners[:, i], edge) / (edge**2).sum(axis=1)
+        fraction = np.clip(fraction, 0.0, 1.0)
         share = np.zeros((len(x), 3))
-        share[:, i], share[:, j] = 1 - part, part
+        share[:, i], share[:, j] = 1 - fraction, fraction
         _take_nearer(best, shares, corners, point, share)
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(a, b)
-    off = point - corners[:, 0]
+    offset = point - corners[:, 0]
     square = (normal**2).sum(axis=1)
-    second = np.einsum("fc,fc->f", np.cross(off, b), normal) / square
-    third = np.einsum("fc,fc->f", np.cross(a, off), normal) / square
+    second = np.einsum("fc,fc->f", np.cross(offset, b), normal) / square
+    third = np.einsum("fc,fc->f", np.cross(a, offset), normal) / square
     share = np.column_stack([1 - second - third, second, third])
     within = share.min(axis=1) >= 0
     share[~within] = np.eye(3)[0]

@@ -203,7 +203,7 @@ class HipKeys(GeometryKeys, PlacedStem, Protocol):
 
     @property
     def more_room(self) -> tuple[str, str]:
-        """The key that says where the stem is, and what to change where it has no room."""
+        """Key of the stem's position, and the remedies where the stem has no room."""
 
     @property
     def flanks_end(self) -> float:

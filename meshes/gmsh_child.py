@@ -31,11 +31,11 @@ MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
 # Messages of gmsh's recovery of surfaces, and their meaning.
 CROSSING = "PLC Error"
-CROSS = "surfaces of the geometry cross each other"
+CROSSING_TEXT = "surfaces of the geometry cross each other"
 GROWTH = 0.4  # mm of element size per mm of distance from an interface
 # How often the finest cells of a script may be in its diagonal; any more would never be meshed.
 MOST_EDGES = 20_000
-WRITTEN = 1 << 30  # bytes in a file
+MOST_BYTES = 1 << 30  # bytes in a file
 
 
 class ReadRequest(TypedDict):
@@ -85,15 +85,15 @@ def session(name: str) -> Iterator[ModuleType]:
             gmsh.option.setNumber(option, value)
         gmsh.logger.start()
         gmsh.model.add(name)
-        with captured("gmsh") as written:
+        with captured("gmsh") as captured_log:
             try:
                 yield gmsh
             except MantleError:
                 raise
             except Exception as error:  # gmsh raises bare Exception with its last error line
-                crossing = [line.partition(":")[2] for line in written() if CROSSING in line]
+                crossing = [line.partition(":")[2] for line in captured_log() if CROSSING in line]
                 lines = [f"{name}: the mesh generator failed: {error}"]
-                lines += [f"{CROSS}:{text}" for text in crossing[:1]]
+                lines += [f"{CROSSING_TEXT}:{text}" for text in crossing[:1]]
                 lines += [f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:]]
                 raise GeometryError("\n".join(lines)) from error
     finally:
@@ -162,13 +162,13 @@ def serve(reader: Callable[[Any], Mapping[str, ArrayLike]], seconds: int) -> Non
     answer = os.dup(1)
     os.dup2(2, 1)  # scripts print
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for limit, most in (
+    for limit, value in (
         (resource.RLIMIT_AS, memory),
         (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_FSIZE, WRITTEN),
+        (resource.RLIMIT_FSIZE, MOST_BYTES),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(limit, (most, most))
+        resource.setrlimit(limit, (value, value))
     try:
         arrays: dict[str, Any] = {**reader(request)}
     except GeometryError as error:
@@ -203,12 +203,12 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
             f"{path}: physical volumes: {_listed(groups[3])}; "
             f"physical surfaces: {_listed(groups[2])}"
         )
-        surfaces, regions = ({n: on for n, on in groups[d].items() if n} for d in (2, 3))
+        surfaces, regions = ({n: group for n, group in groups[d].items() if n} for d in (2, 3))
         if not regions:
             raise GeometryError(
                 f"{listing}; name every region (and boundary) with a physical group"
             )
-        mesh, volumes = gmsh.model.mesh, [volume for on in regions.values() for volume in on]
+        mesh, volumes = gmsh.model.mesh, [volume for group in regions.values() for volume in group]
         kinds = {int(kind) for volume in volumes for kind in mesh.getElementTypes(3, volume)}
         if len(kinds) > 1 or not kinds <= {4, 11}:
             labels = ", ".join(sorted(mesh.getElementProperties(kind)[0] for kind in kinds))
@@ -217,15 +217,15 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
                 "quadratic ones, can be used"
             )
         numbers, x, _ = mesh.getNodes()
-        bad = numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]
-        if len(bad):
+        bad_nodes = numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]
+        if len(bad_nodes):
             raise GeometryError(
-                f"{path}: node {bad[0]} has a coordinate that is not a number; export the "
+                f"{path}: node {bad_nodes[0]} has a coordinate that is not a number; export the "
                 "mesh again"
             )
         points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
-        cells = {name: elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
+        cells = {name: elements(gmsh, tet, group, row) for name, group in sorted(regions.items())}
         full = {mesh_files.word(name) for name, block in cells.items() if len(block)}
         absent = [name for name in request["regions"] if name not in full]
         if absent:
@@ -236,8 +236,8 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
         _, tags, _ = mesh.getElements(3)
         arrays: dict[str, ArrayLike] = {"points": points, "everything": sum(map(len, tags))}
         arrays |= {f"cells {name}": block for name, block in cells.items() if len(block)}
-        for name, on in surfaces.items():
-            arrays[f"surfaces {name}"] = elements(gmsh, triangle, on, row)
+        for name, group in surfaces.items():
+            arrays[f"surfaces {name}"] = elements(gmsh, triangle, group, row)
         return arrays
 
 

@@ -20,10 +20,10 @@ from app.foundation.arrays import Bools, Floats, Ints
 from meshes import femur_stem
 from meshes.geometry import HipKeys, is_radial
 
-BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
-RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
+BELOW_TIP = 20.0  # mm below the tip that belong to zones 4 and 11
+RIM_HEIGHT = 10.0  # mm below the neck cut whose interfaces are reported apart
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].
-EDGE = 1e-6
+ROUNDING = 1e-6
 
 
 class Zones:
@@ -40,7 +40,7 @@ class Zones:
     def __init__(self, geometry: HipKeys) -> None:
         self._geometry, self._local = geometry, geometry.placement.to_stem
         placed, implant = geometry.placement, geometry.implant
-        self._normal = placed.normal @ placed.turn
+        self._normal = placed.normal @ placed.rotation
         self._level = self._normal[2] * placed.top
         self.tip = implant.tip_z
         self._end = self.tip + implant.tip_height
@@ -50,15 +50,15 @@ class Zones:
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
         x = self._local(x)
-        third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
+        third = np.floor(3 * (x[:, 2] - self.tip + ROUNDING) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
-        medial, anterior = (x[:, :1] >= -EDGE), (x[:, 1:2] >= -EDGE)
+        medial, anterior = (x[:, :1] >= -ROUNDING), (x[:, 1:2] >= -ROUNDING)
         frontal = np.where(medial, 5 + third, 3 - third)
         lateral = np.where(anterior, 10 - third, 12 + third)
         zones = np.concatenate([frontal, lateral], axis=1)
-        zones[x[:, 2] < self._end + EDGE] = (4, 11)
-        zones[x[:, 2] < self.tip - BELOW + EDGE] = 0
+        zones[x[:, 2] < self._end + ROUNDING] = (4, 11)
+        zones[x[:, 2] < self.tip - BELOW_TIP + ROUNDING] = 0
         return zones
 
     def depth(self, x: Floats) -> Floats:
@@ -66,31 +66,34 @@ class Zones:
         return np.asarray(self._level - self._local(x) @ self._normal)
 
     def thickness(self, x: Floats) -> Floats:
-        """Thickness asked for of the mantle at points (n, 3), (n,) [mm]."""
+        """Nominal thickness of the mantle at points (n, 3); (n,) [mm]."""
         x = self._local(x)
         return self._thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
 
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
-        return {"tip": self._local(x)[:, 2] - self._end - EDGE, "rim": self.depth(x) - RIM}
+        return {
+            "tip": self._local(x)[:, 2] - self._end - ROUNDING,
+            "rim": self.depth(x) - RIM_HEIGHT,
+        }
 
     def is_left(self, x: Floats) -> Bools:
         """Mask of the points (n, 3) [mm] of bone that the planned operation leaves (n,)."""
-        g = self._geometry
-        bone = g.femur
-        if g.implant.cad is not None or not is_radial(bone):
+        geometry = self._geometry
+        bone = geometry.femur
+        if geometry.implant.cad is not None or not is_radial(bone):
             # The bone around such a stem is what the operation leaves.
             return np.ones(len(x), dtype=bool)
         canal = bone.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         x = self._local(x)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
-        cavity = femur_stem.body(g.implant).outside(self._thickness, theta, z)
-        if g.is_cemented:
+        cavity = femur_stem.body(geometry.implant).outside(self._thickness, theta, z)
+        if geometry.is_cemented:
             # The mantle ends at the endosteum; a stem without cement takes some of the cortex.
-            cavity, end = np.minimum(cavity, canal), g.implant.plug
+            cavity, end = np.minimum(cavity, canal), geometry.implant.plug
         else:
-            end = g.implant.tip_z - g.implant.tip_void
-        below = z < end + EDGE
-        below_cut = x @ self._normal <= self._level + EDGE
-        return np.asarray(below_cut & ((r >= cavity - EDGE) | below))
+            end = geometry.implant.tip_z - geometry.implant.tip_void
+        below_end = z < end + ROUNDING
+        below_cut = x @ self._normal <= self._level + ROUNDING
+        return np.asarray(below_cut & ((r >= cavity - ROUNDING) | below_end))

@@ -72,10 +72,10 @@ def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
     mesh_file = _read(geometry, mesh)
     blocks, surfaces = mesh_file.cells, mesh_file.surfaces
     try:
-        clean = mesh_files.case_names(blocks)
-        blocks = {clean[name]: block for name, block in blocks.items()}
-        clean = mesh_files.case_names(surfaces)
-        surfaces = {clean[name]: block for name, block in surfaces.items()}
+        case_names = mesh_files.case_names(blocks)
+        blocks = {case_names[name]: block for name, block in blocks.items()}
+        case_names = mesh_files.case_names(surfaces)
+        surfaces = {case_names[name]: block for name, block in surfaces.items()}
     except ValueError as error:
         raise GeometryError(f"{path}: {error}") from error
     regions, cells = number(blocks), np.concatenate([*blocks.values()])
@@ -108,9 +108,9 @@ def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
     }
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
-    turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
-    turned += "inside out: they are turned, and no cell overlaps its neighbours"
-    messages = [*([turned] if negative.any() else []), *mesh_file.messages]
+    turned_text = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
+    turned_text += "inside out: they are turned, and no cell overlaps its neighbours"
+    messages = [*([turned_text] if negative.any() else []), *mesh_file.messages]
     everything = mesh_file.everything
     if everything > len(cells):
         messages.append(
@@ -164,14 +164,18 @@ def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
         facets = exterior_facets(cells)[0][:, :3]
     except ValueError as error:
         raise GeometryError(f"{path}: {error}; remove overlapping and duplicate cells") from error
-    whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in content.nodes.items()}
-    empty = [n for n, block in whole.items() if not len(block) and n not in content.triangles]
+    facets_of_set = {
+        n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in content.nodes.items()
+    }
+    empty = [
+        n for n, block in facets_of_set.items() if not len(block) and n not in content.triangles
+    ]
     pairs = coincident(points)
     for sides in geometry.apart:
-        one, two = (
+        on_first, on_second = (
             np.isin(pairs, cells[np.concatenate([content.sets[n] for n in side])]) for side in sides
         )
-        pairs = pairs[~(one & two[:, ::-1]).any(axis=1)]
+        pairs = pairs[~(on_first & on_second[:, ::-1]).any(axis=1)]
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
     notes = content.notes + mesh_files.left_out("sets of nodes without a facet", empty)
@@ -179,16 +183,16 @@ def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
     if doubled:
         notes.append(f"geometry: {doubled} nodes are merged with others at their places")
     blocks = dict[str, Ints]()
-    twice = 0
+    repeated = 0
     for name, rows in content.sets.items():
         block = row[cells[rows]]
-        once = np.unique(np.sort(block[:, :4], axis=1), axis=0, return_index=True)[1]
-        twice += len(block) - len(once)
-        blocks[name] = block[np.sort(once)]
-    if twice:
-        notes.append(f"geometry: {twice} cells stand twice in the file: one of each is kept")
-    surfaces = {name: row[rows] for name, rows in (whole | content.triangles).items()}
-    return FileMesh(points, blocks, surfaces, len(cells) - twice, notes)
+        first_rows = np.unique(np.sort(block[:, :4], axis=1), axis=0, return_index=True)[1]
+        repeated += len(block) - len(first_rows)
+        blocks[name] = block[np.sort(first_rows)]
+    if repeated:
+        notes.append(f"geometry: {repeated} cells stand twice in the file: one of each is kept")
+    surfaces = {name: row[rows] for name, rows in (facets_of_set | content.triangles).items()}
+    return FileMesh(points, blocks, surfaces, len(cells) - repeated, notes)
 
 
 def write(data: MeshData, path: Path) -> None:

@@ -33,15 +33,16 @@ from meshes.geometry import HipKeys
 from meshes.layers import DIGITS, Lines, Nodes, Sections, root
 from meshes.reference_body import COARSER, ReferenceBody, Segment
 
-SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
+MANTLE_BELOW_PLUG = 0.6  # of the canal: where the outer side of the mantle goes below the plug
 CAD_COARSER = 1.4  # as `COARSER`, of stems from CAD, whose shoulders are not convex
 CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges are sharp
 VOID = "void"  # where no cells are
 COLLAR = "collar"
-NEAR = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
-DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
+STATION_SPACING = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
+# Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
+LEAST_SHOULDER_DEPTH = 2.5
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
-NOTHING = 0.05  # mm of cortex that a stem may take unreported
+UNREPORTED_CORTEX = 0.05  # mm of cortex that a stem may take unreported
 LEAST_CORTEX = 1.5  # mm of cortex that a stem without cement must leave where it takes some
 SIDES = (
     "medially",
@@ -73,14 +74,16 @@ class StemWithMantle:
         implant, placed = geometry.implant, geometry.placement
         self._implant, self._placed, self._mesh = implant, placed, mesh
         self.plug, self.is_cemented = implant.plug, geometry.is_cemented
-        edge = femur_stem.edge(implant, placed.slopes[0])
-        self.shoulder = edge if edge < placed.top - DEEP else placed.top
+        edge_height = femur_stem.edge(implant, placed.slopes[0])
+        self.shoulder = (
+            edge_height if edge_height < placed.top - LEAST_SHOULDER_DEPTH else placed.top
+        )
         self.is_cad = implant.cad is not None
         height = 0.0 if self.is_cad else implant.tip_height
         self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
         if implant.cad is not None:
-            ends = implant.tip_z, self.shoulder
-            body: Any = CadStem(implant.cad, ends, placed, mesh)
+            levels = implant.tip_z, self.shoulder
+            body: Any = CadStem(implant.cad, levels, placed, mesh)
         else:
             body = replace(femur_stem.body(implant), lean=placed.slopes[1])
         self.middle = 0.25 * implant.tip_z + 0.75 * placed.top
@@ -105,7 +108,7 @@ class StemWithMantle:
             x[above] = self.upper.point(phi[above], zeta[above])[:, :2]
         return sections.in_plane(x, zeta)
 
-    def covered(self, zeta: Floats, start: Floats, end: Floats, more: float = 0.0) -> Floats:
+    def covered(self, zeta: Floats, start: Floats, end: Floats, oversize: float = 0.0) -> Floats:
         """Fraction of lines, from the stem's outline to the end (n, 3), that is in the mantle (n,).
 
         0 without cement. Above the shoulder it takes what it and the body would take if they went
@@ -113,27 +116,27 @@ class StemWithMantle:
         """
         if not self.is_cemented:
             return np.zeros(len(zeta))
-        way, on_neck = end - start, np.full(len(zeta), -np.inf)
-        length = np.sqrt((way**2).sum(axis=1))
-        above = zeta > self.shoulder
-        if above.any() and not self.is_cad:
-            x, y, z = start[above].T
-            on_neck[above] = self._thickness(np.arctan2(y, x), z)
+        direction, on_neck = end - start, np.full(len(zeta), -np.inf)
+        length = np.sqrt((direction**2).sum(axis=1))
+        is_above = zeta > self.shoulder
+        if is_above.any() and not self.is_cad:
+            x, y, z = start[is_above].T
+            on_neck[is_above] = self._thickness(np.arctan2(y, x), z)
 
-        def within(part: Floats, k: Ints) -> Floats:
-            depth = self.body.depth(self._thickness, start[k] + part[:, None] * way[k])
-            return np.asarray(np.maximum(depth, on_neck[k] - part * length[k]) + more)
+        def depth_in_mantle(fraction: Floats, k: Ints) -> Floats:
+            depth = self.body.depth(self._thickness, start[k] + fraction[:, None] * direction[k])
+            return np.asarray(np.maximum(depth, on_neck[k] - fraction * length[k]) + oversize)
 
-        return root(within, np.ones(len(start)))
+        return root(depth_in_mantle, np.ones(len(start)))
 
-    def hung(self, x: Floats, z: Floats) -> Floats:
+    def draped(self, x: Floats, z: Floats) -> Floats:
         """Points (n, 3) inside sections at levels z, moved onto the bowls in them [mm]."""
         if not self.tip.height:
             return x
         theta = np.arctan2(x[:, 1], x[:, 0])
-        part = np.hypot(x[:, 0], x[:, 1]) / (self.body.radius(theta, z) * self.tip.width(z))
-        hung = np.column_stack([x[:, :2], z - self.tip.bulge(part, z)])
-        return np.asarray(np.round(hung, DIGITS))
+        share = np.hypot(x[:, 0], x[:, 1]) / (self.body.radius(theta, z) * self.tip.width(z))
+        draped_points = np.column_stack([x[:, :2], z - self.tip.bulge(share, z)])
+        return np.asarray(np.round(draped_points, DIGITS))
 
 
 class LayeredSurfaces:
@@ -174,11 +177,11 @@ class LayeredSurfaces:
         through = mesh.cells_through(geometry.cement_thickness)
         self.through: tuple[int, ...] = through if self.stem.is_cemented else through[1:]
         self.cement = mesh.along_cement(geometry.cement_thickness)
-        zeta = self._divided(geometry.implant, self._placed.along(geometry.level))
+        zeta = self._station_heights(geometry.implant, self._placed.along(geometry.level))
         self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
         self.bone: BoneLayers = geometry.femur.layers(geometry, self.sections, self.stem)
         self._refuse()
-        self._continue(geometry.implant)
+        self._divide_above_cut(geometry.implant)
 
     @property
     def around(self) -> int:
@@ -190,37 +193,47 @@ class LayeredSurfaces:
         """Station of the neck cut."""
         return self.mantle[1]
 
-    def _divided(self, implant: Implant, distal: float) -> Floats:
+    def _station_heights(self, implant: Implant, distal: float) -> Floats:
         """Heights of the stations from a distal level to the cut (n,) [mm]; where parts begin."""
         mesh, tip, plug = self.mesh, self.stem.tip, self.stem.plug
         top, height = self._placed.top, implant.tip_height
-        below = _distances(mesh, plug - distal, "below")
+        distances_below = _distances(mesh, plug - distal, "below")
         flank = tip.low + height
-        above = _distances(mesh, top - flank, "stem")
+        distances_above = _distances(mesh, top - flank, "stem")
         depth = top - self.stem.shoulder
         if depth > 0:  # there is a station
-            near = above[max(1, int(np.abs(above - depth).argmin()))]
-            above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
-        void, start = implant.tip_void, len(below) - 1
-        floor = tip.rim - void
-        lengths = 2 * (floor - plug), void, height  # the end may be narrow
+            station_depth = distances_above[max(1, int(np.abs(distances_above - depth).argmin()))]
+            distances_above = np.interp(
+                distances_above,
+                [0.0, station_depth, distances_above[-1]],
+                [0.0, depth, distances_above[-1]],
+            )
+        void_length, start = implant.tip_void, len(distances_below) - 1
+        floor_level = tip.rim - void_length
+        lengths = 2 * (floor_level - plug), void_length, height  # the end may be narrow
         counts = [mesh.steps(length) if length else 0 for length in lengths]
-        levels = pairwise((plug, floor, tip.rim))
-        inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
-        off = 1 - np.arange(1, counts[2] + 1) / max(counts[2], 1)
+        levels = pairwise((plug, floor_level, tip.rim))
+        inner_heights = [
+            np.linspace(*ends, count + 1)[1:] for ends, count in zip(levels, counts, strict=False)
+        ]
+        tip_fractions = 1 - np.arange(1, counts[2] + 1) / max(counts[2], 1)
         if self.stem.is_cad:
-            inside.append(flank - height * off)
+            inner_heights.append(flank - height * tip_fractions)
         else:
-            inside.append(flank - tip.axis * np.sin(math.asin(femur_stem.ZONE) * off))
-        zeta = np.concatenate([(plug - below)[::-1], *inside, (top - above)[-2::-1]])
+            inner_heights.append(
+                flank - tip.axis * np.sin(math.asin(femur_stem.RIM_SINE) * tip_fractions)
+            )
+        zeta = np.concatenate(
+            [(plug - distances_below)[::-1], *inner_heights, (top - distances_above)[-2::-1]]
+        )
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(zeta) - 1)
         return zeta
 
-    def _continue(self, implant: Implant) -> None:
+    def _divide_above_cut(self, implant: Implant) -> None:
         """Divide the stem above the cut."""
         bone = ("cancellous_bone", "cortical_bone")
-        steps = self._above(implant)
+        steps = self._set_stations_above_cut(implant)
         on_cut = Segment(self.collar[1] - self.cut, ("stem", *[COLLAR] * len(self.through)))
         upper = Segment(steps, ("stem",))
         segments: tuple[Segment, ...]
@@ -243,8 +256,8 @@ class LayeredSurfaces:
             )
         self.segments = tuple(segment for segment in segments if segment.steps)
 
-    def _above(self, implant: Implant) -> int:
-        """Find the stations above the cut; number of steps above the collar.
+    def _set_stations_above_cut(self, implant: Implant) -> int:
+        """Set the stations above the cut, and return the number of steps above the collar.
 
         Raises:
             GeometryError: The stem has no room for its collar.
@@ -257,16 +270,16 @@ class LayeredSurfaces:
             return last
         steps = self.mesh.steps(thickness)
         # The station of the stem alone that is as high above the cut, around medial in the mean.
-        stations, turns = np.linspace(0.0, last, 20 * last + 1), np.linspace(-0.1, 0.1, 9)
-        phi, s = (v.ravel() for v in np.meshgrid(turns % 1.0, stations))
-        x = self.stem.upper.points(phi, s).reshape(len(stations), len(turns), 3)
+        stations, angles = np.linspace(0.0, last, 20 * last + 1), np.linspace(-0.1, 0.1, 9)
+        phi, s = (grid.ravel() for grid in np.meshgrid(angles % 1.0, stations))
+        x = self.stem.upper.points(phi, s).reshape(len(stations), len(angles), 3)
         height = ((x - x[0]) @ self.normal).mean(axis=1)
         if height.max() < thickness:
             raise GeometryError("geometry.stem.collar.thickness: the collar is above the head")
-        top = float(np.interp(thickness, height, stations))
-        following = math.ceil(top + NEAR)
+        top_station = float(np.interp(thickness, height, stations))
+        next_station = math.ceil(top_station + STATION_SPACING)
         self._stations = np.concatenate(
-            [np.linspace(0.0, top, steps + 1), np.arange(following, last + 1.0)]
+            [np.linspace(0.0, top_station, steps + 1), np.arange(next_station, last + 1.0)]
         )
         self.collar = (self.cut, self.cut + steps)
         return len(self._stations) - 1 - steps
@@ -274,7 +287,7 @@ class LayeredSurfaces:
     @property
     def normal(self) -> Floats:
         """Unit normal of the neck cut in the stem's axes (3,)."""
-        return self._placed.normal @ self._placed.turn
+        return self._placed.normal @ self._placed.rotation
 
     @property
     def spans(self) -> Ints:
@@ -289,8 +302,8 @@ class LayeredSurfaces:
         # A prism of a ring is between a line and the next: the first one is that of its space.
         line = np.sort(body.columns // len(body.rho), axis=1)[:, [0, -1]]
         first = np.where(line[:, 1] - line[:, 0] > 1, line[:, 1], line[:, 0])
-        beside = (names == COLLAR) & ~np.isin(first, self.spans)
-        return np.asarray((names == VOID) | beside)
+        is_beside_collar = (names == COLLAR) & ~np.isin(first, self.spans)
+        return np.asarray((names == VOID) | is_beside_collar)
 
     def to_model(self, x: Floats) -> Floats:
         """Points in the stem's axes (n, 3) in those of the model [mm]."""
@@ -308,79 +321,87 @@ class LayeredSurfaces:
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """Lines at angles `phi` [turns] and stations `s` (n,); above the cut the stem's alone."""
-        lines = self._across(phi, np.minimum(s, self.cut))
+        lines = self._lines_to_cut(phi, np.minimum(s, self.cut))
         if (s > self.cut).any():
-            self._beyond(lines, phi, s)
+            self._replace_above_cut(lines, phi, s)
         return lines
 
-    def _beyond(self, lines: Lines, phi: Floats, s: Floats) -> None:
+    def _replace_above_cut(self, lines: Lines, phi: Floats, s: Floats) -> None:
         """Replace the lines above the cut; in the collar they go on from those at the cut."""
-        above = s > self.cut
-        at = np.interp(s[above] - self.cut, np.arange(len(self._stations)), self._stations)
-        lines.start[above] = self.stem.upper.points(phi[above], at)
-        beyond = s > self.collar[1]
-        lines.end[beyond] = lines.start[beyond] + 1.0
-        lines.mantle[beyond], lines.endosteum[beyond] = 0.3, 0.6
-        within = above & ~beyond
-        if within.any():
+        is_above = s > self.cut
+        stations = np.interp(s[is_above] - self.cut, np.arange(len(self._stations)), self._stations)
+        lines.start[is_above] = self.stem.upper.points(phi[is_above], stations)
+        above_collar = s > self.collar[1]
+        lines.end[above_collar] = lines.start[above_collar] + 1.0
+        lines.mantle[above_collar], lines.endosteum[above_collar] = 0.3, 0.6
+        in_collar = is_above & ~above_collar
+        if in_collar.any():
             steps = self.collar[1] - self.cut
-            height = (s[within] - self.cut) * self._geometry.implant.collar_thickness / steps
-            lines.end[within] += height[:, None] * self.normal
+            height = (s[in_collar] - self.cut) * self._geometry.implant.collar_thickness / steps
+            lines.end[in_collar] += height[:, None] * self.normal
 
     def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
-        """Hang the nodes inside sections of the plug; nodes, and what stands for each."""
+        """Drape the interior nodes of the plug over the bowl.
+
+        Returns:
+            The nodes, and the number of the representative of each.
+        """
         x, first = nodes.x.copy(), self.mantle[0]
         plug = (nodes.rho == 0) & (nodes.s > 2 * first) & (nodes.s <= 2 * self.tip)
-        x[plug] = self.stem.hung(x[plug], self.heights(nodes.s[plug] / 2))
+        x[plug] = self.stem.draped(x[plug], self.heights(nodes.s[plug] / 2))
         return replace(nodes, x=x), number
 
     def arc(self, a: Floats, b: Floats) -> Floats:
         """Middles of edges from a to b (n, 3) in the shell of a ball (n, 3)."""
         return 0.5 * (a + b)
 
-    def _across(self, phi: Floats, s: Floats) -> Lines:
+    def _lines_to_cut(self, phi: Floats, s: Floats) -> Lines:
         """Lines at stations up to the cut."""
         zeta, theta = self.heights(s), 2 * np.pi * phi
         end = self.bone.ends(theta, zeta)
-        below = s < self.mantle[0]
+        is_below = s < self.mantle[0]
         # Below the plug lines start from the outline that the stem has at the plug's end.
-        at = np.where(below, float(self.mantle[0]), s)
-        start = self.stem.outline(phi, self.sections, self.heights(at))
+        start_stations = np.where(is_below, float(self.mantle[0]), s)
+        start = self.stem.outline(phi, self.sections, self.heights(start_stations))
         start = self.bone.core(start, theta, zeta)
-        way = end - start
+        direction = end - start
 
-        def within(part: Floats, k: Ints) -> Floats:
-            return self.bone.depth(start[k] + part[:, None] * way[k], zeta[k])
+        def depth_in_canal(fraction: Floats, k: Ints) -> Floats:
+            return self.bone.depth(start[k] + fraction[:, None] * direction[k], zeta[k])
 
         if not self.stem.is_cemented:
             # Where the stem is in the cortex, the endosteum is its surface.
             rows = np.flatnonzero(self.bone.depth(start, zeta) > 0)
             within_canal = np.zeros(len(s))
-            within_canal[rows] = root(lambda part, k: within(part, rows[k]), np.ones(len(rows)))
+            within_canal[rows] = root(
+                lambda fraction, k: depth_in_canal(fraction, rows[k]), np.ones(len(rows))
+            )
             return Lines(start, end, np.zeros(len(s)), within_canal)
-        endosteum = root(within, np.ones(len(start)))
+        endosteum = root(depth_in_canal, np.ones(len(start)))
         mantle = np.empty(len(s))
-        mantle[~below] = self.stem.covered(zeta[~below], start[~below], end[~below])
-        if below.any():
+        mantle[~is_below] = self.stem.covered(zeta[~is_below], start[~is_below], end[~is_below])
+        if is_below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
-            first = self._across(phi[below], at[below])
-            ratio = first.mantle / first.endosteum
-            depth = self.stem.plug - zeta[below]
-            ratio += (SPREAD - ratio) * np.minimum(1.0, depth / (4 * self.mesh.step_along))
-            mantle[below] = ratio * endosteum[below]
+            lines_at_plug = self._lines_to_cut(phi[is_below], start_stations[is_below])
+            ratio = lines_at_plug.mantle / lines_at_plug.endosteum
+            depth = self.stem.plug - zeta[is_below]
+            ratio += (MANTLE_BELOW_PLUG - ratio) * np.minimum(
+                1.0, depth / (4 * self.mesh.step_along)
+            )
+            mantle[is_below] = ratio * endosteum[is_below]
         return Lines(start, end, mantle, endosteum)
 
     def _along_stem(self) -> tuple[Lines, Floats]:
         """Lines from the tip to the cut, and the heights of their sections (n,) [mm]."""
         along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        return self._across(phi, s), self.heights(s)
+        return self._lines_to_cut(phi, s), self.heights(s)
 
     def _side(self, x: Floats, zeta: float) -> str:
         """Side of the stem's axis on which a point (3,) of a section is, and its place."""
         x = self._placed.to_model(x)
-        out = x - self._placed.to_model([0.0, 0.0, zeta])
-        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
+        offset = x - self._placed.to_model([0.0, 0.0, zeta])
+        side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
         return f"{side} at {self._placed.where(x)}"
 
     def _refuse(self) -> None:
@@ -393,25 +414,26 @@ class LayeredSurfaces:
     def _refuse_thin(self) -> None:
         """Raise GeometryError where a stem without cement leaves too little of the cortex."""
         lines, zeta = self._along_stem()
-        taken = -self.bone.depth(lines.start, zeta)
+        cortex_taken = -self.bone.depth(lines.start, zeta)
         # The stem is outside of the bone where the way to the periosteum leads back to the axis.
-        outside = ((lines.end - lines.start)[:, :2] * lines.end[:, :2]).sum(axis=1) < 0
-        left = np.where(outside, -1.0, 1.0) * lines.length
-        if not taken.max() > NOTHING:
+        is_outside = ((lines.end - lines.start)[:, :2] * lines.end[:, :2]).sum(axis=1) < 0
+        cortex_left = np.where(is_outside, -1.0, 1.0) * lines.length
+        if not cortex_taken.max() > UNREPORTED_CORTEX:
             self.bone.check(lines.start, lines.end)
             return
-        worst = int(np.where(taken > NOTHING, -left, -np.inf).argmax())
+        worst = int(np.where(cortex_taken > UNREPORTED_CORTEX, -cortex_left, -np.inf).argmax())
         where = self._side(lines.start[worst], zeta[worst])
-        if left[worst] >= LEAST_CORTEX:
+        if cortex_left[worst] >= LEAST_CORTEX:
             self.bone.check(lines.start, lines.end)
             self.notes.append(
-                f"the stem takes up to {taken.max():.1f} mm of the cortex; the thinnest cortex left"
-                f" beside it is {left[worst]:.1f} mm, {where}"
+                f"the stem takes up to {cortex_taken.max():.1f} mm of the cortex;"
+                " the thinnest cortex left"
+                f" beside it is {cortex_left[worst]:.1f} mm, {where}"
             )
             return
-        text = f"leaves {left[worst]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
-        if left[worst] <= 0:
-            text = f"is {_rounded_up(-left[worst]):.2g} mm outside the bone"
+        text = f"leaves {cortex_left[worst]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
+        if cortex_left[worst] <= 0:
+            text = f"is {_rounded_up(-cortex_left[worst]):.2g} mm outside the bone"
         key, _ = self._geometry.more_room
         raise GeometryError(f"{key}: the stem {text} {where}; use a smaller stem, or move it")
 
@@ -421,23 +443,25 @@ class LayeredSurfaces:
         inside = self.bone.depth(lines.start, zeta)
         room = np.where(inside > 0, lines.endosteum * lines.length, inside)
         worst = int(np.nanargmin(room))  # no number where the axis is outside of the bone
-        least = room[worst]
-        if least >= LEAST_MANTLE:
+        least_room = room[worst]
+        if least_room >= LEAST_MANTLE:
             self.bone.check(lines.start, lines.end)
             return
-        missing = _rounded_up(LEAST_MANTLE - least)
-        text = f"leaves {LEAST_MANTLE - missing:.2g} mm for cement (least: {LEAST_MANTLE:g} mm)"
-        if least < 0:
-            text = f"cuts {_rounded_up(-least):.2g} mm into the cortex"
+        missing_room = _rounded_up(LEAST_MANTLE - least_room)
+        text = (
+            f"leaves {LEAST_MANTLE - missing_room:.2g} mm for cement (least: {LEAST_MANTLE:g} mm)"
+        )
+        if least_room < 0:
+            text = f"cuts {_rounded_up(-least_room):.2g} mm into the cortex"
         key, remedy = self._geometry.more_room
         where = self._side(lines.start[worst], zeta[worst])
-        needed = f"{missing:.2g} mm more are needed there"
+        needed = f"{missing_room:.2g} mm more are needed there"
         raise GeometryError(f"{key}: the stem {text} {where}; {remedy}; {needed}")
 
 
 @lru_cache(maxsize=2)
-def kept(geometry: HipKeys, mesh: MeshKeys, files: str) -> LayeredSurfaces:
-    """The surfaces of a patient; with a stem from CAD they take some seconds."""
+def cached_surfaces(geometry: HipKeys, mesh: MeshKeys, files: str) -> LayeredSurfaces:
+    """Return the surfaces of a patient. With a stem from CAD they take some seconds."""
     return LayeredSurfaces(geometry, mesh)
 
 
@@ -449,6 +473,6 @@ def _rounded_up(length: float) -> float:
 
 def _distances(mesh: MeshKeys, length: float, part: str) -> Floats:
     """Distances from 0 to a length in the steps of a mesh that grow [mm]."""
-    at, count, step = mesh.graded(length, part)
-    every = np.concatenate([at, at[-1] + step * np.arange(1, count + 1)])
-    return np.asarray(every * length / every[-1])
+    growing, count, step = mesh.graded(length, part)
+    all_distances = np.concatenate([growing, growing[-1] + step * np.arange(1, count + 1)])
+    return np.asarray(all_distances * length / all_distances[-1])

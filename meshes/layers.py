@@ -1,7 +1,7 @@
 """Sections of a femur, lines across its layers in them, and nodes along the lines.
 
 Sections are planes z = zeta - slope(zeta) (x + lean y) of the stem's axes. They are level along the
-stem and turn over the last `TURN` millimetres to the neck cut.
+stem and turn over the last `TURN_LENGTH` millimetres to the neck cut.
 
 A node has three coordinates: `phi` around and `s` along the line, in half steps, and `rho` across.
 Whole values of `rho` are surfaces: 1 the innermost one (the stem, if there is one), 2 the outer
@@ -22,9 +22,9 @@ from meshes.placement import Placement
 
 DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
 
-TURN = 60.0  # mm below the neck cut, or the shoulder, over which sections turn to it
+TURN_LENGTH = 60.0  # mm below the neck cut, or the shoulder, over which sections turn to it
 CORE_OVER = 30.0  # mm below the plug over which lines go over to the shape of the bone
-EXACT = 1e-11  # of roots, absolute and relative
+ROOT_TOLERANCE = 1e-11  # of roots, absolute and relative
 
 
 def root(function: Callable[[Floats, Ints], Floats], high: Floats) -> Floats:
@@ -34,15 +34,15 @@ def root(function: Callable[[Floats, Ints], Floats], high: Floats) -> Floats:
         function: Takes positions and numbers of the functions, both (k,); returns (k,).
         high: Upper ends (n,); the result where a function is positive there.
     """
-    number = np.arange(len(high))
+    index = np.arange(len(high))
     zeros = high.copy()
-    falls = function(high, number) < 0
-    if falls.any():
-        zeros[falls] = find_root(
+    has_zero = function(high, index) < 0
+    if has_zero.any():
+        zeros[has_zero] = find_root(
             lambda x, k: function(x, k.astype(np.int64)),
-            (np.zeros(int(falls.sum())), high[falls]),
-            args=(number[falls].astype(float),),
-            tolerances={"xatol": EXACT, "xrtol": EXACT},
+            (np.zeros(int(has_zero.sum())), high[has_zero]),
+            args=(index[has_zero].astype(float),),
+            tolerances={"xatol": ROOT_TOLERANCE, "xrtol": ROOT_TOLERANCE},
         ).x
     return zeros
 
@@ -65,7 +65,7 @@ class Sections:
 
     def slope(self, zeta: Floats) -> Floats:
         """Slope of the sections at heights on the axis."""
-        t = np.clip((zeta - self.shoulder + TURN) / TURN, 0.0, 1.0)
+        t = np.clip((zeta - self.shoulder + TURN_LENGTH) / TURN_LENGTH, 0.0, 1.0)
         return np.asarray(self.placed.slopes[0] * t * t * (2 - t))
 
     def rise(self, x: Floats) -> Floats:
@@ -79,8 +79,8 @@ class Sections:
 
     def below_plug(self, zeta: Floats) -> Floats:
         """Part from 0 at the plug to 1 at `CORE_OVER` below it, smooth at both ends."""
-        part = np.clip((self.plug - zeta) / CORE_OVER, 0.0, 1.0)
-        return np.asarray(part * part * (3 - 2 * part))
+        fraction = np.clip((self.plug - zeta) / CORE_OVER, 0.0, 1.0)
+        return np.asarray(fraction * fraction * (3 - 2 * fraction))
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ class Lines:
     Attributes:
         start: Points on the innermost surface (n, 3) [mm].
         end: Points on the periosteum (n, 3) [mm].
-        mantle: Outer side of the mantle, as a fraction of the way from start to end (n,); may lie
+        mantle: Outer side of the mantle, as a fraction of the length from start (n,); may lie
             beyond the endosteum.
-        endosteum: Endosteum, as a fraction of the way (n,).
+        endosteum: Endosteum, as a fraction of the length (n,).
     """
 
     start: Floats
@@ -120,7 +120,7 @@ class Nodes:
         rho: Across; 0 for nodes on no line: inside the innermost surface, or in a ball. Negative in
             the shell of a ball.
         s: Along, in half steps.
-        merged: Whether mantle and endosteum are one there.
+        merged: True where mantle and endosteum coincide.
         error: Used thickness of the layer between them less the exact one [mm].
         floor: Least thickness of that layer [mm].
         x: Positions (n, 3) [mm].

@@ -57,18 +57,18 @@ def place(points: Floats, cells: Ints, x: Floats) -> Places:
     high += margin
     for k in range(len(x)):
         point = x[k]
-        near = np.flatnonzero((low <= point).all(axis=1) & (point <= high).all(axis=1))
-        if not len(near):
+        near_cells = np.flatnonzero((low <= point).all(axis=1) & (point <= high).all(axis=1))
+        if not len(near_cells):
             continue
-        shares = _shares(nodes[near], point)
+        shares = _shares(nodes[near_cells], point)
         smallest = np.round(shares.min(axis=1), DIGITS)
         best = int(np.argmax(smallest))
         if smallest[best] < -OUTSIDE:
             continue
-        cell[k] = near[best]
+        cell[k] = near_cells[best]
         inside[k] = smallest[best]
-        within = np.maximum(shares[best], 0.0)
-        share[k] = within / within.sum()
+        clipped = np.maximum(shares[best], 0.0)
+        share[k] = clipped / clipped.sum()
     return Places(cell, share, inside)
 
 
@@ -80,16 +80,18 @@ def _shares(x: Floats, point: Floats) -> Floats:
     if x.shape[1] == 4:
         return shares
     # Far from a cell its quadratic map may have no inverse.
-    close = np.flatnonzero(shares.min(axis=1) >= -2 * OUTSIDE)
-    here = shares[close]
-    for _ in range(ITERATIONS if len(close) else 0):
-        values, slopes = shape_functions(here)
-        residual = point - np.einsum("ma,mai->mi", values, x[close])
-        jacobian = np.einsum("maj,mai->mij", slopes, x[close])
-        here = here + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0] @ SLOPES.T
+    is_close = np.flatnonzero(shares.min(axis=1) >= -2 * OUTSIDE)
+    coordinates = shares[is_close]
+    for _ in range(ITERATIONS if len(is_close) else 0):
+        values, slopes = shape_functions(coordinates)
+        residual = point - np.einsum("ma,mai->mi", values, x[is_close])
+        jacobian = np.einsum("maj,mai->mij", slopes, x[is_close])
+        coordinates = (
+            coordinates + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0] @ SLOPES.T
+        )
         # A point outside may have no solution: its iterates stay near the cell.
-        here = np.clip(here, -1.0, 2.0)
-    shares[close] = here
+        coordinates = np.clip(coordinates, -1.0, 2.0)
+    shares[is_close] = coordinates
     return shares
 
 

@@ -13,10 +13,10 @@ from meshes.facets import foot, shape_functions
 if TYPE_CHECKING:
     from meshes.gruen import Zones
 
-CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
-PARTS = 3  # into which the edges of facets are divided, to follow their curvature
-NEAREST = 12  # candidates for the nearest facet
-LARGE = 2.0  # of the median of longest edges: facets with longer ones have more candidates
+CLIPPED_SHARE = 0.9  # of the nominal thickness: thinner is where the canal had no room
+EDGE_PARTS = 3  # into which the edges of facets are divided, to follow their curvature
+CANDIDATES = 12  # candidates for the nearest facet
+LARGE_FACTOR = 2.0  # of the median of longest edges: facets with longer ones have more candidates
 # Evenly spread points in a tetrahedron, for its fraction below a level (barycentric).
 LATTICE = np.array(
     [(i, j, k, 5 - i - j - k) for i in range(6) for j in range(6 - i) for k in range(6 - i - j)]
@@ -38,7 +38,7 @@ def describe(
 
     Returns:
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
-        stem's area, and the part of that area where it is below `CLIPPED` of the one asked for;
+        stem's area, and the part of that area where it is below `CLIPPED_SHARE` of the nominal one;
         ``volume`` of the cement and ``plug_volume`` below the flanks [mm^3]; with zones ``gruen``,
         the least, mean and largest thickness on the stem's surface in each.
     """
@@ -48,42 +48,44 @@ def describe(
     centres = stem.mean(axis=1)
     area = facet_areas(stem.reshape(-1, 3), np.arange(3 * len(stem)).reshape(-1, 3))
     bone = triangles(data.points, interface_facets(data, "cement_bone")[0])
-    away = distance(centres, bone)
-    wanted = zones.thickness(centres) if zones else nominal
-    order = np.argsort(away)
-    share = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
-    p5, median, p95 = np.interp([0.05, 0.5, 0.95], share, away[order])
+    distances = distance(centres, bone)
+    nominal_at = zones.thickness(centres) if zones else nominal
+    order = np.argsort(distances)
+    area_fraction = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
+    p5, median, p95 = np.interp([0.05, 0.5, 0.95], area_fraction, distances[order])
     cells = data.cells[data.cell_tags == data.regions["cement"]]
     volumes = cell_volumes(data.points, cells)
     z = data.points[cells[:, :4], 2]
-    below = (z.max(axis=1) < tip).astype(float)
-    cut = (z.min(axis=1) < tip) & (z.max(axis=1) >= tip)
-    below[cut] = (z[cut] @ LATTICE.T < tip).mean(axis=1)
+    share_below = (z.max(axis=1) < tip).astype(float)
+    is_cut = (z.min(axis=1) < tip) & (z.max(axis=1) >= tip)
+    share_below[is_cut] = (z[is_cut] @ LATTICE.T < tip).mean(axis=1)
     note: dict[str, Any] = {
         "thickness": {
             "nominal": nominal,
-            "min": float(away.min()),
+            "min": float(distances.min()),
             "p5": float(p5),
             "median": float(median),
-            "mean": float(np.average(away, weights=area)),
+            "mean": float(np.average(distances, weights=area)),
             "p95": float(p95),
-            "max": float(away.max()),
-            "clipped_fraction": float(area[away < CLIPPED * wanted].sum() / area.sum()),
+            "max": float(distances.max()),
+            "clipped_fraction": float(
+                area[distances < CLIPPED_SHARE * nominal_at].sum() / area.sum()
+            ),
         },
         "volume": float(volumes.sum()),
-        "plug_volume": float(volumes @ below),
+        "plug_volume": float(volumes @ share_below),
     }
     if zones:
-        where = zones.at(centres)
-        marked = {zone: (where == zone).any(axis=1) for zone in zones.numbers}
+        zone_of = zones.at(centres)
+        in_zone = {zone: (zone_of == zone).any(axis=1) for zone in zones.numbers}
         note["gruen"] = {
             str(zone): {
-                "min": float(away[at].min()),
-                "mean": float(np.average(away[at], weights=area[at])),
-                "max": float(away[at].max()),
+                "min": float(distances[in_this_zone].min()),
+                "mean": float(np.average(distances[in_this_zone], weights=area[in_this_zone])),
+                "max": float(distances[in_this_zone].max()),
             }
-            for zone, at in marked.items()
-            if at.any()
+            for zone, in_this_zone in in_zone.items()
+            if in_this_zone.any()
         }
     return note
 
@@ -97,11 +99,13 @@ def least_cortex(data: MeshData, tip: float) -> float:
     z = data.points[facets[:, :3], 2]
     facets = facets[(z.min(axis=1) > tip) & (z.max(axis=1) < 0)]
     surface = data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]
-    away = distance(triangles(data.points, facets).mean(axis=1), triangles(data.points, surface))
-    return float(away.min())
+    distances = distance(
+        triangles(data.points, facets).mean(axis=1), triangles(data.points, surface)
+    )
+    return float(distances.min())
 
 
-def triangles(points: Floats, facets: Ints, parts: int = PARTS) -> Floats:
+def triangles(points: Floats, facets: Ints, parts: int = EDGE_PARTS) -> Floats:
     """Flat triangles (n, 3, 3) [mm] of facets, approximate for curved ones."""
     if facets.shape[1] == 3:
         return points[facets]
@@ -109,10 +113,10 @@ def triangles(points: Floats, facets: Ints, parts: int = PARTS) -> Floats:
     row = {node: k for k, node in enumerate(nodes)}
     corners = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in nodes if i + j < parts]
     corners += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in nodes if i + j < parts - 1]
-    at = np.array([(i, j, parts - i - j) for i, j in nodes]) / parts
+    barycentric = np.array([(i, j, parts - i - j) for i, j in nodes]) / parts
     # `shape_functions` has the middle of 12 before that of 20 and 01.
     x = points[facets[:, [0, 1, 2, 4, 5, 3]]]
-    fine = np.einsum("qn,fni->fqi", shape_functions(at, 6), x)
+    fine = np.einsum("qn,fni->fqi", shape_functions(barycentric, 6), x)
     return fine[:, [[row[node] for node in corner] for corner in corners]].reshape(-1, 3, 3)
 
 
@@ -124,17 +128,21 @@ def _samples(surface: Floats) -> tuple[Floats, Ints]:
     """
     a, b, c = surface.transpose(1, 0, 2)
     samples = [a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3]
-    of: list[Ints] = [np.arange(len(surface))] * len(samples)
+    triangle_of: list[Ints] = [np.arange(len(surface))] * len(samples)
     longest = np.sqrt(((surface - np.roll(surface, 1, axis=1)) ** 2).sum(axis=2)).max(axis=1)
-    parts = np.ceil(longest / (LARGE * np.median(longest))).astype(np.int64)
-    for n in np.unique(parts[parts > 1]):
+    parts = np.ceil(longest / (LARGE_FACTOR * np.median(longest))).astype(np.int64)
+    for divisions in np.unique(parts[parts > 1]):
         # Corners and centres of the parts of a triangle that is divided n times along each side.
-        grid = [(i, j, 3 * n - i - j) for i in range(3 * n + 1) for j in range(3 * n + 1 - i)]
-        at = np.array([g for g in grid if len({k % 3 for k in g}) == 1]) / (3 * n)
-        large = np.flatnonzero(parts == n)
-        samples.append((at @ surface[large]).reshape(-1, 3))
-        of.append(np.repeat(large, len(at)))
-    return np.concatenate(samples), np.concatenate(of)
+        grid = [
+            (i, j, 3 * divisions - i - j)
+            for i in range(3 * divisions + 1)
+            for j in range(3 * divisions + 1 - i)
+        ]
+        barycentric = np.array([g for g in grid if len({k % 3 for k in g}) == 1]) / (3 * divisions)
+        large = np.flatnonzero(parts == divisions)
+        samples.append((barycentric @ surface[large]).reshape(-1, 3))
+        triangle_of.append(np.repeat(large, len(barycentric)))
+    return np.concatenate(samples), np.concatenate(triangle_of)
 
 
 def distance(points: Floats, surface: Floats) -> Floats:
@@ -147,13 +155,19 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
     """Nearest triangle (m, 3, 3) of each point (n, 3), and barycentric coordinates there (n, 3)."""
     from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
 
-    samples, of = _samples(surface)
-    _, candidates = cKDTree(samples).query(points, k=min(NEAREST, len(samples)))
-    best, least = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+    samples, triangle_of = _samples(surface)
+    _, candidates = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)))
+    best, least_distance = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
     weights = np.zeros((len(points), 3))
-    for candidate in of[candidates].T:
-        at = foot(points, surface[candidate])
-        off = np.linalg.norm(np.einsum("nk,nki->ni", at, surface[candidate]) - points, axis=1)
-        nearer = off < least
-        best[nearer], least[nearer], weights[nearer] = candidate[nearer], off[nearer], at[nearer]
+    for candidate in triangle_of[candidates].T:
+        foot_weights = foot(points, surface[candidate])
+        distances = np.linalg.norm(
+            np.einsum("nk,nki->ni", foot_weights, surface[candidate]) - points, axis=1
+        )
+        is_nearer = distances < least_distance
+        best[is_nearer], least_distance[is_nearer], weights[is_nearer] = (
+            candidate[is_nearer],
+            distances[is_nearer],
+            foot_weights[is_nearer],
+        )
     return best, weights

@@ -29,7 +29,7 @@ NODES = np.vstack([np.eye(3), [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]
 # Shift of a plane through nodes, in parts of the extent of the surface: it cuts edges, not nodes.
 SHIFT = 1e-7
 # Segments shorter than this part of their curve are left out.
-SHORT = 1e-9
+SHORTEST_SEGMENT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ def on_line(
 
     The cells that hold them are those of a region, or of every region if it is empty.
     """
-    part = np.linspace(0.0, 1.0, n)
+    fraction = np.linspace(0.0, 1.0, n)
     first, last = np.array(start), np.array(end)
-    arc = part * np.linalg.norm(last - first)
-    return _inside(data, region, arc, first + part[:, None] * (last - first))
+    arc = fraction * np.linalg.norm(last - first)
+    return _inside(data, region, arc, first + fraction[:, None] * (last - first))
 
 
 def on_circle(
@@ -94,23 +94,25 @@ def on_circle(
 
     The first point lies towards x from the centre, or towards y if the axis is x.
     """
-    about = np.array(axis) / np.linalg.norm(axis)
-    start = np.eye(3)[0 if np.abs(about[0]) < 1 - 1e-9 else 1]
-    out = start - (start @ about) * about
-    out /= np.linalg.norm(out)
+    unit_axis = np.array(axis) / np.linalg.norm(axis)
+    start = np.eye(3)[0 if np.abs(unit_axis[0]) < 1 - 1e-9 else 1]
+    first_direction = start - (start @ unit_axis) * unit_axis
+    first_direction /= np.linalg.norm(first_direction)
     angle = np.linspace(0.0, 2 * np.pi, n)
-    x = np.outer(np.cos(angle), out) + np.outer(np.sin(angle), np.cross(about, out))
+    x = np.outer(np.cos(angle), first_direction) + np.outer(
+        np.sin(angle), np.cross(unit_axis, first_direction)
+    )
     return _inside(data, region, radius * angle, np.array(centre) + radius * x)
 
 
 def _inside(data: MeshData, region: str, arc: Floats, x: Floats) -> PathPoints:
     """Points with the cells that hold them."""
-    wanted = data.cell_tags == data.regions[region] if region else data.cell_tags > 0
-    allowed = np.flatnonzero(wanted)
+    in_region = data.cell_tags == data.regions[region] if region else data.cell_tags > 0
+    allowed = np.flatnonzero(in_region)
     places = place(data.points, data.cells[allowed], x)
-    there = places.cell >= 0
-    cell = np.where(there, allowed[places.cell], -1)
-    tags = np.where(there, data.cell_tags[cell], 0).astype(np.int64)
+    is_inside = places.cell >= 0
+    cell = np.where(is_inside, allowed[places.cell], -1)
+    tags = np.where(is_inside, data.cell_tags[cell], 0).astype(np.int64)
     return PathPoints(arc, x, cell, places.share, tags)
 
 
@@ -118,18 +120,18 @@ def _inside(data: MeshData, region: str, arc: Floats, x: Floats) -> PathPoints:
 
 
 def facets_of_interface(
-    data: MeshData, name: str, region: str, apart: tuple[str, str] | None
+    data: MeshData, name: str, region: str, boundaries: tuple[str, str] | None
 ) -> Facets:
     """Facets of an interface, in the cells of a region, or of its first side if region is empty.
 
     Of an interface that is meshed apart, with two boundaries, they are those of the second one.
     """
-    if apart:
-        nodes = boundary_facets(data, apart[1])
+    if boundaries:
+        nodes = boundary_facets(data, boundaries[1])
         outer, cells = exterior_facets(data.cells)
-        mine, every = same_triangles(nodes[:, :3], outer[:, :3])
-        order = np.argsort(every)
-        cells = cells[order[np.searchsorted(every[order], mine)]]
+        keys, outer_keys = same_triangles(nodes[:, :3], outer[:, :3])
+        order = np.argsort(outer_keys)
+        cells = cells[order[np.searchsorted(outer_keys[order], keys)]]
         facets = Facets(nodes, cells)
     else:
         nodes, first, second = interface_facets(data, name)
@@ -137,16 +139,16 @@ def facets_of_interface(
         facets = Facets(nodes, second if region in sides[1] else first)
     if not region:
         return facets
-    kept = data.cell_tags[facets.cells] == data.regions[region]
-    return Facets(facets.nodes[kept], facets.cells[kept])
+    in_region = data.cell_tags[facets.cells] == data.regions[region]
+    return Facets(facets.nodes[in_region], facets.cells[in_region])
 
 
 def facets_of_region(data: MeshData, region: str) -> Facets:
     """Facets of the whole surface of a region."""
     tag = data.regions[region]
     behind = data.neighbours
-    other = (behind < 0) | (data.cell_tags[behind] != tag)
-    cell, face = np.nonzero(other & (data.cell_tags == tag)[:, None])
+    is_border = (behind < 0) | (data.cell_tags[behind] != tag)
+    cell, face = np.nonzero(is_border & (data.cell_tags == tag)[:, None])
     return Facets(faces_of(data.cells, cell, face), cell)
 
 
@@ -163,8 +165,8 @@ def on_section(data: MeshData, facets: Facets, z: float, n: int) -> PathPoints:
     if curve is None:
         return _no_points()
     x = curve.ends(data)[:, :2]
-    turn = np.sum(x[:-1, 0] * x[1:, 1] - x[:-1, 1] * x[1:, 0])
-    if turn < 0:
+    twice_area = np.sum(x[:-1, 0] * x[1:, 1] - x[:-1, 1] * x[1:, 0])
+    if twice_area < 0:
         curve, x = curve.reversed(), x[::-1]
     begin = _towards_x(x) if curve.closed else 0.0
     return curve.sampled(data, n, begin)
@@ -175,13 +177,13 @@ def _towards_x(x: Floats) -> float:
     length = np.linalg.norm(np.diff(x, axis=0), axis=1)
     x = x - length @ (x[1:] + x[:-1]) / 2 / length.sum()
     a, b = x[:-1], x[1:]
-    passes = np.flatnonzero((a[:, 1] < 0) & (b[:, 1] >= 0))
-    part = a[passes, 1] / (a[passes, 1] - b[passes, 1])
-    out = a[passes, 0] + part * (b[passes, 0] - a[passes, 0])
-    if not len(passes) or out.max() <= 0:
+    crossing = np.flatnonzero((a[:, 1] < 0) & (b[:, 1] >= 0))
+    fraction = a[crossing, 1] / (a[crossing, 1] - b[crossing, 1])
+    crossing_x = a[crossing, 0] + fraction * (b[crossing, 0] - a[crossing, 0])
+    if not len(crossing) or crossing_x.max() <= 0:
         return 0.0
-    k = int(np.argmax(out))
-    return float(length[: passes[k]].sum() + part[k] * length[passes[k]])
+    k = int(np.argmax(crossing_x))
+    return float(length[: crossing[k]].sum() + fraction[k] * length[crossing[k]])
 
 
 def on_side(data: MeshData, facets: Facets, local: Floats, angle: float, n: int) -> PathPoints:
@@ -190,9 +192,9 @@ def on_side(data: MeshData, facets: Facets, local: Floats, angle: float, n: int)
     They lie in the half-plane from the axis at an angle from x to y [rad]. Of several curves it is
     the longest. The axis is z of the local positions of the nodes (k, 3) [mm].
     """
-    out = np.array([np.cos(angle), np.sin(angle)])
-    across = local[:, :2] @ np.array([-out[1], out[0]])
-    curve = _cut(data, facets, across, local[:, :2] @ out)
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    across = local[:, :2] @ np.array([-direction[1], direction[0]])
+    curve = _cut(data, facets, across, local[:, :2] @ direction)
     if curve is None:
         return _no_points()
     ends = curve.height(local)
@@ -236,9 +238,9 @@ class _Curve:
 
     def ends(self, data: MeshData) -> Floats:
         """Positions of the starts of all segments and of the last end (s + 1, 3) [mm]."""
-        every = np.arange(len(self.cells))
-        starts = self.places(data, every, self.start)
-        return np.vstack([starts, self.places(data, every[-1:], self.end[-1:])])
+        segments = np.arange(len(self.cells))
+        starts = self.places(data, segments, self.start)
+        return np.vstack([starts, self.places(data, segments[-1:], self.end[-1:])])
 
     def height(self, local: Floats) -> Floats:
         """Height of start and end of the curve (2,), from nodes in other axes (k, 3) [mm]."""
@@ -256,12 +258,14 @@ class _Curve:
         """N points at equal distances along the curve; a closed one begins at a distance [mm]."""
         corners = self.ends(data)
         length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-        until = np.concatenate([[0.0], np.cumsum(length)])
-        arc = np.linspace(0.0, until[-1], n)
-        at = np.mod(begin + arc, until[-1]) if begin else arc
-        segment = np.clip(np.searchsorted(until, at, side="right") - 1, 0, len(length) - 1)
-        part = ((at - until[segment]) / length[segment])[:, None]
-        within = self.start[segment] + part * (self.end[segment] - self.start[segment])
+        corner_arc = np.concatenate([[0.0], np.cumsum(length)])
+        arc = np.linspace(0.0, corner_arc[-1], n)
+        curve_arc = np.mod(begin + arc, corner_arc[-1]) if begin else arc
+        segment = np.clip(
+            np.searchsorted(corner_arc, curve_arc, side="right") - 1, 0, len(length) - 1
+        )
+        fraction = ((curve_arc - corner_arc[segment]) / length[segment])[:, None]
+        within = self.start[segment] + fraction * (self.end[segment] - self.start[segment])
         cell = self.cells[segment]
         return PathPoints(
             arc,
@@ -272,24 +276,26 @@ class _Curve:
         )
 
 
-def _cut(data: MeshData, facets: Facets, level: Floats, out: Floats | None) -> _Curve | None:
+def _cut(
+    data: MeshData, facets: Facets, level: Floats, side_values: Floats | None
+) -> _Curve | None:
     """Longest curve on facets at which a level is zero; None without any.
 
     The level has values at the nodes of the mesh (k,), and is linear on facets or on a quarter of
-    each. The curve is cut off where the values `out` (k,) are negative.
+    each. The curve is cut off where the values `side_values` (k,) are negative.
     """
     if not len(facets.nodes):
         return None
     extent = float(np.ptp(level[facets.nodes])) or 1.0
     for shift in (SHIFT, -SHIFT):
-        curve = _chain(data, facets, level, level + shift * extent >= 0, out)
+        curve = _chain(data, facets, level, level + shift * extent >= 0, side_values)
         if curve is not None:
             return curve
     return None
 
 
 def _chain(
-    data: MeshData, facets: Facets, level: Floats, above: Bools, out: Floats | None
+    data: MeshData, facets: Facets, level: Floats, above: Bools, side_values: Floats | None
 ) -> _Curve | None:
     """Longest chain of the segments in which a surface passes from above to below."""
     quarters = QUARTERS if facets.nodes.shape[1] == 6 else np.array([[0, 1, 2]])
@@ -297,35 +303,40 @@ def _chain(
     local = np.tile(quarters, (len(facets.nodes), 1))
     corners = facets.nodes[facet[:, None], local]
     count = above[corners].sum(axis=1)
-    mixed = (count == 1) | (count == 2)
-    facet, local, corners, count = facet[mixed], local[mixed], corners[mixed], count[mixed]
+    is_crossed = (count == 1) | (count == 2)
+    facet, local, corners, count = (
+        facet[is_crossed],
+        local[is_crossed],
+        corners[is_crossed],
+        count[is_crossed],
+    )
     # The corner that is alone on its side: both edges at it are cut.
-    tip = np.argmax(above[corners] == (count == 1)[:, None], axis=1)
+    lone_corner = np.argmax(above[corners] == (count == 1)[:, None], axis=1)
     rows = np.arange(len(facet))
     keys: list[Ints] = []
     within: list[Floats] = []
     values: list[Floats] = []
-    for other in ((tip + 1) % 3, (tip + 2) % 3):
-        a, b = corners[rows, tip], corners[rows, other]
+    for other in ((lone_corner + 1) % 3, (lone_corner + 2) % 3):
+        a, b = corners[rows, lone_corner], corners[rows, other]
         # From the lesser node, so that both facets of an edge compute the same point.
         low, high = np.minimum(a, b), np.maximum(a, b)
-        part = np.clip(level[low] / (level[low] - level[high]), 0.0, 1.0)
-        one, two = NODES[local[rows, tip]], NODES[local[rows, other]]
-        along = np.where(a == low, part, 1.0 - part)[:, None]
-        within.append(one + along * (two - one))
+        node_fraction = np.clip(level[low] / (level[low] - level[high]), 0.0, 1.0)
+        lone_point, other_point = NODES[local[rows, lone_corner]], NODES[local[rows, other]]
+        fraction = np.where(a == low, node_fraction, 1.0 - node_fraction)[:, None]
+        within.append(lone_point + fraction * (other_point - lone_point))
         keys.append(low * len(level) + high)
-        if out is not None:
-            values.append(out[low] + part * (out[high] - out[low]))
+        if side_values is not None:
+            values.append(side_values[low] + node_fraction * (side_values[high] - side_values[low]))
     start, end = within
-    if out is not None:
+    if side_values is not None:
         first, last = values
-        kept = np.maximum(first, last) > 0
+        is_kept = np.maximum(first, last) > 0
         step = np.where(first == last, 1.0, last - first)
         zero = (-first / step)[:, None]
         cut_start = np.where((first < 0)[:, None], start + zero * (end - start), start)
         cut_end = np.where((last < 0)[:, None], start + zero * (end - start), end)
-        start, end = cut_start[kept], cut_end[kept]
-        facet, keys = facet[kept], [k[kept] for k in keys]
+        start, end = cut_start[is_kept], cut_end[is_kept]
+        facet, keys = facet[is_kept], [k[is_kept] for k in keys]
     x = data.points[facets.nodes[facet, :3]]
     length = np.linalg.norm(np.einsum("sc,sci->si", end - start, x), axis=1)
     order, flipped, closed = _longest(np.column_stack(keys), length)
@@ -354,24 +365,24 @@ def _longest(ends: Ints, length: Floats) -> tuple[list[int], list[bool], bool]:
         to its first, and True if the chain is closed.
     """
     pairs = [(int(a), int(b)) for a, b in ends]
-    at: dict[int, list[int]] = {}
+    segments_at: dict[int, list[int]] = {}
     for k, pair in enumerate(pairs):
         for key in pair:
-            at.setdefault(key, []).append(k)
+            segments_at.setdefault(key, []).append(k)
     unused = set(range(len(pairs)))
     # Open chains begin at a key of one segment.
-    begin = [k for k, pair in enumerate(pairs) if any(len(at[key]) == 1 for key in pair)]
+    begin = [k for k, pair in enumerate(pairs) if any(len(segments_at[key]) == 1 for key in pair)]
     best: tuple[list[int], list[bool], bool] = ([], [], False)
-    most = 0.0
+    longest = 0.0
     for first in [*begin, *range(len(pairs))]:
         if first not in unused:
             continue
-        flip = len(at[pairs[first][0]]) > 1 and len(at[pairs[first][1]]) == 1
+        flip = len(segments_at[pairs[first][0]]) > 1 and len(segments_at[pairs[first][1]]) == 1
         origin, order, flipped = pairs[first][int(flip)], [first], [flip]
         unused.remove(first)
         key = pairs[first][1 - int(flip)]
         while True:
-            following = next((k for k in at[key] if k in unused), None)
+            following = next((k for k in segments_at[key] if k in unused), None)
             if following is None:
                 break
             unused.remove(following)
@@ -380,8 +391,10 @@ def _longest(ends: Ints, length: Floats) -> tuple[list[int], list[bool], bool]:
             flipped.append(flip)
             key = pairs[following][1 - int(flip)]
         total = float(length[order].sum())
-        if total > most:
-            most = total
-            there = [k for k in range(len(order)) if length[order[k]] > SHORT * total]
-            best = [order[k] for k in there], [flipped[k] for k in there], key == origin
+        if total > longest:
+            longest = total
+            long_rows = [
+                k for k in range(len(order)) if length[order[k]] > SHORTEST_SEGMENT * total
+            ]
+            best = [order[k] for k in long_rows], [flipped[k] for k in long_rows], key == origin
     return best

@@ -28,9 +28,9 @@ from meshes.facets import NODES, nodal_normals, shape_functions, surface
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
 # Facets that meet at more than this angle are different faces [rad].
-SMOOTH = np.radians(50)
+SMOOTH_ANGLE = np.radians(50)
 # Least cosine between the normal of a facet and the reversed one of a facet on which it lies.
-FACING = 0.9
+LEAST_COSINE = 0.9
 
 # Nodes of a facet, the middle of each edge in the place of the vertex opposite, as in `NODES`.
 OPPOSITE = [0, 1, 2, 4, 5, 3]
@@ -147,34 +147,36 @@ def parts(
     faces = cell_faces(data.cells)
     cell = np.repeat(np.arange(len(data.cells)), 4)
     # The pieces on both sides of each face, -1 outside.
-    mine, behind = piece[cell], data.neighbours.ravel()
-    other = np.where(behind < 0, -1, piece[behind])
+    piece_of_face, behind = piece[cell], data.neighbours.ravel()
+    piece_behind = np.where(behind < 0, -1, piece[behind])
     outside = np.flatnonzero(behind < 0)
-    keys, on = same_triangles(faces[outside, :3], data.facets[:, :3])
+    keys, tagged_keys = same_triangles(faces[outside, :3], data.facets[:, :3])
     order = np.argsort(keys)
-    at = order[np.searchsorted(keys, on, sorter=order).clip(max=len(keys) - 1)]
-    exterior = keys[at] == on
-    cell_of_facet = np.where(exterior, cell[outside[at]], -1)
+    outside_rows = order[np.searchsorted(keys, tagged_keys, sorter=order).clip(max=len(keys) - 1)]
+    exterior = keys[outside_rows] == tagged_keys
+    cell_of_facet = np.where(exterior, cell[outside[outside_rows]], -1)
     piece_of_facet = np.where(exterior, piece[cell_of_facet], -1)
-    bare = mine != other
+    is_free = piece_of_face != piece_behind
     tags = [t for name in held for t in data.boundaries.get(name, ())]
-    bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
+    is_free[outside[np.isin(keys, tagged_keys[np.isin(data.facet_tags, tags)])]] = False
     areas, free = (
-        np.bincount(mine[some], facet_areas(data.points, faces[some]), minlength=count)
-        for some in (mine != other, bare)
+        np.bincount(piece_of_face[mask], facet_areas(data.points, faces[mask]), minlength=count)
+        for mask in (piece_of_face != piece_behind, is_free)
     )
     volumes = cell_volumes(data.points, data.cells)
     middles = data.points[data.cells[:, :4]].mean(axis=1)
     pieces = []
     for k in range(count):
-        here = piece == k
-        volume = float(volumes[here].sum())
-        centre = volumes[here] @ middles[here] / volume
-        box = np.ptp(data.points[np.unique(data.cells[here, :4])], axis=0)
-        region, part = names[int(data.cell_tags[here][0])], float(free[k] / areas[k])
-        pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
-    rows = np.flatnonzero(mine < other)
-    touches = _touches(data.points, faces[rows], mine[rows], other[rows])
+        in_piece = piece == k
+        volume = float(volumes[in_piece].sum())
+        centre = volumes[in_piece] @ middles[in_piece] / volume
+        box = np.ptp(data.points[np.unique(data.cells[in_piece, :4])], axis=0)
+        region, free_fraction = names[int(data.cell_tags[in_piece][0])], float(free[k] / areas[k])
+        pieces.append(
+            Piece(region, int(in_piece.sum()), centre, volume, float(areas[k]), box, free_fraction)
+        )
+    rows = np.flatnonzero(piece_of_face < piece_behind)
+    touches = _touches(data.points, faces[rows], piece_of_face[rows], piece_behind[rows])
     for sides in (apart or {}).values():
         touches += _facing(data, sides, piece_of_facet)
     return Parts(
@@ -192,27 +194,33 @@ def parts(
 def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
     middle, x = np.full((1, 3), 1 / 3), points[facets[:, OPPOSITE[: facets.shape[1]]]]
     centres = (shape_functions(middle, facets.shape[1]) @ x)[:, 0]
-    normals, double = (v[:, 0] for v in surface(x, middle))
+    normals, double_areas = (values[:, 0] for values in surface(x, middle))
     touches = []
     for a, b in sorted({(int(a), int(b)) for a, b in zip(first, second, strict=True)}):
-        here = (first == a) & (second == b)
-        bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
-        touches.append(Touch((a, b), centres[here], normals[here], double[here] / 2, bend))
+        is_between = (first == a) & (second == b)
+        bend = _bend(facets[is_between], normals[is_between]) if facets.shape[1] == 3 else 0.0
+        touches.append(
+            Touch(
+                (a, b), centres[is_between], normals[is_between], double_areas[is_between] / 2, bend
+            )
+        )
     return touches
 
 
 def _facing(data: MeshData, sides: tuple[str, str], piece: Ints) -> list[Touch]:
     """Touch of two boundaries, on the smaller one, from the piece of each tagged facet."""
-    on = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in sides]
-    small, large = sorted(on, key=lambda side: facet_areas(data.points, data.facets[side]).sum())
-    second = np.full(small.sum(), piece[large][0] if small.any() else 0)
-    return _touches(data.points, data.facets[small], piece[small], second)
+    masks = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in sides]
+    smaller, larger = sorted(
+        masks, key=lambda side: facet_areas(data.points, data.facets[side]).sum()
+    )
+    second = np.full(smaller.sum(), piece[larger][0] if smaller.any() else 0)
+    return _touches(data.points, data.facets[smaller], piece[smaller], second)
 
 
 def _bend(facets: Ints, normals: Floats) -> float:
     """Mean angle between neighbouring facets, except at sharp edges of the surface [rad]."""
     _, _, angles = _neighbours(facets, normals)
-    smooth = angles[angles < SMOOTH]
+    smooth = angles[angles < SMOOTH_ANGLE]
     return float(smooth.mean()) if len(smooth) else 0.0
 
 
@@ -220,10 +228,10 @@ def _neighbours(facets: Ints, normals: Floats) -> tuple[Ints, Ints, Floats]:
     """Pairs of facets that share an edge (e,) and (e,), and the angles between them (e,) [rad]."""
     edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     order = np.lexsort(edges.T)
-    same = np.flatnonzero((edges[order][1:] == edges[order][:-1]).all(axis=1))
-    one, two = order[same] // 3, order[same + 1] // 3
-    cosines = np.einsum("ei,ei->e", normals[one], normals[two])
-    return one, two, np.arccos(np.clip(cosines, -1.0, 1.0))
+    pairs = np.flatnonzero((edges[order][1:] == edges[order][:-1]).all(axis=1))
+    first, second = order[pairs] // 3, order[pairs + 1] // 3
+    cosines = np.einsum("ei,ei->e", normals[first], normals[second])
+    return first, second, np.arccos(np.clip(cosines, -1.0, 1.0))
 
 
 def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
@@ -238,8 +246,11 @@ def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[in
 
 def _nodes_on(data: MeshData, name: str, piece: Ints) -> dict[int, Ints]:
     """Nodes of each piece on a boundary, from the piece of each tagged facet, -1 if none."""
-    here = np.isin(data.facet_tags, data.boundaries[name]) & (piece >= 0)
-    return {int(k): np.unique(data.facets[here & (piece == k)]) for k in np.unique(piece[here])}
+    on_boundary = np.isin(data.facet_tags, data.boundaries[name]) & (piece >= 0)
+    return {
+        int(k): np.unique(data.facets[on_boundary & (piece == k)])
+        for k in np.unique(piece[on_boundary])
+    }
 
 
 def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
@@ -247,11 +258,13 @@ def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
 
     ``cell`` is the cell of each tagged facet, -1 if none; ``middles`` are points in cells [mm].
     """
-    here = np.isin(data.facet_tags, data.boundaries.get(name, ())) & (cell >= 0)
-    facets, sums = data.facets[here], np.zeros(data.points.shape)
+    on_boundary = np.isin(data.facet_tags, data.boundaries.get(name, ())) & (cell >= 0)
+    facets, sums = data.facets[on_boundary], np.zeros(data.points.shape)
     facets = facets[:, OPPOSITE[: facets.shape[1]]]
-    at = NODES[: facets.shape[1]]
-    np.add.at(sums, facets, nodal_normals(data.points[facets], middles[cell[here]], at))
+    node_points = NODES[: facets.shape[1]]
+    np.add.at(
+        sums, facets, nodal_normals(data.points[facets], middles[cell[on_boundary]], node_points)
+    )
     size = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.divide(sums, size, out=sums, where=size > 0)
 
@@ -261,28 +274,28 @@ def coincident(points: Floats) -> Ints:
 
     Sorting along a random direction leaves few candidates.
     """
-    near = COINCIDENT * float(np.linalg.norm(np.ptp(points, axis=0)))
-    along = points @ np.random.default_rng(0).normal(size=3)
-    order = np.argsort(along)
-    sorted_, pairs = along[order], [np.zeros((0, 2), dtype=np.int64)]
+    tolerance = COINCIDENT * float(np.linalg.norm(np.ptp(points, axis=0)))
+    projections = points @ np.random.default_rng(0).normal(size=3)
+    order = np.argsort(projections)
+    sorted_, pairs = projections[order], [np.zeros((0, 2), dtype=np.int64)]
     for shift in range(1, len(points)):
-        close = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * near)
-        if not len(close):
+        candidates = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * tolerance)
+        if not len(candidates):
             break
-        a, b = order[close], order[close + shift]
-        same = np.linalg.norm(points[a] - points[b], axis=1) <= near
-        pairs.append(np.sort(np.column_stack([a, b])[same], axis=1))
+        a, b = order[candidates], order[candidates + shift]
+        is_same = np.linalg.norm(points[a] - points[b], axis=1) <= tolerance
+        pairs.append(np.sort(np.column_stack([a, b])[is_same], axis=1))
     return np.concatenate(pairs)
 
 
 def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
     """Positions where two nodes coincide, by the pair of their regions."""
-    of_node = np.zeros(len(data.points), dtype=np.int64)
-    of_node[data.cells] = piece[:, None]
+    piece_of_node = np.zeros(len(data.points), dtype=np.int64)
+    piece_of_node[data.cells] = piece[:, None]
     places: dict[tuple[str, str], list[Floats]] = {}
     for a, b in coincident(data.points):
-        one, two = sorted(pieces[int(of_node[k])].region for k in (a, b))
-        places.setdefault((one, two), []).append(data.points[a])
+        first, second = sorted(pieces[int(piece_of_node[k])].region for k in (a, b))
+        places.setdefault((first, second), []).append(data.points[a])
     return {names: np.array(x) for names, x in places.items()}
 
 
@@ -308,56 +321,66 @@ def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
     normals /= np.maximum(2 * areas, np.finfo(float).tiny)[:, None]
     middles = x.mean(axis=1)
     rise = _rise(x, facets, np.asarray(normals, dtype=float))
-    least = COINCIDENT * float(np.linalg.norm(np.ptp(data.points, axis=0)))
+    tolerance = COINCIDENT * float(np.linalg.norm(np.ptp(data.points, axis=0)))
     area: dict[tuple[str, str], float] = {}
     place: dict[tuple[str, str], Floats] = {}
     for a, b in combinations(range(int(body.max()) + 1), 2):
-        each = [np.flatnonzero(body == k) for k in (a, b)]
-        margin = max(float(rise[rows].max()) for rows in each) + least
-        low = np.max([x[rows].min(axis=(0, 1)) for rows in each], axis=0) - margin
-        high = np.min([x[rows].max(axis=(0, 1)) for rows in each], axis=0) + margin
+        body_facets = [np.flatnonzero(body == k) for k in (a, b)]
+        margin = max(float(rise[rows].max()) for rows in body_facets) + tolerance
+        low = np.max([x[rows].min(axis=(0, 1)) for rows in body_facets], axis=0) - margin
+        high = np.min([x[rows].max(axis=(0, 1)) for rows in body_facets], axis=0) + margin
         # Facets in the box that both bodies share.
-        near = [
+        near_facets = [
             rows[
                 (x[rows].max(axis=1) >= low).all(axis=1) & (x[rows].min(axis=1) <= high).all(axis=1)
             ]
-            for rows in each
+            for rows in body_facets
         ]
-        if not all(map(len, near)):
+        if not all(map(len, near_facets)):
             continue
-        both: dict[tuple[str, str], list[float]] = {}
-        for one, two in (near, near[::-1]):
-            on = _lies_on(
-                middles[one], normals[one], rise[one] + least, x[two], normals[two], rise[two]
+        pair_areas: dict[tuple[str, str], list[float]] = {}
+        for rows_of_one, rows_of_other in (near_facets, near_facets[::-1]):
+            facet_below = _lies_on(
+                middles[rows_of_one],
+                normals[rows_of_one],
+                rise[rows_of_one] + tolerance,
+                x[rows_of_other],
+                normals[rows_of_other],
+                rise[rows_of_other],
             )
-            hit = np.flatnonzero(on >= 0)
-            first, second = one[hit], two[on[hit]]
+            lying_rows = np.flatnonzero(facet_below >= 0)
+            first, second = rows_of_one[lying_rows], rows_of_other[facet_below[lying_rows]]
             tags = np.sort(
                 np.column_stack([data.cell_tags[cells[first]], data.cell_tags[cells[second]]])
             )
             for tag in np.unique(tags, axis=0):
-                here = first[(tags == tag).all(axis=1)]
+                of_pair = first[(tags == tag).all(axis=1)]
                 lower, upper = sorted(names[int(t)] for t in tag)
-                both.setdefault((lower, upper), []).append(float(areas[here].sum()))
-                place.setdefault((lower, upper), middles[here[0]])
-        for pair, measured in both.items():
-            area[pair] = area.get(pair, 0.0) + max(measured)
+                pair_areas.setdefault((lower, upper), []).append(float(areas[of_pair].sum()))
+                place.setdefault((lower, upper), middles[of_pair[0]])
+        for pair, side_areas in pair_areas.items():
+            area[pair] = area.get(pair, 0.0) + max(side_areas)
     return {pair: (area[pair], place[pair]) for pair in area}
 
 
 def _rise(x: Floats, facets: Ints, normals: Floats) -> Floats:
     """Largest distance of each facet from the smooth surface through its nodes (k,) [mm]."""
-    one, two, angle = _neighbours(facets, normals)
-    angle[(angle > SMOOTH) | (angle < 1e-6)] = 0.0
+    first, second, angle = _neighbours(facets, normals)
+    angle[(angle > SMOOTH_ANGLE) | (angle < 1e-6)] = 0.0
     bend = np.zeros(len(facets))
-    np.maximum.at(bend, one, angle)
-    np.maximum.at(bend, two, angle)
+    np.maximum.at(bend, first, angle)
+    np.maximum.at(bend, second, angle)
     length = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
     return np.asarray(length * bend / 8)
 
 
 def _lies_on(
-    middles: Floats, normals: Floats, within: Floats, x: Floats, other: Floats, rise: Floats
+    middles: Floats,
+    normals: Floats,
+    tolerances: Floats,
+    x: Floats,
+    other_normals: Floats,
+    rise: Floats,
 ) -> Ints:
     """Return the facet on which each middle lies, -1 if on none (k,)."""
     from scipy.spatial import cKDTree
@@ -368,13 +391,13 @@ def _lies_on(
     _, candidates = cKDTree(centres).query(middles, count)
     for column in candidates.reshape(len(middles), count).T:
         offset = middles - x[column, 0]
-        n = other[column]
-        height = np.einsum("ki,ki->k", offset, n)
-        inside = np.abs(height) <= within + rise[column]
-        inside &= np.einsum("ki,ki->k", normals, n) < -FACING
+        normal = other_normals[column]
+        height = np.einsum("ki,ki->k", offset, normal)
+        inside = np.abs(height) <= tolerances + rise[column]
+        inside &= np.einsum("ki,ki->k", normals, normal) < -LEAST_COSINE
         for i in range(3):
             start, end = x[column, i], x[column, (i + 1) % 3]
-            side = np.einsum("ki,ki->k", np.cross(end - start, middles - start), n)
+            side = np.einsum("ki,ki->k", np.cross(end - start, middles - start), normal)
             inside &= side >= -1e-9 * np.einsum("ki,ki->k", end - start, end - start)
         facet[inside & (facet < 0)] = column[inside & (facet < 0)]
     return facet

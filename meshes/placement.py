@@ -1,4 +1,4 @@
-"""The neck cut, and where the stem is in the bone.
+"""Neck cut, and position of the stem in the bone.
 
 The model's axes: z along the shaft, proximal positive, 0 at the lesser trochanter; x medial; y
 anterior. The stem's axes have their origin on its axis, at the level that its keys count from, z up
@@ -23,7 +23,7 @@ from app.foundation.errors import GeometryError
 from app.foundation.implant import Implant
 from meshes import femur_stem
 
-EXACT = 1e-12  # of a cut's normal: rounded off
+ROUNDING = 1e-12  # of a cut's normal: rounded off
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no one truth: geometries compare their keys
@@ -32,14 +32,14 @@ class Placement:
 
     Attributes:
         normal: Unit normal of the neck cut (3,): the bone below it is kept.
-        turn: Axes of the stem as columns (3, 3).
+        rotation: Axes of the stem as columns (3, 3).
         foot: Point in which its axis meets the cut (3,) [mm].
         top: Height of that point in the stem's axes [mm].
         mirrored: True if the model is the mirror image of the bone: a right femur.
     """
 
     normal: Floats
-    turn: Floats
+    rotation: Floats
     foot: Floats
     top: float
     mirrored: bool = False
@@ -47,30 +47,30 @@ class Placement:
     @cached_property
     def origin(self) -> Floats:
         """Origin of the stem's axes (3,) [mm]."""
-        return np.asarray(self.foot - self.top * self.turn[:, 2])
+        return np.asarray(self.foot - self.top * self.rotation[:, 2])
 
     def to_stem(self, x: ArrayLike) -> Floats:
         """Points of the model (..., 3) in the stem's axes [mm]."""
-        return np.asarray((np.asarray(x) - self.origin) @ self.turn)
+        return np.asarray((np.asarray(x) - self.origin) @ self.rotation)
 
     def to_model(self, x: ArrayLike) -> Floats:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
-        return np.asarray(np.asarray(x) @ self.turn.T + self.origin)
+        return np.asarray(np.asarray(x) @ self.rotation.T + self.origin)
 
     def along(self, z: float) -> float:
         """Height in the stem's axes at which its axis is at a level of the model [mm]."""
-        return float(self.top + (z - self.foot[2]) / self.turn[2, 2])
+        return float(self.top + (z - self.foot[2]) / self.rotation[2, 2])
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
         """Slope of the cut along x of the stem, and along y over that along x."""
-        x, y, z = self.normal @ self.turn
-        return x / z, y / x if abs(y) > EXACT else 0.0
+        x, y, z = self.normal @ self.rotation
+        return x / z, y / x if abs(y) > ROUNDING else 0.0
 
     @property
     def tilt(self) -> float:
         """Slope of the stem's axis to the shaft's."""
-        x, y, z = self.turn[:, 2]
+        x, y, z = self.rotation[:, 2]
         return math.hypot(x, y) / float(z)
 
     def where(self, x: Floats) -> str:
@@ -231,12 +231,12 @@ class CutPlane:
     Attributes:
         normal: Unit normal (3,): the bone below it is kept.
         level: Product of the normal with points of the plane [mm].
-        way: Direction of its azimuth across the shaft (2,).
+        direction: Direction of its azimuth across the shaft (2,).
     """
 
     normal: Floats
     level: float
-    way: Floats
+    direction: Floats
 
     @classmethod
     def of(cls, geometry: StemInBone) -> CutPlane:
@@ -247,25 +247,25 @@ class CutPlane:
         """
         femur, cut = geometry.femur, geometry.resection
         azimuth = femur.neck if cut.azimuth is None else cut.azimuth
-        way = np.array([math.cos(azimuth), math.sin(azimuth)])
-        normal = np.r_[math.sin(cut.angle) * way, math.cos(cut.angle)]
-        level = float(normal @ [*(femur.reach(azimuth, cut.height) * way), cut.height])
-        return cls(normal, level, way)
+        direction = np.array([math.cos(azimuth), math.sin(azimuth)])
+        normal = np.r_[math.sin(cut.angle) * direction, math.cos(cut.angle)]
+        level = float(normal @ [*(femur.reach(azimuth, cut.height) * direction), cut.height])
+        return cls(normal, level, direction)
 
     def put(self, implant: Implant, position: Position, mirrored: bool) -> Placement:
         """The placement of a stem."""
-        anterior = np.array([-self.way[1], self.way[0]])
-        aside = position.medial * self.way + position.anterior * anterior
-        foot = np.r_[aside, (self.level - float(self.normal[:2] @ aside)) / self.normal[2]]
-        turn = _turned(position)
-        placed = Placement(self.normal, turn, foot, self.level / self.normal[2], mirrored)
+        anterior = np.array([-self.direction[1], self.direction[0]])
+        offset = position.medial * self.direction + position.anterior * anterior
+        foot = np.r_[offset, (self.level - float(self.normal[:2] @ offset)) / self.normal[2]]
+        rotation = _rotation(position)
+        placed = Placement(self.normal, rotation, foot, self.level / self.normal[2], mirrored)
         if position.depth is None:
             return placed
         edge = femur_stem.edge(implant, placed.slopes[0])
         return replace(placed, top=edge + position.depth)
 
 
-def _turned(position: Position) -> Floats:
+def _rotation(position: Position) -> Floats:
     """Axes of a stem as columns (3, 3): flexion first, then varus, then version."""
     (c, s), (cv, sv), (cf, sf) = (
         (math.cos(angle), math.sin(angle))
@@ -318,7 +318,7 @@ def head_in_words(geometry: PlacedStem) -> str:
     placed, implant, femur = geometry.placement, geometry.implant, geometry.femur
     head, intact = placed.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
     offset, before = math.hypot(*head[:2]), math.hypot(*intact[:2])
-    version = math.degrees(math.atan2(placed.turn[1, 0], placed.turn[0, 0]))
+    version = math.degrees(math.atan2(placed.rotation[1, 0], placed.rotation[0, 0]))
     changes = offset - before, head[2] - intact[2], version - math.degrees(femur.neck)
     wider, longer, turned = (round(float(change), 1) + 0.0 for change in changes)  # no "-0.0"
     return (

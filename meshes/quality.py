@@ -14,12 +14,12 @@ from meshes.data import EDGES, MeshData, Tags, cell_faces, dot, edge_vectors, ma
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes, and curved cells are straightened
-SHORTER = (0.5, 0.25)  # of their length: cells that are good then are only long
+LENGTH_FACTORS = (0.5, 0.25)  # of their length: cells that are good then are only long
 WORST_SHOWN = 5
-REACH = 0.25  # of a node's longest edge: the first step that it is moved by
-SMALLEST = 1e-3  # of that edge: the last
+FIRST_STEP = 0.25  # of a node's longest edge: the first step that it is moved by
+LAST_STEP = 1e-3  # of that edge: the last
 GAIN = 1e-4  # SICN that a step has to gain: less may be rounding
-STEPS = 7  # halvings of a bend; what is still bad then is made straight
+HALVINGS = 7  # halvings of a bend; what is still bad then is made straight
 ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
 # Directions to the faces, edges and corners of a cube (26, 3).
@@ -81,27 +81,30 @@ def overlapping(cells: Ints) -> Ints:
     """
     partner, faces = match_faces(cells), cell_faces(cells)
     a, b, c = faces[:, :3].T
-    turn = (a < b) ^ (b < c) ^ (a < c)
+    orientation = (a < b) ^ (b < c) ^ (a < c)
     middles = np.sort(faces[:, 3:], axis=1)
-    unfit = (turn == turn[partner]) | (middles != middles[partner]).any(axis=1)
-    faulty = (unfit & (partner >= 0)).reshape(-1, 4).sum(axis=1)
+    mismatched = (orientation == orientation[partner]) | (middles != middles[partner]).any(axis=1)
+    faulty = (mismatched & (partner >= 0)).reshape(-1, 4).sum(axis=1)
     return np.argsort(-faulty, kind="stable")[: np.count_nonzero(faulty)]
 
 
 def places(
-    points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], some: Ints
+    points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], rows: Ints
 ) -> list[str]:
     """A line for each of the first of some cells: its region and its centroid."""
     names = {tag: name for name, tag in regions.items()}
-    x = points[cells[some[:WORST_SHOWN], :4]].mean(axis=1)
+    x = points[cells[rows[:WORST_SHOWN], :4]].mean(axis=1)
     lines = "  {} at ({:.2f}, {:.2f}, {:.2f}) mm"
-    return [lines.format(names[int(tags[cell])], *at) for cell, at in zip(some, x, strict=False)]
+    return [
+        lines.format(names[int(tags[cell])], *centroid)
+        for cell, centroid in zip(rows, x, strict=False)
+    ]
 
 
 def check(
-    points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], why: str = ""
+    points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], reason: str = ""
 ) -> Floats:
-    """Refuse inverted and nearly flat cells; ``why`` follows their number in the message.
+    """Refuse inverted and nearly flat cells; ``reason`` follows their number in the message.
 
     Returns:
         SICN of each cell (m,).
@@ -114,11 +117,13 @@ def check(
     if not bad:
         return quality
     worst = np.argsort(quality, kind="stable")[:bad]
-    at = places(points, cells, tags, regions, worst)
-    lines = [f"{place}: {quality[cell]:.4f}" for place, cell in zip(at, worst, strict=False)]
+    descriptions = places(points, cells, tags, regions, worst)
+    lines = [
+        f"{place}: {quality[cell]:.4f}" for place, cell in zip(descriptions, worst, strict=False)
+    ]
     raise PoorCellsError(
         f"{bad} of {len(quality)} elements are inverted or nearly flat"
-        f" (signed inverse condition number below {BAD}){why}; the worst:\n" + "\n".join(lines)
+        f" (signed inverse condition number below {BAD}){reason}; the worst:\n" + "\n".join(lines)
     )
 
 
@@ -132,8 +137,8 @@ def straightened(points: Floats, cells: Ints) -> Floats:
 
 def bent(points: Floats, cells: Ints) -> bool:
     """Return True if any edge of quadratic cells is curved by more than rounding."""
-    off = np.abs(straightened(points, cells) - points)[cells].max()
-    return bool(off > ROUNDING * np.ptp(points, axis=0).max())
+    deviation = np.abs(straightened(points, cells) - points)[cells].max()
+    return bool(deviation > ROUNDING * np.ptp(points, axis=0).max())
 
 
 def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
@@ -156,24 +161,24 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
     least = np.minimum(POOR, 0.85 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
     size = np.linalg.norm(points - chord, axis=1)
-    near: Ints = np.arange(len(cells))  # cells whose nodes have moved
+    changed_cells: Ints = np.arange(len(cells))  # cells whose nodes have moved
     # It ends: a bad cell has a bent edge, and its edges get straight.
     for step in count():
         current = chord + bend * (points - chord)
-        bad = near[sicn(current, cells[near]) < least[near]]
+        bad = changed_cells[sicn(current, cells[changed_cells]) < least[changed_cells]]
         if not len(bad):
             break
-        moved = np.zeros(len(points), dtype=bool)
+        is_moved = np.zeros(len(points), dtype=bool)
         bends = (bend[:, 0] * size)[cells[bad, 4:]]
-        moved[cells[bad, 4:][bends >= spared * bends.max(axis=1, keepdims=True)]] = True
-        bend[moved] *= 0.5 if step < STEPS * (3 if spared else 1) else 0.0
-        near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
+        is_moved[cells[bad, 4:][bends >= spared * bends.max(axis=1, keepdims=True)]] = True
+        bend[is_moved] *= 0.5 if step < HALVINGS * (3 if spared else 1) else 0.0
+        changed_cells = np.flatnonzero(is_moved[cells[:, 4:]].any(axis=1))
     return np.asarray(current)
 
 
 def stubby(points: Floats, cells: Ints) -> Floats:
     """SICN of cells (m,) that may be long along z: the best of those with their length reduced."""
-    parts = [sicn(points * [1.0, 1.0, part], cells) for part in (1.0, *SHORTER)]
+    parts = [sicn(points * [1.0, 1.0, part], cells) for part in (1.0, *LENGTH_FACTORS)]
     return np.asarray(np.max(parts, axis=0))
 
 
@@ -216,18 +221,22 @@ def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
         if not moving:
             return x
         for node in sorted(moving, key=lambda k: (worst[k], k)):
-            near = order[start[node] : start[node + 1]] // 4
-            corners = x[cells[near]]
+            node_cells = order[start[node] : start[node + 1]] // 4
+            corners = x[cells[node_cells]]
             if node not in steps:
                 edge = float(np.sqrt(((corners - x[node]) ** 2).sum(axis=2)).max())
-                steps[node] = REACH * edge, SMALLEST * edge
-            step, last = steps[node]
-            places = np.round(x[node] + step * _AROUND, digits)
-            tried = np.where((cells[near] == node)[:, :, None], places[:, None, None], corners)
-            every = np.arange(tried.size // 3).reshape(-1, 4)
-            tried_quality = sicn(tried.reshape(-1, 3), every).reshape(len(places), len(near))
+                steps[node] = FIRST_STEP * edge, LAST_STEP * edge
+            step, last_step = steps[node]
+            trial_places = np.round(x[node] + step * _AROUND, digits)
+            trial_corners = np.where(
+                (cells[node_cells] == node)[:, :, None], trial_places[:, None, None], corners
+            )
+            trial_cells = np.arange(trial_corners.size // 3).reshape(-1, 4)
+            tried_quality = sicn(trial_corners.reshape(-1, 3), trial_cells).reshape(
+                len(trial_places), len(node_cells)
+            )
             best = int(np.round(tried_quality.min(axis=1), digits).argmax())
-            if tried_quality[best].min() > quality[near].min() + GAIN:
-                x[node], quality[near] = places[best], tried_quality[best]
+            if tried_quality[best].min() > quality[node_cells].min() + GAIN:
+                x[node], quality[node_cells] = trial_places[best], tried_quality[best]
             else:
-                steps[node] = 0.5 * step, last
+                steps[node] = 0.5 * step, last_step

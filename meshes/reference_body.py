@@ -49,7 +49,7 @@ class ReferenceBody:
         rho: Place of the columns of a line, that of the first surface at the edge of the core, then
             one more a ring (r,).
         weights: Columns inside the core as means of those at its edge (q, around).
-        at: Section of the columns, before shearing (c, 2).
+        section: Section of the columns, before shearing (c, 2).
         columns: Columns of the prisms (p, 3).
         slab: Their layer (p,).
         region: Number of their region in `names` (p,).
@@ -58,7 +58,7 @@ class ReferenceBody:
 
     rho: Floats
     weights: Floats
-    at: Floats
+    section: Floats
     columns: Ints
     slab: Ints
     region: Ints
@@ -99,16 +99,16 @@ def make(
     )
     scale = rho - first + 1.0
     lines = (scale[None, :, None] * corners[:, None]).reshape(-1, 2)
-    low = x[np.round(x[:, 2]) == 0, :2]
-    inside = low[cKDTree(lines).query(low)[0] > 1e-6 * np.abs(corners).max()]
-    inside = inside[np.lexsort(np.round(inside, 6).T)]
-    at = np.concatenate([lines, inside])
-    column = cKDTree(at).query(x[:, :2])[1]
+    lowest = x[np.round(x[:, 2]) == 0, :2]
+    core_points = lowest[cKDTree(lines).query(lowest)[0] > 1e-6 * np.abs(corners).max()]
+    core_points = core_points[np.lexsort(np.round(core_points, 6).T)]
+    section = np.concatenate([lines, core_points])
+    column = cKDTree(section).query(x[:, :2])[1]
     prism = np.concatenate(prisms)
     return ReferenceBody(
         rho=rho,
-        weights=_mean_values(inside, corners),
-        at=at - np.outer(at[:, 1], [SHEAR, 0.0]),
+        weights=_mean_values(core_points, corners),
+        section=section - np.outer(section[:, 1], [SHEAR, 0.0]),
         columns=column[prism[:, :3]],
         slab=np.round(x[prism[:, 0], 2]).astype(np.int64),
         region=np.repeat(np.arange(len(names)), [*map(len, prisms)]),
@@ -144,16 +144,21 @@ def _extruded(
             outer = [-edge for edge in edges[k + 1][part][::-1]]
             loop = [*edges[k][part], rays[1 - side], *outer, -rays[side]]
             faces[-1].append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
-            one, other = ends[side], ends[1 - side]
-            four = [rings[k][one], rings[k][other], rings[k + 1][other], rings[k + 1][one]]
-            geo.mesh.setTransfiniteSurface(faces[-1][-1], ("Left", "Right")[side], four)
+            start, end = ends[side], ends[1 - side]
+            quadrangle = [rings[k][start], rings[k][end], rings[k + 1][end], rings[k + 1][start]]
+            geo.mesh.setTransfiniteSurface(faces[-1][-1], ("Left", "Right")[side], quadrangle)
     volumes: dict[str, list[int]] = {name: [] for name in names}
     for segment in segments:
         faces = faces[: len(segment.regions)]
         flat = [(2, face) for layer in faces for face in layer]
-        made = geo.extrude(flat, 0, 0, segment.steps, numElements=[segment.steps], recombine=True)
-        at = [k for k, (dim, _) in enumerate(made) if dim == 3]
-        tops, bodies = iter([made[k - 1][1] for k in at]), iter([made[k][1] for k in at])
+        extruded = geo.extrude(
+            flat, 0, 0, segment.steps, numElements=[segment.steps], recombine=True
+        )
+        volume_rows = [k for k, (dim, _) in enumerate(extruded) if dim == 3]
+        tops, bodies = (
+            iter([extruded[k - 1][1] for k in volume_rows]),
+            iter([extruded[k][1] for k in volume_rows]),
+        )
         for name, layer in zip(segment.regions, faces, strict=True):
             volumes[name] += [next(bodies) for _ in layer]
         faces = [[next(tops) for _ in layer] for layer in faces]
@@ -167,11 +172,11 @@ def _mean_values(points: Floats, polygon: Floats) -> Floats:
 
     Floater, Computer Aided Geometric Design 20 (2003).
     """
-    away = polygon[None] - points[:, None]
-    after = np.roll(away, -1, axis=1)
-    far = np.sqrt((away**2).sum(axis=2))
-    cross = away[..., 0] * after[..., 1] - away[..., 1] * after[..., 0]
-    dot = (away * after).sum(axis=2)
-    half = (far * np.roll(far, -1, axis=1) - dot) / cross  # tan of half the angle
-    weights = (half + np.roll(half, 1, axis=1)) / far
+    vectors = polygon[None] - points[:, None]
+    next_vectors = np.roll(vectors, -1, axis=1)
+    lengths = np.sqrt((vectors**2).sum(axis=2))
+    cross = vectors[..., 0] * next_vectors[..., 1] - vectors[..., 1] * next_vectors[..., 0]
+    dot = (vectors * next_vectors).sum(axis=2)
+    half_tangents = (lengths * np.roll(lengths, -1, axis=1) - dot) / cross  # tan of half the angle
+    weights = (half_tangents + np.roll(half_tangents, 1, axis=1)) / lengths
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))

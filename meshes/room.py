@@ -23,22 +23,23 @@ from app.foundation.implant import Implant
 from meshes import femur_stem
 from meshes.cad_stem import CadStem
 from meshes.geometry import HipKeys
-from meshes.layered_surfaces import DEEP, LEAST_CORTEX, SIDES
+from meshes.layered_surfaces import LEAST_CORTEX, LEAST_SHOULDER_DEPTH, SIDES
 from meshes.layers import Sections
 from meshes.placement import CutPlane, Placement, Position
 
-STEP = np.array([1.0, 1.0, 2.0])  # mm between nodes of the grid; the canal is straighter along z
-UNIT = 0.002  # mm: distances on the grid are multiples of it
-MARGIN = 8.0  # mm of the grid beyond the canal
-AROUND = 144  # points around the canal
-ALONG = 0.75  # mm between sections of the canal
-BETWEEN = 0.4  # mm: largest distance of the canal from its nearest point
-BELOW = 45.0  # mm below the stem's tip down to which the canal is known
-END = 3.0  # mm above the end of the bone
+# Distances between nodes of the grid [mm]. The canal is straighter along z.
+GRID_STEP = np.array([1.0, 1.0, 2.0])
+DISTANCE_UNIT = 0.002  # mm: distances on the grid are multiples of it
+GRID_MARGIN = 8.0  # mm of the grid beyond the canal
+CANAL_AROUND = 144  # points around the canal
+CANAL_STEP = 0.75  # mm between sections of the canal
+POINT_SPACING = 0.4  # mm: largest distance of the canal from its nearest point
+BELOW_TIP = 45.0  # mm below the stem's tip down to which the canal is known
+END_MARGIN = 3.0  # mm above the end of the bone
 STEM_AROUND = 72  # points around the stem
-STEM_ALONG = 1.0  # mm between sections of the stem
-BODY_ALONG = 140  # sections of the body of mantle's parametric stem
-NECK_ALONG = 20  # sections of each part of the neck
+STEM_STEP = 1.0  # mm between sections of the stem
+BODY_SECTIONS = 140  # sections of the body of mantle's parametric stem
+NECK_SECTIONS = 20  # sections of each part of the neck
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,10 @@ class WidestCanal:
 
     Attributes:
         cut: The neck cut.
-        points: Points of its surface in sections from below (n, `AROUND`, 3) [mm].
+        points: Points of its surface in sections from below (n, `CANAL_AROUND`, 3) [mm].
         low: First node of the grid (3,) [mm].
-        distances: Distances of the nodes from the surface, in `UNIT`; positive within (i, j, k).
+        distances: Distances of the nodes from the surface in `DISTANCE_UNIT`, positive within
+            (i, j, k).
     """
 
     cut: CutPlane
@@ -62,18 +64,18 @@ class WidestCanal:
 
         It is linear between nodes. Beyond the grid the distance from it is subtracted.
         """
-        most = np.array(self.distances.shape) - 1
-        at = (x - self.low) / STEP
-        within = np.clip(at, 0.0, most)
-        beyond = np.linalg.norm((at - within) * STEP, axis=-1)
-        i = np.minimum(within.astype(np.int64), most - 1)
-        part = within - i
+        last_node = np.array(self.distances.shape) - 1
+        grid_position = (x - self.low) / GRID_STEP
+        nearest = np.clip(grid_position, 0.0, last_node)
+        outside_distance = np.linalg.norm((grid_position - nearest) * GRID_STEP, axis=-1)
+        cell = np.minimum(nearest.astype(np.int64), last_node - 1)
+        fraction = nearest - cell
         room = np.zeros(x.shape[:-1])
         for corner in np.ndindex(2, 2, 2):
-            weight = np.where(corner, part, 1.0 - part).prod(axis=-1)
-            node = i + corner
+            weight = np.where(corner, fraction, 1.0 - fraction).prod(axis=-1)
+            node = cell + corner
             room += weight * self.distances[node[..., 0], node[..., 1], node[..., 2]]
-        return np.asarray(UNIT * room - beyond)
+        return np.asarray(DISTANCE_UNIT * room - outside_distance)
 
 
 def canal(geometry: HipKeys) -> WidestCanal:
@@ -84,45 +86,47 @@ def canal(geometry: HipKeys) -> WidestCanal:
     """
     cut, implant, femur = CutPlane.of(geometry), geometry.implant, geometry.femur
     placed = cut.put(implant, Position(0.0, 0.0, 0.0, femur.neck, 0.0, 0.0), femur.mirrored)
-    end = placed.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW
-    low = placed.along(max(float(end), femur.lowest + END))
-    count = int((placed.top - low) / ALONG) + 1
+    end = placed.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW_TIP
+    low = placed.along(max(float(end), femur.lowest + END_MARGIN))
+    count = int((placed.top - low) / CANAL_STEP) + 1
     zeta = np.asarray(np.linspace(low, placed.top, count), dtype=float)
     sections = Sections(placed, placed.top, implant.plug, zeta)
     layers = femur.layers(geometry, sections, None)
-    theta, levels = np.meshgrid(2 * np.pi * np.arange(AROUND) / AROUND, zeta)
-    around, along = theta.ravel(), levels.ravel()
-    points = layers.canal(around, along)
+    theta, levels = np.meshgrid(2 * np.pi * np.arange(CANAL_AROUND) / CANAL_AROUND, zeta)
+    angles, heights = theta.ravel(), levels.ravel()
+    points = layers.canal(angles, heights)
     if not geometry.is_cemented:
-        ends = layers.ends(around, along)
+        ends = layers.ends(angles, heights)
         points = ends - LEAST_CORTEX * femur_stem.unit(ends - points)
     points = placed.to_model(points)
-    return canal_of(cut, points.reshape(len(zeta), AROUND, 3))
+    return canal_of(cut, points.reshape(len(zeta), CANAL_AROUND, 3))
 
 
 def canal_of(cut: CutPlane, points: Floats) -> WidestCanal:
     """A canal with points of its surface in sections from below (n, k, 3) [mm]."""
-    first = points.min(axis=(0, 1)) - MARGIN
-    size = np.ceil((points.max(axis=(0, 1)) + MARGIN - first) / STEP).astype(int) + 1
-    nodes = first + np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1) * STEP
-    distances = np.round(_signed(nodes.reshape(-1, 3), points) / UNIT)
-    return WidestCanal(cut, points, first, distances.reshape(size))
+    low = points.min(axis=(0, 1)) - GRID_MARGIN
+    size = np.ceil((points.max(axis=(0, 1)) + GRID_MARGIN - low) / GRID_STEP).astype(int) + 1
+    nodes = low + np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1) * GRID_STEP
+    distances = np.round(_signed_distances(nodes.reshape(-1, 3), points) / DISTANCE_UNIT)
+    return WidestCanal(cut, points, low, distances.reshape(size))
 
 
-def _signed(x: Floats, surface: Floats) -> Floats:
+def _signed_distances(x: Floats, surface: Floats) -> Floats:
     """Distances of points (n, 3) from a tube of points (m, k, 3), positive within (n,) [mm].
 
     Near the surface the distance is that from the tangent plane at the nearest point; beyond the
     ends of the tube it is that from the nearest point.
     """
-    around = np.roll(surface, -1, axis=1) - np.roll(surface, 1, axis=1)
-    outward = np.cross(around, np.gradient(surface, axis=0)).reshape(-1, 3)
+    tangents = np.roll(surface, -1, axis=1) - np.roll(surface, 1, axis=1)
+    outward = np.cross(tangents, np.gradient(surface, axis=0)).reshape(-1, 3)
     outward /= np.linalg.norm(outward, axis=1)[:, None]
-    places = surface.reshape(-1, 3)
-    away, nearest = cKDTree(places).query(x)
-    plane = ((places[nearest] - x) * outward[nearest]).sum(axis=1)
-    beside = np.sqrt(np.maximum(away**2 - BETWEEN**2, 0.0))
-    return np.asarray(np.copysign(np.maximum(np.abs(plane), beside), plane))
+    points = surface.reshape(-1, 3)
+    distances, nearest = cKDTree(points).query(x)
+    plane_distances = ((points[nearest] - x) * outward[nearest]).sum(axis=1)
+    least_distances = np.sqrt(np.maximum(distances**2 - POINT_SPACING**2, 0.0))
+    return np.asarray(
+        np.copysign(np.maximum(np.abs(plane_distances), least_distances), plane_distances)
+    )
 
 
 class _Steps:
@@ -130,7 +134,7 @@ class _Steps:
 
     def steps(self, length: float) -> int:
         """Number of steps along a length [mm]."""
-        return max(1, round(length / STEM_ALONG))
+        return max(1, round(length / STEM_STEP))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +146,13 @@ class StemSurface:
     Attributes:
         implant: The stem.
         start: Points where its lines along the body begin, at the end of its flanks (m, 3) [mm].
-        way: Change of these lines for each millimetre along the axis (m, 3).
+        direction: Change of these lines for each millimetre along the axis (m, 3).
         points: Points in sections of a stem from a file (n, m, 3) [mm]; None: a parametric stem.
     """
 
     implant: Implant
     start: Floats
-    way: Floats
+    direction: Floats
     points: Floats | None = None
 
     @classmethod
@@ -163,18 +167,18 @@ class StemSurface:
         steps = _Steps()
         shoulder = _shoulder(implant, placed)
         stem = CadStem(implant.cad, (implant.tip_z, shoulder), placed, steps)
-        count = int((placed.top - low) / STEM_ALONG) + 1
+        count = int((placed.top - low) / STEM_STEP) + 1
         zeta = np.asarray(np.linspace(low, placed.top, count), dtype=float)
         sections = Sections(placed, shoulder, implant.plug, zeta)
         phi, levels = (v.ravel() for v in np.meshgrid(turns, zeta))
         body_points = stem.point(phi, levels, sections.slope(levels))
-        stations = np.linspace(0.0, stem.ends[-1], NECK_ALONG)[1:]
+        stations = np.linspace(0.0, stem.ends[-1], NECK_SECTIONS)[1:]
         phi, levels = (v.ravel() for v in np.meshgrid(turns, stations))
         points = np.concatenate([body_points, stem.points(phi, levels)]).reshape(-1, around, 3)
         return cls(implant, points[0], np.zeros((around, 3)), points)
 
     def at(self, placed: Placement) -> Floats:
-        """Points in sections from the end of its flanks to that of its neck (n, m, 3) [mm].
+        """Points in sections from the end of its flanks to the end of its neck (n, m, 3) [mm].
 
         The turn to the neck is not rounded.
 
@@ -189,30 +193,30 @@ class StemSurface:
         upper = femur_stem.upper(implant, body, _Steps(), shoulder, placed.top, slopes[0])
         height, slope = upper.planes[1]
         rise = np.array([slope, slope * slopes[1], 1.0])
-        length = (height - self.start @ rise) / (self.way @ rise)
-        part = np.linspace(0.0, 1.0, BODY_ALONG)[:, None, None]
-        flanks = self.start + part * (length[:, None] * self.way)
+        length = (height - self.start @ rise) / (self.direction @ rise)
+        fraction = np.linspace(0.0, 1.0, BODY_SECTIONS)[:, None, None]
+        flanks = self.start + fraction * (length[:, None] * self.direction)
         turns = np.arange(len(self.start)) / len(self.start)
         first, last = upper.ring(turns, 0), upper.ring(turns, 1)
-        part = np.linspace(0.0, 1.0, NECK_ALONG)[1:, None, None]
-        blend = flanks[-1] + part * (first - flanks[-1])
-        return np.concatenate([flanks, blend, first + part * (last - first)])
+        fraction = np.linspace(0.0, 1.0, NECK_SECTIONS)[1:, None, None]
+        blend = flanks[-1] + fraction * (first - flanks[-1])
+        return np.concatenate([flanks, blend, first + fraction * (last - first)])
 
     def cemented(self, placed: Placement, cut: CutPlane) -> Floats:
-        """Points below the cut, and where lines along the stem meet it (n, 3) [mm]."""
+        """Points below the cut, and points where lines along the stem meet it (n, 3) [mm]."""
         points = self.at(placed)
         height = placed.to_model(points) @ cut.normal - cut.level
-        below = height < 0
-        row, turn = np.nonzero(below[:-1] & ~below[1:])
-        part = height[row, turn] / (height[row, turn] - height[row + 1, turn])
-        low, high = points[row, turn], points[row + 1, turn]
-        return np.concatenate([points[below], low + part[:, None] * (high - low)])
+        is_below = height < 0
+        row, column = np.nonzero(is_below[:-1] & ~is_below[1:])
+        fraction = height[row, column] / (height[row, column] - height[row + 1, column])
+        low, high = points[row, column], points[row + 1, column]
+        return np.concatenate([points[is_below], low + fraction[:, None] * (high - low)])
 
 
 def _shoulder(implant: Implant, placed: Placement) -> float:
     """Height at the axis of the section at the shoulder, or of the cut, as meshed [mm]."""
     edge = femur_stem.edge(implant, placed.slopes[0])
-    return edge if edge < placed.top - DEEP else placed.top
+    return edge if edge < placed.top - LEAST_SHOULDER_DEPTH else placed.top
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,8 +253,8 @@ def fit(canal: WidestCanal, stem: StemSurface, placed: Placement) -> Fit:
     x = placed.to_model(points)
     room = canal.room(x)
     worst = int(room.argmin())
-    out = placed.turn[:, :2] @ points[worst, :2]
-    side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
+    offset = placed.rotation[:, :2] @ points[worst, :2]
+    side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
     return Fit(float(room[worst]), x[worst], side)
 
 

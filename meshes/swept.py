@@ -24,8 +24,8 @@ from meshes.reference_body import ReferenceBody
 
 # Least thickness of a layer, over the distance to the next line, and to the next section: where it
 # would be thinner it has none.
-FLOOR = 0.12
-ALONG = 0.05
+FLOOR_RATIO = 0.12
+FLOOR_RATIO_ALONG = 0.05
 
 POOR = 0.12  # SICN: quadrangles of the rings with worse cells get their other diagonal
 
@@ -65,8 +65,8 @@ class Swept:
     def on(self, facets: Ints, rho: float | None = None, s: int | None = None) -> Bools:
         """Facets (k, 3 or 6) wholly on a surface, or on a station (k,)."""
         nodes, corners = self.nodes, facets[:, :3]
-        on = nodes.rho[corners] == rho if s is None else nodes.s[corners] == 2 * s
-        return np.asarray(on.all(axis=1))
+        is_on = nodes.rho[corners] == rho if s is None else nodes.s[corners] == 2 * s
+        return np.asarray(is_on.all(axis=1))
 
     def above(self, facets: Ints, s: int) -> Bools:
         """Facets (k, 3 or 6) at a station or above (k,)."""
@@ -76,17 +76,19 @@ class Swept:
         """Notes: the grid, and the deviation of the layers from the exact ones [mm]."""
         nodes, surfaces = self.nodes, self.surfaces
         mantle = (nodes.rho == 2) | nodes.merged
-        wrong = np.abs(nodes.error[mantle])
-        within = nodes.s[mantle] >= 2 * surfaces.mantle[0]
-        moved = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), wrong)[within]
+        deviation = np.abs(nodes.error[mantle])
+        at_mantle = nodes.s[mantle] >= 2 * surfaces.mantle[0]
+        moved_by = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), deviation)[
+            at_mantle
+        ]
         floors = nodes.floor[mantle & ~nodes.merged]
         return {
             "lines_around": surfaces.around,
             "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
             "least_thickness_mm": float(floors.min()) if len(floors) else 0.0,
-            "moved_nodes": float((moved > 10.0**-DIGITS).mean()),
-            "moved_max_mm": float(moved.max(initial=0.0)),
+            "moved_nodes": float((moved_by > 10.0**-DIGITS).mean()),
+            "moved_max_mm": float(moved_by.max(initial=0.0)),
         }
 
 
@@ -99,44 +101,49 @@ def mesh(surfaces: LayeredSurfaces, curved: bool) -> Swept:
     parts = surfaces.through, surfaces.segments
     body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser, surfaces.first)
     nodes, number = _grid(surfaces, body)
-    cells, parent = _mended(surfaces, body, nodes, number)
+    cells, parent = _with_better_diagonals(surfaces, body, nodes, number)
     region = body.region[parent]
     solid = ~surfaces.is_left_out(body)[parent]
-    made = _relaxed(_packed(surfaces, nodes, cells[solid], region[solid], body.names))
-    _check(made)
-    return _curved(made) if curved else made
+    swept_mesh = _with_moved_core_nodes(
+        _packed(surfaces, nodes, cells[solid], region[solid], body.names)
+    )
+    _check(swept_mesh)
+    return _curved(swept_mesh) if curved else swept_mesh
 
 
-def _mended(
+def _with_better_diagonals(
     surfaces: LayeredSurfaces, body: ReferenceBody, nodes: Nodes, number: Ints
 ) -> tuple[Ints, Ints]:
-    """As `_split`, with other diagonals across the rings where cells are poor and get better.
+    """Split the prisms as `_split`, with the better diagonals across the rings.
 
-    A diagonal is the same in all sections: its worst cell counts.
+    Diagonals change where cells are poor and get better. A diagonal is the same in all sections:
+    its worst cell counts.
     """
-    n, r = surfaces.around, len(body.rho)
-    line, place = np.divmod(body.columns, r)
-    least = place.min(axis=1)
-    ring = np.flatnonzero((body.columns < n * r).all(axis=1) & (least < place.max(axis=1)))
+    around, per_line = surfaces.around, len(body.rho)
+    line, ring_place = np.divmod(body.columns, per_line)
+    inner_place = ring_place.min(axis=1)
+    ring = np.flatnonzero(
+        (body.columns < around * per_line).all(axis=1) & (inner_place < ring_place.max(axis=1))
+    )
     # Two corners of a triangle in a ring are on one line; the third ends a diagonal.
     third = ((line == np.roll(line, -1, axis=1)).argmax(axis=1) + 2)[ring] % 3
     first, pair = line[ring, third], line[ring, third - 1]
-    quad = np.full(len(line), n * r)
-    quad[ring] = np.where(first == (pair + 1) % n, pair, first) * r + least[ring]
-    turned = body.columns.copy()
-    turned[ring, third] += np.where(place[ring, third] == least[ring], 1, -1)
+    quad = np.full(len(line), around * per_line)
+    quad[ring] = np.where(first == (pair + 1) % around, pair, first) * per_line + inner_place[ring]
+    turned_columns = body.columns.copy()
+    turned_columns[ring, third] += np.where(ring_place[ring, third] == inner_place[ring], 1, -1)
 
     def split(columns: Ints) -> tuple[tuple[Ints, Ints], Floats]:
-        cells, parent = made = _split(surfaces, replace(body, columns=columns), number)
-        worst = np.ones(n * r + 1)
+        cells, parent = tetrahedra = _split(surfaces, replace(body, columns=columns), number)
+        worst = np.ones(around * per_line + 1)
         np.minimum.at(worst, quad[parent], sicn(nodes.x, cells))
-        return made, worst
+        return tetrahedra, worst
 
-    made, worst = split(body.columns)
+    tetrahedra, worst = split(body.columns)
     if worst[:-1].min() >= POOR:
-        return made
-    better = (worst < POOR) & (split(turned)[1] > worst)
-    return split(np.where(better[quad, None], turned, body.columns))[0]
+        return tetrahedra
+    better = (worst < POOR) & (split(turned_columns)[1] > worst)
+    return split(np.where(better[quad, None], turned_columns, body.columns))[0]
 
 
 def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
@@ -149,193 +156,229 @@ def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tupl
     ones. Where sections rotate back, the order is reversed. Lines on a flat side rank as if it were
     round.
     """
-    c = len(body.at)
+    column_count = len(body.section)
     lines = surfaces.around * len(body.rho)
-    edge = np.concatenate([np.arange(lines) // len(body.rho) * len(body.rho), np.arange(lines, c)])
-    x, y = np.round(body.at[edge].T, DIGITS)
+    edge = np.concatenate(
+        [np.arange(lines) // len(body.rho) * len(body.rho), np.arange(lines, column_count)]
+    )
+    x, y = np.round(body.section[edge].T, DIGITS)
     round_ = -np.sign(x) * np.abs(y)
-    ranks = [np.argsort(np.lexsort((np.arange(c), y, way * round_, way * x))) for way in (1, -1)]
-    back = np.isin(body.slab, surfaces.mirrored)[:, None]
-    order = np.argsort(np.where(back, ranks[1][body.columns], ranks[0][body.columns]), axis=1)
-    low = np.take_along_axis(body.columns, order, axis=1) + c * body.slab[:, None]
-    corners = np.hstack([low, low + c])[:, _PRISM].reshape(-1, 4)
+    ranks = [
+        np.argsort(np.lexsort((np.arange(column_count), y, sign * round_, sign * x)))
+        for sign in (1, -1)
+    ]
+    is_mirrored = np.isin(body.slab, surfaces.mirrored)[:, None]
+    order = np.argsort(
+        np.where(is_mirrored, ranks[1][body.columns], ranks[0][body.columns]), axis=1
+    )
+    lower_corners = (
+        np.take_along_axis(body.columns, order, axis=1) + column_count * body.slab[:, None]
+    )
+    corners = np.hstack([lower_corners, lower_corners + column_count])[:, _PRISM].reshape(-1, 4)
     levels = int(body.slab.max()) + 2
-    height = np.repeat(np.arange(levels, dtype=np.float64), c)
-    flat = np.column_stack([np.tile(body.at, (levels, 1)), height])
-    flipped = cell_volumes(flat, corners) < 0
+    height = np.repeat(np.arange(levels, dtype=np.float64), column_count)
+    reference_points = np.column_stack([np.tile(body.section, (levels, 1)), height])
+    flipped = cell_volumes(reference_points, corners) < 0
     corners[flipped] = corners[flipped][:, [1, 0, 2, 3]]
-    tets = number[corners]
-    ordered = np.sort(tets, axis=1)
-    kept = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).all(axis=1))
-    return tets[kept], kept // 3
+    tetrahedra = number[corners]
+    ordered = np.sort(tetrahedra, axis=1)
+    kept_rows = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).all(axis=1))
+    return tetrahedra[kept_rows], kept_rows // 3
 
 
 def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
-    """Nodes of all columns at all stations, and the one that stands for each."""
-    n, r, c = surfaces.around, len(body.rho), len(body.at)
+    """Nodes of all columns at all stations, and the number of the representative of each."""
+    around, per_line, column_count = surfaces.around, len(body.rho), len(body.section)
     levels = sum(segment.steps for segment in surfaces.segments) + 1
-    phi, s = np.meshgrid(np.arange(n) / n, np.arange(levels, dtype=float), indexing="ij")
+    phi, s = np.meshgrid(np.arange(around) / around, np.arange(levels, dtype=float), indexing="ij")
     lines = surfaces.lines(phi.ravel(), s.ravel())
-    bone = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
-    gap = lines.gap.reshape(n, levels)
-    floor = _floor(surfaces, bone.reshape(n, levels, 3))
+    endosteal_points = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
+    gap = lines.gap.reshape(around, levels)
+    floor = _floor(surfaces, endosteal_points.reshape(around, levels, 3))
     merged = gap < floor
     # Below and above the mantle its first and its last section go on. Without cement the canal is
     # open below.
-    low, high = surfaces.mantle
+    first_section, last_section = surfaces.mantle
     if surfaces.first == 1:
-        merged[:, :low] = merged[:, low : low + 1]
-    merged[:, high + 1 :] = merged[:, high : high + 1]
-    used = np.where(merged, 0.0, np.maximum(gap, floor))
+        merged[:, :first_section] = merged[:, first_section : first_section + 1]
+    merged[:, last_section + 1 :] = merged[:, last_section : last_section + 1]
+    thickness = np.where(merged, 0.0, np.maximum(gap, floor))
     # Fewer cells across where they would be flat, and none where a layer has no thickness.
-    length, endosteum = lines.length.reshape(n, levels), lines.endosteum.reshape(n, levels)
-    widths = (endosteum * length - used, used, (1 - endosteum) * length)[surfaces.first - 1 :]
-    place_of = np.full((r, n, levels), float(surfaces.first))
-    same = np.zeros((r, n, levels), dtype=np.int64)
-    part = np.clip((np.arange(levels) - low) / (high - low), 0.0, 1.0 - 1e-9)
-    most: list[Floats | int] = [*surfaces.through]
+    length, endosteum = (
+        lines.length.reshape(around, levels),
+        lines.endosteum.reshape(around, levels),
+    )
+    widths = (endosteum * length - thickness, thickness, (1 - endosteum) * length)[
+        surfaces.first - 1 :
+    ]
+    rho_of = np.full((per_line, around, levels), float(surfaces.first))
+    representative = np.zeros((per_line, around, levels), dtype=np.int64)
+    height_fraction = np.clip(
+        (np.arange(levels) - first_section) / (last_section - first_section), 0.0, 1.0 - 1e-9
+    )
+    most_cells: list[Floats | int] = [*surfaces.through]
     if surfaces.first == 1:
-        most[0] = np.floor(surfaces.cement + part)
-    first = 0
+        most_cells[0] = np.floor(surfaces.cement + height_fraction)
+    first_column = 0
     steps = surfaces.mesh.least_through[surfaces.first - 1 :]
-    layers = zip(surfaces.through, widths, steps, most, strict=True)
+    layers = zip(surfaces.through, widths, steps, most_cells, strict=True)
     for ring, (cells, width, step, limit) in enumerate(layers, start=surfaces.first):
         across = np.clip(np.round(width / step), 1, limit)
         for k in range(1, cells + 1):
-            place_of[first + k] = ring + np.minimum(k / across, 1.0)
-            same[first + k] = np.where(k < across, first + k, first + cells)
-        first += cells
+            rho_of[first_column + k] = ring + np.minimum(k / across, 1.0)
+            representative[first_column + k] = np.where(
+                k < across, first_column + k, first_column + cells
+            )
+        first_column += cells
     endosteal = sum(surfaces.through[:-1])
-    inner = (place_of >= 2) & (place_of < 3) & merged
-    same[(place_of == 2) & merged | inner] = endosteal
+    inner = (rho_of >= 2) & (rho_of < 3) & merged
+    representative[(rho_of == 2) & merged | inner] = endosteal
 
-    station = np.repeat(np.arange(levels), c)
-    line = np.concatenate([np.repeat(np.arange(n), r), np.full(c - n * r, -1)])
-    i, j = np.tile(line, levels), np.tile(np.arange(c) % r, levels)
-    inside = i < 0
-    rho = np.where(inside, 0.0, place_of[j, i, station])
+    station = np.repeat(np.arange(levels), column_count)
+    line = np.concatenate(
+        [np.repeat(np.arange(around), per_line), np.full(column_count - around * per_line, -1)]
+    )
+    line_of_node, column_of_node = (
+        np.tile(line, levels),
+        np.tile(np.arange(column_count) % per_line, levels),
+    )
+    in_core = line_of_node < 0
+    rho = np.where(in_core, 0.0, rho_of[column_of_node, line_of_node, station])
     nodes = Nodes(
-        phi=2 * np.maximum(i, 0),
+        phi=2 * np.maximum(line_of_node, 0),
         rho=rho,
         s=2 * station,
-        merged=~inside & merged[i, station] & (rho >= 2) & (rho <= 3),
-        error=np.where(inside, 0.0, np.where(merged, -gap, 0.0)[i, station]),
-        floor=np.where(inside, 0.0, np.where(merged, 0.0, floor)[i, station]),
-        x=np.zeros((len(i), 3)),
+        merged=~in_core & merged[line_of_node, station] & (rho >= 2) & (rho <= 3),
+        error=np.where(in_core, 0.0, np.where(merged, -gap, 0.0)[line_of_node, station]),
+        floor=np.where(in_core, 0.0, np.where(merged, 0.0, floor)[line_of_node, station]),
+        x=np.zeros((len(line_of_node), 3)),
     )
     nodes = _place(surfaces, nodes)
-    x = nodes.x.reshape(levels, c, 3)
-    x[:, n * r :] = np.round(body.weights @ x[:, : n * r : r], DIGITS)
-    number = np.arange(levels * c)
-    number[~inside] += same[j, i, station][~inside] - j[~inside]
+    x = nodes.x.reshape(levels, column_count, 3)
+    x[:, around * per_line :] = np.round(
+        body.weights @ x[:, : around * per_line : per_line], DIGITS
+    )
+    number = np.arange(levels * column_count)
+    number[~in_core] += (
+        representative[column_of_node, line_of_node, station][~in_core] - column_of_node[~in_core]
+    )
     return surfaces.ended(nodes, number, body)
 
 
 def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     """Put all nodes on lines onto the surfaces, or between them by their coordinates."""
-    on = np.flatnonzero(nodes.rho > 0)
-    turn = 2 * surfaces.around
-    keys, line = np.unique(nodes.s[on] * turn + nodes.phi[on], return_inverse=True)
-    lines = surfaces.lines((keys % turn) / turn, (keys // turn) / 2)
+    on_line = np.flatnonzero(nodes.rho > 0)
+    half_steps = 2 * surfaces.around
+    keys, line = np.unique(nodes.s[on_line] * half_steps + nodes.phi[on_line], return_inverse=True)
+    lines = surfaces.lines((keys % half_steps) / half_steps, (keys // half_steps) / 2)
     start, end = lines.start[line], lines.end[line]
     bone, gap = lines.endosteum[line], lines.gap[line]
-    merged, rho = nodes.merged[on], nodes.rho[on]
-    used = np.where(merged, 0.0, np.maximum(gap + nodes.error[on], nodes.floor[on]))
-    mantle = bone - used / lines.length[line]
+    merged, rho = nodes.merged[on_line], nodes.rho[on_line]
+    thickness = np.where(merged, 0.0, np.maximum(gap + nodes.error[on_line], nodes.floor[on_line]))
+    mantle = bone - thickness / lines.length[line]
     if surfaces.first > 1:  # the stem is exact: where they are one, the endosteum is its surface
-        bone, mantle = used / lines.length[line], np.zeros(len(on))
-    part = np.where(
+        bone, mantle = thickness / lines.length[line], np.zeros(len(on_line))
+    fraction = np.where(
         rho <= 2,
         (rho - 1) * mantle,
         np.where(rho <= 3, mantle + (rho - 2) * (bone - mantle), bone + (rho - 3) * (1 - bone)),
     )
-    part = np.where(merged, bone, part)
+    fraction = np.where(merged, bone, fraction)
     x, error = nodes.x.copy(), nodes.error.copy()
-    x[on] = start + part[:, None] * (end - start)
-    error[on] = np.where(merged, -gap, used - gap)
+    x[on_line] = start + fraction[:, None] * (end - start)
+    error[on_line] = np.where(merged, -gap, thickness - gap)
     return replace(nodes, x=np.round(x, DIGITS), error=error)
 
 
 def _floor(surfaces: LayeredSurfaces, bone: Floats) -> Floats:
     """Least thickness of the layer within the endosteum, by line and station [mm]."""
-    apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
-    apart = np.maximum(apart, np.roll(apart, 1, axis=0))
-    floor = FLOOR * apart
+    spacing = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
+    spacing = np.maximum(spacing, np.roll(spacing, 1, axis=0))
+    floor = FLOOR_RATIO * spacing
     # Sections that turn are farther apart on the lateral side: wedges there are longer.
     low, high = surfaces.mantle
-    steps = ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))
-    for at in (np.s_[:, low:high], np.s_[:, low + 1 : high + 1]):
-        floor[at] = np.maximum(floor[at], steps)
+    steps = FLOOR_RATIO_ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))
+    for stations in (np.s_[:, low:high], np.s_[:, low + 1 : high + 1]):
+        floor[stations] = np.maximum(floor[stations], steps)
     return floor
 
 
 def _packed(
     surfaces: LayeredSurfaces, nodes: Nodes, cells: Ints, region: Ints, names: tuple[str, ...]
 ) -> Swept:
-    used, cells = np.unique(cells, return_inverse=True)
+    used_nodes, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 4)
-    nodes = Nodes(**{name: values[used] for name, values in vars(nodes).items()})
+    nodes = Nodes(**{name: values[used_nodes] for name, values in vars(nodes).items()})
     return Swept(surfaces, nodes, cells, region, names)
 
 
-def _relaxed(made: Swept) -> Swept:
-    """The mesh with poor cells mended by their nodes inside the innermost surface.
+def _with_moved_core_nodes(swept_mesh: Swept) -> Swept:
+    """Return the mesh with poor cells improved by their nodes inside the innermost surface.
 
     A node on a facet or between regions stays.
     """
-    nodes, cells = made.nodes, made.cells
-    least, most = np.full(len(nodes), len(made.names)), np.full(len(nodes), -1)
-    np.minimum.at(least, cells, made.region[:, None])
-    np.maximum.at(most, cells, made.region[:, None])
-    free = (nodes.rho == 0) & (least == most)
-    free[made.facets[0]] = False
-    return replace(made, nodes=replace(nodes, x=relaxed(nodes.x, cells, free, DIGITS)))
+    nodes, cells = swept_mesh.nodes, swept_mesh.cells
+    lowest_region, highest_region = (
+        np.full(len(nodes), len(swept_mesh.names)),
+        np.full(len(nodes), -1),
+    )
+    np.minimum.at(lowest_region, cells, swept_mesh.region[:, None])
+    np.maximum.at(highest_region, cells, swept_mesh.region[:, None])
+    is_free = (nodes.rho == 0) & (lowest_region == highest_region)
+    is_free[swept_mesh.facets[0]] = False
+    return replace(swept_mesh, nodes=replace(nodes, x=relaxed(nodes.x, cells, is_free, DIGITS)))
 
 
-def _check(made: Swept) -> None:
+def _check(swept_mesh: Swept) -> None:
     """Raise PoorCellsError where straight cells are inverted or nearly flat."""
-    numbers = {name: k for k, name in enumerate(made.names)}
-    x = made.surfaces.to_model(made.nodes.x)
-    check(x, made.cells, made.region, numbers, ": layers cut through each other")
+    numbers = {name: k for k, name in enumerate(swept_mesh.names)}
+    x = swept_mesh.surfaces.to_model(swept_mesh.nodes.x)
+    check(x, swept_mesh.cells, swept_mesh.region, numbers, ": layers cut through each other")
 
 
-def _curved(made: Swept) -> Swept:
+def _curved(swept_mesh: Swept) -> Swept:
     """Give each edge a middle node on the surfaces; cells that bend too far are straightened."""
-    a, b = (made.cells[:, k].ravel() for k in np.array(EDGES).T)
-    n = len(made.nodes)
-    keys, of = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
-    middles = _middles(made, keys // n, keys % n)
-    nodes = Nodes(**{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(made.nodes).items()})
-    cells = np.hstack([made.cells, of.reshape(-1, 6) + n])
-    x = untangle(nodes.x, cells, made.surfaces.spared)
-    return replace(made, nodes=replace(nodes, x=x), cells=cells)
+    a, b = (swept_mesh.cells[:, k].ravel() for k in np.array(EDGES).T)
+    n = len(swept_mesh.nodes)
+    keys, middle_of_edge = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
+    middles = _middles(swept_mesh, keys // n, keys % n)
+    nodes = Nodes(
+        **{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(swept_mesh.nodes).items()}
+    )
+    cells = np.hstack([swept_mesh.cells, middle_of_edge.reshape(-1, 6) + n])
+    x = untangle(nodes.x, cells, swept_mesh.surfaces.spared)
+    return replace(swept_mesh, nodes=replace(nodes, x=x), cells=cells)
 
 
-def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
+def _middles(swept_mesh: Swept, a: Ints, b: Ints) -> Nodes:
     """Nodes in the middle of edges between the nodes a and b (e,)."""
-    nodes, turn = made.nodes, 2 * made.surfaces.around
-    apart = nodes.phi[b] - nodes.phi[a]
-    apart = (apart + turn // 2) % turn - turn // 2  # the short way around
-    both = nodes.merged[a] & nodes.merged[b]
+    nodes, half_steps = swept_mesh.nodes, 2 * swept_mesh.surfaces.around
+    half_steps_apart = nodes.phi[b] - nodes.phi[a]
+    half_steps_apart = (
+        half_steps_apart + half_steps // 2
+    ) % half_steps - half_steps // 2  # the short way around
+    both_merged = nodes.merged[a] & nodes.merged[b]
     # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
     ends = [
-        np.where(nodes.merged[end] & ~both, np.clip(nodes.rho[other], 2, 3), nodes.rho[end])
+        np.where(nodes.merged[end] & ~both_merged, np.clip(nodes.rho[other], 2, 3), nodes.rho[end])
         for end, other in ((a, b), (b, a))
     ]
-    inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0) | (np.abs(apart) > 2)
-    shell = inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3)
+    is_inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0) | (np.abs(half_steps_apart) > 2)
+    in_shell = is_inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3)
     middle = Nodes(
-        phi=np.where(inner, 0, (nodes.phi[a] + apart // 2) % turn),
-        rho=np.where(inner, np.where(shell, -3.0, 0.0), np.where(both, 3.0, 0.5 * sum(ends))),
+        phi=np.where(is_inner, 0, (nodes.phi[a] + half_steps_apart // 2) % half_steps),
+        rho=np.where(
+            is_inner, np.where(in_shell, -3.0, 0.0), np.where(both_merged, 3.0, 0.5 * sum(ends))
+        ),
         s=(nodes.s[a] + nodes.s[b]) // 2,
-        merged=both & ~inner,
-        error=np.where(inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
-        floor=np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])),
+        merged=both_merged & ~is_inner,
+        error=np.where(is_inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
+        floor=np.where(is_inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])),
         x=0.5 * (nodes.x[a] + nodes.x[b]),
     )
-    tip = 2 * made.surfaces.tip
-    bowl = inner & ~shell & (nodes.s[a] == tip) & (nodes.s[b] == tip)
-    heights = made.surfaces.heights(middle.s[bowl] / 2)
-    middle.x[bowl] = made.surfaces.stem.hung(middle.x[bowl], heights)
-    middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])
-    return _place(made.surfaces, middle)
+    tip = 2 * swept_mesh.surfaces.tip
+    in_bowl = is_inner & ~in_shell & (nodes.s[a] == tip) & (nodes.s[b] == tip)
+    heights = swept_mesh.surfaces.heights(middle.s[in_bowl] / 2)
+    middle.x[in_bowl] = swept_mesh.surfaces.stem.draped(middle.x[in_bowl], heights)
+    middle.x[in_shell] = swept_mesh.surfaces.arc(nodes.x[a[in_shell]], nodes.x[b[in_shell]])
+    return _place(swept_mesh.surfaces, middle)

@@ -263,9 +263,11 @@ class Patient(OperatedHip):
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""
-        from meshes.layered_surfaces import kept  # most of scipy, which other cases do without
+        from meshes.layered_surfaces import (
+            cached_surfaces,
+        )  # most of scipy, which other cases do without
 
-        return kept(self, mesh, self.content)
+        return cached_surfaces(self, mesh, self.content)
 
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""

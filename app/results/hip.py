@@ -217,7 +217,7 @@ def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
     geometry = case.geometry
     if ON_CUT not in interfaces or not is_hip(geometry):
         return {}
-    axis = geometry.placement.turn[:, 2]
+    axis = geometry.placement.rotation[:, 2]
     along = {name: float(-axis @ q["force"]) for name, q in interfaces.items() if name in ON_STEM}
     numbers: Numbers = {"collar_force": along[ON_CUT]}
     if len(along) > 1:  # the flanks are not bonded

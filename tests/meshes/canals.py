@@ -21,7 +21,8 @@ START = Position(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 def tube(foot: tuple[float, float], tilt: tuple[float, float]) -> Floats:
     """Points of a straight round canal about an axis (n, `AROUND`, 3) [mm]."""
     theta, z = np.meshgrid(
-        2 * np.pi * np.arange(room.AROUND) / room.AROUND, np.arange(-190.0, 45.0, room.ALONG)
+        2 * np.pi * np.arange(room.CANAL_AROUND) / room.CANAL_AROUND,
+        np.arange(-190.0, 45.0, room.CANAL_STEP),
     )
     x = foot[0] + tilt[0] * z + RADIUS * np.cos(theta)
     return np.stack([x, foot[1] + tilt[1] * z + RADIUS * np.sin(theta), z], axis=-1)

@@ -11,7 +11,7 @@ from app.case.stems import Stem
 from app.mechanics.body_forms import OnBody, assemble_form_vector
 from app.results.stresses import Stresses
 from meshes import femur_bone, femur_stem
-from meshes.gruen import BELOW, Zones
+from meshes.gruen import BELOW_TIP, Zones
 from tests import support
 from tests.patient.bones import cut
 
@@ -44,10 +44,10 @@ def test_gruen_thirds_are_of_the_length_in_the_bone() -> None:
     assert normal @ [0.0, 0.0, ZONES.top] == pytest.approx(level)
     assert ZONES.tip == -118.0 and 20.0 < ZONES.top < 25.0
     end = ZONES.tip + GEOMETRY.implant.tip_height
-    levels = np.array([ZONES.top + 20.0, end + 1e-3, end, ZONES.tip - BELOW + 1e-3])
+    levels = np.array([ZONES.top + 20.0, end + 1e-3, end, ZONES.tip - BELOW_TIP + 1e-3])
     x = np.column_stack([np.full(4, 10.0), np.ones(4), levels])
     assert ZONES.at(x).tolist() == [[7, 8], [5, 10], [4, 11], [4, 11]]
-    assert ZONES.at(np.array([(10.0, 1.0, ZONES.tip - BELOW - 1e-3)])).tolist() == [[0, 0]]
+    assert ZONES.at(np.array([(10.0, 1.0, ZONES.tip - BELOW_TIP - 1e-3)])).tolist() == [[0, 0]]
     # A stem whose shoulder is below the cut is embedded as far as that.
     short = {"stem": Stem().model_copy(update={"length": 130.0}), "tip_z": -118.0}
     assert Zones(GEOMETRY.model_copy(update=short)).top == 12.0
@@ -69,7 +69,7 @@ def test_gruen_rim_and_tip_follow_cut_and_end() -> None:
 def test_gruen_zones_are_robust_to_rounding() -> None:
     """Layered meshes put points on the planes between zones; another BLAS rounds otherwise."""
     third = (ZONES.top - ZONES.tip) / 3
-    levels = ZONES.tip + np.array([-BELOW, 0.0, third, 2 * third])
+    levels = ZONES.tip + np.array([-BELOW_TIP, 0.0, third, 2 * third])
     normal, level = cut(GEOMETRY)
     x = np.array([(side, 0.0, z) for side in (-12.0, 12.0) for z in levels])
     x = np.concatenate([x, x[:, [1, 0, 2]], x + np.array([0.0, 0.0, 1.0]), level * normal[None]])

@@ -69,7 +69,7 @@ def test_mantle_percentiles_and_clipped_part_are_by_area() -> None:
     for key, part in (("p5", 5), ("median", 50), ("p95", 95)):
         assert thickness[key] == pytest.approx(np.percentile(exact, part), abs=0.03), key
     assert thickness["mean"] == pytest.approx(exact.mean(), abs=0.01)
-    clipped = np.mean(exact < mantle.CLIPPED * THICKNESS)
+    clipped = np.mean(exact < mantle.CLIPPED_SHARE * THICKNESS)
     assert thickness["clipped_fraction"] == pytest.approx(clipped, abs=0.02)
 
 

@@ -20,4 +20,4 @@ def test_placement_flexion_moves_the_tip_to_posterior() -> None:
     assert tip == pytest.approx(
         placed.foot - below * np.array([0.0, math.sin(angle), math.cos(angle)])
     )
-    assert placed.turn.T @ placed.turn == pytest.approx(np.eye(3), abs=1e-14)
+    assert placed.rotation.T @ placed.rotation == pytest.approx(np.eye(3), abs=1e-14)

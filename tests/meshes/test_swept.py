@@ -265,7 +265,7 @@ def test_reference_body_volumes_and_coordinates() -> None:
         reference_body.Segment(3, ("d",)),
     )
     body = reference_body.make(outline, (2, 3), segments)
-    a, b, c = body.at[body.columns].transpose(1, 0, 2)
+    a, b, c = body.section[body.columns].transpose(1, 0, 2)
     (p, q), (u, v) = (b - a).T, (c - a).T
     areas = 0.5 * np.abs(p * v - q * u)
     core = 0.5 * 9 * 15 * np.sin(2 * np.pi / 9)
@@ -273,7 +273,7 @@ def test_reference_body_volumes_and_coordinates() -> None:
     np.testing.assert_allclose(volumes, core * np.array([2, 2 * 3, 2 * 5, 3]), rtol=1e-9)
     assert (body.names, set(body.slab[body.region == 3])) == (("a", "b", "c", "d"), {2, 3, 4})
     sheared = outline + np.outer(outline[:, 1], [reference_body.SHEAR, 0.0])
-    inside = body.at[9 * len(body.rho) :]
+    inside = body.section[9 * len(body.rho) :]
     inside = inside + np.outer(inside[:, 1], [reference_body.SHEAR, 0.0])
     np.testing.assert_allclose(body.weights @ sheared, inside, atol=1e-12)
     assert (body.weights > 0).all()

@@ -145,7 +145,7 @@ def test_patient_stem_has_the_given_position(folder: Path) -> None:
     at = patient(folder).placement
     aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
     put = patient(folder, insertion=aside | {"version": {"angle": "10 deg"}}).placement
-    x, y, _ = put.turn[:, 0]
+    x, y, _ = put.rotation[:, 0]
     assert math.degrees(math.atan2(y, x)) == pytest.approx(10.0, abs=0.1)
     assert put.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
 

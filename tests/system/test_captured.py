@@ -10,7 +10,7 @@ import pytest
 
 from app.foundation.captured import captured
 from app.foundation.errors import GeometryError
-from meshes.gmsh_child import CROSS, session
+from meshes.gmsh_child import CROSSING_TEXT, session
 
 
 def test_captured_output_of_a_library_is_logged(
@@ -39,7 +39,7 @@ def test_captured_error_on_crossing_surfaces_is_explained(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """gmsh prints a "PLC Error" past its log."""
-    with pytest.raises(GeometryError, match=CROSS), session("crossing") as gmsh:
+    with pytest.raises(GeometryError, match=CROSSING_TEXT), session("crossing") as gmsh:
         loops = []
         for x, y, z, *size in ((0, 0, 0, 4, 4, 4), (1, 1, 1, 5.3, 2, 2)):
             box = gmsh.model.occ.addBox(x, y, z, *size)

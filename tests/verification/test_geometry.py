@@ -145,7 +145,7 @@ def test_geometry_head_is_a_sphere_on_a_neck() -> None:
         radius = np.full(len(distance), geometry.head_radius)
         assert distance == pytest.approx(radius, rel=max(part, 1e-6))
     # All of the sphere but the cap in the neck.
-    radius, neck = geometry.head_radius, femur_intact.NECK[1] * geometry.head_radius
+    radius, neck = geometry.head_radius, femur_intact.NECK_RATIO[1] * geometry.head_radius
     cap = 2 * np.pi * radius * (radius - np.sqrt(radius**2 - neck**2))
     area = boundary_areas(data)["head"]
     assert area == pytest.approx(4 * np.pi * radius**2 - cap, rel=0.002)
