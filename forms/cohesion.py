@@ -37,7 +37,7 @@ from forms.contact import Faces
 # begin of a step then counts as loading, so that the first tangent of the step is not elastic.
 LOADING = 1e-12
 # Squares of a jump below this count as zero [mm2].
-NONE = 1e-30
+ZERO_SQUARE = 1e-30
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,14 @@ class Cohesion:
             slid: Square of the sliding [mm2].
         """
         square = opened + slid
-        B = conditional(gt(square, NONE), slid / conditional(gt(square, NONE), square, 1), 0)
+        B = conditional(
+            gt(square, ZERO_SQUARE), slid / conditional(gt(square, ZERO_SQUARE), square, 1), 0
+        )
         m_0 = 1 / (self.K * sqrt((1 - B) / self.N**2 + B / self.S**2))
         mixed = conditional(gt(B, 0), conditional(gt(B, 0), B, 1) ** self.η, 0)
         return m_0, self.G_I + (self.G_II - self.G_I) * mixed
 
-    def left(self, m: Scalar, m_0: Scalar, G: Scalar) -> Scalar:
+    def remaining(self, m: Scalar, m_0: Scalar, G: Scalar) -> Scalar:
         """Return 1 - d of a jump of size m beyond onset [-].
 
         The formula keeps all digits while d is close to one, as stiff interfaces need.
@@ -90,8 +92,8 @@ class Cohesion:
     def spent(self, m: Scalar, m_0: Scalar, G: Scalar) -> Scalar:
         """Return the part of G that a jump of size m beyond onset has dissipated [-]."""
         if self.exponential:
-            left = exp((m_0 - m) / (G / (self.K * m_0) - m_0 / 2))
-            return 1 - left * (1 + self.K * m_0 * (m - m_0) / (2 * G))
+            remaining = exp((m_0 - m) / (G / (self.K * m_0) - m_0 / 2))
+            return 1 - remaining * (1 + self.K * m_0 * (m - m_0) / (2 * G))
         m_f = 2 * G / (self.K * m_0)
         return conditional(ge(m, m_f), 1, (m - m_0) / (m_f - m_0))
 
@@ -103,7 +105,7 @@ class CohesiveState:
     Attributes:
         traction: Cohesive traction (3,) [MPa].
         stored: Elastic energy per area [N/mm].
-        used: Fracture energy per area that the step dissipates [N/mm].
+        dissipated_in_step: Fracture energy per area that the step dissipates [N/mm].
         broken: Share of the area on which contact acts [-]; 0 in a step that begins undamaged.
         damage: Damage of the bonded share [-].
         spent: Part of the fracture energy that is dissipated so far [-].
@@ -111,7 +113,7 @@ class CohesiveState:
 
     traction: Expr
     stored: Expr
-    used: Expr
+    dissipated_in_step: Expr
     broken: Expr
     damage: Expr
     spent: Expr
@@ -135,28 +137,28 @@ def cohesive_state(
     opened = normals.span([conditional(ge(part, 0), part, 0) for part in a])
     pressed = normals.span([conditional(ge(part, 0), 0, part) for part in a])
     slid = gap - normals.span(a)
-    parted = opened + slid
+    pulled = opened + slid
 
     m_0, G = c.mode(inner(opened, opened), inner(slid, slid))
     size = inner(opened, opened) + inner(slid, slid)
     m = sqrt(conditional(gt(size, m_0**2), size, m_0**2))
-    left = c.left(m, m_0, G)
-    loading = And(ge(1 - left, old["damage"] - LOADING), gt(live, 0.5))
-    damage = conditional(loading, 1 - left, old["damage"])
+    remaining = c.remaining(m, m_0, G)
+    loading = And(ge(1 - remaining, old["damage"] - LOADING), gt(live, 0.5))
+    damage = conditional(loading, 1 - remaining, old["damage"])
     bonded = 1 - c.unbonded
-    left = bonded * conditional(loading, left, 1 - old["damage"])
+    remaining = bonded * conditional(loading, remaining, 1 - old["damage"])
     # If the mode mixture changes, more damage may be a smaller part of another fracture energy.
     spent = c.spent(m, m_0, G)
-    more = And(loading, ge(spent, old["spent"] - LOADING))
-    spent = conditional(more, spent, old["spent"])
+    spends = And(loading, ge(spent, old["spent"] - LOADING))
+    spent = conditional(spends, spent, old["spent"])
 
     touches = gt(c.unbonded + bonded * old["damage"], 0)
     spring = conditional(touches, 0, c.K)
     return CohesiveState(
-        traction=left * c.K * parted + spring * pressed,
-        stored=(left * c.K * inner(parted, parted) + spring * inner(pressed, pressed)) / 2,
-        used=bonded * G * (spent - old["spent"]),
-        broken=conditional(touches, 1 - left, 0),
+        traction=remaining * c.K * pulled + spring * pressed,
+        stored=(remaining * c.K * inner(pulled, pulled) + spring * inner(pressed, pressed)) / 2,
+        dissipated_in_step=bonded * G * (spent - old["spent"]),
+        broken=conditional(touches, 1 - remaining, 0),
         damage=damage,
         spent=spent,
     )

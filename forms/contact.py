@@ -236,8 +236,10 @@ def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> 
         size = sqrt(conditional(t.sticks, 1, inner(t.tangential, t.tangential)))
         return normal + conditional(t.sticks, 1, t.radius / size) * t.tangential
 
-    each = [carried(k) for k in range(len(states))]
-    force = as_vector([_choose(states, partial(lambda i, k: each[k][i], i)) for i in range(3)])
+    carried_forces = [carried(k) for k in range(len(states))]
+    force = as_vector(
+        [_choose(states, partial(lambda i, k: carried_forces[k][i], i)) for i in range(3)]
+    )
     pressures, status = _state(states, len(normals))
     return Response(force, None, None, pressures, status)
 
@@ -250,20 +252,20 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Scalar | None) -> li
     faces = range(len(normals))
     sets = [A for size in range(1, len(normals) + 1) for A in combinations(faces, size)]
     states = [_touching(A, S, dS, normals, μ) for A in sets]
-    nothing = _Touching((), [], 0 * S, None, None, None)
+    no_contact = _Touching((), [], 0 * S, None, None, None)
     if len(normals) == 1:
-        return [*states, nothing]
-    apart = reduce(And, [ge(dot(S, n), 0) for n in normals])
+        return [*states, no_contact]
+    all_open = reduce(And, [ge(dot(S, n), 0) for n in normals])
     last = states[-1]
-    p = [max_value(value, 0) for value in last.pressures]
-    radius, sticks = _friction(μ, p, last.tangential)
-    jammed = replace_state(last, pressures=p, radius=radius, sticks=sticks, condition=None)
-    return [*states, replace_state(nothing, condition=apart), jammed]
+    pressures = [max_value(value, 0) for value in last.pressures]
+    radius, sticks = _friction(μ, pressures, last.tangential)
+    jammed = replace_state(last, pressures=pressures, radius=radius, sticks=sticks, condition=None)
+    return [*states, replace_state(no_contact, condition=all_open), jammed]
 
 
-def derivative(value: Scalar, by: Variable) -> Expr:
+def derivative(value: Scalar, unknown: Variable) -> Expr:
     """Derivative with respect to a variable, expanded."""
-    return expand_derivatives(diff(value, by))
+    return expand_derivatives(diff(value, unknown))
 
 
 def _state(states: Sequence[_Touching], faces: int) -> tuple[Expr, Expr]:
@@ -276,7 +278,7 @@ def _state(states: Sequence[_Touching], faces: int) -> tuple[Expr, Expr]:
 
 
 def _choose(states: Sequence[_Touching], value: Callable[[int], Expr]) -> Expr:
-    """The value of the first state whose condition holds."""
+    """Return the value of the first state whose condition holds."""
     chosen = value(len(states) - 1)
     for k in reversed(range(len(states) - 1)):
         chosen = conditional(states[k].condition, value(k), chosen)
@@ -296,14 +298,14 @@ def _touching(
     if others:
         # r times the gap vector these faces leave: what was open before, plus the slip.
         before = S - dS
-        kept = before - _combine(components(before, n), A, normals)
+        gap_force = before - _combine(components(before, n), A, normals)
         if μ is None:
-            kept = kept + S_T
+            gap_force = gap_force + S_T
         else:
             size = sqrt(conditional(sticks, 1, inner(S_T, S_T)))
-            kept = kept + conditional(sticks, 0, 1 - radius / size) * S_T
+            gap_force = gap_force + conditional(sticks, 0, 1 - radius / size) * S_T
         for m in others:
-            condition = And(condition, ge(dot(kept, m), -ROUNDING * sqrt(inner(S, S))))
+            condition = And(condition, ge(dot(gap_force, m), -ROUNDING * sqrt(inner(S, S))))
     return _Touching(A, p, S_T, radius, sticks, condition)
 
 

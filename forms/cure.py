@@ -100,15 +100,15 @@ def free_strain_increment(
     return thermal - shrinkage / 3 * gelled / (1 - gel)
 
 
-def piecewise_linear(x: Expr, at: Sequence[Scalar], values: Sequence[Scalar]) -> Expr:
+def piecewise_linear(x: Expr, places: Sequence[Scalar], values: Sequence[Scalar]) -> Expr:
     """Piecewise linear function of x, constant beyond the first and the last place.
 
     Args:
         x: Argument.
-        at: Places, rising.
+        places: Places, rising.
         values: Values at the places.
     """
-    pairs = list(zip(at, values, strict=True))
+    pairs = list(zip(places, values, strict=True))
     value = pairs[-1][1]
     for (x0, v0), (x1, v1) in reversed(list(pairwise(pairs))):
         value = conditional(lt(x, x1), v0 + (v1 - v0) * (x - x0) / (x1 - x0), value)

@@ -60,7 +60,7 @@ from meshes.facets import bends
 # A direction is tangential to a face below this cosine with its normal.
 TANGENTIAL = 1e-6
 # Decimals to which cosines between normals are compared.
-ALIKE = 1
+COSINE_DECIMALS = 1
 
 
 def contact_points(
@@ -73,36 +73,36 @@ def contact_points(
     Raises:
         InputError: An interface has no point that could carry its force.
     """
-    surface, doubt, stiffness, n = _surface(facets, holds, interfaces)
-    of_points = {each.name: getattr(surface, each.name)[:n] for each in fields(Corners)}
-    vertex, bodies = surface.vertex[:n], surface.bodies[:n]
-    _check_rigid(vertex, bodies, surface.interface[:n], facets, holds, interfaces)
-    given, signs = _jumps_at_vertices(vertex, bodies, stiffness[:n], holds)
-    local_axes = np.tile(np.eye(3), (n, 1, 1))
+    surface, doubt, stiffness, count = _surface(facets, holds, interfaces)
+    of_points = {field.name: getattr(surface, field.name)[:count] for field in fields(Corners)}
+    vertex, bodies = surface.vertex[:count], surface.bodies[:count]
+    _check_rigid(vertex, bodies, surface.interface[:count], facets, holds, interfaces)
+    given, signs = _jumps_at_vertices(vertex, bodies, stiffness[:count], holds)
+    local_axes = np.tile(np.eye(3), (count, 1, 1))
     for p in np.flatnonzero(np.isin(vertex, list(axes))):
         local_axes[p] = axes[int(vertex[p])]
-    normals, faces = surface.normals[:n], surface.faces[:n]
+    normals, faces = surface.normals[:count], surface.faces[:count]
     is_held = given[:, :, 0] >= 0
-    held = projectors(local_axes, is_held)
-    across = np.abs(np.einsum("pki,pic->pkc", normals, local_axes)).max(axis=1)
-    along = projectors(local_axes, is_held & (across < TANGENTIAL))
-    drop_held(normals, faces, held)
-    along[faces == 0] = 0.0
+    held_projectors = projectors(local_axes, is_held)
+    normal_cosines = np.abs(np.einsum("pki,pic->pkc", normals, local_axes)).max(axis=1)
+    held_tangents = projectors(local_axes, is_held & (normal_cosines < TANGENTIAL))
+    drop_held(normals, faces, held_projectors)
+    held_tangents[faces == 0] = 0.0
     points = ContactPoints(
         **of_points,
-        doubt=doubt[:n],
+        doubt=doubt[:count],
         given=given,
         axes=local_axes,
-        held_tangents=along,
+        held_tangents=held_tangents,
         surface=surface,
     )
     entries = _entries(facets, points, signs)
-    if n == len(surface.vertex):
+    if count == len(surface.vertex):
         return points, entries
     # Imported here: interfaces that do not meet need no scipy.
     from app.interfaces.dependent_corners import handed_area, in_means
 
-    return in_means(points, entries, handed_area(facets, surface, held, interfaces))
+    return in_means(points, entries, handed_area(facets, surface, held_projectors, interfaces))
 
 
 def _surface(
@@ -116,37 +116,39 @@ def _surface(
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
-    every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    of = of.ravel()
-    normals, faces, area, doubt = faces_around(facets, of, len(every))
-    supports = holds.supports_of(every[:, 1], every[:, 2:])
+    all_corners, first, corner_numbers = np.unique(
+        keys, axis=0, return_index=True, return_inverse=True
+    )
+    corner_numbers = corner_numbers.ravel()
+    normals, faces, area, doubt = faces_around(facets, corner_numbers, len(all_corners))
+    supports = holds.supports_of(all_corners[:, 1], all_corners[:, 2:])
     prescribed: Bools = np.any(np.all(supports >= 0, axis=1), axis=1)
-    kept = _forest(facets, every, of, prescribed, normals, interfaces)
-    order = np.concatenate([np.flatnonzero(kept), np.flatnonzero(~kept)])
-    corners = np.argsort(order)[of].reshape(-1, 3)
-    stiffness = np.zeros((len(every), 2))
+    is_point = _forest(facets, all_corners, corner_numbers, prescribed, normals, interfaces)
+    order = np.concatenate([np.flatnonzero(is_point), np.flatnonzero(~is_point)])
+    corners = np.argsort(order)[corner_numbers].reshape(-1, 3)
+    stiffness = np.zeros((len(all_corners), 2))
     np.maximum.at(stiffness, corners.ravel(), facets.stiffness[facet])
     of_interface = [np.flatnonzero(facets.interface == i) for i in range(len(interfaces))]
     surface = ContactSurface(
-        interface=every[order, 0],
-        vertex=every[order, 1],
+        interface=all_corners[order, 0],
+        vertex=all_corners[order, 1],
         dof=facets.dofs[:, :3].ravel()[first[order]],
         x=facets.x.reshape(-1, 3)[first[order]],
-        bodies=every[order, 2:],
+        bodies=all_corners[order, 2:],
         normals=normals[order],
         faces=faces[order],
         weight=area[order],
         triangles=tuple(corners[f] for f in of_interface),
         facets=tuple(of_interface),
     )
-    return surface, doubt[order], stiffness, int(kept.sum())
+    return surface, doubt[order], stiffness, int(is_point.sum())
 
 
 def _entries(facets: InterfaceFacets, points: ContactPoints, signs: Floats) -> Entries:
     """Displacement of the bodies by the jumps of the points.
 
-    ``signs`` are those of the jumps in the displacement of each body (b, n, 3), along the axes of
-    the points.
+    ``signs`` are the signs of the jumps in the displacement of each body (b, n, 3), along the axes
+    of the points.
     """
     body, point = np.nonzero(signs.any(axis=2))
     blocks = projectors(points.axes[point], signs[body, point])
@@ -162,8 +164,8 @@ def _entries(facets: InterfaceFacets, points: ContactPoints, signs: Floats) -> E
 
 def _forest(
     facets: InterfaceFacets,
-    every: Ints,
-    of: Ints,
+    all_corners: Ints,
+    corner_numbers: Ints,
     prescribed: Bools,
     normals: Floats,
     names: Sequence[str],
@@ -180,22 +182,22 @@ def _forest(
 
     Args:
         facets: All facets.
-        every: Interface, vertex, master and slave of all corners (m, 4).
-        of: Row in ``every`` of each corner of the facets (3 f,).
+        all_corners: Interface, vertex, master and slave of all corners (m, 4).
+        corner_numbers: Row in ``all_corners`` of each corner of the facets (3 f,).
         prescribed: Mask of corners with both sides held along an axis (m,).
         normals: Unit normals of the corners (m, 3, 3).
         names: Names of the interfaces.
     """
-    groups = shared(every[:, 1])
-    crowded = np.zeros(len(every), dtype=bool)
+    groups = shared(all_corners[:, 1])
+    crowded = np.zeros(len(all_corners), dtype=bool)
     for rows in groups:
-        crowded[rows] = len(rows) >= len(np.unique(every[rows, 2:]))
-    corners = of.reshape(-1, 3)
-    free = (~crowded[corners]).any(axis=1)
-    supported = np.zeros(len(every), dtype=bool)
-    supported[corners[free].ravel()] = True
-    sides = np.unique(every[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
-    size = np.bincount(sides[of], facets.area.ravel())
+        crowded[rows] = len(rows) >= len(np.unique(all_corners[rows, 2:]))
+    corners = corner_numbers.reshape(-1, 3)
+    has_point = (~crowded[corners]).any(axis=1)
+    supported = np.zeros(len(all_corners), dtype=bool)
+    supported[corners[has_point].ravel()] = True
+    sides = np.unique(all_corners[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
+    size = np.bincount(sides[corner_numbers], facets.area.ravel())
     total = float(size.sum())
     needed = np.zeros(len(size), dtype=bool)
 
@@ -203,49 +205,56 @@ def _forest(
         others = rows[rows != p]
         cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[others]))
         area = float(np.round(size[sides[p]] / total, 6))
-        alike = float(np.round(cosines.max(initial=0.0), ALIKE))
+        largest_cosine = float(np.round(cosines.max(initial=0.0), COSINE_DECIMALS))
         first = not needed[sides[p]], not prescribed[p], bool(supported[p])
-        name = names[int(every[p, 0])]
-        return (*first, -alike, -area, name, int(every[p, 2]), int(every[p, 3]))
+        name = names[int(all_corners[p, 0])]
+        return (
+            *first,
+            -largest_cosine,
+            -area,
+            name,
+            int(all_corners[p, 2]),
+            int(all_corners[p, 3]),
+        )
 
     while True:
-        kept = np.ones(len(every), dtype=bool)
+        is_point = np.ones(len(all_corners), dtype=bool)
         for rows in groups:
             if not crowded[rows[0]]:
                 continue
-            group = {int(body): int(body) for body in every[rows, 2:].ravel()}
+            group = {int(body): int(body) for body in all_corners[rows, 2:].ravel()}
             for p in sorted(map(int, rows), key=partial(rank, rows=rows)):
-                a, b = (group[int(body)] for body in every[p, 2:])
-                kept[p] = a != b
+                a, b = (group[int(body)] for body in all_corners[p, 2:])
+                is_point[p] = a != b
                 group = {body: a if g == b else g for body, g in group.items()}
-        bare = (np.bincount(sides, kept) == 0) & ~needed
-        if not bare.any():
-            return kept
-        needed |= bare
+        without_point = (np.bincount(sides, is_point) == 0) & ~needed
+        if not without_point.any():
+            return is_point
+        needed |= without_point
 
 
 def _jumps_at_vertices(
     vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
 ) -> tuple[Ints, Floats]:
-    """Prescribed jumps, and how each body moves by the jumps, in the components of the vertices.
+    """Prescribed jumps, and motion of each body due to the jumps, in the components of vertices.
 
     Returns:
         ``given`` of ContactPoints; +1, -1 or 0 for each body, point and component (b, n, 3).
     """
-    n = len(vertex)
+    count = len(vertex)
     side = holds.supports_of(vertex, sides)
     rigid = holds.rigid_bodies(vertex, sides)
-    held = side >= 0
-    given = np.where(held.all(axis=1, keepdims=True), side, -1)
+    is_held = side >= 0
+    given = np.where(is_held.all(axis=1, keepdims=True), side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
     # base: it alone is held, both are and it comes first, or none is and it is stiffer.
-    slave_is_base = held[:, 1] & (~held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
-    slave_is_base |= ~held.any(axis=1) & (stiffness[:, 1] > stiffness[:, 0])[:, None]
+    slave_is_base = is_held[:, 1] & (~is_held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
+    slave_is_base |= ~is_held.any(axis=1) & (stiffness[:, 1] > stiffness[:, 0])[:, None]
     one_is_rigid = rigid.any(axis=1)
     slave_is_base[one_is_rigid] = rigid[one_is_rigid, 1:]
-    signs = np.zeros((int(sides.max()) + 1, n, 3))
-    signs[sides[:, 0], np.arange(n)] = -1.0 * slave_is_base
-    signs[sides[:, 1], np.arange(n)] = ~slave_is_base
+    signs = np.zeros((int(sides.max()) + 1, count, 3))
+    signs[sides[:, 0], np.arange(count)] = -1.0 * slave_is_base
+    signs[sides[:, 1], np.arange(count)] = ~slave_is_base
     for rows in shared(vertex):
         signs[:, rows] = 0.0
         for c in range(3):
@@ -281,9 +290,9 @@ def _check_rigid(
         v = int(vertex[rows[0]])
         if sum((v, int(body)) in moves for body in np.unique(sides[rows])) > 1:
             x, y, z = facets.x[facets.vertices == v][0]
-            met = ", ".join(names[i] for i in np.unique(interface[rows]))
+            names_there = ", ".join(names[i] for i in np.unique(interface[rows]))
             raise InputError(
-                f"interfaces {met}: two rigid regions that can move meet a third body at "
+                f"interfaces {names_there}: two rigid regions that can move meet a third body at "
                 f"({x:.4g}, {y:.4g}, {z:.4g}) mm; hold one of them in all directions by a support, "
                 "or make it elastic"
             )
@@ -304,11 +313,15 @@ def _tree(
     the stiffest one. Between two constrained bodies every jump on the way is prescribed. A free
     body moves with the body from which it is reached.
     """
-    of, holding = sides[rows], support[rows]
-    at = holding >= 0
-    holder = dict(zip(map(int, of[at]), map(int, holding[at]), strict=True))
-    bodies = dict.fromkeys(map(int, of.ravel()))
-    stiffest = sorted(bodies, key=lambda b: float(stiffness[rows][of == b].max()), reverse=True)
+    point_sides, holding = sides[rows], support[rows]
+    is_supported = holding >= 0
+    holder = dict(
+        zip(map(int, point_sides[is_supported]), map(int, holding[is_supported]), strict=True)
+    )
+    bodies = dict.fromkeys(map(int, point_sides.ravel()))
+    stiffest = sorted(
+        bodies, key=lambda b: float(stiffness[rows][point_sides == b].max()), reverse=True
+    )
     base: dict[int, int] = {}
     for root in (*rigid, *sorted(holder), *stiffest):
         if root in base:
@@ -316,21 +329,21 @@ def _tree(
         base[root] = root
         for p in [*rows] * len(rows):  # as far as the longest chain
             master, slave = map(int, sides[p])
-            for here, there, sign in ((master, slave, 1.0), (slave, master, -1.0)):
-                if here in base and there not in base:
-                    base[there] = root
-                    signs[there, rows] = signs[here, rows]
-                    signs[there, p] = sign
+            for reached, unreached, sign in ((master, slave, 1.0), (slave, master, -1.0)):
+                if reached in base and unreached not in base:
+                    base[unreached] = root
+                    signs[unreached, rows] = signs[reached, rows]
+                    signs[unreached, p] = sign
     for body in holder:
         for p in rows[signs[body, rows] != 0]:
-            other = holder.get(base[body], -1)
-            given[p] = [holder.get(int(b), other) for b in sides[p]]
+            other_support = holder.get(base[body], -1)
+            given[p] = [holder.get(int(b), other_support) for b in sides[p]]
 
 
 def _at_edges(
     facets: InterfaceFacets, points: ContactPoints, body: Ints, point: Ints, blocks: Floats
 ) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return the moves of edge nodes. The jump is linear: the middle has half of that of each end.
+    """Return the moves of edge nodes. The jump is linear: the middle has half the jump of each end.
 
     The middle of a curved edge has its `bends`, too. Without them a second-order cylinder would not
     open between its nodes.
@@ -359,20 +372,24 @@ def _at_edges(
         start, end = (facets.x[:, k].reshape(-1, 3)[corner] for k in (a, b))
         bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[corner])
     # A jump prescribed at both ends may be constrained in the middle too.
-    known, one, number = np.unique(points.vertex, return_index=True, return_inverse=True)
-    held = np.zeros((len(known), 3), dtype=bool)
-    np.logical_or.at(held, number, points.held)
-    at = projectors(points.axes[one], held)[np.searchsorted(known, rows[:, 1:3])]
-    bend = (np.eye(3) - at[:, 0] @ at[:, 1]) @ bend
+    vertices, first_points, number = np.unique(
+        points.vertex, return_index=True, return_inverse=True
+    )
+    is_held = np.zeros((len(vertices), 3), dtype=bool)
+    np.logical_or.at(is_held, number, points.held)
+    end_projectors = projectors(points.axes[first_points], is_held)[
+        np.searchsorted(vertices, rows[:, 1:3])
+    ]
+    bend = (np.eye(3) - end_projectors[:, 0] @ end_projectors[:, 1]) @ bend
     middles = np.concatenate([np.eye(3) / 2 - bend, np.eye(3) / 2 + bend])
     # Of each (end, edge, body), the moves of the body at the end.
-    stride = int(known[-1]) + 1
+    stride = int(vertices[-1]) + 1
     key = body * stride + points.vertex[point]
-    wanted = (rows[:, 3] * stride + rows[:, 1:3].T).ravel()
+    needed_keys = (rows[:, 3] * stride + rows[:, 1:3].T).ravel()
     order = np.argsort(key, kind="stable")
-    low = np.searchsorted(key, wanted, "left", order)
-    high = np.searchsorted(key, wanted, "right", order)
-    end = np.repeat(np.arange(len(wanted)), high - low)
+    low = np.searchsorted(key, needed_keys, "left", order)
+    high = np.searchsorted(key, needed_keys, "right", order)
+    end = np.repeat(np.arange(len(needed_keys)), high - low)
     inside = np.arange(len(end)) + (high - np.cumsum(high - low))[end]
     edge, move = rows[end % len(rows)], order[inside]
     return edge[:, 3], edge[:, 0], point[move], middles[end] @ blocks[move]

@@ -105,8 +105,8 @@ class Holds:
     def supports_of(self, vertex: Ints, bodies: Ints) -> Ints:
         """Return the support of each component of both bodies at vertices, or -1 (n, 2, 3)."""
         support = dict(zip(vertices_of_bodies(self.vertex, self.body), self.support, strict=True))
-        free = np.full(3, -1)
-        rows = [support.get(pair, free) for pair in _of_both(vertex, bodies)]
+        no_support = np.full(3, -1)
+        rows = [support.get(pair, no_support) for pair in _of_both(vertex, bodies)]
         return np.array(rows).reshape(len(vertex), 2, 3)
 
     def rigid_bodies(self, vertex: Ints, bodies: Ints) -> Bools:

@@ -1,4 +1,4 @@
-"""Corners where interfaces meet whose jumps follow from those of the points there.
+"""Corners where interfaces meet and whose jumps follow from the jumps of the points there.
 
 A dependent corner gives its area and its jump to points of its interface next to it. The unknown of
 such a point is the mean jump, by area, of the point and its part of the corner.
@@ -37,10 +37,10 @@ def handed_area(
     n, m = len(held), len(surface.weight)
     corners = np.concatenate(surface.triangles)
     numbers = np.concatenate(surface.facets)
-    same = np.column_stack([surface.interface, surface.bodies])
-    loose = ~held.any(axis=(1, 2))
+    sides_of_corner = np.column_stack([surface.interface, surface.bodies])
+    is_free = ~held.any(axis=(1, 2))
     at_vertex: dict[int, Floats] = {}
-    for p in np.flatnonzero(~loose):
+    for p in np.flatnonzero(~is_free):
         v = int(surface.vertex[p])
         at_vertex[v] = np.maximum(at_vertex.get(v, 0.0), np.abs(held[p]))
     rows: list[int] = []
@@ -48,29 +48,29 @@ def handed_area(
     areas: list[float] = []
     for f, k in zip(*np.nonzero(corners >= n), strict=True):
         c = int(corners[f, k])
-        here = at_vertex.get(int(surface.vertex[c]), np.zeros((3, 3)))
+        held_at_corner = at_vertex.get(int(surface.vertex[c]), np.zeros((3, 3)))
 
-        def takes(p: Ints, here: Floats = here) -> Bools:
-            return np.asarray((np.abs(held[p]) <= here + ROUNDING).all(axis=(1, 2)))
+        def takes(p: Ints, held_at_corner: Floats = held_at_corner) -> Bools:
+            return np.asarray((np.abs(held[p]) <= held_at_corner + ROUNDING).all(axis=(1, 2)))
 
-        near = corners[f][corners[f] < n]
-        to = near[takes(near)]
-        if not len(to):
-            every = np.flatnonzero((same[:n] == same[c]).all(axis=1))
-            free = every[takes(every)]
-            some = free if len(free) else every
-            if not len(some):
+        neighbours = corners[f][corners[f] < n]
+        receivers = neighbours[takes(neighbours)]
+        if not len(receivers):
+            candidates = np.flatnonzero((sides_of_corner[:n] == sides_of_corner[c]).all(axis=1))
+            admissible = candidates[takes(candidates)]
+            receivers_of_sides = admissible if len(admissible) else candidates
+            if not len(receivers_of_sides):
                 x, y, z = surface.x[c]
                 raise InputError(
                     f"interfaces.{names[int(surface.interface[c])]}: all its nodes lie on lines "
                     f"where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so none can "
                     "carry its force; use a finer mesh"
                 )
-            away = np.linalg.norm(surface.x[some] - surface.x[c], axis=1)
-            to = some[np.isclose(away, away.min(), rtol=1e-6)]
-        rows += [c - n] * len(to)
-        columns += to.tolist()
-        areas += [float(facets.area[numbers[f], k]) / len(to)] * len(to)
+            distances = np.linalg.norm(surface.x[receivers_of_sides] - surface.x[c], axis=1)
+            receivers = receivers_of_sides[np.isclose(distances, distances.min(), rtol=1e-6)]
+        rows += [c - n] * len(receivers)
+        columns += receivers.tolist()
+        areas += [float(facets.area[numbers[f], k]) / len(receivers)] * len(receivers)
     return csr_array((areas, (rows, columns)), shape=(m - n, n))
 
 
@@ -89,33 +89,42 @@ def in_means(
     of_point = diags_array(points.weight / weight, format="csr")
     mean = csr_array(of_point + csr_array(handed.multiply(1 / weight[None])).T @ A)
     blocks = np.eye(3) - projectors(points.axes, points.held)
-    free = bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsr()
-    one = eye_array(3 * n, format="csr")
-    G = one + free @ (_three(mean) - one)
+    free_directions = bsr_array(
+        (blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)
+    ).tocsr()
+    identity = eye_array(3 * n, format="csr")
+    G = identity + free_directions @ (_three(mean) - identity)
     affected = np.flatnonzero(np.diff(G.indptr) != 1)
     changed = np.unique(np.concatenate([affected, G[affected].indices]))
     part = csr_array(inv(csc_array(G[changed][:, changed])))
     local = part.tocoo()
-    stay = np.setdiff1d(np.arange(3 * n), changed)
-    row = np.concatenate([stay, changed[local.row]])
-    column = np.concatenate([stay, changed[local.col]])
-    value = np.concatenate([np.ones(len(stay)), local.data])
+    unchanged = np.setdiff1d(np.arange(3 * n), changed)
+    row = np.concatenate([unchanged, changed[local.row]])
+    column = np.concatenate([unchanged, changed[local.col]])
+    value = np.concatenate([np.ones(len(unchanged)), local.data])
     keep = np.abs(value) > ROUNDING
     inverse = csr_array((value[keep], (row[keep], column[keep])), shape=(3 * n, 3 * n))
     parts = []
     for b in np.unique(entries.body):
-        here = entries.body == b
-        at, rows = np.unique(entries.row[here], return_inverse=True)
-        where = rows.ravel(), entries.column[here]
-        B = csr_array((entries.value[here], where), shape=(len(at), 3 * n)) @ inverse
+        of_body = entries.body == b
+        node_rows, rows = np.unique(entries.row[of_body], return_inverse=True)
+        positions = rows.ravel(), entries.column[of_body]
+        B = csr_array((entries.value[of_body], positions), shape=(len(node_rows), 3 * n)) @ inverse
         B = B.tocoo()
-        on = np.abs(B.data) > ROUNDING
-        parts.append((np.full(on.sum(), b), at[B.row[on]], B.col[on].astype(np.int64), B.data[on]))
+        is_nonzero = np.abs(B.data) > ROUNDING
+        parts.append(
+            (
+                np.full(is_nonzero.sum(), b),
+                node_rows[B.row[is_nonzero]],
+                B.col[is_nonzero].astype(np.int64),
+                B.data[is_nonzero],
+            )
+        )
     body, row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     total = diags_array(1 / surface.weight[n:], format="csr")
-    every = vstack([eye_array(n, format="csr"), total @ handed], format="csr")
+    shares = vstack([eye_array(n, format="csr"), total @ handed], format="csr")
     jumps = _three(csr_array(vstack([eye_array(n, format="csr"), A], format="csr"))) @ inverse
-    surface = replace(surface, shares=csr_array(every), jumps=csr_array(jumps))
+    surface = replace(surface, shares=csr_array(shares), jumps=csr_array(jumps))
     return replace(points, weight=weight, surface=surface), Entries(body, row, column, value)
 
 
@@ -130,11 +139,11 @@ def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
     columns: list[int] = []
     values: list[float] = []
     for c in range(n, len(surface.vertex)):
-        at = np.flatnonzero(surface.vertex[:n] == surface.vertex[c])
+        points_at_vertex = np.flatnonzero(surface.vertex[:n] == surface.vertex[c])
         master, slave = map(int, surface.bodies[c])
         path: dict[int, dict[int, float]] = {master: {}}
-        for _ in at:
-            for p in map(int, at):
+        for _ in points_at_vertex:
+            for p in map(int, points_at_vertex):
                 a, b = map(int, surface.bodies[p])
                 if a in path and b not in path:
                     path[b] = path[a] | {p: 1.0}

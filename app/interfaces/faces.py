@@ -37,21 +37,23 @@ def faces_around(
     """
     label = _smooth_groups(facets)
     of_corner, doubt_of_corner = _normals_of_surface(facets, label)
-    used = point >= 0
-    pairs = np.stack([point[used], label[used]], axis=1)
+    is_used = point >= 0
+    pairs = np.stack([point[is_used], label[is_used]], axis=1)
     groups, first, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
-    corner_area, corner_normal = facets.area.ravel()[used], of_corner[used]
+    corner_area, corner_normal = facets.area.ravel()[is_used], of_corner[is_used]
     area, normal = np.zeros(len(groups)), np.zeros((len(groups), 3))
     np.add.at(area, group, corner_area)
     np.add.at(normal, group, corner_area[:, None] * corner_normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     # A body slides on all of an interface at once.
-    corner = np.flatnonzero(used)[first]
+    corner = np.flatnonzero(is_used)[first]
     sides = np.column_stack([facets.interface, facets.bodies])[corner // 3]
-    x, off = facets.x.reshape(-1, 3)[corner], doubt_of_corner[corner]
+    x, doubt_of_group = facets.x.reshape(-1, 3)[corner], doubt_of_corner[corner]
     for side in np.unique(sides[facets.straight[corner // 3]], axis=0):
-        here = (sides == side).all(axis=1)
-        normal[here] = slid_along(x[here], normal[here], off[here], area[here])
+        of_side = (sides == side).all(axis=1)
+        normal[of_side] = slid_along(
+            x[of_side], normal[of_side], doubt_of_group[of_side], area[of_side]
+        )
     normals, faces, weight = np.zeros((n, 3, 3)), np.ones(n, dtype=np.int64), np.zeros(n)
     owner = groups[:, 0]
     normals[owner, 0] = normal
@@ -61,7 +63,7 @@ def faces_around(
         p, faces[p] = owner[rows[0]], len(ns)
         normals[p, : len(ns)] = ns
     doubt = np.zeros(n)
-    np.maximum.at(doubt, point[used], doubt_of_corner[used])
+    np.maximum.at(doubt, point[is_used], doubt_of_corner[is_used])
     return normals, faces, weight, doubt
 
 
@@ -78,16 +80,21 @@ def _normals_of_surface(facets: InterfaceFacets, label: Ints) -> tuple[Floats, F
     doubt = np.linalg.norm(normal - by_number, axis=1)
     if facets.straight.any():
         rows = np.flatnonzero(facets.straight)
-        here, at = np.unique(corners[rows], return_inverse=True)
-        parts = x[here], at.reshape(-1, 3), facets.normal[rows], facets.area[rows]
+        smooth_nodes, local_corners = np.unique(corners[rows], return_inverse=True)
+        parts = (
+            x[smooth_nodes],
+            local_corners.reshape(-1, 3),
+            facets.normal[rows],
+            facets.area[rows],
+        )
         smooth = smooth_normals(*parts)
-        normal[here], doubt[here] = smooth.normal, smooth.doubt
+        normal[smooth_nodes], doubt[smooth_nodes] = smooth.normal, smooth.doubt
     return normal[node.ravel()], doubt[node.ravel()]
 
 
 def _smooth_groups(facets: InterfaceFacets) -> Ints:
     """Label facet corners (3 f,): equal where facets around a vertex join by smooth edges."""
-    f = len(facets.area)
+    facet_count = len(facets.area)
     local = np.array([[1, 2], [0, 2], [0, 1]])
     edges = facets.vertices[:, local].reshape(-1, 2)
     side = np.repeat(np.column_stack([facets.interface, facets.bodies]), 3, axis=0)
@@ -97,43 +104,48 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     start = (np.cumsum(count) - count)[count == 2]
     a, b = order[start], order[start + 1]
     # Normals in the middle of the edge, from those at its ends.
-    ends = facets.normal[np.arange(f)[:, None, None], local].sum(axis=2).reshape(-1, 3)
+    ends = facets.normal[np.arange(facet_count)[:, None, None], local].sum(axis=2).reshape(-1, 3)
     ends /= np.linalg.norm(ends, axis=1, keepdims=True)
     cosine = np.einsum("ei,ei->e", ends[a], ends[b])
     # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
-    one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
+    corners_of_one, corners_of_other = (
+        3 * (a // 3)[:, None] + local[a % 3],
+        3 * (b // 3)[:, None] + local[b % 3],
+    )
 
     def joined_by(smooth: Bools) -> Ints:
-        return connected(3 * f, one[smooth].ravel(), two[smooth].ravel())
+        return connected(
+            3 * facet_count, corners_of_one[smooth].ravel(), corners_of_other[smooth].ravel()
+        )
 
     smooth = cosine > np.cos(FACE_ANGLE)
     coarse = ~smooth & (cosine > np.cos(COARSE_ANGLE)) & facets.straight[a // 3]
     if coarse.any():
         _, doubt = _normals_of_surface(facets, joined_by(smooth | coarse))
-        smooth |= coarse & (doubt[one] < EXACT).all(axis=1)
+        smooth |= coarse & (doubt[corners_of_one] < EXACT).all(axis=1)
     return joined_by(smooth)
 
 
 def _distinct(normals: Floats, areas: Floats) -> Floats:
-    """At most three independent faces: the largest kept, the others merged into the nearest.
+    """Return the normals of at most three independent faces, the others merged into the nearest.
 
-    They are in the order of their areas, equal ones in that of the mesh, whatever the axes are.
+    They are in the order of their areas. Faces of equal area are in the order of the mesh.
     """
     order: Ints = np.argsort(-np.round(areas, 9), kind="stable").astype(np.int64)
-    ns: list[Floats] = []
+    distinct: list[Floats] = []
     sums: list[Floats] = []
     for row in map(int, order):
-        n, area = np.asarray(normals[row]), float(areas[row])
-        candidate = np.array([*ns, n])
-        if len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT:
-            ns.append(n)
-            sums.append(area * n)
+        normal, area = np.asarray(normals[row]), float(areas[row])
+        candidate = np.array([*distinct, normal])
+        if len(distinct) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT:
+            distinct.append(normal)
+            sums.append(area * normal)
             continue
-        k = int(np.argmax(np.array(ns) @ n))
-        if ns[k] @ n > 0:
-            sums[k] = sums[k] + area * n
-            ns[k] = sums[k] / np.linalg.norm(sums[k])
-    return np.array(ns)
+        k = int(np.argmax(np.array(distinct) @ normal))
+        if distinct[k] @ normal > 0:
+            sums[k] = sums[k] + area * normal
+            distinct[k] = sums[k] / np.linalg.norm(sums[k])
+    return np.array(distinct)
 
 
 def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
@@ -144,11 +156,11 @@ def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
     for p in np.flatnonzero(held.any(axis=(1, 2))):
         ns = normals[p, : faces[p]] @ (np.eye(3) - held[p])
         size = np.linalg.norm(ns, axis=1)
-        left = size > INDEPENDENT
+        remaining = size > INDEPENDENT
         normals[p], faces[p] = 0, 0
-        if left.any():
-            kept = _distinct(ns[left] / size[left, None], np.ones(left.sum()))
-            normals[p, : len(kept)], faces[p] = kept, len(kept)
+        if remaining.any():
+            distinct = _distinct(ns[remaining] / size[remaining, None], np.ones(remaining.sum()))
+            normals[p, : len(distinct)], faces[p] = distinct, len(distinct)
 
 
 def projectors(axes: Floats, which: Bools | Floats) -> Floats:
@@ -176,9 +188,11 @@ def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> 
         size = np.linalg.norm(n, axis=1)
         n = n / size[:, None]
         for corner in corners.T:
-            along = np.einsum("fki,fi->fk", normals[corner], n)
-            rows, best = np.arange(len(n)), np.abs(along).argmax(axis=1)
-            off = n * np.sign(along[rows, best])[:, None] - normals[corner, best]
-            np.add.at(total, corner, size[:, None, None] * off[:, :, None] * off[:, None, :])
+            cosines = np.einsum("fki,fi->fk", normals[corner], n)
+            rows, best = np.arange(len(n)), np.abs(cosines).argmax(axis=1)
+            deviation = n * np.sign(cosines[rows, best])[:, None] - normals[corner, best]
+            np.add.at(
+                total, corner, size[:, None, None] * deviation[:, :, None] * deviation[:, None, :]
+            )
             np.add.at(area, corner, size)
     return total / np.where(area > 0, area, 1.0)[:, None, None]

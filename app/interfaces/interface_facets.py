@@ -56,8 +56,8 @@ class InterfaceFacets:
         if self.nodes.shape[1] == 3:
             return np.ones(len(self.area), dtype=bool)
         start, end = self.nodes[:, [1, 2, 0]], self.nodes[:, [2, 0, 1]]
-        off = np.linalg.norm(self.nodes[:, 3:] - (start + end) / 2, axis=2)
-        bent = (off > STRAIGHT * np.linalg.norm(end - start, axis=2)).any(axis=1)
+        deviation = np.linalg.norm(self.nodes[:, 3:] - (start + end) / 2, axis=2)
+        bent = (deviation > STRAIGHT * np.linalg.norm(end - start, axis=2)).any(axis=1)
         return ~np.isin(self.interface, self.interface[bent])
 
 

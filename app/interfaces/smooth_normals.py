@@ -37,19 +37,19 @@ MORE_RINGS = 3
 # Number of coefficients of the models: plane, paraboloid, quadric.
 MODELS = (2, 5, 8)
 # Least number of nodes beyond the number of coefficients.
-SPARE = 2
+SPARE_NODES = 2
 # A model with more coefficients needs less than this part of the standard error of another one.
-BETTER = 0.25
+ERROR_RATIO = 0.25
 # Normals that differ by less are equal [rad].
-FLAT = 1e-6
+FLAT_ANGLE = 1e-6
 # A slope is a likely error up to this multiple of the doubt about normals.
-LIKELY = 3.0
+LIKELY_MULTIPLE = 3.0
 # A larger slope is no error [rad].
-SLOPE = 0.01
+LARGEST_SLOPE = 0.01
 # Slopes below this are rounding [rad].
 ROUNDING = 1e-12
 # Most steps to reach it.
-STEPS = 20
+MOST_STEPS = 20
 # Singular values below this part of the largest are zero.
 SINGULAR = 1e-10
 
@@ -80,17 +80,19 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
     # Largest angle between the mean at a node and normals: around the node, around its neighbours.
     spread = np.zeros(len(x))
     np.maximum.at(spread, corners, _angle(normals, mean[corners]))
-    if (spread < FLAT).all():
+    if (spread < FLAT_ANGLE).all():
         return SmoothNormals(mean, np.zeros(len(x)))
     joined = _joined(corners, len(x))
-    wide, (one, other) = spread.copy(), joined.nonzero()
-    np.maximum.at(wide, one, _angle(mean[one], mean[other]) + spread[other])
+    spread_nearby, (node, neighbour) = spread.copy(), joined.nonzero()
+    np.maximum.at(spread_nearby, node, _angle(mean[node], mean[neighbour]) + spread[neighbour])
     inside = np.diff(joined.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
-    flat = (spread < FLAT) & (inside | (wide < FLAT))
+    flat = (spread < FLAT_ANGLE) & (inside | (spread_nearby < FLAT_ANGLE))
     fitted, doubt = mean.copy(), np.where(flat, 0.0, spread)
-    some = np.flatnonzero(~flat)
-    if len(some):
-        fitted[some], doubt[some] = _fitted(x, mean, wide, doubt, some, _near(joined, some))
+    rows = np.flatnonzero(~flat)
+    if len(rows):
+        fitted[rows], doubt[rows] = _fitted(
+            x, mean, spread_nearby, doubt, rows, _nodes_near(joined, rows)
+        )
     return SmoothNormals(fitted, doubt)
 
 
@@ -116,57 +118,57 @@ def _joined(corners: Ints, n: int) -> csr_matrix:
     return pattern
 
 
-def _near(joined: csr_matrix, some: Ints) -> Ints:
+def _nodes_near(joined: csr_matrix, rows: Ints) -> Ints:
     """Return the nodes near some nodes (m, k). The node itself fills the rest of a row."""
-    near = joined[some]
+    pattern = joined[rows]
     for ring in range(1, RINGS + MORE_RINGS):
-        few = np.ones(len(some)) if ring < RINGS else np.diff(near.indptr) <= NODES_NEAR
-        if not few.any():
+        needs_more = np.ones(len(rows)) if ring < RINGS else np.diff(pattern.indptr) <= NODES_NEAR
+        if not needs_more.any():
             break
-        near = near + near.multiply(few[:, None]).tocsr() @ joined
-        near.data[:] = 1.0
-    near = near.tocsr()
-    near.sort_indices()
-    count = np.diff(near.indptr)
-    row = np.repeat(np.arange(len(some)), count)
-    filled = np.tile(some[:, None], (1, int(count.max())))
-    filled[row, np.arange(near.nnz) - near.indptr[row]] = near.indices
+        pattern = pattern + pattern.multiply(needs_more[:, None]).tocsr() @ joined
+        pattern.data[:] = 1.0
+    pattern = pattern.tocsr()
+    pattern.sort_indices()
+    count = np.diff(pattern.indptr)
+    row = np.repeat(np.arange(len(rows)), count)
+    filled = np.tile(rows[:, None], (1, int(count.max())))
+    filled[row, np.arange(pattern.nnz) - pattern.indptr[row]] = pattern.indices
     return filled
 
 
 def _fitted(
-    x: Floats, mean: Floats, wide: Floats, doubt: Floats, some: Ints, near: Ints
+    x: Floats, mean: Floats, spread_nearby: Floats, doubt: Floats, rows: Ints, near_nodes: Ints
 ) -> tuple[Floats, Floats]:
     """Return the normals (m, 3) of some nodes by the best model, and their standard errors (m,)."""
-    n, tangents = mean[some], np.linalg.svd(mean[some, None])[2][:, 1:]
-    away = x[near] - x[some, None]
-    distance = np.linalg.norm(away, axis=2)
+    n, tangents = mean[rows], np.linalg.svd(mean[rows, None])[2][:, 1:]
+    offsets = x[near_nodes] - x[rows, None]
+    distance = np.linalg.norm(offsets, axis=2)
     size = distance.max(axis=1, keepdims=True)
-    away, distance = away / size[:, :, None], distance / size
+    offsets, distance = offsets / size[:, :, None], distance / size
     others: Bools = distance > 0
     # Near nodes have more weight: the error of a model grows with the square of the distance.
     weight = np.where(others, 1 / np.where(others, distance, 1.0) ** 2, 0.0)
-    a, b = np.einsum("nki,nji->jnk", away, tangents)
-    h = np.einsum("nki,ni->nk", away, n)
+    a, b = np.einsum("nki,nji->jnk", offsets, tangents)
+    h = np.einsum("nki,ni->nk", offsets, n)
     terms = a, b, a * a, np.sqrt(2) * a * b, b * b, a * h, b * h, h * h
     columns, height = np.stack(terms, axis=2) * weight[:, :, None], h * weight
-    normal, error = n.copy(), np.full(len(some), np.inf)
+    normal, error = n.copy(), np.full(len(rows), np.inf)
     for coefficients in MODELS:
         model = columns[:, :, :coefficients]
         inverse = np.linalg.pinv(model, rcond=SINGULAR)
         fit = np.einsum("nck,nk->nc", inverse, height)
-        missed = height - np.einsum("nkc,nc->nk", model, fit)
-        spare = others.sum(axis=1) - coefficients
-        variance = (missed**2).sum(axis=1) / np.maximum(spare, 1)
-        of_slope = np.sqrt(variance * (inverse[:, :2] ** 2).sum(axis=(1, 2)))
-        turned = n
+        residual = height - np.einsum("nkc,nc->nk", model, fit)
+        spare_nodes = others.sum(axis=1) - coefficients
+        variance = (residual**2).sum(axis=1) / np.maximum(spare_nodes, 1)
+        slope_error = np.sqrt(variance * (inverse[:, :2] ** 2).sum(axis=(1, 2)))
+        fitted_normal = n
         if coefficients > MODELS[0]:
-            turned = n - np.einsum("nj,nji->ni", fit[:, :2], tangents)
-            turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-        better = (spare >= SPARE) & (of_slope < BETTER * error)
-        better &= _angle(turned, n) <= wide[some]
-        normal[better], error[better] = turned[better], of_slope[better]
-    return normal, np.where(np.isfinite(error), error, doubt[some])
+            fitted_normal = n - np.einsum("nj,nji->ni", fit[:, :2], tangents)
+            fitted_normal /= np.linalg.norm(fitted_normal, axis=1, keepdims=True)
+        is_better = (spare_nodes >= SPARE_NODES) & (slope_error < ERROR_RATIO * error)
+        is_better &= _angle(fitted_normal, n) <= spread_nearby[rows]
+        normal[is_better], error[is_better] = fitted_normal[is_better], slope_error[is_better]
+    return normal, np.where(np.isfinite(error), error, doubt[rows])
 
 
 def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Floats:
@@ -183,30 +185,34 @@ def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Flo
         weight: Areas of the points (n,) [mm2].
 
     Returns:
-        Unit normals (n, 3), which are those given if no motion slides.
+        Unit normals (n, 3). They are unchanged if no motion slides.
     """
     share, count = weight / weight.sum(), len(x)
-    likely = min(LIKELY * float(np.sqrt(share @ doubt**2)), SLOPE)
+    likely = min(LIKELY_MULTIPLE * float(np.sqrt(share @ doubt**2)), LARGEST_SLOPE)
     if likely < ROUNDING or count < NODES_NEAR:
         return normals
-    away = (x - share @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
-    turns = -np.cross(away[:, :, None], np.eye(3), axis=1)
-    motions = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), turns], axis=2)
-    size = np.einsum("p,pik,pil->kl", share, motions, motions)
-    scale = np.linalg.inv(np.linalg.cholesky(size + ROUNDING * np.eye(6))).T
-    adjusted, number = normals, 0
-    for step in range(STEPS):
+    offsets = (x - share @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
+    rotations = -np.cross(offsets[:, :, None], np.eye(3), axis=1)
+    motions = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), rotations], axis=2)
+    gram = np.einsum("p,pik,pil->kl", share, motions, motions)
+    scale = np.linalg.inv(np.linalg.cholesky(gram + ROUNDING * np.eye(6))).T
+    adjusted, slide_count = normals, 0
+    for step in range(MOST_STEPS):
         slopes = np.einsum("pi,pik->pk", adjusted, motions) @ scale
         mean = np.sqrt(count) * (share @ slopes)
         sizes, vectors = np.linalg.svd(np.vstack([np.sqrt(share)[:, None] * slopes, mean]))[1:]
         if not step:
-            number = int((sizes <= likely).sum())
-        if not number or sizes[-number] <= ROUNDING:
+            slide_count = int((sizes <= likely).sum())
+        if not slide_count or sizes[-slide_count] <= ROUNDING:
             return adjusted
         # Two motions at most are independent at a point of a surface.
-        ways, far, _ = np.linalg.svd(motions @ scale @ vectors[-number:].T, full_matrices=False)
-        ways, far = ways[:, :, :2], far[:, :2]
-        ways = np.where((far > FLAT * far.max())[:, None], ways, 0.0)
-        adjusted = adjusted - np.einsum("pik,pjk,pj->pi", ways, ways, adjusted)
+        directions, singular_values, _ = np.linalg.svd(
+            motions @ scale @ vectors[-slide_count:].T, full_matrices=False
+        )
+        directions, singular_values = directions[:, :, :2], singular_values[:, :2]
+        directions = np.where(
+            (singular_values > FLAT_ANGLE * singular_values.max())[:, None], directions, 0.0
+        )
+        adjusted = adjusted - np.einsum("pik,pjk,pj->pi", directions, directions, adjusted)
         adjusted /= np.linalg.norm(adjusted, axis=1, keepdims=True)
     return normals

@@ -60,13 +60,13 @@ class CycleTable(Section):
         if not isinstance(rows, list | tuple):
             fail(f"{show(rows)} is not a cycle table; expected a CSV file or a list of its lines")
         lines = [", ".join(map(str, r)) if isinstance(r, list) else str(r) for r in rows]
-        _columns(lines, name)
+        _read_columns(lines, name)
         return section | {"rows": [line for line in lines if line.strip()]}
 
     @cached_property
     def columns(self) -> dict[str, tuple[float, ...]]:
         """Values of the rows [s, rad, N, -] by the name of their column."""
-        return _columns(self.rows)
+        return _read_columns(self.rows)
 
     @property
     def description(self) -> str:
@@ -85,7 +85,7 @@ class CycleTable(Section):
         return [float(np.interp(time, self.times, values)) if values else 0.0 for values in columns]
 
 
-def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:
+def _read_columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:
     """The columns of the lines of a list, or of a file, which stands before messages."""
 
     def wrong(i: int, text: str) -> NoReturn:
@@ -94,30 +94,34 @@ def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]
     lines = [(i, row.split(",")) for i, row in enumerate(rows) if row.strip()]
     if len(lines) < 3:
         fail(f"{name}has too few rows; expected at least two below the header")
-    top, heads = lines[0]
-    named = [m for m in map(HEADER.fullmatch, heads) if m and m[1] in COLUMNS]
+    header_row, header_cells = lines[0]
+    named = [m for m in map(HEADER.fullmatch, header_cells) if m and m[1] in COLUMNS]
     units = {m[1]: m[2] for m in named}
-    if len(units) < len(heads) or "time" not in units:
-        good = {m[0] for m in named}
-        text = ", ".join(f"'{h.strip()}' is no column" for h in heads if h not in good)
+    if len(units) < len(header_cells) or "time" not in units:
+        valid_heads = {m[0] for m in named}
+        text = ", ".join(
+            f"'{h.strip()}' is no column" for h in header_cells if h not in valid_heads
+        )
         known = (f"{k} [{'deg' if k in ROTATIONS else d.unit}]" for k, d in COLUMNS.items())
-        wrong(top, f"{text or 'has no time, or a column twice'}; expected {', '.join(known)}")
+        wrong(
+            header_row, f"{text or 'has no time, or a column twice'}; expected {', '.join(known)}"
+        )
     table: list[dict[str, float]] = []
     for i, row in lines[1:]:
         if len(row) != len(units):
             wrong(i, f"has {len(row)} values; expected {len(units)}: {', '.join(units)}")
         try:
-            here = {
+            row_values = {
                 column: COLUMNS[column].read(f"{cell.strip()} {unit}")
                 for (column, unit), cell in zip(units.items(), row, strict=True)
             }
         except PydanticCustomError as error:
             wrong(i, (error.context or {})["text"])
         for column, before in table[-1].items() if table else ():
-            angle = math.degrees(abs(here[column] - before))
-            if column == "time" and here[column] <= before:
+            angle = math.degrees(abs(row_values[column] - before))
+            if column == "time" and row_values[column] <= before:
                 wrong(i, f"its time is not above {before:g} s, that of the row before")
             if column in ROTATIONS and angle > 180 * (1 + 1e-9):
                 wrong(i, f"{column} changes by {angle:.4g} degrees in a row; expected at most 180")
-        table.append(here)
+        table.append(row_values)
     return {column: tuple(row[column] for row in table) for column in units}

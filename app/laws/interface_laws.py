@@ -57,9 +57,11 @@ if TYPE_CHECKING:
 # Points per facet of mortar rows where `quadrature` is not given.
 MORTAR_POINTS = 12
 # Keys of contact with finite sliding.
-FINITE = ("between", "quadrature")
+FINITE_SLIDING_KEYS = ("between", "quadrature")
 # Message for these keys in other laws.
-SMALL = "is limited to small sliding; for finite sliding use `kind: contact` without `compliance`"
+SMALL_SLIDING_ONLY = (
+    "is limited to small sliding; for finite sliding use `kind: contact` without `compliance`"
+)
 # Default ratio of the augmentation to the stiffness against a jump.
 DEFAULT_AUGMENTATION = 0.2
 
@@ -116,13 +118,13 @@ class AtPoint:
         """Internal variables after the step; the old ones while they are frozen."""
         from ufl import as_vector, conditional, gt
 
-        def one(new: Expr, old: Expr) -> Expr:
+        def selected(new: Expr, old: Expr) -> Expr:
             if not old.ufl_shape:
                 return conditional(gt(self.live, 0.5), new, old)
-            return as_vector([one(new[i], old[i]) for i in range(len(old))])
+            return as_vector([selected(new[i], old[i]) for i in range(len(old))])
 
         return {
-            name: one(internal_variables[name], old)
+            name: selected(internal_variables[name], old)
             for name, old in self.internal_variables.items()
         }
 
@@ -170,12 +172,12 @@ class InterfaceLaw(Extensible):
 
     @model_validator(mode="before")
     @classmethod
-    def _small(cls, value: object) -> object:
+    def _check_small_sliding(cls, value: object) -> object:
         if not isinstance(value, dict):
             return value
-        for key in ("sliding", *FINITE):
+        for key in ("sliding", *FINITE_SLIDING_KEYS):
             if key in value and key not in cls.model_fields:
-                fail(f"kind: {value.get('kind')} {SMALL}", at=(key,))
+                fail(f"kind: {value.get('kind')} {SMALL_SLIDING_ONLY}", at=(key,))
         return value
 
     @property
@@ -238,7 +240,7 @@ class InterfaceLaw(Extensible):
 
     @property
     def without_effect(self) -> dict[tuple[str, ...], str]:
-        """Keys that do nothing beside others, with the reason; given ones or not."""
+        """Keys that have no effect with the others, by path, and the reason."""
         return {}
 
     @property
@@ -285,11 +287,11 @@ class InterfaceLaw(Extensible):
         return isinstance(value, float | Patches) or self._mark(name) is not None
 
     def _mark(self, name: str) -> Varying | None:
-        known = type(self).model_fields.get(name)
-        if known is None:
+        model_field = type(self).model_fields.get(name)
+        if model_field is None:
             return None
-        inner = (m for kind in get_args(known.annotation) for m in get_args(kind))
-        return next((m for m in (*known.metadata, *inner) if isinstance(m, Varying)), None)
+        inner = (m for kind in get_args(model_field.annotation) for m in get_args(kind))
+        return next((m for m in (*model_field.metadata, *inner) if isinstance(m, Varying)), None)
 
     def fields(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
         """Functions of points (n, 3) that return the values (n,), by name."""
@@ -360,7 +362,7 @@ class SurfaceZone(Section):
     """Radial interference there, in place of the interface's gap or interference."""
 
     @model_validator(mode="after")
-    def _one(self) -> SurfaceZone:
+    def _check_gap_and_heights(self) -> SurfaceZone:
         if self.gap is not None and self.interference is not None:
             fail("is the opposite of `gap`; expected only one of them", at=("interference",))
         low, high = self.heights
@@ -416,13 +418,13 @@ class Unilateral(Frictional):
     """Part of the friction heat that enters the first side; by default friction heats no side."""
 
     @model_validator(mode="after")
-    def _one_gap(self) -> Unilateral:
+    def _check_one_gap(self) -> Unilateral:
         if self.interference is not None and self.gap != 0.0:
             fail("is the opposite of `gap`; expected only one of them", at=("interference",))
         return self
 
     @model_validator(mode="after")
-    def _rubs(self) -> Unilateral:
+    def _check_friction_heating(self) -> Unilateral:
         if self.friction_heating is not None and self.friction == 0.0:
             fail(
                 "needs friction; expected a friction_coefficient above 0", at=("friction_heating",)
@@ -459,7 +461,7 @@ class Unilateral(Frictional):
 
     @property
     def without_effect(self) -> dict[tuple[str, ...], str]:
-        """Keys that do nothing beside others, with the reason; given ones or not."""
+        """Keys that have no effect with the others, by path, and the reason."""
         keys = super().without_effect
         if not self.has_gap:
             keys["gap_history",] = "there is no gap and no interference"
@@ -480,20 +482,20 @@ class Unilateral(Frictional):
         """Initial gap at points (n, 3), negative for an interference: shape (n,) [mm]."""
         key = f"interfaces.{interface}"
 
-        def of(part: Unilateral | SurfaceZone, key: str, x: Floats) -> Floats | None:
+        def gap_of(part: Unilateral | SurfaceZone, key: str, x: Floats) -> Floats | None:
             """The gap of a part; None if none is given for it."""
             if part.interference is not None:
                 return -_interference(f"{key}.interference", part.interference, stem, x)
             return None if part.gap is None else field(f"{key}.gap", part.gap)(x)
 
         def gap(x: Floats) -> Floats:
-            gaps = of(self, key, x)
+            gaps = gap_of(self, key, x)
             assert gaps is not None  # its default is 0
             for name, zone in (self.zones or {}).items():
                 inside = in_zone(*zone.heights, stem.height_on_stem(x))
-                there = of(zone, f"{key}.zones.{name}", x[inside])
-                if there is not None:
-                    gaps[inside] = there
+                zone_gap = gap_of(zone, f"{key}.zones.{name}", x[inside])
+                if zone_gap is not None:
+                    gaps[inside] = zone_gap
             return gaps
 
         return gap
@@ -559,13 +561,13 @@ class Coulomb(Unilateral):
     """Augmentation parameter r; by default it is chosen. Results do not depend on it."""
 
     @model_validator(mode="after")
-    def _slides(self) -> Coulomb:
+    def _check_sliding_keys(self) -> Coulomb:
         finite = self.sliding == "finite"
-        for key in FINITE:
+        for key in FINITE_SLIDING_KEYS:
             if getattr(self, key) is not None and not finite:
                 fail("needs `sliding: finite` in the same interface", at=(key,))
         if self.compliance is not None and finite:
-            fail(f"contact with compliance {SMALL}", at=("compliance",))
+            fail(f"contact with compliance {SMALL_SLIDING_ONLY}", at=("compliance",))
         return self
 
     @property
@@ -688,24 +690,24 @@ class Traction(InterfaceLaw):
         law = self.model_copy(update=dict(at.values))
         jump = variable(at.jump)
         gap = jump + at.gap
-        before = InternalVariables(at.internal_variables, at.internal_variables, at.live)
-        internal_variables = at.updated(law.remembered(gap, at.normals, before))
-        here = (
+        old_variables = InternalVariables(at.internal_variables, at.internal_variables, at.live)
+        internal_variables = at.updated(law.remembered(gap, at.normals, old_variables))
+        point_state = (
             gap,
             at.normals,
             InternalVariables(internal_variables, at.internal_variables, at.live),
         )
-        force = law.traction(*here)
-        dissipated, broken = law.dissipated(*here), law.broken(*here)
+        force = law.traction(*point_state)
+        dissipated, broken = law.dissipated(*point_state), law.broken(*point_state)
         return Response(
             force=force,
             by_multiplier=None,
             by_jump=derivative(force, jump),
             pressures=as_vector([-p for p in at.normals.components(force)]),
-            status=as_ufl(law.status(*here)),
+            status=as_ufl(law.status(*point_state)),
             internal_variables=internal_variables,
-            slip=law.slip(*here),
-            stored=law.stored(*here),
+            slip=law.slip(*point_state),
+            stored=law.stored(*point_state),
             dissipated=dissipated,
             dissipated_by_jump=None if dissipated is None else derivative(dissipated, jump),
             broken=broken,
@@ -790,10 +792,10 @@ class Cohesive(Frictional, Traction):
 
     def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
         """Fracture energy per area that the step dissipates [N/mm]."""
-        return self.cohesive_state(gap, normals, internal_variables).used
+        return self.cohesive_state(gap, normals, internal_variables).dissipated_in_step
 
     @model_validator(mode="after")
-    def _softens(self) -> Cohesive:
+    def _check_softening(self) -> Cohesive:
         numbers = {n: v for n, v in self.values.items() if not isinstance(v, str)}
         self.check({name: np.array([v]) for name, v in numbers.items()})
         return self
@@ -805,13 +807,13 @@ class Cohesive(Frictional, Traction):
             if not at.keys() >= set(names):
                 continue
             K, strength, G = (at[name] for name in names)
-            least = strength**2 / G
-            too_soft = K < least
+            least_stiffness = strength**2 / G
+            too_soft = K < least_stiffness
             if too_soft.any():
                 k = int(too_soft.argmax())
                 fail(
                     f"{K[k]:g} MPa/mm is too soft for {mode} strength and energy: "
-                    f"expected at least strength^2 / energy = {least[k]:g} MPa/mm",
+                    f"expected at least strength^2 / energy = {least_stiffness[k]:g} MPa/mm",
                     at=("stiffness",),
                 )
 

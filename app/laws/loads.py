@@ -187,13 +187,13 @@ class Force(Load):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_components(cls, value: object) -> object:
+    def _add_zero_force(cls, value: object) -> object:
         if isinstance(value, dict) and value.get("cycle_table") is not None:
             return {"force": "[0, 0, 0] N"} | value
         return value
 
     @model_validator(mode="after")
-    def _one_cycle_table(self) -> Force:
+    def _check_cycle_table(self) -> Force:
         if self.cycle_table is None:
             return self
         if self.history is not None:
@@ -209,14 +209,14 @@ class Force(Load):
                 text = "is zero; expected the force that the factors of the cycle table multiply"
                 fail(text, at=("force",))
             return self
-        one = given == [("force",)]
-        if abs(size - one) > 1e-3:
-            wanted = (
+        expected_size = given == [("force",)]
+        if abs(size - expected_size) > 1e-3:
+            expected = (
                 "the direction, 1 N long"
-                if one
+                if expected_size
                 else "no such key: the cycle table has the components"
             )
-            fail(f"is {size:g} N long; expected {wanted}", at=("force",))
+            fail(f"is {size:g} N long; expected {expected}", at=("force",))
         return self
 
     @property

@@ -91,7 +91,7 @@ class Roller(Support):
     normal at each node, the mean of its facets."""
 
     @model_validator(mode="after")
-    def _one(self) -> Roller:
+    def _check_one_direction(self) -> Roller:
         either = "expected axis: x, y or z, or normal: [1, 1, 0] or face"
         if self.axis is not None and self.normal is not None:
             fail(f"cannot be combined with axis; {either}", at=("normal",))
@@ -127,7 +127,7 @@ class Displacement(Support):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
     @model_validator(mode="after")
-    def _some(self) -> Displacement:
+    def _check_not_empty(self) -> Displacement:
         if not self.held_axes:
             fail("prescribes no displacement; expected at least one of x, y, z")
         return self
@@ -163,7 +163,7 @@ class Foundation(Named):
     """Traction per displacement along x, y, z; a single value is the same along all."""
 
     @model_validator(mode="after")
-    def _some(self) -> Foundation:
+    def _check_not_empty(self) -> Foundation:
         if not any(self.stiffness):
             fail("is zero along every axis", at=("stiffness",))
         return self

@@ -43,7 +43,7 @@ class Thermal(OfRegion):
     """Cure of the region; none by default."""
 
     @model_validator(mode="after")
-    def _complete(self) -> Thermal:
+    def _check_keys(self) -> Thermal:
         pair = "axial_conductivity", "transverse_conductivity"
         given = [key for key in pair if getattr(self, key) is not None]
         either = "expected conductivity, or axial_conductivity and transverse_conductivity"
@@ -80,8 +80,8 @@ class Thermal(OfRegion):
     @property
     def conductivities(self) -> tuple[float, ...]:
         """Conductivity along and across the fibre, or one if isotropic [N/(s K)]."""
-        both = self.axial_conductivity, self.transverse_conductivity
-        return tuple(k for k in (self.conductivity, *both) if k is not None)
+        along_and_across = self.axial_conductivity, self.transverse_conductivity
+        return tuple(k for k in (self.conductivity, *along_and_across) if k is not None)
 
     @property
     def effusivity(self) -> float:
@@ -111,7 +111,7 @@ class PressureConductance(Section):
     """Largest conductance; no limit by default."""
 
     @model_validator(mode="after")
-    def _in_order(self) -> PressureConductance:
+    def _check_cap(self) -> PressureConductance:
         if self.cap is not None and self.cap < self.open:
             fail("is below `open`", at=("cap",))
         return self

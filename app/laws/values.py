@@ -103,7 +103,7 @@ class OfRegion(Named):
         return self._name
 
 
-def rising(what: str) -> Callable[[Table], Table]:
+def rising(quantity: str) -> Callable[[Table], Table]:
     """Validator: refuse an empty table, or one whose first column does not increase."""
 
     def check(table: Table) -> Table:
@@ -111,7 +111,7 @@ def rising(what: str) -> Callable[[Table], Table]:
             fail("is empty; expected at least one pair")
         for i, ((before, _), (value, _)) in enumerate(pairwise(table)):
             if value <= before:
-                fail(f"its {what} is not above that of the pair before", at=(i + 1,))
+                fail(f"its {quantity} is not above that of the pair before", at=(i + 1,))
         return table
 
     return check
@@ -170,7 +170,7 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
     if callable(value):
         return value
 
-    def at(x: Floats) -> Floats:
+    def values_at(x: Floats) -> Floats:
         if not isinstance(value, str):
             return np.full(len(x), value)
         try:
@@ -184,7 +184,7 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
         except (InputError, PydanticCustomError) as error:
             raise InputError(f"{key}: {error}") from error
 
-    return at
+    return values_at
 
 
 def in_zone(above: float, below: float, heights: Floats) -> Bools:

@@ -17,7 +17,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats
 from app.foundation.verdict import Reason, Severity, Verdict
 from app.interfaces.faces import spread_of_normals
-from app.interfaces.smooth_normals import LIKELY
+from app.interfaces.smooth_normals import LIKELY_MULTIPLE
 from app.numerics.rigid_motions import (
     DIRECTIONS,
     add_relative,
@@ -141,7 +141,9 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     local = contact.local
     jump = contact.relative_motion(motion[:, None])[:, :, 0]
     closing = np.maximum(0.0, -np.einsum("pki,pi->pk", local.normals, jump))
-    friction = _frictions(problem)[local.interface] + LIKELY * contact.points.doubt[local.rows]
+    friction = (
+        _frictions(problem)[local.interface] + LIKELY_MULTIPLE * contact.points.doubt[local.rows]
+    )
     along = friction * np.linalg.norm(jump, axis=1)
     resisted = problem.comm.allreduce(float((pressures * (closing + along[:, None])).sum()))
     R = contact.rigid_motions(_owned_nodes(problem))
