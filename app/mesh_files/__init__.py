@@ -61,15 +61,17 @@ def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> FileC
     try:
         content = READERS[path.suffix.lower()](path, pick)
         content.points = np.asarray(content.points, dtype=float)
-        bad = np.flatnonzero(~np.isfinite(content.points).all(axis=1))
-        if len(bad):
-            raise ValueError(f"node {bad[0] + 1} has a coordinate that is not a number; {AGAIN}")
+        bad_nodes = np.flatnonzero(~np.isfinite(content.points).all(axis=1))
+        if len(bad_nodes):
+            raise ValueError(
+                f"node {bad_nodes[0] + 1} has a coordinate that is not a number; {AGAIN}"
+            )
         _divide(content)
-        clean = case_names(content.sets)
-        content.sets = {clean[name]: rows for name, rows in content.sets.items()}
-        clean = case_names([*content.triangles, *content.nodes])
-        content.triangles = {clean[name]: block for name, block in content.triangles.items()}
-        content.nodes = {clean[name]: rows for name, rows in content.nodes.items()}
+        new_names = case_names(content.sets)
+        content.sets = {new_names[name]: rows for name, rows in content.sets.items()}
+        new_names = case_names([*content.triangles, *content.nodes])
+        content.triangles = {new_names[name]: block for name, block in content.triangles.items()}
+        content.nodes = {new_names[name]: rows for name, rows in content.nodes.items()}
     except Exception as error:  # damaged files let readers fail in any way
         cause = f"is not a {path.suffix} file, or it is damaged: {AGAIN}"
         cause += f" (reading ended with {type(error).__name__}: {error})"
@@ -79,23 +81,23 @@ def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> FileC
 
 def _divide(content: FileContent) -> None:
     """Drop sets of cells that smaller or later sets fill: they are not regions."""
-    free, left = np.ones(len(content.cells), dtype=bool), []
+    is_free, dropped = np.ones(len(content.cells), dtype=bool), []
     for name, rows in sorted(reversed(content.sets.items()), key=lambda item: len(item[1])):
-        if not free[rows].any():
-            left.append(name)
-        elif not free[rows].all():
+        if not is_free[rows].any():
+            dropped.append(name)
+        elif not is_free[rows].all():
             raise ValueError(
                 f"its set {name} shares some of its cells with smaller sets, so these cells "
                 "would be "
                 "in two regions: keep only the sets that are regions, or name the regions by "
                 "*SOLID SECTION in an .inp file"
             )
-        free[rows] = False
+        is_free[rows] = False
     text = "sets whose cells are all in smaller sets, which are not regions"
-    content.notes += left_out(text, left)
-    if free.all():
+    content.notes += left_out(text, dropped)
+    if is_free.all():
         raise ValueError(NO_REGION)
-    content.sets = {name: rows for name, rows in content.sets.items() if name not in left}
+    content.sets = {name: rows for name, rows in content.sets.items() if name not in dropped}
 
 
 def _inp(path: Path, _pick: Pick) -> FileContent:
@@ -110,15 +112,15 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
     items = [node for part in mesh if part.tag == "Nodes" for node in part]
     content.points = _table("Nodes", [node.text or "" for node in items], 3, np.float64)
     number = np.array([node.attrib["id"] for node in items], dtype=np.int64)
-    other = []
+    unread = []
     for part in mesh:
         name = part.get("name", f"{part.tag}{part.get('mat', '')}")
         kinds = {part.attrib["type"]} if part.tag == "Elements" else {e.tag for e in part}
-        known = [re.fullmatch(r"(tet|tri)(3|4|6|10)(G\w+)?", k, re.IGNORECASE) for k in kinds]
-        if part.tag in ("Elements", "Surface") and not all(known):
+        matches = [re.fullmatch(r"(tet|tri)(3|4|6|10)(G\w+)?", k, re.IGNORECASE) for k in kinds]
+        if part.tag in ("Elements", "Surface") and not all(matches):
             raise ValueError(f"{name}: is of type {', '.join(sorted(kinds))}; {ONLY}")
-        if part.tag == "Elements" and known[0]:
-            table = _table(name, [e.text or "" for e in part], int(known[0][2]), np.int64)
+        if part.tag == "Elements" and matches[0]:
+            table = _table(name, [e.text or "" for e in part], int(matches[0][2]), np.int64)
             extend(content.sets, [name], content.add(rows_of(number, table, "node")))
         elif part.tag == "Surface":
             corners = [",".join((e.text or "").split(",")[:3]) for e in part]
@@ -129,8 +131,8 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
             parts = [numbers_in(*map(int, word.split(":"))) for word in words]
             extend(content.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
         elif part.tag != "Nodes":
-            other.append(f"{part.tag} {name}")
-    content.notes += left_out("parts of the file's mesh that are not read", other)
+            unread.append(f"{part.tag} {name}")
+    content.notes += left_out("parts of the file's mesh that are not read", unread)
     return content
 
 

@@ -43,7 +43,7 @@ def _cartesian(block: Keyword, given: Floats) -> Floats:
     if system[:1] == "R":
         return given
     if system[:1] not in ("C", "S"):
-        raise ValueError(f"{block.at}: SYSTEM={system} is not read; expected R, C or S")
+        raise ValueError(f"{block.place}: SYSTEM={system} is not read; expected R, C or S")
     radius, longitude = given[:, 0], np.radians(given[:, 1])
     height = given[:, 2]
     if system[:1] == "S":
@@ -68,29 +68,32 @@ class _Axes:
         the second one the axes are the global ones. A keyword without lines ends an earlier one.
         """
         if len(block.lines) > 2:
-            raise ValueError(f"{block.at}: has more than two lines")
+            raise ValueError(f"{block.place}: has more than two lines")
         numbers: list[float] = []
-        given = 0
-        for (at, line), width in zip(block.lines, (6, 3), strict=False):
+        number_count = 0
+        for (line_number, line), width in zip(block.lines, (6, 3), strict=False):
             words = block.fields(line.rstrip(", \t"))
             if len(words) > width:
                 raise ValueError(
-                    f"{block.at}: line {at}: {len(words)} numbers; expected at most {width}"
+                    f"{block.place}: line {line_number}: {len(words)} numbers;"
+                    f" expected at most {width}"
                 )
-            given = len(numbers) + len(words)
-            numbers += [block.number(at, word, float) for word in [*words, *[""] * width][:width]]
+            number_count = len(numbers) + len(words)
+            numbers += [
+                block.number(line_number, word, float) for word in [*words, *[""] * width][:width]
+            ]
         origin, on_x, in_plane = np.array([*numbers, *[0.0] * 9][:9]).reshape(3, 3)
-        if given <= 3:
+        if number_count <= 3:
             return cls(origin, np.eye(3))
         first = on_x - origin
-        other = in_plane - origin
-        if given <= 6:
+        second = in_plane - origin
+        if number_count <= 6:
             first = first * [1, 1, 0]
-            other = np.array([-first[1], first[0], 0.0])
-        third = np.cross(first, other)
-        if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first) * np.linalg.norm(other):
+            second = np.array([-first[1], first[0], 0.0])
+        third = np.cross(first, second)
+        if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first) * np.linalg.norm(second):
             raise ValueError(
-                f"{block.at}: its points are on a straight line and give no axes; correct them"
+                f"{block.place}: its points are on a straight line and give no axes; correct them"
             )
         axes = np.stack([first, np.cross(third, first), third])
         return cls(origin, axes / np.linalg.norm(axes, axis=1, keepdims=True))
@@ -105,19 +108,19 @@ class _Sets:
 
     def __init__(self, instances: set[str]) -> None:
         self.instances = instances
-        self.made: dict[str, dict[Key, list[Callable[[], Ints]]]] = {
+        self.member_functions: dict[str, dict[Key, list[Callable[[], Ints]]]] = {
             kind: {} for kind in ("ELSET", "NSET", "SURFACE")
         }
         self.spelled: dict[Key, str] = {}
-        self.done: dict[tuple[str, Key], Ints] = {}
+        self.known_members: dict[tuple[str, Key], Ints] = {}
         self.open: set[tuple[str, Key]] = set()
 
     def key(self, name: str, scope: str) -> Key:
         """Return scope and name of a set. The text before a dot is a scope if it is an instance."""
         before, dot, after = name.partition(".")
         while dot and before.upper() not in self.instances:
-            more, dot, after = after.partition(".")
-            before += f".{more}"
+            next_part, dot, after = after.partition(".")
+            before += f".{next_part}"
         if dot:
             return before.upper(), after.upper()
         return scope, name.upper()
@@ -126,29 +129,29 @@ class _Sets:
         """Add a function that returns members of a set."""
         key = self.key(name, scope)
         self.spelled.setdefault(key, name if key[0] == scope else name[len(key[0]) + 1 :])
-        self.made[kind].setdefault(key, []).append(part)
+        self.member_functions[kind].setdefault(key, []).append(part)
 
-    def existing_key(self, kind: str, name: str, scope: str, at: str) -> Key:
+    def existing_key(self, kind: str, name: str, scope: str, place: str) -> Key:
         """Return the key of a set that a keyword names; it may be in another scope.
 
         Raises:
             ValueError: There is no such set.
         """
         key = self.key(name, scope)
-        if key in self.made[kind]:
+        if key in self.member_functions[kind]:
             return key
-        others = [other for other in self.made[kind] if other[1] == key[1]]
+        others = [other for other in self.member_functions[kind] if other[1] == key[1]]
         if len(others) != 1 or ("." in name and key[0] != scope):
-            raise ValueError(f"{at}: the file has no set {name}")
+            raise ValueError(f"{place}: the file has no set {name}")
         return others[0]
 
-    def get(self, kind: str, name: str, scope: str, at: str) -> Ints:
+    def get(self, kind: str, name: str, scope: str, place: str) -> Ints:
         """Return the members of a set that a keyword names.
 
         Raises:
             ValueError: There is no such set.
         """
-        return self.members(kind, self.existing_key(kind, name, scope, at))
+        return self.members(kind, self.existing_key(kind, name, scope, place))
 
     def members(self, kind: str, key: Key) -> Ints:
         """Return the members of a set.
@@ -156,18 +159,20 @@ class _Sets:
         Raises:
             ValueError: It contains itself.
         """
-        what = (kind, key)
-        if what in self.open:
+        kind_and_key = (kind, key)
+        if kind_and_key in self.open:
             raise ValueError(
                 f"the set {self.spelled[key]} contains itself; remove its name from its list"
             )
-        if what not in self.done:
-            self.open.add(what)
+        if kind_and_key not in self.known_members:
+            self.open.add(kind_and_key)
             try:
-                self.done[what] = np.concatenate([part() for part in self.made[kind][key]])
+                self.known_members[kind_and_key] = np.concatenate(
+                    [part() for part in self.member_functions[kind][key]]
+                )
             finally:
-                self.open.discard(what)
-        return self.done[what]
+                self.open.discard(kind_and_key)
+        return self.known_members[kind_and_key]
 
 
 @dataclass(frozen=True)
@@ -199,47 +204,49 @@ def read(path: Path) -> FileContent:
     same name, the name of the instance is put before it. Parts without an instance are left out.
     """
     content = FileContent()
-    used, sets = _instanced(content, [*keywords(path)])
-    node = _add_nodes(content, used, sets)
-    mesh = _add_elements(content, used, sets, node)
-    _add_sets(content, used, sets, mesh)
-    _name(content, used, sets, mesh)
+    used_keywords, sets = _instanced(content, [*keywords(path)])
+    node = _add_nodes(content, used_keywords, sets)
+    mesh = _add_elements(content, used_keywords, sets, node)
+    _add_sets(content, used_keywords, sets, mesh)
+    _name(content, used_keywords, sets, mesh)
     return content
 
 
-def _instanced(content: FileContent, every: list[Keyword]) -> tuple[list[Keyword], _Sets]:
+def _instanced(content: FileContent, all_keywords: list[Keyword]) -> tuple[list[Keyword], _Sets]:
     """Keywords that are used, each in the scope of its instance, and their empty sets."""
-    instance = {b.option("NAME").upper(): b for b in every if b.key == "INSTANCE"}
+    instance = {b.option("NAME").upper(): b for b in all_keywords if b.key == "INSTANCE"}
     of_part: dict[str, str] = {}
     for name, b in instance.items():
         part = b.option("PART").upper()
         if part in of_part:
             raise ValueError(
-                f"{b.at}: part {part} has two instances; export the model flat, without instances"
+                f"{b.place}: part {part} has two instances; export the model flat,"
+                " without instances"
             )
         of_part[part] = name
-    parts = {b.options["NAME"].upper(): b.options["NAME"] for b in every if b.key == "PART"}
+    parts = {b.options["NAME"].upper(): b.options["NAME"] for b in all_keywords if b.key == "PART"}
     unused = {part for part in parts if instance and part not in of_part}
     missing = [parts[part] for part in parts if part in unused]
     content.notes += left_out("parts without an instance", missing)
-    used = []
-    for b in every:
+    used_keywords = []
+    for b in all_keywords:
         if b.scope not in unused:
             scope = b.options.get("INSTANCE", of_part.get(b.scope, b.scope)).upper()
-            used.append(replace(b, scope=scope))
+            used_keywords.append(replace(b, scope=scope))
     content.notes += left_out(
-        "keywords of the file that are not read", (f"*{b.key}" for b in used if b.key not in READ)
+        "keywords of the file that are not read",
+        (f"*{b.key}" for b in used_keywords if b.key not in READ),
     )
-    return used, _Sets({*instance} | {*parts})
+    return used_keywords, _Sets({*instance} | {*parts})
 
 
-def _add_nodes(content: FileContent, used: list[Keyword], sets: _Sets) -> Ints:
+def _add_nodes(content: FileContent, used_keywords: list[Keyword], sets: _Sets) -> Ints:
     """Add the nodes and the sets that are given with them; return their numbers (n,)."""
     points: list[Floats] = [np.zeros((0, 3))]
     numbered: list[Ints] = [np.zeros(0, dtype=np.int64)]
     empty = 0
     axes: dict[str, _Axes] = {}
-    for b in used:
+    for b in used_keywords:
         if b.key == "SYSTEM":
             axes[b.scope] = _Axes.of(b)
         if b.key != "NODE":
@@ -260,12 +267,14 @@ def _add_nodes(content: FileContent, used: list[Keyword], sets: _Sets) -> Ints:
     return np.concatenate(numbered)
 
 
-def _add_elements(content: FileContent, used: list[Keyword], sets: _Sets, node: Ints) -> _Mesh:
+def _add_elements(
+    content: FileContent, used_keywords: list[Keyword], sets: _Sets, node: Ints
+) -> _Mesh:
     """Add the tetrahedra and the sets that are given with elements; return the whole mesh."""
     solids: list[Ints] = [np.zeros(0, dtype=np.int64)]
     shells: list[Ints] = [np.zeros((0, 4), dtype=np.int64)]
     unread: list[str] = []
-    for b in used:
+    for b in used_keywords:
         if b.key != "ELEMENT":
             continue
         kind = b.option("TYPE").upper()
@@ -273,7 +282,7 @@ def _add_elements(content: FileContent, used: list[Keyword], sets: _Sets, node: 
             b.option("ELSET")
         known = SOLID.fullmatch(kind) or FLAT.fullmatch(kind)
         if not known and OTHER.fullmatch(kind):
-            raise ValueError(f"{b.at}: the cells are of type {kind}; {ONLY}")
+            raise ValueError(f"{b.place}: the cells are of type {kind}; {ONLY}")
         if not known:
             unread.append(kind)
             first = [b.fields(line)[0] for _, line in b.lines]
@@ -293,9 +302,9 @@ def _add_elements(content: FileContent, used: list[Keyword], sets: _Sets, node: 
     return _Mesh(node, np.concatenate(solids), cells, np.concatenate(shells))
 
 
-def _add_sets(content: FileContent, used: list[Keyword], sets: _Sets, mesh: _Mesh) -> None:
+def _add_sets(content: FileContent, used_keywords: list[Keyword], sets: _Sets, mesh: _Mesh) -> None:
     """Add sets of nodes and elements, and surfaces."""
-    for b in used:
+    for b in used_keywords:
         if b.key == "NSET":
             members = partial(_node_set, b, sets, mesh)
             sets.add("NSET", b.option("NSET"), b.scope, members)
@@ -304,7 +313,7 @@ def _add_sets(content: FileContent, used: list[Keyword], sets: _Sets, mesh: _Mes
         elif b.key == "SURFACE":
             kind, name = b.options.get("TYPE", "ELEMENT").upper(), b.option("NAME")
             if kind == "NODE":
-                leading = [(at, b.fields(line)[0]) for at, line in b.lines]
+                leading = [(line_number, b.fields(line)[0]) for line_number, line in b.lines]
                 nodes = replace(b, lines=leading)
                 sets.add("NSET", name, b.scope, partial(_listed, nodes, "NSET", sets))
             elif kind == "ELEMENT":
@@ -317,25 +326,29 @@ def _listed(b: Keyword, kind: str, sets: _Sets) -> Ints:
     """Members of a set: of GENERATE ranges, or listed numbers and named sets."""
     members: list[Ints] = [np.zeros(0, dtype=np.int64)]
     if "GENERATE" in b.options:
-        return np.concatenate([*members, *(_range(b, at, line) for at, line in b.lines)])
+        return np.concatenate(
+            [*members, *(_range(b, line_number, line) for line_number, line in b.lines)]
+        )
     single: list[int] = []
     for _, line in b.lines:
         for name in b.fields(line):
-            alone = sets.key(name, "")[1]
-            if alone.isdigit():
-                single.append(int(alone))
+            plain_name = sets.key(name, "")[1]
+            if plain_name.isdigit():
+                single.append(int(plain_name))
             elif name:
-                members.append(sets.get(kind, name, b.scope, b.at))
+                members.append(sets.get(kind, name, b.scope, b.place))
     return np.concatenate([*members, np.array(single, dtype=np.int64)])
 
 
-def _range(b: Keyword, at: int, line: str) -> Ints:
+def _range(b: Keyword, line_number: int, line: str) -> Ints:
     """Numbers of a range: from, to, step."""
-    limits = [b.number(at, word, int) for word in b.fields(line.rstrip(", "))]
+    limits = [b.number(line_number, word, int) for word in b.fields(line.rstrip(", "))]
     if not 1 <= len(limits) <= 3 or (len(limits) == 3 and limits[2] < 1):
-        raise ValueError(f"{b.at}: line {at}: is not a range; expected from, to, step")
+        raise ValueError(f"{b.place}: line {line_number}: is not a range; expected from, to, step")
     if len(limits) > 1 and limits[1] - limits[0] > LONGEST_RANGE:
-        raise ValueError(f"{b.at}: line {at}: the range has more than {LONGEST_RANGE:,} numbers")
+        raise ValueError(
+            f"{b.place}: line {line_number}: the range has more than {LONGEST_RANGE:,} numbers"
+        )
     return numbers_in(*limits)
 
 
@@ -344,7 +357,7 @@ def _node_set(b: Keyword, sets: _Sets, mesh: _Mesh) -> Ints:
     listed = _listed(b, "NSET", sets)
     if not b.options.get("ELSET"):
         return listed
-    members = sets.get("ELSET", b.options["ELSET"], b.scope, b.at)
+    members = sets.get("ELSET", b.options["ELSET"], b.scope, b.place)
     inside = mesh.cells[np.isin(mesh.element, members)]
     return np.concatenate([listed, mesh.node[np.unique(inside)]])
 
@@ -354,17 +367,17 @@ def _facets(b: Keyword, content: FileContent, sets: _Sets, mesh: _Mesh) -> Ints:
     combine = b.options.get("COMBINE", "").upper()
     if combine:
         names = [w for _, line in b.lines for w in b.fields(line) if w]
-        each = [sets.get("SURFACE", name, b.scope, b.at) for name in names]
-        return _combined(combine, each, b.at)
+        surfaces = [sets.get("SURFACE", name, b.scope, b.place) for name in names]
+        return _combined(combine, surfaces, b.place)
     facets: list[Ints] = [np.zeros((0, 3), dtype=np.int64)]
-    for at, line in b.lines:
+    for line_number, line in b.lines:
         name, side = [*b.fields(line), ""][:2]
         side = side.upper().replace(" ", "")
-        alone = sets.key(name, "")[1]
-        if alone.isdigit():
-            members = np.array([int(alone)])
+        plain_name = sets.key(name, "")[1]
+        if plain_name.isdigit():
+            members = np.array([int(plain_name)])
         else:
-            members = sets.get("ELSET", name, b.scope, b.at)
+            members = sets.get("ELSET", name, b.scope, b.place)
         solid = np.isin(mesh.element, members)
         if side in SIDES:
             rows = rows_of(mesh.element, members[np.isin(members, mesh.element)], "element")
@@ -379,67 +392,68 @@ def _facets(b: Keyword, content: FileContent, sets: _Sets, mesh: _Mesh) -> Ints:
             facets += [mesh.cells[solid][:, corners] for corners in SIDES.values()]
         else:
             raise ValueError(
-                f"{b.at}: line {at}: {side} is not a face of a tetrahedron; expected S1 "
+                f"{b.place}: line {line_number}: {side} is not a face of a"
+                " tetrahedron; expected S1 "
                 "to S4, or none"
             )
     return np.concatenate(facets)
 
 
-def _combined(how: str, each: list[Ints], at: str) -> Ints:
+def _combined(operation: str, surfaces: list[Ints], place: str) -> Ints:
     """Return the union, intersection or difference of surfaces (n, 3)."""
-    if how not in ("UNION", "INTERSECTION", "DIFFERENCE") or not each:
+    if operation not in ("UNION", "INTERSECTION", "DIFFERENCE") or not surfaces:
         raise ValueError(
-            f"{at}: COMBINE={how} is not read; expected UNION, INTERSECTION, DIFFERENCE"
+            f"{place}: COMBINE={operation} is not read; expected UNION, INTERSECTION, DIFFERENCE"
         )
-    if how == "UNION":
-        return np.concatenate(each)
-    first, *others = each
+    if operation == "UNION":
+        return np.concatenate(surfaces)
+    first, *others = surfaces
     keep = np.ones(len(first), dtype=bool)
     for other in others:
         known = {tuple(corners) for corners in np.sort(other, axis=1)}
         inside = [tuple(corners) in known for corners in np.sort(first, axis=1)]
-        keep &= np.array(inside, dtype=bool) == (how == "INTERSECTION")
+        keep &= np.array(inside, dtype=bool) == (operation == "INTERSECTION")
     return first[keep]
 
 
-def _name(content: FileContent, used: list[Keyword], sets: _Sets, mesh: _Mesh) -> None:
+def _name(content: FileContent, used_keywords: list[Keyword], sets: _Sets, mesh: _Mesh) -> None:
     """Add regions and boundaries by the names of their sets."""
     sections = set()
-    for b in used:
+    for b in used_keywords:
         if b.key == "SOLIDSECTION":
-            sections.add(sets.existing_key("ELSET", b.option("ELSET"), b.scope, b.at))
+            sections.add(sets.existing_key("ELSET", b.option("ELSET"), b.scope, b.place))
     title = _titles(content, sets, "ELSET")
     solids: dict[Key, Ints] = {}
-    for key in sets.made["ELSET"]:
+    for key in sets.member_functions["ELSET"]:
         members = sets.members("ELSET", key)
         solids[key] = np.unique(members[np.isin(members, mesh.element)])
         triangles = mesh.shells_of(members)
         if len(triangles):
             content.triangles[title[key]] = triangles
     regions = [key for key, members in solids.items() if len(members)]
-    left = [k for k in regions if sections & {*regions} and k not in sections]
+    unused_sets = [k for k in regions if sections & {*regions} and k not in sections]
     content.notes += left_out(
-        "sets without *SOLID SECTION, which are not regions", [title[k] for k in left]
+        "sets without *SOLID SECTION, which are not regions", [title[k] for k in unused_sets]
     )
     for key in regions:
-        if key not in left:
+        if key not in unused_sets:
             content.sets[title[key]] = rows_of(mesh.element, solids[key], "element")
     boundary = _titles(content, sets, "SURFACE", "NSET")
-    for key in sets.made["SURFACE"]:
+    for key in sets.member_functions["SURFACE"]:
         corners = sets.members("SURFACE", key)
         if not len(corners):
             content.notes += left_out("surfaces without a facet", [boundary[key]])
         content.triangles[boundary[key]] = corners
-    for key in sets.made["NSET"]:
+    for key in sets.member_functions["NSET"]:
         content.nodes[boundary[key]] = rows_of(mesh.node, sets.members("NSET", key), "node")
 
 
 def _titles(content: FileContent, sets: _Sets, *kinds: str) -> dict[Key, str]:
     """Names in the case, with the instance where several have a set of that name."""
-    keys = dict.fromkeys(key for kind in kinds for key in sets.made[kind])
-    often = [name for _, name in keys]
-    twice = {key for key in keys if often.count(key[1]) > 1 and key[0]}
-    titles = {k: f"{k[0]}.{sets.spelled[k]}" if k in twice else sets.spelled[k] for k in keys}
+    keys = dict.fromkeys(key for kind in kinds for key in sets.member_functions[kind])
+    all_names = [name for _, name in keys]
+    repeated = {key for key in keys if all_names.count(key[1]) > 1 and key[0]}
+    titles = {k: f"{k[0]}.{sets.spelled[k]}" if k in repeated else sets.spelled[k] for k in keys}
     text = "sets of one name in several parts have the part before their name"
-    content.notes += left_out(text, [titles[key] for key in keys if key in twice])
+    content.notes += left_out(text, [titles[key] for key in keys if key in repeated])
     return titles

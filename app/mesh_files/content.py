@@ -83,11 +83,11 @@ class FileContent:
         return np.arange(len(cells)) + sum(map(len, self.blocks[:-1]))
 
 
-def left_out(what: str, names: Iterable[str]) -> list[str]:
-    """Return a note with the first names of what is left out; none without a name."""
+def left_out(title: str, names: Iterable[str]) -> list[str]:
+    """Return a note with the first names that are left out; none without a name."""
     names = list(dict.fromkeys(names))
-    more = f" and {len(names) - 10} more" if names[10:] else ""
-    return [f"geometry: {what}: {', '.join(names[:10])}{more}"] if names else []
+    rest = f" and {len(names) - 10} more" if names[10:] else ""
+    return [f"geometry: {title}: {', '.join(names[:10])}{rest}"] if names else []
 
 
 def word(name: str) -> str:
@@ -116,24 +116,24 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
     return clean
 
 
-def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
-    """Return the rows of the nodes or cells with the wanted numbers, in the shape of these.
+def rows_of(numbers: Ints, requested: Ints, kind: str) -> Ints:
+    """Return the rows of the nodes or cells with the requested numbers, in their shape.
 
     Raises:
-        ValueError: A number is there twice, or a wanted one is not there.
+        ValueError: A number occurs twice, or a requested one is missing.
     """
     order = np.argsort(numbers, kind="stable")
     again = np.flatnonzero(np.diff(numbers[order]) == 0)
     if len(again):
-        text = f"{what} {numbers[order][again[0]]} is defined twice"
+        text = f"{kind} {numbers[order][again[0]]} is defined twice"
         raise ValueError(f"{text}; export the model flat, without parts and instances")
-    at = order[np.searchsorted(numbers, wanted, sorter=order).clip(max=len(order) - 1)]
-    wrong = numbers[at] != wanted
+    rows = order[np.searchsorted(numbers, requested, sorter=order).clip(max=len(order) - 1)]
+    wrong = numbers[rows] != requested
     if wrong.any():
         raise ValueError(
-            f"{what} {wanted[wrong][0]} is used, but the file does not define it: {AGAIN}"
+            f"{kind} {requested[wrong][0]} is used, but the file does not define it: {AGAIN}"
         )
-    return np.asarray(at)
+    return np.asarray(rows)
 
 
 def extend(sets: dict[str, Ints], names: Iterable[str], part: Ints) -> None:

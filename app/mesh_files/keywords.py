@@ -42,14 +42,14 @@ class Keyword:
     """A keyword with its options and data.
 
     Attributes:
-        at: Its place in the file, for messages.
+        place: Its place in the file, for messages.
         key: The keyword in capitals, without blanks.
         options: Its options by name.
         lines: Its lines of data with their numbers.
         scope: The part or instance that contains it, "" if none does.
     """
 
-    at: str
+    place: str
     key: str
     options: dict[str, str]
     lines: list[tuple[int, str]]
@@ -63,8 +63,8 @@ class Keyword:
         """
         if self.options.get(name):
             return self.options[name]
-        there = ", ".join(self.options) or "none"
-        raise ValueError(f"{self.at}: has no option {name}=; its options: {there}")
+        present = ", ".join(self.options) or "none"
+        raise ValueError(f"{self.place}: has no option {name}=; its options: {present}")
 
     def fields(self, line: str) -> list[str]:
         """Return the fields of a line, separated by commas, or by blanks if it has no comma."""
@@ -75,58 +75,63 @@ class Keyword:
             return [word.strip() for word in row]
         return [word.strip() for word in line.split(",")]
 
-    def number(self, at: int, text: str, kind: Callable[[str], T]) -> T:
+    def number(self, line_number: int, text: str, kind: Callable[[str], T]) -> T:
         """Return the number in a field of a line, 0 if the field is empty."""
         try:
             return kind(EXPONENT.sub("e", text) if kind is float else text) if text else kind("0")
         except ValueError:
-            what = "number" if kind is float else "whole number"
-            raise ValueError(f"{self.at}: line {at}: {text!r} is not a {what}") from None
+            kind_name = "number" if kind is float else "whole number"
+            raise ValueError(
+                f"{self.place}: line {line_number}: {text!r} is not a {kind_name}"
+            ) from None
 
     def coordinates(self) -> tuple[Floats, int]:
         """Return the number and coordinates of each node (n, 4), and the count of empty fields."""
         rows, empty = [], 0
-        for at, line in self.lines:
+        for line_number, line in self.lines:
             words = [*self.fields(line), "", "", ""][:4]
             if len(self.fields(line)) < 2 or not words[0]:
                 raise ValueError(
-                    f"{self.at}: line {at}: expected a node number and coordinates; is the "
+                    f"{self.place}: line {line_number}: expected a node number and"
+                    " coordinates; is the "
                     "file cut short?"
                 )
-            self._check_commas(at, line)
+            self._check_commas(line_number, line)
             empty += words.count("")
-            rows.append([self.number(at, w, float) for w in words])
+            rows.append([self.number(line_number, w, float) for w in words])
         return np.array(rows, dtype=float).reshape(-1, 4), empty
 
-    def _check_commas(self, at: int, line: str) -> None:
+    def _check_commas(self, line_number: int, line: str) -> None:
         """Refuse commas in place of decimal points.
 
         A node may have its normal after its coordinates. Abaqus writes these with points.
         """
         words = [word for word in self.fields(line) if word]
-        whole = all(word.lstrip("+-").isdigit() for word in words)
-        if len(words) > MOST_OF_NODE or (len(words) > LEAST_OF_NODE and whole):
-            text = f"line {at}: {len(words)} numbers for a node and three coordinates"
-            raise ValueError(f"{self.at}: {text}; write decimal points, not commas")
+        are_integers = all(word.lstrip("+-").isdigit() for word in words)
+        if len(words) > MOST_OF_NODE or (len(words) > LEAST_OF_NODE and are_integers):
+            text = f"line {line_number}: {len(words)} numbers for a node and three coordinates"
+            raise ValueError(f"{self.place}: {text}; write decimal points, not commas")
 
     def table(self, width: int) -> Ints:
         """Return the whole numbers of records, each on one line or several (n, width)."""
         rows: list[list[int]] = []
         record: list[int] = []
-        at = 0
-        for at, line in self.lines:
+        line_number = 0
+        for line_number, line in self.lines:
             words = self.fields(line.rstrip(", \t"))
             if "" in words:
-                raise ValueError(f"{self.at}: line {at}: a node is missing")
-            record += [self.number(at, w, int) for w in words]
+                raise ValueError(f"{self.place}: line {line_number}: a node is missing")
+            record += [self.number(line_number, w, int) for w in words]
             if len(record) > width:
-                raise ValueError(f"{self.at}: line {at}: {len(record)} numbers instead of {width}")
+                raise ValueError(
+                    f"{self.place}: line {line_number}: {len(record)} numbers instead of {width}"
+                )
             if len(record) == width:
                 rows.append(record)
                 record = []
         if record:
             text = f"{len(record)} numbers instead of {width}; is the file cut short?"
-            raise ValueError(f"{self.at}: line {at}: {text}")
+            raise ValueError(f"{self.place}: line {line_number}: {text}")
         return np.array(rows, dtype=np.int64).reshape(-1, width)
 
 
@@ -141,17 +146,18 @@ def text_of(path: Path) -> str:
         return raw.decode("latin-1")
 
 
-def _options(at: str, words: list[str]) -> dict[str, str]:
+def _options(place: str, words: list[str]) -> dict[str, str]:
     pairs = (word.partition("=") for word in words if word.strip())
     named = {a.strip().upper(): b.strip().strip('"').strip() for a, _, b in pairs}
     if "INPUT" in named or "OFFSET" in named:
         raise ValueError(
-            f"{at}: takes numbers from another file or with an offset; export the mesh as one file"
+            f"{place}: takes numbers from another file or with an offset; export"
+            " the mesh as one file"
         )
     for name in named.keys() - KNOWN:
         close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, SIMILAR)
         if close:
-            raise ValueError(f"{at}: has no option {name}; did you mean {close[0]}?")
+            raise ValueError(f"{place}: has no option {name}; did you mean {close[0]}?")
     return named
 
 
@@ -187,13 +193,13 @@ def keywords(path: Path) -> Iterator[Keyword]:
             else [re.findall(r'(?:[^,"]|"[^"]*")+', text[1:])]
         )
         name = " ".join(words[0].split()) if words else ""
-        at, key = f"*{name} in line {number}", name.upper().replace(" ", "")
-        block = Keyword(at, key, {}, lines[first:end], scope)
+        place, key = f"*{name} in line {number}", name.upper().replace(" ", "")
+        block = Keyword(place, key, {}, lines[first:end], scope)
         if key in READ:
-            block = Keyword(at, key, _options(at, words[1:]), lines[first:end], scope)
+            block = Keyword(place, key, _options(place, words[1:]), lines[first:end], scope)
         if key in MOVING or (key == "INSTANCE" and (block.lines or "LIBRARY" in block.options)):
             raise ValueError(
-                f"{at}: makes, moves or includes nodes; export the model flat, in one file "
+                f"{place}: makes, moves or includes nodes; export the model flat, in one file "
                 "without this keyword"
             )
         if key in ("PART", "INSTANCE"):

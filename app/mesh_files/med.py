@@ -71,14 +71,14 @@ def read(path: Path, pick: Pick) -> FileContent:
     content = FileContent()
     content.notes += left_out("meshes that are not read", (n for n in meshes if n not in chosen))
     groups = [group for name in chosen for group in _groups(meshes[name])]
-    twice = {group for group in groups if groups.count(group) > 1}
+    repeated = {group for group in groups if groups.count(group) > 1}
     shift = 0
     for name in chosen:
-        titles = {g: f"{name}.{g}" if g in twice else g for g in _groups(meshes[name])}
+        titles = {g: f"{name}.{g}" if g in repeated else g for g in _groups(meshes[name])}
         _add(content, meshes[name], shift, titles)
         shift += len(meshes[name].points)
     text = "groups of one name in several meshes have the mesh before their name"
-    content.notes += left_out(text, sorted(twice))
+    content.notes += left_out(text, sorted(repeated))
     content.points = np.concatenate([meshes[name].points for name in chosen])
     return content
 
@@ -91,14 +91,14 @@ def _meshes(path: Path) -> dict[str, MedMesh]:
     meshes = {}
     with h5py.File(path, "r", locking=False) as file:
         for name in file["ENS_MAA"]:
-            alone = BytesIO()
-            with h5py.File(alone, "w") as copy:
+            only_mesh = BytesIO()
+            with h5py.File(only_mesh, "w") as copy:
                 for part in ("ENS_MAA", "FAS"):
                     group = copy.create_group(part)
                     if name in file.get(part, ()):
                         file.copy(file[part][name], group, name)
                 copy.visititems(_add_families)
-            meshes[name] = meshio.med.read(alone)
+            meshes[name] = meshio.med.read(only_mesh)
     if not meshes:
         raise ValueError("has no mesh")
     return meshes

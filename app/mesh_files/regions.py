@@ -10,7 +10,7 @@ import numpy as np
 from app.foundation.arrays import Ints
 from app.mesh_files.content import CellBlock, CellGrid, FileContent, extend, left_out
 
-MOST = 255  # different values of an array of regions, at most
+MOST_VALUES = 255  # different values of an array of regions, at most
 # Names of arrays of regions, and of arrays that number cells, their kinds or processes.
 REGIONS = re.compile(
     "material|region|label|part(?!ition)|tissue|domain|physical|segment|tags?$|^mat(_?id)?$",
@@ -40,13 +40,21 @@ def fill(content: FileContent, grid: CellGrid, array: str = "") -> None:
     solids, flats = ([b for b in grid.blocks if b.dim == dim] for dim in (3, 2))
     cells = _cells(grid.points, solids)
     keys = _keys(solids, cells, array)
-    sides = {names: _fit(arrays) for names, arrays in _joined(flats).items()}
-    sides |= {names: [key] for names, key in keys.items() if key and names in sides}
+    boundary_arrays = {names: _candidates(arrays) for names, arrays in _joined(flats).items()}
+    boundary_arrays |= {
+        names: [key] for names, key in keys.items() if key and names in boundary_arrays
+    }
     regions = dict.fromkeys(key for key in keys.values() if key)
-    boundaries = dict.fromkeys(key for those in sides.values() for key in those)
-    used = regions | boundaries
-    title = {key: _title(key, grid.blocks) for key in used}
-    tagged = [one for one, b in zip(cells, solids, strict=True) if keys[tuple(b.arrays)]]
+    boundaries = dict.fromkeys(
+        key for keys_of_side in boundary_arrays.values() for key in keys_of_side
+    )
+    used_arrays = regions | boundaries
+    title = {key: _title(key, grid.blocks) for key in used_arrays}
+    tagged = [
+        numbers_of_block
+        for numbers_of_block, b in zip(cells, solids, strict=True)
+        if keys[tuple(b.arrays)]
+    ]
     known = np.concatenate([np.zeros(0, dtype=np.int64), *tagged])
     for block, numbers in zip(solids, cells, strict=True):
         key = keys[tuple(block.arrays)]
@@ -54,16 +62,18 @@ def fill(content: FileContent, grid: CellGrid, array: str = "") -> None:
         if len(rows):
             members = content.add(block.data[rows])
             if key:
-                _put(content.sets, block.arrays[key], title[key], members)
+                _add_to_sets(content.sets, block.arrays[key], title[key], members)
     for block in flats:
-        for key in sides[tuple(block.arrays)]:
-            _put(content.triangles, block.arrays[key], title[key], block.data[:, :3])
+        for key in boundary_arrays[tuple(block.arrays)]:
+            _add_to_sets(content.triangles, block.arrays[key], title[key], block.data[:, :3])
     only_boundaries = [key for key in boundaries if key not in regions]
-    for what, names in (("regions", regions), ("boundaries", only_boundaries)):
-        content.notes += [f"geometry: {what} are the values of the array {key}" for key in names]
-    every = [name for block in grid.blocks for name in block.arrays]
+    for title_of_kind, names in (("regions", regions), ("boundaries", only_boundaries)):
+        content.notes += [
+            f"geometry: {title_of_kind} are the values of the array {key}" for key in names
+        ]
+    all_names = [name for block in grid.blocks for name in block.arrays]
     content.notes += left_out(
-        "arrays of cells that are not read", (name for name in every if name not in used)
+        "arrays of cells that are not read", (name for name in all_names if name not in used_arrays)
     )
 
 
@@ -71,24 +81,28 @@ def _keys(solids: Sequence[CellBlock], cells: Sequence[Ints], array: str) -> dic
     """Return the array that makes regions, "" for none, by the names of arrays of blocks."""
     joined = _joined(solids)
     if array:
-        return _given(array, joined)
+        return _given_array(array, joined)
     keys = {names: choice(arrays) for names, arrays in joined.items()}
     dropped = _overruled(solids, cells, keys)
     return {names: "" if key in dropped else key for names, key in keys.items()}
 
 
-def _given(array: str, joined: Mapping[Names, Mapping[str, np.ndarray]]) -> dict[Names, str]:
+def _given_array(array: str, joined: Mapping[Names, Mapping[str, np.ndarray]]) -> dict[Names, str]:
     """Return the array that the case gives, "" where it is missing, by the names of arrays."""
     if not any(array in names for names in joined):
-        there = ", ".join(dict.fromkeys(name for names in joined for name in names)) or "none"
-        raise ValueError(f"has no array {array} of its cells; its arrays: {there}")
-    if any(array in names and array not in _whole(arrays) for names, arrays in joined.items()):
-        text = f"does not number regions; expected whole numbers, at most {MOST} different ones"
+        present = ", ".join(dict.fromkeys(name for names in joined for name in names)) or "none"
+        raise ValueError(f"has no array {array} of its cells; its arrays: {present}")
+    if any(
+        array in names and array not in _integer_arrays(arrays) for names, arrays in joined.items()
+    ):
+        text = (
+            f"does not number regions; expected whole numbers, at most {MOST_VALUES} different ones"
+        )
         raise ValueError(f"its array {array} {text}")
     return {names: array if array in names else "" for names in joined}
 
 
-def _put(
+def _add_to_sets(
     sets: dict[str, Ints], values: np.ndarray, title: Callable[[float], list[str]], members: Ints
 ) -> None:
     """Add members to the sets of their values."""
@@ -98,12 +112,12 @@ def _put(
 
 def _joined(blocks: Sequence[CellBlock]) -> dict[Names, dict[str, np.ndarray]]:
     """Concatenate the arrays of blocks with the same names of arrays; return them by these."""
-    together: dict[Names, list[CellBlock]] = {}
+    groups: dict[Names, list[CellBlock]] = {}
     for block in blocks:
-        together.setdefault(tuple(block.arrays), []).append(block)
+        groups.setdefault(tuple(block.arrays), []).append(block)
     return {
-        names: {name: np.concatenate([b.arrays[name] for b in those]) for name in names}
-        for names, those in together.items()
+        names: {name: np.concatenate([b.arrays[name] for b in group]) for name in names}
+        for names, group in groups.items()
     }
 
 
@@ -125,36 +139,36 @@ def _overruled(
     blocks: Sequence[CellBlock], cells: Sequence[Ints], keys: Mapping[Names, str]
 ) -> set[str]:
     """Return the arrays that divide the same cells as another array that `choice` prefers."""
-    kept: dict[str, tuple[Ints, np.ndarray]] = {}
+    preferred: dict[str, tuple[Ints, np.ndarray]] = {}
     dropped: set[str] = set()
     for key in dict.fromkeys(key for key in keys.values() if key):
-        those = [k for k, block in enumerate(blocks) if keys[tuple(block.arrays)] == key]
-        mine = np.concatenate([cells[k] for k in those])
-        values = np.concatenate([blocks[k].arrays[key] for k in those])
-        for other, (numbers, others) in list(kept.items()):
-            _, i, j = np.intersect1d(mine, numbers, return_indices=True)
+        block_rows = [k for k, block in enumerate(blocks) if keys[tuple(block.arrays)] == key]
+        own_cells = np.concatenate([cells[k] for k in block_rows])
+        values = np.concatenate([blocks[k].arrays[key] for k in block_rows])
+        for other, (numbers, others) in list(preferred.items()):
+            _, i, j = np.intersect1d(own_cells, numbers, return_indices=True)
             if len(i):
                 best = choice({other: others[j], key: values[i]})
                 dropped.add(key if best == other else other)
-        kept[key] = mine, values
-        kept = {name: pair for name, pair in kept.items() if name not in dropped}
+        preferred[key] = own_cells, values
+        preferred = {name: pair for name, pair in preferred.items() if name not in dropped}
     return dropped
 
 
-def _whole(arrays: Mapping[str, np.ndarray]) -> dict[str, Ints]:
+def _integer_arrays(arrays: Mapping[str, np.ndarray]) -> dict[str, Ints]:
     """Return the arrays of integers or floats that have few different whole numbers."""
-    whole = {}
+    integer_arrays = {}
     for name, values in arrays.items():
         finite = values.ndim == 1 and values.dtype.kind in "iuf" and bool(np.isfinite(values).all())
         if finite and len(values) and (values == np.round(values)).all():
-            if abs(values).max() < 2**53 and len(np.unique(values)) <= MOST:
-                whole[name] = values.astype(np.int64)
-    return whole
+            if abs(values).max() < 2**53 and len(np.unique(values)) <= MOST_VALUES:
+                integer_arrays[name] = values.astype(np.int64)
+    return integer_arrays
 
 
-def _fit(arrays: Mapping[str, np.ndarray]) -> list[str]:
+def _candidates(arrays: Mapping[str, np.ndarray]) -> list[str]:
     """Return the names of arrays of few whole numbers that are no numbers or kinds of cells."""
-    return [name for name in _whole(arrays) if not BOOKKEEPING.search(name)]
+    return [name for name in _integer_arrays(arrays) if not BOOKKEEPING.search(name)]
 
 
 def choice(arrays: Mapping[str, np.ndarray]) -> str:
@@ -167,18 +181,20 @@ def choice(arrays: Mapping[str, np.ndarray]) -> str:
     Raises:
         ValueError: No array has whole numbers, or several divide the cells differently.
     """
-    whole = _whole(arrays)
-    fit = _fit(arrays)
-    named = [n for n in fit if REGIONS.search(n) or "-" in n]
-    pool = named or fit
-    differing = [n for n in pool if len(np.unique(whole[n])) > 1]
+    integer_arrays = _integer_arrays(arrays)
+    candidates = _candidates(arrays)
+    named = [n for n in candidates if REGIONS.search(n) or "-" in n]
+    pool = named or candidates
+    differing = [n for n in pool if len(np.unique(integer_arrays[n])) > 1]
     if named and not differing:
-        others = [n for n in fit if len(np.unique(whole[n])) > 1]
+        others = [n for n in candidates if len(np.unique(integer_arrays[n])) > 1]
         differing = [*named[:1], *others] if others else []
     pool = differing or pool
     integers = [n for n in pool if arrays[n].dtype.kind in "iu"]
     pool = integers or pool
-    if len(pool) > 1 and any(_divides(whole[n]) != _divides(whole[pool[0]]) for n in pool):
+    if len(pool) > 1 and any(
+        _divides(integer_arrays[n]) != _divides(integer_arrays[pool[0]]) for n in pool
+    ):
         raise ValueError(
             f"its arrays {', '.join(pool)} give different regions; set `geometry.array` to one of "
             "them"
@@ -187,7 +203,8 @@ def choice(arrays: Mapping[str, np.ndarray]) -> str:
         return pool[0] if pool else ""
     raise ValueError(
         f"names no region: no array of its cells ({', '.join(arrays)}) has whole numbers with at "
-        f"most {MOST} different values; set `geometry.array` if one of them numbers the regions"
+        f"most {MOST_VALUES} different values; set `geometry.array` if one of them"
+        " numbers the regions"
     )
 
 

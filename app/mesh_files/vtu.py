@@ -56,39 +56,39 @@ def lz4_decompress(block: bytes) -> bytes:
     Raises:
         ValueError: The block is damaged.
     """
-    out = bytearray()
-    at = 0
+    content = bytearray()
+    position = 0
     try:
-        while at < len(block):
-            token = block[at]
-            count, at = _lz4_length(block, at + 1, token >> 4)
-            if at + count > len(block):
+        while position < len(block):
+            token = block[position]
+            count, position = _lz4_length(block, position + 1, token >> 4)
+            if position + count > len(block):
                 raise ValueError(f"an array compressed by LZ4 is cut short; {AGAIN}")
-            out += block[at : at + count]
-            at += count
-            if at == len(block):
+            content += block[position : position + count]
+            position += count
+            if position == len(block):
                 break
-            back = block[at] | block[at + 1] << 8
-            count, at = _lz4_length(block, at + 2, token & LZ4_LONG)
-            if not 0 < back <= len(out):
+            back = block[position] | block[position + 1] << 8
+            count, position = _lz4_length(block, position + 2, token & LZ4_LONG)
+            if not 0 < back <= len(content):
                 raise ValueError(f"an array compressed by LZ4 is damaged; {AGAIN}")
             count += LZ4_SHORTEST
-            earlier = bytes(out[-back:])
+            earlier = bytes(content[-back:])
             # A copy may be longer than what it repeats.
-            out += (earlier * (count // back + 1))[:count]
+            content += (earlier * (count // back + 1))[:count]
     except IndexError:
         raise ValueError(f"an array compressed by LZ4 is cut short; {AGAIN}") from None
-    return bytes(out)
+    return bytes(content)
 
 
-def _lz4_length(block: bytes, at: int, start: int) -> tuple[int, int]:
+def _lz4_length(block: bytes, position: int, start: int) -> tuple[int, int]:
     """Return a length that begins in a token, and the position after its bytes."""
     if start < LZ4_LONG:
-        return start, at
-    while block[at] == LZ4_MORE:
+        return start, position
+    while block[position] == LZ4_MORE:
         start += LZ4_MORE
-        at += 1
-    return start + block[at], at + 1
+        position += 1
+    return start + block[position], position + 1
 
 
 DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
@@ -163,18 +163,18 @@ class _Source:
             text, raw = self.appended[offset:], self.raw
         size = self.header.itemsize
 
-        def take(at: int, count: int) -> bytes:
+        def take(position: int, count: int) -> bytes:
             """Return bytes from a position; base64 characters count, and are padded by part."""
             if raw:
-                part = text[at : at + count]
+                part = text[position : position + count]
             else:
-                part = base64.b64decode(text[at : at + 4 * -(-count // 3)])[:count]
+                part = base64.b64decode(text[position : position + 4 * -(-count // 3)])[:count]
             if len(part) < count:
                 raise ValueError(f"its array {name} is cut short; {AGAIN}")
             return part
 
-        def numbers(at: int, count: int) -> list[int]:
-            return [int(n) for n in np.frombuffer(take(at, count * size), self.header)]
+        def numbers(position: int, count: int) -> list[int]:
+            return [int(n) for n in np.frombuffer(take(position, count * size), self.header)]
 
         def length(count: int) -> int:
             return count if raw else 4 * -(-count // 3)
@@ -188,8 +188,8 @@ class _Source:
             content = together[size:] or take(length(size), first)
         else:
             sizes = numbers(0, 3 + first)[3:]
-            at = length((3 + first) * size)
-            block = take(at, sum(sizes))
+            position = length((3 + first) * size)
+            block = take(position, sum(sizes))
             ends = np.cumsum([0, *sizes])
             parts = [block[a:b] for a, b in pairwise(ends)]
             unpack = DECOMPRESS[self.compressor]
@@ -254,10 +254,10 @@ def read_parallel(path: Path) -> CellGrid:
     return _joined(pieces)
 
 
-def _not_a(wanted: str, root: ET.Element) -> str:
-    """Message for a file of another type than the one wanted."""
+def _not_a(expected: str, root: ET.Element) -> str:
+    """Return the message for a file of another type than the expected one."""
     kind = root.get("type", "of an unknown type")
-    return f"is {kind}; expected {wanted}: save it as an unstructured grid of tetrahedra"
+    return f"is {kind}; expected {expected}: save it as an unstructured grid of tetrahedra"
 
 
 def _pieces(path: Path) -> list[_Piece]:
@@ -352,8 +352,8 @@ def _blocks(
             if not len(rows):
                 continue
             if w in TETRAHEDRA.get(kind, ()) or w in TRIANGLES.get(kind, ()):
-                at = (offsets[rows] - w)[:, None] + np.arange(w)
-                data = cells["connectivity"].astype(np.int64)[at]
+                positions = (offsets[rows] - w)[:, None] + np.arange(w)
+                data = cells["connectivity"].astype(np.int64)[positions]
                 dim = 3 if kind in TETRAHEDRA else 2
                 yield CellBlock(dim, data, {n: v[rows] for n, v in arrays.items()})
             elif kind in SOLIDS:

@@ -136,13 +136,13 @@ class _File:
                 pointer = POINTER.fullmatch(part.get("xpointer", "").strip())
                 if part.get("href") or not pointer:
                     raise ValueError("includes parts of other files; save it as one file")
-                yield from self.at(pointer[2], by_positions=pointer[1] == "element")
+                yield from self.elements_at(pointer[2], by_positions=pointer[1] == "element")
             elif reference:
-                yield self.at((part.text or "") if reference == "XML" else reference)[0]
+                yield self.elements_at((part.text or "") if reference == "XML" else reference)[0]
             else:
                 yield part
 
-    def at(self, address: str, by_positions: bool = False) -> list[ET.Element]:
+    def elements_at(self, address: str, by_positions: bool = False) -> list[ET.Element]:
         """Return the elements at an address in the file, of names or of positions."""
         address = address.strip()
         try:
@@ -156,9 +156,9 @@ class _File:
             root = f"/{self.root.tag}"
             elements = self.root.findall(f".{outer.removeprefix(root)}")
             if either:
-                wanted = re.findall(r"self::(\w+)", either[1])
+                tags = re.findall(r"self::(\w+)", either[1])
                 elements = [
-                    part for element in elements[:1] for part in element if part.tag in wanted
+                    part for element in elements[:1] for part in element if part.tag in tags
                 ]
             if elements:
                 return elements
@@ -182,7 +182,7 @@ class _File:
         """Return the values of an item in its dimensions; (n, 1) becomes (n,)."""
         reference = item.get("Reference")
         if reference:
-            item = self.at((item.text or "") if reference == "XML" else reference)[0]
+            item = self.elements_at((item.text or "") if reference == "XML" else reference)[0]
         name, text = item.get("Name", ""), (item.text or "").strip()
         called = f"its array {name}" if name else "an array"
         if item.get("ItemType", "Uniform") != "Uniform":
@@ -255,8 +255,8 @@ class _File:
         if kind == "mixed":
             blocks = _mixed(data.ravel())
         else:
-            alone: Ints = data.reshape(-1, SIMPLICES[kind][1])
-            blocks = {kind: (np.arange(len(alone)), alone)}
+            only_block: Ints = data.reshape(-1, SIMPLICES[kind][1])
+            blocks = {kind: (np.arange(len(only_block)), only_block)}
         count = sum(len(rows) for rows, _ in blocks.values())
         wrong = [name for name, values in arrays.items() if len(values) != count]
         if wrong:
@@ -276,23 +276,23 @@ class _File:
 def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
     """Return the cells of each kind: their positions among all cells (n,), and nodes (n, k)."""
     starts: dict[str, list[tuple[Ints, Ints]]] = {}
-    at = count = 0
-    while at < len(data):
-        code = int(data[at])
+    position = count = 0
+    while position < len(data):
+        code = int(data[position])
         if code not in MIXED:
             raise ValueError(f"has a cell of type {code}, which is not a type of XDMF; {AGAIN}")
         name, width = MIXED[code]
-        run, first = 1, at + 1
+        run, first = 1, position + 1
         if width:
-            codes = data[at : at + RUN * (width + 1) : width + 1]
+            codes = data[position : position + RUN * (width + 1) : width + 1]
             run = len(codes) if (codes == code).all() else int(np.argmax(codes != code))
         else:
-            width, first = max(0, int(data[first])) if first < len(data) else 0, at + 2
+            width, first = max(0, int(data[first])) if first < len(data) else 0, position + 2
         cells = np.arange(run)
         starts.setdefault(name, []).append((count + cells, first + cells * (width + 1)))
-        at = first + run * (width + 1) - 1
+        position = first + run * (width + 1) - 1
         count += run
-    if at > len(data):
+    if position > len(data):
         raise ValueError(f"its mixed cells are cut short; {AGAIN}")
     blocks: dict[str, tuple[Ints, Ints]] = {}
     for name, places in starts.items():
