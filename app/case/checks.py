@@ -122,10 +122,10 @@ def cross_check(case: CaseParts) -> list[Fault]:
     ]
 
 
-def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
+def _unknown(path: Path, kind_name: str, name: str, known: Iterable[str], owner: str) -> Fault:
     known = tuple(known)
     allowed = f"it has {', '.join(known)}" if known else "it has none"
-    text = f"the geometry ({owner}) has no {what} '{name}'; {allowed}"
+    text = f"the geometry ({owner}) has no {kind_name} '{name}'; {allowed}"
     return Fault(path, text + did_you_mean(name, known))
 
 
@@ -149,31 +149,35 @@ def _names(case: CaseParts) -> Iterable[Fault]:
     """Names unknown to the geometry, and regions without material."""
     kind, regions = case.geometry.kind, case.geometry.region_names
     boundaries, interfaces = case.geometry.boundary_names, case.geometry.interface_sides
-    used: list[tuple[Path, str, str | None]] = [
+    used_names: list[tuple[Path, str, str | None]] = [
         *((("regions", name), "region", name) for name in case.regions or ()),
         *((("interfaces", name), "interface", name) for name in case.interfaces),
     ]
     for section, name, entry in _entries(case, "interfaces", "motions"):
-        used.append(((section, name, "region"), "region", getattr(entry, "region", None)))
+        used_names.append(((section, name, "region"), "region", getattr(entry, "region", None)))
         between = enumerate(getattr(entry, "between", None) or ())
-        used += [((section, name, "between", i), "boundary", face) for i, face in between]
+        used_names += [((section, name, "between", i), "boundary", face) for i, face in between]
     for section, name, entry in _entries(case, "supports", "loads", "heat"):
-        used.append(((section, name, "boundary"), "boundary", getattr(entry, "boundary", None)))
+        used_names.append(
+            ((section, name, "boundary"), "boundary", getattr(entry, "boundary", None))
+        )
         inside = enumerate(getattr(entry, "regions", None) or ())
-        used += [((section, name, "regions", i), "region", region) for i, region in inside]
+        used_names += [((section, name, "regions", i), "region", region) for i, region in inside]
     left_out = case.geometry.left_out
-    used = [entry for entry in used if entry[2] not in left_out.get(str(entry[0][0]), ())]
+    used_names = [
+        entry for entry in used_names if entry[2] not in left_out.get(str(entry[0][0]), ())
+    ]
     if case.output is not None:
         for name, probe in (case.output.probes or {}).items():
             for key in ("region", "boundary"):
-                used.append((("output", "probes", name, key), key, getattr(probe, key, None)))
+                used_names.append((("output", "probes", name, key), key, getattr(probe, key, None)))
         for name, along in (case.output.paths or {}).items():
             for key in ("region", "interface"):
-                used.append((("output", "paths", name, key), key, getattr(along, key, None)))
+                used_names.append((("output", "paths", name, key), key, getattr(along, key, None)))
     known = {"region": regions, "interface": interfaces, "boundary": boundaries}
-    for path, what, used_name in used:
-        if used_name is not None and used_name not in known[what]:
-            yield _unknown(path, what, used_name, known[what], kind)
+    for path, kind_name, used_name in used_names:
+        if used_name is not None and used_name not in known[kind_name]:
+            yield _unknown(path, kind_name, used_name, known[kind_name], kind)
     if case.regions is None:
         return
     missing = [name for name in regions if name not in case.regions]
@@ -201,8 +205,8 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
             if entries:
                 written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
                 sections.append(f"`{section}: {{{written}}}`")
-        what = "there is no cement" if "regions" in geometry.left_out else "there is cement"
-        text = f"{what}; add {' and '.join(sections)}"
+        reason = "there is no cement" if "regions" in geometry.left_out else "there is cement"
+        text = f"{reason}; add {' and '.join(sections)}"
         yield Fault(("geometry", "cement_thickness"), text)
     elif missing:
         example = ", ".join(f"{name}: {law}" for name, law in missing.items())
@@ -212,7 +216,7 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
 
 @check("geometry")
 def _mesh(case: CaseParts) -> Iterable[Fault]:
-    """Lengths too small for the mesh size, and numbers of what the mesh does not have."""
+    """Lengths too small for the mesh size, and keys of layers on meshes without layers."""
     largest = case.geometry.coarsest_size
     if case.mesh is not None:
         if not case.mesh.size and largest:
@@ -231,11 +235,13 @@ def _mesh(case: CaseParts) -> Iterable[Fault]:
             yield Fault(("mesh", "through_cement"), "there is no cement; leave through_cement out")
         yield from _lines(case.geometry, case.mesh)
     size = 0.0 if case.mesh is None else case.mesh.size
-    for keys, (length, most) in case.geometry.spans.items():
-        if size > most * length:
+    for keys, (length, size_ratio) in case.geometry.spans.items():
+        if size > size_ratio * length:
             text = f"is too small for edges of {size:g} mm (mesh.size)"
-            expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
-            yield Fault(("geometry", *keys), f"{text}; expected {expected} {most * length:.3g} mm")
+            expected = f"at least {size / size_ratio:.3g} mm, or a mesh.size of at most"
+            yield Fault(
+                ("geometry", *keys), f"{text}; expected {expected} {size_ratio * length:.3g} mm"
+            )
 
 
 def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
@@ -243,14 +249,14 @@ def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
     around, length = mesh.around, geometry.stem_perimeter
     if isinstance(around, float) and length:
         # Rounded inwards: what the message allows is allowed.
-        least, most = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
+        shortest, longest = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
         if not length / MOST_LINES <= around <= length / COMPANION:
             text = f"{around:g} mm: the section of the stem has a perimeter of {length:.3g} mm"
-            expected = f"expected {least:.2g} to {most:.3g} mm, or a number of lines"
+            expected = f"expected {shortest:.2g} to {longest:.3g} mm, or a number of lines"
             yield Fault(("mesh", "around"), f"{text}; {expected}")
-    along, most = mesh.along, geometry.coarsest_size
-    if along and length and along > most:
-        text = f"{along:g} mm: is longer than every part; expected at most {most:g} mm"
+    along, longest = mesh.along, geometry.coarsest_size
+    if along and length and along > longest:
+        text = f"{along:g} mm: is longer than every part; expected at most {longest:g} mm"
         yield Fault(("mesh", "along"), text)
 
 
@@ -282,14 +288,14 @@ def _stages(case: CaseParts) -> Iterable[Fault]:
             load_histories.append((key, getattr(strain, "history", None)))
     for path, load_history in load_histories:
         if load_history is not None and len(load_history) != len(names):
-            wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
-            yield Fault(path, f"has {len(load_history)} values; expected {wanted}")
-    used: list[tuple[Path, str]] = []
+            expected = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
+            yield Fault(path, f"has {len(load_history)} values; expected {expected}")
+    used_stages: list[tuple[Path, str]] = []
     supports: Iterable[tuple[str, AnySupport]] = _valid(case.supports)
     for name, support in supports:
         stages = enumerate(support.stages or ())
-        used += [(("supports", name, "stages", i), stage) for i, stage in stages]
-    for path, used_stage in used:
+        used_stages += [(("supports", name, "stages", i), stage) for i, stage in stages]
+    for path, used_stage in used_stages:
         if used_stage not in names:
             hint = did_you_mean(used_stage, names)
             text = f"'{used_stage}' is not one of {', '.join(names)}{hint}"
@@ -335,16 +341,16 @@ def _held(case: CaseParts) -> Iterable[Fault]:
         return
     limited = any(support.stages for support in supports)
     for stage in [s.name for s in case.stages or ()] if limited else [""]:
-        held = {
+        held_axes = {
             axis
             for support in supports
             for axis in support.felt_axes
             if support.stages is None or stage in support.stages
         }
         when = f" in stage '{stage}'" if stage else ""
-        free = [axis for axis in "xyz" if axis not in held]
-        if free:
-            along = "" if len(free) == 3 else f" along {' and '.join(free)}"
+        free_axes = [axis for axis in "xyz" if axis not in held_axes]
+        if free_axes:
+            along = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
             text = f"no support holds the model{along}{when}"
             cure = "expected a support: fixed, roller, displacement or foundation"
             yield Fault(("supports",), text, cure=cure, code=Reason.LOOSE_BODY)
@@ -367,8 +373,8 @@ def _creep(case: CaseParts) -> Iterable[Fault]:
     regions = list(_valid(case.regions))
     if not case.regions or len(regions) < len(case.regions):
         return
-    every = {name: region.creep for name, region in regions}
-    laws = {name: law for name, law in every.items() if law is not None}
+    creep_laws = {name: region.creep for name, region in regions}
+    laws = {name: law for name, law in creep_laws.items() if law is not None}
     for i, stage in enumerate(case.stages or ()):
         key = ("stages", i, stage.creep_key)
         if stage.creep and not laws:
@@ -382,7 +388,7 @@ def _creep(case: CaseParts) -> Iterable[Fault]:
 @check("geometry")
 def _sliding(case: CaseParts) -> Iterable[Fault]:
     """Finite sliding without boundaries, parts that move twice, cycle tables without a stage."""
-    whole = [(("motions", n, "region"), m.region) for n, m in _valid(case.motions)]
+    moving_parts = [(("motions", n, "region"), m.region) for n, m in _valid(case.motions)]
     for name, law in _valid(case.interfaces):
         if law.finite_sliding:
             faces = law.sliding_boundaries or case.geometry.faces.get(name)
@@ -391,13 +397,13 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
                 text += "`between` to two of "
                 text += ", ".join(case.geometry.boundary_names)
                 yield Fault(("interfaces", name, "sliding"), text)
-            whole += [(("interfaces", name, "between"), face) for face in faces or ()]
-    taken = dict[tuple[str, str], str]()
-    for path, part in whole:
-        other = taken.get((path[0], part))
-        if other:
-            yield Fault(path, f"{part} is used by {path[0]}.{other} already; choose another")
-        taken[path[0], part] = path[1]
+            moving_parts += [(("interfaces", name, "between"), face) for face in faces or ()]
+    users = dict[tuple[str, str], str]()
+    for path, part in moving_parts:
+        user = users.get((path[0], part))
+        if user:
+            yield Fault(path, f"{part} is used by {path[0]}.{user} already; choose another")
+        users[path[0], part] = path[1]
     for name, motion in _valid(case.motions):
         region = (case.regions or {}).get(motion.region)
         if region is not None and region.moves_rigidly == bool(motion.boundary):
@@ -421,9 +427,9 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
         yield Fault(("stages", len(stages) - 1, last), text)
     through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
     reasons = NO_CYCLE_TABLE | {kind.key: kind.no_cycle_table for kind in STAGE_KINDS}
-    for key, why in reasons.items() if cyclic and stages else ():
+    for key, reason in reasons.items() if cyclic and stages else ():
         if getattr(stages[through], key):
-            text = f"{why}, but cycle tables act in this stage, the last one without duration"
+            text = f"{reason}, but cycle tables act in this stage, the last one without duration"
             yield Fault(("stages", through, key), f"{text}; use an earlier stage")
 
 
@@ -443,11 +449,11 @@ def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
 
 @check("regions")
 def _heat(case: CaseParts) -> Iterable[Fault]:
-    """Regions with and without heat, and what needs heat or has none."""
+    """Regions with and without heat, and keys that need heat."""
     regions = dict(_valid(case.regions))
     cold = [name for name, region in regions.items() if region.thermal is None]
     if len(cold) == len(regions):
-        yield from _without_heat(case, whole=len(regions) == len(case.regions))
+        yield from _without_heat(case, all_valid=len(regions) == len(case.regions))
         return
     for name in cold:
         others = " and ".join(n for n in regions if n not in cold)
@@ -457,9 +463,9 @@ def _heat(case: CaseParts) -> Iterable[Fault]:
     yield from _flow(case, regions)
 
 
-def _without_heat(case: CaseParts, whole: bool) -> Iterable[Fault]:
+def _without_heat(case: CaseParts, all_valid: bool) -> Iterable[Fault]:
     """Faults of keys that need a region that conducts heat."""
-    if not whole or not case.regions:
+    if not all_valid or not case.regions:
         return  # an invalid region may be the one that conducts
     text = "no region conducts heat; expected `thermal` in every region"
     if case.heat:

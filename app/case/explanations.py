@@ -24,7 +24,7 @@ RESULT = ", a result"
 # Most lines that list keys by a word in their meaning.
 MOST_LINES = 12
 # Letters from which a word also finds longer ones that begin with it.
-SHORT = 4
+SHORT_WORD = 4
 GLOSSARY = configs.FOLDER.parent / "docs" / "glossary.md"
 LOADS = "loads"
 # Terms of the field: the keys, kinds, results and options that they stand for, the first one first.
@@ -116,35 +116,35 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     Raises:
         InputError: Nothing has to do with the word.
     """
-    asked = key.strip().strip(".").replace(" ", "_")
-    if asked in ("unit", "units"):
+    query = key.strip().strip(".").replace(" ", "_")
+    if query in ("unit", "units"):
         return _units()
-    if not asked:
+    if not query:
         return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
-    word = re.sub("[ -]", "_", asked.lower().replace("'", ""))
-    texts = _answers(asked, word, options or {})
+    word = re.sub("[ -]", "_", query.lower().replace("'", ""))
+    texts = _answers(query, word, options or {})
     if texts:
         return "\n\n".join(texts)
     words = key.split()
     if len(words) > 1:
         return explained(words[-1], options)
-    nearest = ", ".join(_nearest(asked, library.described())) or ", ".join(Case.model_fields)
+    nearest = ", ".join(_nearest(query, library.described())) or ", ".join(Case.model_fields)
     raise InputError(f"{key}: is no key, kind, result or term of mantle; nearest: {nearest}")
 
 
-def _answers(asked: str, word: str, options: Mapping[str, str]) -> list[str]:
+def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
     """Explanations of keys, kinds or an entry of the library; then single lines in one text.
 
     Args:
-        asked: A key, a kind or a name as asked for.
+        query: A key, a kind or a name as typed.
         word: The same in lower case and with underscores.
         options: Options of commands with their meanings.
     """
-    targets = WORDS.get(word, (asked,))
+    targets = WORDS.get(word, (query,))
     blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
     lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
     blocks += lists
-    entry = library.described().get(asked)
+    entry = library.described().get(query)
     if entry and not blocks:
         blocks.append(entry)
     lines = [line for target in targets for line in _named(target, options)]
@@ -160,16 +160,16 @@ def _answers(asked: str, word: str, options: Mapping[str, str]) -> list[str]:
     return texts
 
 
-def _nearest(asked: str, names: Iterable[str]) -> list[str]:
+def _nearest(query: str, names: Iterable[str]) -> list[str]:
     """Keys, names and terms that are spelled like a word, the nearest first."""
     known = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every())]
     words = {w: name for name in reversed(known) for w in (name, name.rpartition(".")[2])}
-    close = [
+    close_names = [
         words[match]
-        for word in (asked, asked.rpartition(".")[2])
+        for word in (query, query.rpartition(".")[2])
         for match in difflib.get_close_matches(word, words, 3)
     ]
-    return list(dict.fromkeys(close))
+    return list(dict.fromkeys(close_names))
 
 
 def _units() -> str:
@@ -189,9 +189,9 @@ def _units() -> str:
 # ------------------------------------------------------------------------------------ blocks
 
 
-def _keys(asked: str) -> Iterator[str]:
+def _keys(query: str) -> Iterator[str]:
     """Explanations of the keys of a path, or of those whose last word it is."""
-    keys = [k for k in every() if matches(k, asked)] or [k for k in every() if k.name == asked]
+    keys = [k for k in every() if matches(k, query)] or [k for k in every() if k.name == query]
     heads: dict[str, list[str]] = {}
     for key in keys:
         with_kind = key.kind and key.name != "kind"
@@ -201,11 +201,11 @@ def _keys(asked: str) -> Iterator[str]:
         yield "\n".join([*dict.fromkeys(paths), body])
 
 
-def _kind(asked: str) -> Iterator[str]:
+def _kind(query: str) -> Iterator[str]:
     """Explanations of kinds: of ``fixed`` in every section, of ``supports: fixed`` in one."""
-    of, _, name = asked.rpartition(": ")
+    section_path, _, name = query.rpartition(": ")
     for section in table():
-        if section.kind == name and (not of or section.path.startswith(of)):
+        if section.kind == name and (not section_path or section.path.startswith(section_path)):
             keys = [key.name for key in section.keys if key.name != "kind"]
             rows = {
                 "": section.meaning.partition("\n")[0],
@@ -317,7 +317,7 @@ def _option(name: str, meaning: str) -> str:
 def _lines_with(word: str, options: Mapping[str, str]) -> Iterator[str]:
     """Entries of the library, results, options and terms of the glossary with a word in them."""
     # Short words stand alone; longer ones may be the beginning of a word.
-    end = r"(?![a-z0-9])" if len(word) < SHORT else ""
+    end = r"(?![a-z0-9])" if len(word) < SHORT_WORD else ""
     pattern = re.compile(
         rf"(?<![a-z0-9]){re.escape(word.replace('_', ' '))}{end}",
         re.IGNORECASE,

@@ -117,7 +117,7 @@ class FitSearch(Section):
     """Largest number of runs."""
 
     @model_validator(mode="after")
-    def _one_aim(self) -> FitSearch:
+    def _check_one_aim(self) -> FitSearch:
         aims = [bool(self.targets), self.minimise is not None, self.maximise is not None]
         if sum(aims) != 1:
             fail("expected one of targets, minimise and maximise")
@@ -128,8 +128,8 @@ class FitSearch(Section):
             text = f"{self.runs} runs are too few for the start and one change of each key"
             fail(f"{text}; expected at least {len(self.keys) + 1}", at=("runs",))
         if self.objective and self.objective not in self.keys:
-            at = ("minimise",) if self.minimise else ("maximise",)
-            _check_name(self.objective, at)
+            path = ("minimise",) if self.minimise else ("maximise",)
+            _check_name(self.objective, path)
         for name in self.targets:
             _check_name(name, ("targets", name))
         for name in self.constraints:
@@ -183,22 +183,22 @@ class FitSearch(Section):
         return limits
 
 
-def _check_name(name: str, at: tuple[str, ...]) -> None:
+def _check_name(name: str, path: tuple[str, ...]) -> None:
     """Check that a number exists and belongs to the model, at a path of the fit."""
     try:
         quantities.find(name)
     except PydanticCustomError as error:
-        fail((error.context or {})["text"], at=at)
+        fail((error.context or {})["text"], at=path)
     if name in quantities.of_run():
-        fail(f"{name} describes the run, not the model; expected a number of the model", at=at)
+        fail(f"{name} describes the run, not the model; expected a number of the model", at=path)
 
 
-def _value(name: str, value: object, at: tuple[str, ...], difference: bool = False) -> float:
+def _value(name: str, value: object, path: tuple[str, ...], difference: bool = False) -> float:
     """Value of a number at a path of the fit."""
     try:
         return quantities.known_value(name, value, difference)
     except PydanticCustomError as error:
-        fail((error.context or {})["text"], at=at)
+        fail((error.context or {})["text"], at=path)
 
 
 class FitFile(Section):

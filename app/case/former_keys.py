@@ -117,28 +117,28 @@ def with_present_names(
         return value
     result: dict[str, Any] = {}
     former_names: dict[str, str] = {}
-    for key, part in value.items():
-        here = (*path, key)
-        name = present_name(here, former)
+    for key, inner in value.items():
+        key_path = (*path, key)
+        name = present_name(key_path, former)
         if name == key:
-            result[key] = with_present_names(file, part, here, former)
+            result[key] = with_present_names(file, inner, key_path, former)
         else:
             former_names[key] = name
     for key, name in former_names.items():
-        here = (*path, key)
-        file.notes.append(new_name(path_text(here), name))
+        key_path = (*path, key)
+        file.notes.append(new_name(path_text(key_path), name))
         section, _, last = name.rpartition(".")
-        there = (*path, section, last) if section else (*path, last)
+        new_path = (*path, section, last) if section else (*path, last)
         holder = result.setdefault(section, {}) if section else result
         if not isinstance(holder, dict) or last in holder:
-            file.complaints.append(Fault(here, f"is the former name of {name}; keep one"))
+            file.complaints.append(Fault(key_path, f"is the former name of {name}; keep one"))
             continue
-        move_places(file, here, there)
-        holder[last] = with_present_names(file, value[key], there, former)
+        move_places(file, key_path, new_path)
+        holder[last] = with_present_names(file, value[key], new_path, former)
     return result
 
 
 def move_places(file: CaseFile, old: Path, new: Path) -> None:
-    """Give the places of a path and of all below it to another path."""
+    """Move the places of a path, and of all paths below it, to another path."""
     for place in [p for p in file.places if p[: len(old)] == old]:
         file.places[new + place[len(old) :]] = file.places.pop(place)

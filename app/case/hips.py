@@ -72,11 +72,11 @@ def point(x: Floats) -> Point3:
     return float(x[0]), float(x[1]), float(x[2])
 
 
-def _between(at: float, values: tuple[float, ...]) -> float:
+def _interpolated(position: float, values: tuple[float, ...]) -> float:
     """Linear interpolation of values at 0, 1, 2, ..., constant beyond."""
-    at = min(max(at, 0.0), len(values) - 1.0)
-    low = min(int(at), len(values) - 2)
-    return values[low] + (at - low) * (values[low + 1] - values[low])
+    position = min(max(position, 0.0), len(values) - 1.0)
+    low = min(int(position), len(values) - 2)
+    return values[low] + (position - low) * (values[low + 1] - values[low])
 
 
 class Resection(Section):
@@ -94,17 +94,17 @@ class Resection(Section):
 
 
 class Version(Section):
-    """Turn of the stem about the shaft's axis."""
+    """Rotation of the stem about the shaft's axis."""
 
     relative_to: Literal["neck", "condyles"] = "neck"
-    """Line from which the angle is measured: the neck, or that of the posterior condyles."""
+    """Line from which the angle is measured: the neck, or the line of the posterior condyles."""
     angle: Angle = 0.0
-    """The turn, the head to anterior (rad)."""
+    """The rotation, the head to anterior (rad)."""
 
 
-def _tilt(most: float) -> Dimension:
-    """Largest change of a tilt or turn (rad)."""
-    return Dimension("rad", "an angle", "3 deg", at_least=0.0, at_most=most)
+def _tilt(largest: float) -> Dimension:
+    """Largest change of a tilt or rotation (rad)."""
+    return Dimension("rad", "an angle", "3 deg", at_least=0.0, at_most=largest)
 
 
 class Search(Section):
@@ -121,7 +121,7 @@ class Search(Section):
 
 
 class Insertion(Section):
-    """Where the stem is put in the femur."""
+    """Position of the stem in the femur."""
 
     depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
     """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement,
@@ -133,7 +133,7 @@ class Insertion(Section):
     )
     """Tilt of the stem, its tip to posterior (rad), about the same point."""
     version: Version = Field(default_factory=Version)
-    """Turn of the stem about the shaft's axis."""
+    """Rotation of the stem about the shaft's axis."""
     medial_offset: Length = 0.0
     """Distance of the stem's axis from the shaft's to medial, along the cut's azimuth."""
     anterior_offset: Length = 0.0
@@ -340,7 +340,7 @@ class Hip(Shape):
         core = 3.0 * max(around - 2.0, 0.041 * around**2 + 1.5 * around - 6.0)
         cement = spread(self.cement_thickness)[1]
         filled = cement - self.widening
-        open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
+        open_, free = 1.0 - _interpolated(filled, FILLED), 1.0 - _interpolated(filled, FILLED_BELOW)
         widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.widening)
         through, cancellous, cortical = (
             min(cells, max(1.0, width / length))

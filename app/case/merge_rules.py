@@ -22,16 +22,16 @@ from app.schema.units import ANGLE, FORCE, WEIGHT
 from app.schema.yaml_file import CaseFile, Fault, Path
 
 # Keys that a region keeps when it gets another material.
-OF_REGION = ("thermal", "tissue", "eigenstrains")
-OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
+KEPT_REGION_KEYS = ("thermal", "tissue", "eigenstrains")
+KEPT_THERMAL_KEYS = ("initial_temperature", "reference_temperature", "cure")
 # Keys of a region or a load that its status and source do not describe.
-OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
+KEYS_OF_USE = {*KEPT_REGION_KEYS, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 # Keys among the loads that say how all forces there change in time, one or the other.
-IN_TIME = ("history", "cycle_table")
+TIME_KEYS = ("history", "cycle_table")
 
-# Turns what stands above at a path into plain values, and takes away what they replace below:
+# Turns the upper value at a path into plain values, and removes what they replace in the lower one:
 # (case, lower, upper, path) -> (lower, upper).
 Rule = Callable[[CaseFile, object, object, Path], tuple[object, object]]
 
@@ -56,7 +56,7 @@ def rule_at(path: Path) -> Rule | None:
     return None
 
 
-def _without(values: Mapping[str, object], *keys: str) -> dict[str, object]:
+def _without_keys(values: Mapping[str, object], *keys: str) -> dict[str, object]:
     """Values of the other keys."""
     return {key: value for key, value in values.items() if key not in keys}
 
@@ -67,10 +67,10 @@ def _region(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[o
         return lower, upper
     name = upper.get("material")
     if isinstance(name, str):
-        upper = _without(upper, "material")
+        upper = _without_keys(upper, "material")
         entry = _entry(case, "materials", name, (*path, "material"), path)
         if entry:
-            _checkkind_of(case, name, kind_of(entry, path), ("conductor",), upper, path)
+            _check_kind(case, name, kind_of(entry, path), ("conductor",), upper, path)
             case.tissues.pop(str(path[1]), None)
             tissue = entry.pop("tissue", None)
             if isinstance(tissue, str):
@@ -80,7 +80,7 @@ def _region(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[o
     if isinstance(lower, dict) and "kind" in upper and kind_of(lower, path) != kind_of(upper, path):
         lower = None
     if upper.get("kind") == "rigid":
-        upper = _without(upper, "kind") | {"rigid": True}
+        upper = _without_keys(upper, "kind") | {"rigid": True}
     return _without_origin(lower, upper), upper
 
 
@@ -89,11 +89,11 @@ def _interface(case: CaseFile, lower: object, upper: object, path: Path) -> tupl
     if not isinstance(upper, dict) or not isinstance(upper.get("finish"), str):
         return lower, upper
     name = upper["finish"]
-    upper = _without(upper, "finish")
+    upper = _without_keys(upper, "finish")
     entry = _entry(case, "finishes", name, (*path, "finish"), path)
     if not entry:
         return lower, upper
-    _checkkind_of(case, name, entry["kind"], (), upper, path)
+    _check_kind(case, name, entry["kind"], (), upper, path)
     if isinstance(lower, dict) and lower.get("kind") == entry["kind"]:
         return lower | entry, upper
     return entry, upper
@@ -104,7 +104,7 @@ def _credibility(case: CaseFile, lower: object, upper: object, path: Path) -> tu
     if not isinstance(upper, dict) or not isinstance(upper.get("library"), str):
         return lower, upper
     entry = _entry(case, "contexts", upper["library"], (*path, "library"), path)
-    return entry or lower, _without(upper, "library")
+    return entry or lower, _without_keys(upper, "library")
 
 
 def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
@@ -113,7 +113,7 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
         return lower, upper
     sets = upper.get("library")
     if sets is not None:
-        upper = _without(upper, "library")
+        upper = _without_keys(upper, "library")
         if not isinstance(sets, str | dict):
             text = f"{show(sets)} is not the name of a set, nor names with histories"
             case.complaints.append(Fault((*path, "library"), f"{text}, e.g. {{gait: [1, 0]}}"))
@@ -122,15 +122,15 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
         lower = entry or lower
     loads = lower if isinstance(lower, dict) else {}
     if MEASURED.keys() & upper:
-        lower = loads = _measured(case, loads, upper)
-        upper = _without(upper, *MEASURED)
-    if upper.keys() >= {*IN_TIME}:
-        text = f"the loads have a {IN_TIME[1]}, too; leave one of the two out"
-        case.complaints.append(Fault((*path, IN_TIME[0]), text))
-    for key in IN_TIME:
+        lower = loads = _scaled_loads(case, loads, upper)
+        upper = _without_keys(upper, *MEASURED)
+    if upper.keys() >= {*TIME_KEYS}:
+        text = f"the loads have a {TIME_KEYS[1]}, too; leave one of the two out"
+        case.complaints.append(Fault((*path, TIME_KEYS[0]), text))
+    for key in TIME_KEYS:
         if isinstance(upper.get(key), list) or (key == "cycle_table" and key in upper):
-            lower = loads = _changing(case, loads, key, upper[key])
-            upper = _without(upper, key)
+            lower = loads = _loads_with_history(case, loads, key, upper[key])
+            upper = _without_keys(upper, key)
     return lower, upper
 
 
@@ -155,14 +155,14 @@ def _activities(case: CaseFile, sets: Mapping[str, object], path: Path) -> dict[
         forces = _set(case, str(name), path)
         weight = weight or case.measured.get("body_weight")
         if forces and weight and "body_weight" in case.measured:
-            forces = _measured(case, forces, {"body_weight": f"{weight!r} N"})
+            forces = _scaled_loads(case, forces, {"body_weight": f"{weight!r} N"})
         for load, values in forces.items():
             loads[f"{name}_{load}"] = values | {"history": history}
     return loads
 
 
 def _load(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
-    """Drop the origin of a load that is changed, as that is another's."""
+    """Drop the origin of a changed load: it described the former values."""
     return _without_origin(lower, upper) if isinstance(upper, dict) else lower, upper
 
 
@@ -174,13 +174,13 @@ def _cycle_table(case: CaseFile, lower: object, upper: object, path: Path) -> tu
 
 
 def _without_origin(lower: object, upper: Mapping[str, object]) -> object:
-    """A region or load without its status and source, unless what changes has none."""
-    if not isinstance(lower, dict) or upper.keys() <= OF_USE:
+    """Return a region or load without status and source, unless its changes need none."""
+    if not isinstance(lower, dict) or upper.keys() <= KEYS_OF_USE:
         return lower
-    return _without(lower, *library.ORIGIN)
+    return _without_keys(lower, *library.ORIGIN)
 
 
-def _checkkind_of(
+def _check_kind(
     case: CaseFile,
     name: str,
     kind: object,
@@ -188,7 +188,7 @@ def _checkkind_of(
     upper: Mapping[str, object],
     path: Path,
 ) -> None:
-    """Complain of a kind that is neither that of the entry of the library nor one of others."""
+    """Complain of a kind that is neither the kind of the library's entry nor one of others."""
     if upper.get("kind", kind) not in (kind, *others):
         text = f"{name} is of kind {kind}; leave `kind` out"
         case.complaints.append(Fault((*path, "kind"), text))
@@ -206,12 +206,12 @@ def _force(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
         length = hypot(*parts)
         if length > 0.0 and size >= 0.0:
             return None, [f"{part * size / length!r} N" for part in parts]
-        why = (
+        reason = (
             "a magnitude cannot be negative"
             if length
             else "a force of zero has no direction to scale"
         )
-        text = f"{show(upper)}: {why}; expected a vector"
+        text = f"{show(upper)}: {reason}; expected a vector"
     except PydanticCustomError as error:
         text = (error.context or {})["text"]
     case.complaints.append(Fault(path, text))
@@ -227,7 +227,7 @@ def _vector(force: object) -> list[float]:
     return [FORCE.read(value) for value in Triple("").spread(force)]  # type: ignore[attr-defined]
 
 
-def _measured(
+def _scaled_loads(
     case: CaseFile, loads: dict[str, object], keys: Mapping[str, object]
 ) -> dict[str, object]:
     """The loads with all forces scaled to a body weight and turned by a sagittal tilt."""
@@ -240,28 +240,32 @@ def _measured(
             case.complaints.append(Fault(("loads", key), text))
     new = case.measured
     factor = new["body_weight"] / old["body_weight"] if "body_weight" in old else 1.0
-    turn = new["sagittal_tilt"] - old["sagittal_tilt"]
-    c, s = factor * cos(turn), factor * sin(turn)
+    rotation = new["sagittal_tilt"] - old["sagittal_tilt"]
+    c, s = factor * cos(rotation), factor * sin(rotation)
     result = dict(loads)
     for name, load in loads.items():
         if isinstance(load, dict) and "force" in load:
             with suppress(PydanticCustomError):  # reported where the load is read
                 x, y, z = _vector(load["force"])
-                turned = (factor * x, c * y + s * z, c * z - s * y)
-                result[name] = load | {"force": [f"{part!r} N" for part in turned]}
+                rotated = (factor * x, c * y + s * z, c * z - s * y)
+                result[name] = load | {"force": [f"{part!r} N" for part in rotated]}
     return result
 
 
-def _changing(case: CaseFile, loads: dict[str, Any], key: str, value: object) -> dict[str, Any]:
+def _loads_with_history(
+    case: CaseFile, loads: dict[str, Any], key: str, value: object
+) -> dict[str, Any]:
     """Return the loads of a base or a library, all with the same history or cycle table."""
     if not loads:
         text = f"this section has no loads of a library or a base; set the {key} of each load"
         case.complaints.append(Fault(("loads", key), text))
     if key == "cycle_table":
         _, value = _cycle_table(case, None, value, ("loads", key))
-    others = [other for other in IN_TIME if other != key]
+    others = [other_key for other_key in TIME_KEYS if other_key != key]
     return {
-        name: _without(load, *others) | {key: deepcopy(value)} if isinstance(load, dict) else load
+        name: _without_keys(load, *others) | {key: deepcopy(value)}
+        if isinstance(load, dict)
+        else load
         for name, load in loads.items()
     }
 
@@ -312,26 +316,26 @@ def kind_of(data: Mapping[str, object], path: Path) -> object:
 
 
 def _material(
-    region: dict[str, object], entry: dict[str, object], rest: dict[str, object]
+    region: dict[str, object], entry: dict[str, object], upper_keys: dict[str, object]
 ) -> dict[str, object]:
-    """Give a region the constants of a material, those of heat only where there is heat.
+    """Give a region the constants of a material; thermal ones only where there is heat.
 
-    ``rest`` are the other keys of the region above.
+    ``upper_keys`` are the other keys of the region above.
     """
-    new = {k: v for k, v in region.items() if k in OF_REGION}
+    new = {k: v for k, v in region.items() if k in KEPT_REGION_KEYS}
     new |= {k: v for k, v in entry.items() if k in library.ORIGIN}
-    conductor = "conductor" in (region.get("kind"), rest.get("kind"))
-    solid = not conductor and not rest.get("rigid")
+    conductor = "conductor" in (region.get("kind"), upper_keys.get("kind"))
+    solid = not conductor and not upper_keys.get("rigid")
     if conductor:
         new["kind"] = "conductor"
     if solid:
-        new |= _without(entry, "thermal")
-    if "thermal" in entry and ("thermal" in region or "thermal" in rest):
+        new |= _without_keys(entry, "thermal")
+    if "thermal" in entry and ("thermal" in region or "thermal" in upper_keys):
         old, of_material = region.get("thermal"), entry["thermal"]
         thermal: dict[str, object] = {}
         if isinstance(of_material, dict):
             thermal = {k: v for k, v in of_material.items() if solid or k != "thermal_expansion"}
         if isinstance(old, dict):
-            thermal |= {k: v for k, v in old.items() if k in OF_THERMAL}
+            thermal |= {k: v for k, v in old.items() if k in KEPT_THERMAL_KEYS}
         new["thermal"] = thermal
     return new

@@ -17,7 +17,7 @@ from typing import Any
 import configs
 from app.case import library
 from app.case.former_keys import new_name, of_this_version, present_name, with_present_names
-from app.case.merge_rules import IN_TIME, MEASURED, OF_USE, kind_of, rule_at
+from app.case.merge_rules import KEYS_OF_USE, MEASURED, TIME_KEYS, kind_of, rule_at
 from app.case.shapes import Shape
 from app.laws.densities import ModulusField
 from app.schema import yaml_file
@@ -68,7 +68,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _merged(case, below, upper, ())
         case.places |= file.places
-        for key in IN_TIME:
+        for key in TIME_KEYS:
             place = file.places.get(("loads", key))
             if place:
                 _place_in_time(case, key, place, file.places)
@@ -293,13 +293,13 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     if value is None and old is not None:
         del holder[step]
         return
-    if path[0] in ("regions", "loads") and not OF_USE.issuperset(path[2:3]):
+    if path[0] in ("regions", "loads") and not KEYS_OF_USE.issuperset(path[2:3]):
         for key in library.ORIGIN:
             case.data[str(path[0])][path[1]].pop(key, None)
     given_here = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step == NAMED.get(str(path[0]))
     if (of_entry and isinstance(value, str)) or (
-        path == ("loads", step) and (step in MEASURED or step in IN_TIME)
+        path == ("loads", step) and (step in MEASURED or step in TIME_KEYS)
     ):
         new = _merged(case, holder, {step: value}, path[:-1])
     else:

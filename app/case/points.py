@@ -51,7 +51,7 @@ class Point:
         return str(self.path[-1]) if self.path else ""
 
 
-def _together(runs: dict[str, object]) -> dict[str, object]:
+def _check_equal_lengths(runs: dict[str, object]) -> dict[str, object]:
     """Check that lists, which vary together, have equal lengths."""
     lengths = {key: len(values) for key, values in _lists(runs).items()}
     first = next(iter(lengths), "")
@@ -63,13 +63,13 @@ def _together(runs: dict[str, object]) -> dict[str, object]:
     return runs
 
 
-def _varied(runs: dict[str, object]) -> dict[str, object]:
+def _check_varies(runs: dict[str, object]) -> dict[str, object]:
     if not varying(runs):
         fail("varies nothing; expected a list for at least one key, e.g. mesh.size: [3 mm, 2 mm]")
     return runs
 
 
-def _distinct(values: list[object]) -> list[object]:
+def _check_distinct(values: list[object]) -> list[object]:
     names = _labels(values)
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -78,14 +78,14 @@ def _distinct(values: list[object]) -> list[object]:
 
 
 Changes = Annotated[dict[str, object], MAPPING]
-Runs = Annotated[Changes, AfterValidator(_together)]
-Lists = Annotated[Runs, AfterValidator(_varied)]
-Values = Annotated[list[object], ITEMS, Field(min_length=1), AfterValidator(_distinct)]
+Runs = Annotated[Changes, AfterValidator(_check_equal_lengths)]
+Lists = Annotated[Runs, AfterValidator(_check_varies)]
+Values = Annotated[list[object], ITEMS, Field(min_length=1), AfterValidator(_check_distinct)]
 Grid = Annotated[dict[str, Values], MAPPING, Field(min_length=1)]
 Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
 
-def _number(value: object) -> tuple[float, str]:
+def _parsed_number(value: object) -> tuple[float, str]:
     match = NUMBER.fullmatch(str(value)) if isinstance(value, str | int | float) else None
     if match is None or isinstance(value, bool):
         fail(f"{show(value)} is not a number, with its unit if it has one")
@@ -114,9 +114,9 @@ class Range(Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> Range:
-        (low, unit), (high, other) = _number(self.low), _number(self.high)
-        if unit != other:
-            fail(f"'{unit}' and '{other}': both ends of the range need the same unit")
+        (low, unit), (high, other_unit) = _parsed_number(self.low), _parsed_number(self.high)
+        if unit != other_unit:
+            fail(f"'{unit}' and '{other_unit}': both ends of the range need the same unit")
         if not low < high:
             fail(f"{show(self.low)} is not below {show(self.high)}")
         if self.scale == "logarithmic" and low <= 0:
@@ -126,11 +126,11 @@ class Range(Section):
     @property
     def unit(self) -> str:
         """Unit of both ends; empty for a plain number."""
-        return _number(self.low)[1]
+        return _parsed_number(self.low)[1]
 
     def number(self, share: float) -> float:
         """Value at a fraction of the range, without its unit; defined beyond the range, too."""
-        low, high = _number(self.low)[0], _number(self.high)[0]
+        low, high = _parsed_number(self.low)[0], _parsed_number(self.high)[0]
         if self.scale == "logarithmic":
             return low * (high / low) ** share
         return low + share * (high - low)
@@ -155,7 +155,9 @@ class Choice(Section):
 Inputs = Annotated[dict[str, Annotated[Range | Choice, Kinds(".low")]], Field(min_length=1)]
 
 
-def _at(inputs: Mapping[str, Range | Choice], shares: Floats) -> list[dict[str, object]]:
+def _overrides_of_samples(
+    inputs: Mapping[str, Range | Choice], shares: Floats
+) -> list[dict[str, object]]:
     """Overrides of samples, from fractions of the ranges of the inputs (samples, inputs)."""
     return [
         {
@@ -198,7 +200,7 @@ class LatinHypercube(SampledInputs):
             coefficients = np.atleast_2d(np.corrcoef(design, rowvar=False))
             return float(np.abs(np.tril(coefficients, -1)).max())
 
-        return _at(self.inputs, min(designs, key=correlation))
+        return _overrides_of_samples(self.inputs, min(designs, key=correlation))
 
 
 class Sobol(SampledInputs):
@@ -217,8 +219,8 @@ class Sobol(SampledInputs):
 
         number = len(self.inputs)
         shares = qmc.Sobol(2 * number, seed=self.seed).random(self.samples)
-        first = _at(self.inputs, shares[:, :number])
-        second = _at(self.inputs, shares[:, number:])
+        first = _overrides_of_samples(self.inputs, shares[:, :number])
+        second = _overrides_of_samples(self.inputs, shares[:, number:])
         short = short_keys(list(self.inputs))
         digits = len(str(self.samples))
         runs = {}

@@ -51,12 +51,12 @@ class Sweep(SweepPart):
 
     def points(self) -> list[Point]:
         """Every case, in the order of the file."""
-        every: list[Point] = []
+        all_points: list[Point] = []
         for _, path, part in self._parts():
             common = [points.overriding(self.set, ("set",))]
             common.append(points.overriding(part.set, (*path, "set")))
-            every += points.combine(path, str(part.base or self.base), common, part.axes(path))
-        return every
+            all_points += points.combine(path, str(part.base or self.base), common, part.axes(path))
+        return all_points
 
     def uncertain_inputs(self) -> dict[str, UncertainInputs]:
         """Uncertain inputs by part, of parts that have any."""
@@ -76,9 +76,9 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         "study": "study: use mantle study",
         "fit": "fit: use mantle fit",
     }
-    for key, what in others.items():
+    for key, kind_and_command in others.items():
         if key in file.data:
-            raise InputError(f"{path}: this is a {what} {path}")
+            raise InputError(f"{path}: this is a {kind_and_command} {path}")
     sweep = content(file, Sweep)
     planned, problems = plan(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)
@@ -101,24 +101,24 @@ def content(file: CaseFile, model: type[Content]) -> Content:
 
 
 def plan(
-    file: CaseFile, folder: Path, every: Sequence[Point], overrides: Sequence[str]
+    file: CaseFile, folder: Path, all_points: Sequence[Point], overrides: Sequence[str]
 ) -> tuple[list[PlannedRun], list[Fault]]:
     """Check the case of each point; return the runs and the faults.
 
     Bases are relative to a folder. ``--set`` options replace values under ``set``, and are among
     the changes of each run.
     """
-    problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
+    problems = points.clashes(overrides, ((p.places[k], k) for p in all_points for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]
     # A value that cannot be read is None here, and reported where the case is read.
     given = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
-    others = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
+    other_overrides = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
     failed: dict[tuple[Path, str], list[Point]] = {}
-    bases = Counter(overlay.base_file(folder, p.base) for p in every)
-    for point in every:
-        base, used = overlay.base_file(folder, point.base), point.changes | given
-        ranks = used.get("ranks", 1)
+    bases = Counter(overlay.base_file(folder, p.base) for p in all_points)
+    for point in all_points:
+        base, all_changes = overlay.base_file(folder, point.base), point.changes | given
+        ranks = all_changes.get("ranks", 1)
         if not isinstance(ranks, int) or isinstance(ranks, bool) or ranks < 1:
             text = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."
             if "ranks" in given:
@@ -126,7 +126,7 @@ def plan(
             problems.append(Fault(point.places["ranks"], text))
             ranks = 1
         of_case = {k: v for k, v in point.changes.items() if k not in ("ranks", *given)}
-        changes = (*points.as_overrides(of_case), "variations={}", *others)
+        changes = (*points.as_overrides(of_case), "variations={}", *other_overrides)
         try:
             case = load(base, changes).config
         except InputError as error:
@@ -137,13 +137,13 @@ def plan(
                 else:
                     failed.setdefault((base, message), []).append(point)
             continue
-        planned.append(PlannedRun(base, changes, case, replace(point, changes=used), ranks))
-    for (base, message), of in failed.items():
-        at = (*of[0].path, "base")
-        if len(of) < bases[base]:
-            problems.append(Fault(of[0].path, f"{of[0].name}: {message}"))
+        planned.append(PlannedRun(base, changes, case, replace(point, changes=all_changes), ranks))
+    for (base, message), failed_points in failed.items():
+        base_path = (*failed_points[0].path, "base")
+        if len(failed_points) < bases[base]:
+            problems.append(Fault(failed_points[0].path, f"{failed_points[0].name}: {message}"))
         elif message.startswith(f"{base}: "):  # it cannot be read
-            problems.append(Fault(at if at in file.places else ("base",), message))
+            problems.append(Fault(base_path if base_path in file.places else ("base",), message))
         else:
             problems.append(Fault((), message, ""))
     return planned, problems
