@@ -96,30 +96,30 @@ class Evaluations:
         """Runs that have results."""
         return [run for run in self.runs if run.done]
 
-    def __call__(self, wanted: Mapping[str, Floats]) -> list[FitRun]:
+    def __call__(self, requested: Mapping[str, Floats]) -> list[FitRun]:
         """Make runs with the keys at fractions of their ranges, by name; return them in order.
 
         Raises:
             _RunsUsed: There would be more than `FitSearch.runs`.
         """
-        values = {name: self.problem.values(shares) for name, shares in wanted.items()}
-        identities = {name: tuple(each.values()) for name, each in values.items()}
+        values = {name: self.problem.values(shares) for name, shares in requested.items()}
+        identities = {name: tuple(key_values.values()) for name, key_values in values.items()}
         new = {id: name for name, id in identities.items() if id not in self._by_values}
         if len(self.runs) + len(new) > self.problem.fit.runs:
             raise _RunsUsed
         planned, refusals = [], {}
         for name in new.values():
-            runs, faults = self.problem.plan(name, wanted[name])
+            runs, faults = self.problem.plan(name, requested[name])
             planned += runs
             refusals[name] = "refused: " + "; ".join(fault.text for fault in faults)
         results = {}
         if planned:
             options = self._options
-            made = batch.run(planned, options.folder, options.cores, options.slurm)
-            results = {result.planned.name: result for result in made}
+            batch_results = batch.run(planned, options.folder, options.cores, options.slurm)
+            results = {result.planned.name: result for result in batch_results}
         for id, name in new.items():
             run = fit_results.fit_run(
-                self.problem, name, wanted[name], results.get(name), refusals[name]
+                self.problem, name, requested[name], results.get(name), refusals[name]
             )
             self._by_values[id] = run
             self.runs.append(run)
@@ -133,27 +133,27 @@ class Evaluations:
         """
         step = self.problem.fit.step
         steps = {k: step if share + step <= 1.0 else -step for k, share in enumerate(run.shares)}
-        changed = self._changed(run, steps)
+        changed = self._changed_runs(run, steps)
         other_side = {
             k: -steps[k]
-            for k, each in changed.items()
-            if not each.done and 0.0 <= run.shares[k] - steps[k] <= 1.0
+            for k, changed_run in changed.items()
+            if not changed_run.done and 0.0 <= run.shares[k] - steps[k] <= 1.0
         }
-        changed |= self._changed(run, other_side)
+        changed |= self._changed_runs(run, other_side)
         columns = [
-            (each.array - run.array) / (each.shares[k] - run.shares[k])
-            for k, each in changed.items()
+            (changed_run.array - run.array) / (changed_run.shares[k] - run.shares[k])
+            for k, changed_run in changed.items()
         ]
         return np.array(columns).T
 
-    def _changed(self, run: FitRun, steps: Mapping[int, float]) -> dict[int, FitRun]:
+    def _changed_runs(self, run: FitRun, steps: Mapping[int, float]) -> dict[int, FitRun]:
         """Runs in each of which one key is changed by a step, by number of the key."""
-        wanted = {}
+        requested = {}
         for k, step in steps.items():
             sign = "+" if step > 0 else "-"
             unit = np.eye(len(run.shares))[k]
-            wanted[f"{run.name}, {sign}{self._short[k]}"] = run.shares + step * unit
-        return dict(zip(steps, self(wanted), strict=True))
+            requested[f"{run.name}, {sign}{self._short[k]}"] = run.shares + step * unit
+        return dict(zip(steps, self(requested), strict=True))
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | None:
@@ -244,14 +244,14 @@ def _cost(problem: FitProblem, run: FitRun) -> float:
 def _violations(problem: FitProblem, run: FitRun) -> Floats:
     """Violation of each bound of a number, relative to the bound; negative if it is met."""
     fit = problem.fit
-    missing = []
+    violations = []
     for name, (low, high) in fit.limits.items():
         value = float(run.array[fit.numbers.index(name)])
         if math.isfinite(low):
-            missing.append((low - value) / (abs(low) or 1.0))
+            violations.append((low - value) / (abs(low) or 1.0))
         if math.isfinite(high):
-            missing.append((value - high) / (abs(high) or 1.0))
-    return np.array(missing)
+            violations.append((value - high) / (abs(high) or 1.0))
+    return np.array(violations)
 
 
 def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:

@@ -203,8 +203,8 @@ def fit_run(
     if result.exit_code == 0:
         numbers = {n: quantities.read(result.summary, n) for n in names}
         text = "is not in summary.json of this case; mantle explain lists the results"
-        lacking = [Fault(problem.path_of(n), text) for n, v in numbers.items() if v is None]
-        problem.file.raise_all(lacking)
+        faults = [Fault(problem.path_of(n), text) for n, v in numbers.items() if v is None]
+        problem.file.raise_all(faults)
         array = np.array([v for v in numbers.values() if v is not None])
     misfit = math.nan
     targets = problem.fit.number_targets
@@ -290,7 +290,7 @@ def _key_rows(
         determined = deviation < KNOWN_RANGE
         ends = (max(0.0, share - INTERVAL * deviation), min(1.0, share + INTERVAL * deviation))
         # The uncertainty on a logarithmic scale, too: half of the interval of one deviation.
-        around = bounds.number(share + deviation) - bounds.number(share - deviation)
+        interval = bounds.number(share + deviation) - bounds.number(share - deviation)
         rows[key] = {
             "value": best.values[key],
             "number": bounds.number(share),
@@ -298,7 +298,7 @@ def _key_rows(
             "low": bounds.number(0.0),
             "high": bounds.number(1.0),
             "scale": bounds.scale,
-            "uncertainty": 0.5 * around if determined else None,
+            "uncertainty": 0.5 * interval if determined else None,
             "interval": [bounds.number(end) for end in ends] if determined else [],
             "at": at_bound(share),
         }
@@ -375,15 +375,15 @@ def line(problem: FitProblem, run: FitRun) -> str:
     return f"{run.name}: {keys}: {numbers}{misfit}"
 
 
-def key_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+def key_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of keys."""
     head = ["key", "value", "unit", "±", "95 % interval", "bounds"]
-    if of["aim"] != "targets":
+    if fit_record["aim"] != "targets":
         head = [word for word in head if word not in ("±", "95 % interval")]
     rows = []
-    for key, row in of["keys"].items():
+    for key, row in fit_record["keys"].items():
         cells = [key, f"{row['number']:.4g}", row["unit"]]
-        if of["aim"] == "targets":
+        if fit_record["aim"] == "targets":
             known = row["uncertainty"] is not None
             cells.append(f"{row['uncertainty']:.2g}" if known else "not determined")
             cells.append(" to ".join(f"{end:.4g}" for end in row["interval"]) or "-")
@@ -391,21 +391,21 @@ def key_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def number_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+def number_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of numbers."""
-    if of["aim"] == "targets":
+    if fit_record["aim"] == "targets":
         head = ["number", "unit", "target", "±", "reached", "deviation / ±"]
     else:
         head = ["number", "unit", "at least", "at most", "reached"]
     rows = []
-    for name, row in of["numbers"].items():
+    for name, row in fit_record["numbers"].items():
         q = quantities.find(name)
 
         def text(value: float | None, digits: int = 4, factor: float = q.factor) -> str:
             return "" if value is None else f"{factor * value:.{digits}g}"
 
         cells = [name, quantities.printed(q.shown)]
-        if of["aim"] == "targets":
+        if fit_record["aim"] == "targets":
             cells += [text(row["target"]), text(row["uncertainty"], 2), text(row["value"])]
             cells.append(f"{row['deviation']:+.1f}")
         else:
@@ -414,15 +414,15 @@ def number_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def run_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+def run_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of runs."""
-    short = short_keys(list(of["keys"]))
-    numbers = [*of["numbers"]]
-    targets = of["aim"] == "targets"
+    short = short_keys(list(fit_record["keys"]))
+    numbers = [*fit_record["numbers"]]
+    targets = fit_record["aim"] == "targets"
     head = ["run", *short.values(), *map(quantities.titled, numbers)]
     head += ["misfit", "time"] if targets else ["time"]
     rows = []
-    for run in of["runs"]:
+    for run in fit_record["runs"]:
         cells = [run["name"], *(str(value) for value in run["values"].values())]
         for name in numbers:
             value = run["numbers"].get(name)
@@ -433,34 +433,36 @@ def run_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def correlation_rows(of: FitRecord) -> tuple[list[str], list[list[str]]]:
+def correlation_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of correlations; no rows for a single key."""
-    names = [*short_keys(list(of["keys"])).values()]
+    names = [*short_keys(list(fit_record["keys"])).values()]
     rows = [
         [name, *("-" if value is None else f"{value:+.2f}" for value in row)]
-        for name, row in zip(names, of["correlation"], strict=False)
+        for name, row in zip(names, fit_record["correlation"], strict=False)
     ]
     return ["correlation", *names], rows if len(names) > 1 else []
 
 
-def text(of: FitRecord) -> str:
+def text(fit_record: FitRecord) -> str:
     """Tables and verdicts of a fit."""
-    parts = [layout.table(*run_rows(of)), layout.table(*key_rows(of))]
-    head, correlations = correlation_rows(of)
+    parts = [layout.table(*run_rows(fit_record)), layout.table(*key_rows(fit_record))]
+    head, correlations = correlation_rows(fit_record)
     if correlations:
         parts.append(layout.table(head, correlations))
-    parts.append(layout.table(*number_rows(of)))
-    parts.append(f"{of['best']} has these values; to repeat it: {of['command']}")
+    parts.append(layout.table(*number_rows(fit_record)))
+    parts.append(f"{fit_record['best']} has these values; to repeat it: {fit_record['command']}")
     return "\n\n".join(parts)
 
 
-def csv(of: FitRecord) -> str:
+def csv(fit_record: FitRecord) -> str:
     """Table of the runs as CSV, in units of ``summary.json``."""
     rows = []
-    for run in of["runs"]:
-        numbers = {f"{n} [{of['numbers'][n]['unit']}]": v for n, v in run["numbers"].items()}
+    for run in fit_record["runs"]:
+        numbers = {
+            f"{n} [{fit_record['numbers'][n]['unit']}]": v for n, v in run["numbers"].items()
+        }
         row = {"run": run["name"], **run["values"], **numbers}
-        if of["aim"] == "targets":
+        if fit_record["aim"] == "targets":
             row["misfit [-]"] = run["misfit"]
         row |= {"exit code": run["exit_code"], "wall [s]": run["seconds"]}
         rows.append(row | {"message": run["message"], "folder": run["folder"]})

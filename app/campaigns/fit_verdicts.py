@@ -42,51 +42,53 @@ def verdicts(
 def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> Iterator[Verdict]:
     """Verdicts on the number of runs, and on those that failed."""
     if not outcome.converged:
-        what = f"the search stopped after {len(runs)} runs, before it converged"
+        statement = f"the search stopped after {len(runs)} runs, before it converged"
         cure = f"set fit.runs above {problem.fit.runs}; run the same command again to continue"
-        yield Verdict(what, "fit.runs", cure)
+        yield Verdict(statement, "fit.runs", cure)
     failed = [run for run in runs if not run.done]
     if failed:
         reasons = "; ".join(f"{run.name}: {run.message}" for run in failed)
-        what = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: {reasons}"
-        yield Verdict(what, severity=Severity.WARNING)
+        statement = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: {reasons}"
+        yield Verdict(statement, severity=Severity.WARNING)
     if outcome.derivatives is not None:
         for k, key in enumerate(problem.fit.keys):
             if np.isnan(outcome.derivatives[:, k]).any():
-                what = "runs on both sides of the result failed, so that its influence is unknown"
-                yield Verdict(what, key, "choose other bounds", Severity.WARNING)
+                statement = (
+                    "runs on both sides of the result failed, so that its influence is unknown"
+                )
+                yield Verdict(statement, key, "choose other bounds", Severity.WARNING)
 
 
 def _of_keys(problem: FitProblem, best: FitRun, known: Identifiability | None) -> Iterator[Verdict]:
     """Verdicts on keys at their bounds; none on keys that the targets do not determine."""
     fit = problem.fit
     for k, (key, bounds) in enumerate(fit.keys.items()):
-        at = at_bound(float(best.shares[k]))
-        if not at or (known is not None and known.uncertainties[k] >= KNOWN_RANGE):
+        bound = at_bound(float(best.shares[k]))
+        if not bound or (known is not None and known.uncertainties[k] >= KNOWN_RANGE):
             continue
-        words, end = ("lower", bounds.low) if at == "low" else ("upper", bounds.high)
-        what = f"is at its {words} bound, {end}"
-        cure = f"set another '{at}' if values beyond it are possible"
+        bound_name, end = ("lower", bounds.low) if bound == "low" else ("upper", bounds.high)
+        statement = f"is at its {bound_name} bound, {end}"
+        cure = f"set another '{bound}' if values beyond it are possible"
         severity = Severity.WARNING if fit.targets else Severity.PLAIN
-        yield Verdict(what, key, cure, severity)
+        yield Verdict(statement, key, cure, severity)
 
 
 def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
     """Verdicts on targets that the best run does not reach."""
     bounded = any(at_bound(float(share)) for share in best.shares)
-    first = "widen the bounds" if bounded else "check the target and its uncertainty"
-    cure = f"{first}, or add a key that changes this number"
+    remedy = "widen the bounds" if bounded else "check the target and its uncertainty"
+    cure = f"{remedy}, or add a key that changes this number"
     for name, value in zip(problem.fit.numbers, best.array, strict=True):
         target = problem.fit.number_targets[name]
-        away = abs(value - target.value) / target.uncertainty
-        if away > DOUBTFUL:
-            what = (
+        deviation = abs(value - target.value) / target.uncertainty
+        if deviation > DOUBTFUL:
+            statement = (
                 f"is {shown(name, float(value))} at best and cannot reach"
-                f" {shown(name, target.value)}: {away:.1f} uncertainties of"
+                f" {shown(name, target.value)}: {deviation:.1f} uncertainties of"
                 f" {shown(name, target.uncertainty)} remain"
             )
-            severity = Severity.ERROR if away > NOT_REACHED else Severity.WARNING
-            yield Verdict(what, name, cure, severity)
+            severity = Severity.ERROR if deviation > NOT_REACHED else Severity.WARNING
+            yield Verdict(statement, name, cure, severity)
 
 
 def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdict]:
@@ -98,12 +100,12 @@ def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdi
         if len(direction) == 1:
             (k,) = direction
             low, high = fit.keys[full[k]].low, fit.keys[full[k]].high
-            what = (
+            statement = (
                 f"the targets do not determine it: from one bound to the other ({low} to {high}) "
                 f"the numbers change by {known.influence[k]:.2g} of their uncertainties"
             )
             yield Verdict(
-                what,
+                statement,
                 full[k],
                 "leave this key out, or add a number that depends on it",
             )
@@ -112,12 +114,12 @@ def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdi
         counts = ""
         if len(fit.targets) < len(fit.keys):
             counts = f"{len(fit.keys)} keys and {len(fit.targets)} targets: "
-        what = (
+        statement = (
             f"{counts}the targets do not determine these keys one by one: the numbers hardly change"
             f" if {together} change together"
         )
         cure = "fix one of them, or add a number that depends on them in another way"
-        yield Verdict(what, ", ".join(full[k] for k in direction), cure)
+        yield Verdict(statement, ", ".join(full[k] for k in direction), cure)
 
 
 def _of_influence(problem: FitProblem, derivatives: Floats, best: FitRun) -> Iterator[Verdict]:
@@ -125,8 +127,8 @@ def _of_influence(problem: FitProblem, derivatives: Floats, best: FitRun) -> Ite
     changes = np.abs(np.nan_to_num(derivatives))
     for k, key in enumerate(problem.fit.keys):
         if key != problem.fit.objective and (changes[:, k] <= ROUNDING * abs(best.array)).all():
-            what = "has no influence on the numbers, so that its value is arbitrary"
-            yield Verdict(what, key, "leave this key out", Severity.WARNING)
+            statement = "has no influence on the numbers, so that its value is arbitrary"
+            yield Verdict(statement, key, "leave this key out", Severity.WARNING)
 
 
 def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
@@ -134,26 +136,30 @@ def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
     fit = problem.fit
     for name, (low, high) in fit.limits.items():
         value = float(best.array[fit.numbers.index(name)])
-        for limit, words, beyond in (
+        for limit, words, excess in (
             (low, "at least", low - value),
             (high, "at most", value - high),
         ):
-            if beyond > 0:
-                what = (
+            if excess > 0:
+                statement = (
                     "no run meets all constraints; in the closest one it is"
                     f" {shown(name, value)}, and it must be {words} {shown(name, limit)}"
                 )
-                yield Verdict(what, name, "widen the bounds of the keys, or relax this constraint")
+                yield Verdict(
+                    statement, name, "widen the bounds of the keys, or relax this constraint"
+                )
 
 
-def raise_faults(of: FitRecord) -> None:
+def raise_faults(fit_record: FitRecord) -> None:
     """Raise the errors among the verdicts of a fit.
 
     Raises:
         ConvergenceError: The search used all its runs.
         UnusableError: The result must not be used.
     """
-    errors = texts_of(recorded(of), Severity.ERROR)
+    errors = texts_of(recorded(fit_record), Severity.ERROR)
     if errors:
-        codes = [UnusableError.exit_code] if of["converged"] else [ConvergenceError.exit_code]
+        codes = (
+            [UnusableError.exit_code] if fit_record["converged"] else [ConvergenceError.exit_code]
+        )
         raise gravest(codes, "\n".join(errors))

@@ -18,7 +18,7 @@ from app.foundation.arrays import Floats
 # Standard deviation of a value of which only its range is known, as a fraction of the range.
 KNOWN_RANGE = 1 / math.sqrt(12)
 # Smallest component of a direction by which a key takes part in it.
-PART = 0.3
+LEAST_COMPONENT = 0.3
 # Singular values relative to the largest, and components of directions, that are rounding.
 ROUNDING = 1e-9
 
@@ -51,7 +51,7 @@ class Identifiability:
         weak = []
         for i in np.flatnonzero(self.singular_values * KNOWN_RANGE < 1.0):
             parts = [float(v) for v in self.directions[i]]
-            weak.append({k: v for k, v in enumerate(parts) if abs(v) > PART})
+            weak.append({k: v for k, v in enumerate(parts) if abs(v) > LEAST_COMPONENT})
         return weak
 
 
@@ -84,7 +84,7 @@ def identify(derivatives: Floats) -> Identifiability:
 def in_words(direction: dict[int, float], names: Sequence[str]) -> str:
     """Return keys of a direction that change together: ``a and b``, or ``a against b``."""
     first = next(iter(direction.values()))
-    same = [names[k] for k, v in direction.items() if v * first > 0]
+    with_first = [names[k] for k, v in direction.items() if v * first > 0]
     against = [names[k] for k, v in direction.items() if v * first < 0]
-    words = " and ".join(same)
+    words = " and ".join(with_first)
     return f"{words} against {' and '.join(against)}" if against else words

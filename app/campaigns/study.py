@@ -25,11 +25,11 @@ from app.system.layout import duration, percent
 log = logging.getLogger("mantle")
 
 # Points of each line in a quick study.
-QUICK = 2
+QUICK_POINTS = 2
 # Beginning of advice that cannot be given.
-NONE = "no advice on"
+NO_ADVICE = "no advice on"
 # Parts of the target whose cost is reported.
-PARTS = (1.0, 0.4, 0.2)
+TARGET_PARTS = (1.0, 0.4, 0.2)
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
@@ -42,13 +42,13 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         MantleError: Every run failed; with the gravest exit code.
         StoppedError: Interrupted; the same command continues.
     """
-    wanted, planned, common = study_file.read(path, overrides)
-    chosen = _chosen(planned, options)
+    study, planned, common = study_file.read(path, overrides)
+    chosen = _selected_runs(planned, options)
     if options.dry_run:
         log.info("%s", batch.plan(f"{path}: {len(chosen)} runs", chosen, options))
         return
     results = batch.run(chosen, options.folder, options.cores, options.slurm)
-    report = evaluate(wanted, [_study_run(result) for result in results])
+    report = evaluate(study, [_study_run(result) for result in results])
     with batch.writable(options.folder):
         # A stale picture would not match the new numbers.
         folders.remove(options.folder / name for name in study_picture.NAMES)
@@ -68,7 +68,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         raise gravest([r.exit_code for r in results], text)
 
 
-def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:
+def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:
     """Select lines by name and keep the reference; a quick study takes two runs of each.
 
     Raises:
@@ -80,9 +80,9 @@ def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]
     if not any(name and options.pattern in name for name in lines):
         names = ", ".join(filter(None, lines))
         raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
-    most = QUICK if options.tier == "quick" else None
+    most_points = QUICK_POINTS if options.tier == "quick" else None
     selected = [runs for name, runs in lines.items() if not name or options.pattern in name]
-    return [r for runs in selected for r in runs[:most]]
+    return [r for runs in selected for r in runs[:most_points]]
 
 
 def _study_run(result: Result) -> StudyRun:
@@ -123,11 +123,11 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     measured = [_measure(study, name, curve, ladder) for name in study.quantities]
     compared = [m for m in measured if m.compared]
     advice = {m.name: _costs(study.target, m.name, curve, [m]) for m in compared}
-    good = [m for m in compared if not advice[m.name].startswith(NONE)]
-    if len(compared) > 1 and good:
-        left_out = [m.name for m in compared if m not in good]
-        what = f"every number but {', '.join(left_out)}" if left_out else "every number"
-        advice[""] = _costs(study.target, what, curve, good)
+    resolved = [m for m in compared if not advice[m.name].startswith(NO_ADVICE)]
+    if len(compared) > 1 and resolved:
+        left_out = [m.name for m in compared if m not in resolved]
+        title = f"every number but {', '.join(left_out)}" if left_out else "every number"
+        advice[""] = _costs(study.target, title, curve, resolved)
     return Report(study.target, curve, ladder, measured, advice)
 
 
@@ -162,7 +162,7 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
         return None
     x = [r.x for r, _ in known if r.x is not None]
     if x and x[0] < x[-1]:
-        x = [1.0 / each for each in x]  # a number that grows as the run gets finer
+        x = [1.0 / size for size in x]  # a number that grows as the run gets finer
     last = known[-1][0]
     return wp.extrapolate(
         x if len(x) == len(known) else [],
@@ -173,14 +173,16 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
 
 
 def _costs(
-    target: float, what: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
+    target: float, title: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
     """Cost of having all of these quantities within the target, and within parts of it.
 
     A run is as good as the worst of those that follow it in its line: it may be close by chance.
     """
     if any(m.reference and m.reference.method == wp.NOT_CONVERGING for m in measured):
-        return f"{NONE} {what}: its reference is {wp.NOT_CONVERGING}; refine study.reference.run"
+        return (
+            f"{NO_ADVICE} {title}: its reference is {wp.NOT_CONVERGING}; refine study.reference.run"
+        )
     worst: dict[str, float] = {}
     errors = [
         None if None in of_run else max(e for e in of_run if e is not None)
@@ -191,19 +193,19 @@ def _costs(
         if error is not None:
             errors[i] = worst[r.line] = max(error, worst.get(r.line, 0.0))
     costs: list[str] = []
-    for level in (part * target for part in PARTS):
+    for level in (part * target for part in TARGET_PARTS):
         best = wp.best([r.time for r in curve], errors, level)
         if best is None:
-            return f"{NONE} {what}: no run has a known error"
+            return f"{NO_ADVICE} {title}: no run has a known error"
         r, time, error = curve[best], duration(curve[best].time or 0.0), errors[best] or 0.0
-        at = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
+        place = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
         if error <= level:
-            costs.append(f"{percent(level)} costs {time} ({at})")
+            costs.append(f"{percent(level)} costs {time} ({place})")
             continue
         uncertainty = max(m.uncertainty for m in measured)
-        why = f"is reached by no run (closest {percent(error)} in {time}, {at})"
+        reason = f"is reached by no run (closest {percent(error)} in {time}, {place})"
         if uncertainty > level:
-            why = f"is below the uncertainty of the reference, {percent(uncertainty)}"
-        costs.append(f"{percent(level)} {why}")
+            reason = f"is below the uncertainty of the reference, {percent(uncertainty)}"
+        costs.append(f"{percent(level)} {reason}")
         break
-    return f"{what} within {', '.join(costs)}"
+    return f"{title} within {', '.join(costs)}"

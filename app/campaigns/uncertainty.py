@@ -23,7 +23,7 @@ RESAMPLES = 999
 # Condition of a matrix of correlations from which inputs follow from each other.
 SINGULAR = 1e8
 # Numbers that stay below this are rounding, in any unit of theirs.
-NOTHING = 1e-9
+ROUNDING_RANGE = 1e-9
 
 
 class NumberSpread(TypedDict):
@@ -89,19 +89,21 @@ def of_parts(
         independent = of_part
         if samples.sobol:
             independent = [row for run in _base_samples(of_part, samples) for row in run[:2]]
-        done = [row for row in independent if not row["exit_code"]]
-        if len(done) < FEWEST:
+        converged = [row for row in independent if not row["exit_code"]]
+        if len(converged) < FEWEST:
             continue
-        values = {key: [row["overrides"][key] for row in done] for key in samples.inputs}
-        names = [n for n in done[0]["numbers"] if all(n in row["numbers"] for row in done)]
+        values = {key: [row["overrides"][key] for row in converged] for key in samples.inputs}
+        names = [
+            n for n in converged[0]["numbers"] if all(n in row["numbers"] for row in converged)
+        ]
         spreads[part] = {
-            "samples": len(done),
-            "numbers": {n: of_number([r["numbers"][n] for r in done], values) for n in names},
+            "samples": len(converged),
+            "numbers": {n: of_number([r["numbers"][n] for r in converged], values) for n in names},
         }
-        whole = _whole(of_part, samples) if samples.sobol else []
-        if len(whole) >= FEWEST_BASE:
-            spreads[part]["base_samples"] = len(whole)
-            spreads[part]["indices"] = sobol_indices(whole, samples.inputs)
+        base_samples = _converged_base_samples(of_part, samples) if samples.sobol else []
+        if len(base_samples) >= FEWEST_BASE:
+            spreads[part]["base_samples"] = len(base_samples)
+            spreads[part]["indices"] = sobol_indices(base_samples, samples.inputs)
     return spreads
 
 
@@ -125,16 +127,18 @@ def _base_samples(rows: Sequence[SweepRow], samples: UncertainInputs) -> list[Se
     return [rows[start : start + width] for start in range(0, len(rows) - width + 1, width)]
 
 
-def _whole(rows: Sequence[SweepRow], samples: UncertainInputs) -> list[Sequence[SweepRow]]:
+def _converged_base_samples(
+    rows: Sequence[SweepRow], samples: UncertainInputs
+) -> list[Sequence[SweepRow]]:
     """Base samples whose runs all converged: the first ones, a power of two of them."""
-    whole = [
+    converged = [
         run for run in _base_samples(rows, samples) if not any(row["exit_code"] for row in run)
     ]
-    return whole[: 2 ** (len(whole).bit_length() - 1)] if whole else []
+    return converged[: 2 ** (len(converged).bit_length() - 1)] if converged else []
 
 
 def sobol_indices(
-    whole: Sequence[Sequence[SweepRow]], inputs: Sequence[str]
+    base_samples: Sequence[Sequence[SweepRow]], inputs: Sequence[str]
 ) -> dict[str, dict[str, SobolIndices]]:
     """Sobol' indices by number and input, of base samples (a power of two) by scipy.
 
@@ -142,15 +146,15 @@ def sobol_indices(
     """
     from scipy.stats import sobol_indices as indices_of
 
-    first = whole[0][0]["numbers"]
-    names = [n for n in first if all(n in row["numbers"] for run in whole for row in run)]
+    first = base_samples[0][0]["numbers"]
+    names = [n for n in first if all(n in row["numbers"] for run in base_samples for row in run)]
     indices = {}
     for name in names:
-        values = np.array([[row["numbers"][name] for row in run] for run in whole]).T
-        if np.ptp(values) <= NOTHING:
+        values = np.array([[row["numbers"][name] for row in run] for run in base_samples]).T
+        if np.ptp(values) <= ROUNDING_RANGE:
             continue
         a, b, mixed = values[:1], values[1:2], values[2:, None]
-        result = indices_of(func={"f_A": a, "f_B": b, "f_AB": mixed}, n=len(whole))
+        result = indices_of(func={"f_A": a, "f_B": b, "f_AB": mixed}, n=len(base_samples))
         spread = result.bootstrap(n_resamples=RESAMPLES)
         indices[name] = {
             key: SobolIndices(
@@ -233,7 +237,7 @@ def rows(of: PartSpread) -> list[list[str]]:
 
     Numbers that vary by no more than rounding are left out.
     """
-    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
+    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > ROUNDING_RANGE}
     order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
     table_rows = []
     for name in order:

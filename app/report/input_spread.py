@@ -40,7 +40,7 @@ class InputSpread:
         if len(values) < len(self.samples):
             return None
         spread = uncertainty.of_number(values, self.inputs)
-        if spread["deviation"] <= uncertainty.NOTHING:
+        if spread["deviation"] <= uncertainty.ROUNDING_RANGE:
             return None
         most, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
         clear = abs(rank) > 2.0 / len(values) ** 0.5
