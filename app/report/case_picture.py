@@ -108,46 +108,46 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     low, high = data.points.min(axis=0), data.points.max(axis=0)
     size, clinical = high - low, case.geometry.has_gruen_zones
     inch = max(size[2] / TALL, size[:2].max() / WIDE)
-    wide = size[:2].max() / inch + 2 * SIDE
+    view_width = size[:2].max() / inch + 2 * SIDE
     forces = [*_forces(case, data)]
-    title = textwrap.wrap(case.title or path.stem, int(LETTERS * wide))
+    title = textwrap.wrap(case.title or path.stem, int(LETTERS * view_width))
     is_continued = case.geometry.continued_below is not None
-    further = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
-    entries = max(len(data.regions), len(case.interfaces) + sum(further))
+    more_entries = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
+    entries = max(len(data.regions), len(case.interfaces) + sum(more_entries))
     more_title = LINE * max(0, len(title) - 1)
     top = TOP + more_title
     bottom = BOTTOM + LINE * max(0, math.ceil(entries / ENTRIES) - 2)
-    tall = size[2] / inch + top + bottom
-    figure = figures.new(2 * wide, tall)
+    picture_height = size[2] / inch + top + bottom
+    figure = figures.new(2 * view_width, picture_height)
     figure.set_layout_engine("none")
     outside = exterior_facets(data.cells)
     for k, name in enumerate(sections.FRONT_AND_SIDE):
         across, leftward, toward = sections.VIEWS[name]
         ax = figure.add_axes((0.5 * k, 0.0, 0.5, 1.0))
-        at = sections.middle_plane(low[toward], high[toward])
+        section_at = sections.middle_plane(low[toward], high[toward])
         if case.geometry.is_around_z and low[toward] > -1e-6 * size[toward]:
-            at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
-        view = View(ax, across, toward, at, low, high, inch)
+            section_at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
+        view = View(ax, across, toward, section_at, low, high, inch)
         _bodies(view, data, name, *outside)
         _lines(view, case, data)
         _continued(view, case.geometry.continued_below)
         _arrows(view, forces)
         _labels(view)
         _scale(view, WAYS if clinical else [("", axis) for axis in AXES])
-        where = f"from {name if clinical else f'+{AXES[toward]}'}"
-        where += f", section {AXES[toward]} = {round(at, 3):g} mm"
+        view_title = f"from {name if clinical else f'+{AXES[toward]}'}"
+        view_title += f", section {AXES[toward]} = {round(section_at, 3):g} mm"
         middle = (low + high)[across] / 2
-        ax.text(middle, high[2] + (TOP - 1.0) * inch, where, ha="center", fontsize=WORDS)
-        half = 0.5 * wide * inch
+        ax.text(middle, high[2] + (TOP - 1.0) * inch, view_title, ha="center", fontsize=WORDS)
+        half = 0.5 * view_width * inch
         ends = [middle - half, middle + half][:: -1 if leftward else 1]
         ax.set(xlim=ends, ylim=(low[2] - bottom * inch, high[2] + top * inch))
         ax.set_axis_off()
     write = partial(figure.text, ha="center", va="top", parse_math=False)
     words = "\n".join([*title, f"{len(data.cells):,} cells"])
-    write(0.25, 1 - 0.1 / tall, words, fontsize=12)
+    write(0.25, 1 - 0.1 / picture_height, words, fontsize=12)
     if len(forces) > 1:
         words = f"{len(forces)} loads, {next(preview.resultant(case), '')}"
-        write(0.25, 1 - (0.62 + more_title) / tall, words, color=LOAD, fontsize=WORDS)
+        write(0.25, 1 - (0.62 + more_title) / picture_height, words, color=LOAD, fontsize=WORDS)
     named = handles(figure.axes)
     bodies = {label: named.pop(label) for label in _region_labels(data)}
     for middle, group in ((0.25, bodies), (0.75, named)):
@@ -196,11 +196,11 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
         facets = _boundary(data, getattr(part, "boundary", ""))
         middles = view.lines(facets, colour, word, width=4.0, alpha=0.8)
         keys = part.model_dump(mode="json", exclude_none=True)
-        held = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
+        held_values = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
         if len(middles):
-            away = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
-            text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held])}"
-            view.labels.append((text, colour, middles[away.argmax()]))
+            outwardness = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
+            text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held_values])}"
+            view.labels.append((text, colour, middles[outwardness.argmax()]))
 
 
 def _continued(view: View, level: float | None) -> None:
@@ -235,10 +235,10 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
         area, places = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, x.mean(axis=1)
         size = np.linalg.norm(area, axis=1, keepdims=True)
         text = f"{name.replace('_', ' ')}\n"
-        times = f" × {plain(load.history)}" if load.history else ""
+        history_text = f" × {plain(load.history)}" if load.history else ""
         if load.normal_pressure is not None:
-            each = -load.normal_pressure * size.sum() * area / size
-            yield f"{text}{plain(load.normal_pressure)} MPa{times}", places, each
+            facet_forces = -load.normal_pressure * size.sum() * area / size
+            yield f"{text}{plain(load.normal_pressure)} MPa{history_text}", places, facet_forces
             continue
         force = load.resultant
         if load.volume_regions is not None:
@@ -249,26 +249,30 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
             force = (size * load.density_at(places)).sum(axis=0)
         if force is not None and np.any(force):
             place = load.point or (size * places).sum(axis=0) / size.sum()
-            text += f"{float(f'{np.linalg.norm(force):.3g}'):,g} N{times}"
+            text += f"{float(f'{np.linalg.norm(force):.3g}'):,g} N{history_text}"
             yield text, np.array([place]), np.array([force])
 
 
 def _arrows(view: View, forces: Sequence[Force]) -> None:
-    """Draw loads; of a pressure those of some facets."""
-    flat, most = [view.across, 2], max((np.abs(f[2]).max() for f in forces), default=0.0)
-    for text, places, each in forces:
+    """Draw loads as arrows; a pressure has the arrows of some facets."""
+    flat, largest = [view.across, 2], max((np.abs(f[2]).max() for f in forces), default=0.0)
+    for text, places, force_vectors in forces:
         across = places[:, view.across]
         rows = np.abs(across[:, None] - np.linspace(across.min(), across.max(), SEVERAL))
         for row in np.unique(rows.argmin(axis=0)):
-            size = np.linalg.norm(each[row])
-            long = view.inch * max(SHORTEST, LONGEST * math.sqrt(size / most))
-            at, step = places[row, flat], long * each[row, flat] / size
-            out = (2 * places[row] - view.low - view.high) @ each[row] > 0
-            start, end = (at, at + step) if out else (at - step, at)
+            size = np.linalg.norm(force_vectors[row])
+            arrow_length = view.inch * max(SHORTEST, LONGEST * math.sqrt(size / largest))
+            start_point, step = places[row, flat], arrow_length * force_vectors[row, flat] / size
+            points_outwards = (2 * places[row] - view.low - view.high) @ force_vectors[row] > 0
+            start, end = (
+                (start_point, start_point + step)
+                if points_outwards
+                else (start_point - step, start_point)
+            )
             style = {"arrowstyle": "-|>", "color": LOAD, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
             view.ax.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style)
-            view.ax.plot(*at, "o", color=LOAD, ms=3.5, label="load")
-        view.labels.append((text, LOAD, end if out else start))
+            view.ax.plot(*start_point, "o", color=LOAD, ms=3.5, label="load")
+        view.labels.append((text, LOAD, end if points_outwards else start))
 
 
 def _labels(view: View) -> None:
@@ -279,17 +283,17 @@ def _labels(view: View) -> None:
         labels = [m for m in by_height if (m[2][0] > middle) == (side > 0)]
         texts = [_wrapped(text) for text, *_ in labels]
         n, x = len(labels), end[view.across] + side * GAP * view.inch
-        tall = np.array([LABEL * (1 + text.count("\n")) + APART for text in texts])
+        label_heights = np.array([LABEL * (1 + text.count("\n")) + APART for text in texts])
         # Heights of the middles of labels that touch, from the first one.
-        steps = view.inch * (np.cumsum(tall) - tall / 2)
+        steps = view.inch * (np.cumsum(label_heights) - label_heights / 2)
         # As near to their places as the gaps allow: isotonic regression.
         y = np.array([place[1] for *_, place in labels]) - steps
-        least = [[y[j:k].mean() for k in range(j + 1, n + 1)] for j in range(n)]
-        spread = [max(min(least[j][i - j :]) for j in range(i + 1)) for i in range(n)] + steps
+        block_means = [[y[j:k].mean() for k in range(j + 1, n + 1)] for j in range(n)]
+        spread = [max(min(block_means[j][i - j :]) for j in range(i + 1)) for i in range(n)] + steps
         if n:
             # Below the title of the view.
             highest = view.high[2] + (TOP - 1.0 - APART) * view.inch
-            spread = spread - max(0.0, spread[-1] + 0.5 * tall[-1] * view.inch - highest)
+            spread = spread - max(0.0, spread[-1] + 0.5 * label_heights[-1] * view.inch - highest)
         right = (side < 0) == view.ax.xaxis_inverted()
         for text, (_, colour, place), height in zip(texts, labels, spread, strict=True):
             line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - right, 0.5)}
@@ -314,13 +318,20 @@ def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
     """Draw a bar of a round length, and the names of the axes' ends."""
     width = (view.high - view.low)[view.across]
     size = 10.0 ** math.floor(math.log10(width))
-    long = max(size * k for k in (0.2, 0.5, 1, 2, 5) if size * k <= 0.6 * width)
+    bar_length = max(size * k for k in (0.2, 0.5, 1, 2, 5) if size * k <= 0.6 * width)
     x, z = (view.low + view.high)[view.across] / 2, view.low[2] - 0.3 * view.inch
-    view.ax.plot([x - long / 2, x + long / 2], [z, z], "k", lw=3, solid_capstyle="butt")
+    view.ax.plot([x - bar_length / 2, x + bar_length / 2], [z, z], "k", lw=3, solid_capstyle="butt")
     ends = names[view.across]
     direction = " ← ".join(ends[::-1]) if view.ax.xaxis_inverted() else " → ".join(ends)
     view.ax.text(
-        x, z - 0.1 * view.inch, f"{long:g} mm\n{direction}", ha="center", va="top", fontsize=WORDS
+        x,
+        z - 0.1 * view.inch,
+        f"{bar_length:g} mm\n{direction}",
+        ha="center",
+        va="top",
+        fontsize=WORDS,
     )
-    at = view.low[view.across] - 0.4 * view.inch, view.low[2] + 0.9 * view.inch
-    view.ax.text(*at, " → ".join(names[2]), ha="center", va="center", rotation=90, fontsize=WORDS)
+    label_position = view.low[view.across] - 0.4 * view.inch, view.low[2] + 0.9 * view.inch
+    view.ax.text(
+        *label_position, " → ".join(names[2]), ha="center", va="center", rotation=90, fontsize=WORDS
+    )

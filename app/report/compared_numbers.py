@@ -51,8 +51,8 @@ class ComparedNumber:
     @property
     def changes(self) -> list[tuple[int, Number, Number]]:
         """Each run that has the number beside the first that has it: its place and both numbers."""
-        there = [(k, number) for k, number in enumerate(self.numbers) if number is not None]
-        return [(k, there[0][1], number) for k, number in there[1:]]
+        known_numbers = [(k, number) for k, number in enumerate(self.numbers) if number is not None]
+        return [(k, known_numbers[0][1], number) for k, number in known_numbers[1:]]
 
     @property
     def known(self) -> bool:
@@ -73,14 +73,14 @@ class ComparedNumber:
             return "-"
         change = number.value - first.value
         error = error_of_difference(first, number)
-        beyond = differs(first, number, self.rounding)
-        part = f" ({100 * change / abs(first.value):+.1f} %)" if first.value else ""
+        is_beyond = differs(first, number, self.rounding)
+        relative = f" ({100 * change / abs(first.value):+.1f} %)" if first.value else ""
         if error is None:
-            return f"{Number(change)}{part}, errors unknown" if beyond else "0"
+            return f"{Number(change)}{relative}, errors unknown" if is_beyond else "0"
         if self.exact:
-            return f"{Number(change)}{part}" if beyond else "0"
-        text = f"{Number(change, error)}{part}"
-        return text if beyond else f"{text}, within the errors"
+            return f"{Number(change)}{relative}" if is_beyond else "0"
+        text = f"{Number(change, error)}{relative}"
+        return text if is_beyond else f"{text}, within the errors"
 
     @property
     def differs(self) -> bool:
@@ -126,7 +126,7 @@ def compared(cases: Sequence[SweptCase]) -> list[ComparedNumber]:
     Numbers with known errors come first, ordered by difference over error. Those without follow,
     ordered by relative difference. Numbers that do not differ come last.
     """
-    common = [c for c in _every(cases) if sum(n is not None for n in c.numbers) > 1]
+    common = [c for c in _all_numbers(cases) if sum(n is not None for n in c.numbers) > 1]
     return sorted(common, key=_order)
 
 
@@ -138,19 +138,21 @@ def _order(number: ComparedNumber) -> tuple[bool, bool, float, float]:
 
 def unshared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[str]:
     """Return a sentence for each run with numbers that no other run has."""
-    alone: dict[int, dict[str, list[str]]] = {}
-    for number in _every(cases):
-        there = [k for k, value in enumerate(number.numbers) if value is not None]
-        if len(there) == 1:
-            alone.setdefault(there[0], {}).setdefault(number.group, []).append(number.key)
+    only_here: dict[int, dict[str, list[str]]] = {}
+    for number in _all_numbers(cases):
+        runs_with_it = [k for k, value in enumerate(number.numbers) if value is not None]
+        if len(runs_with_it) == 1:
+            only_here.setdefault(runs_with_it[0], {}).setdefault(number.group, []).append(
+                number.key
+            )
     sentences = []
-    for k, groups in sorted(alone.items()):
+    for k, groups in sorted(only_here.items()):
         words = ", ".join(f"{len(keys)} of {group}" for group, keys in groups.items())
         sentences.append(f"{names[k]} alone has {words}.")
     return sentences
 
 
-def _every(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
+def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
     """Every number of a run, in the order of the table of quantities, then by Gruen zone."""
     keys: dict[str, str] = {}
     for case in cases:
@@ -173,11 +175,11 @@ def _every(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
 
 def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
     """Numbers by Gruen zone: strain energy of the bones, and those of each interface."""
-    every = [case.summary.get("gruen") or {} for case in cases]
-    for zone in dict.fromkeys(zone for zones in every for zone in zones):
-        here = [zones.get(zone, {}) for zones in every]
-        densities = [z.get("strain_energy_density", {}) for z in here]
-        errors = [z.get("strain_energy_density_error", {}) for z in here]
+    all_zones = [case.summary.get("gruen") or {} for case in cases]
+    for zone in dict.fromkeys(zone for zones in all_zones for zone in zones):
+        zone_of_runs = [zones.get(zone, {}) for zones in all_zones]
+        densities = [z.get("strain_energy_density", {}) for z in zone_of_runs]
+        errors = [z.get("strain_energy_density_error", {}) for z in zone_of_runs]
         for bone in dict.fromkeys(bone for density in densities for bone in density):
             pairs = zip(densities, errors, strict=True)
             numbers = tuple(_scaled(_number(density, e, bone), KJ) for density, e in pairs)
@@ -188,8 +190,10 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
                 "kJ/m³",
                 numbers,
             )
-        for place in dict.fromkeys(place for z in here for place in z.get("interfaces", {})):
-            of_place = [z.get("interfaces", {}).get(place) for z in here]
+        for place in dict.fromkeys(
+            place for z in zone_of_runs for place in z.get("interfaces", {})
+        ):
+            of_place = [z.get("interfaces", {}).get(place) for z in zone_of_runs]
             for key, q in quantities.TABLE["interfaces"].items():
                 numbers = tuple(_scaled(_number(n, n, key, "_error"), q.factor) for n in of_place)
                 if any(number is not None for number in numbers):

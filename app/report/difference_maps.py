@@ -39,12 +39,12 @@ def draw(runs: Sequence[tuple[str, SweptCase]], folder: Path) -> tuple[list[Figu
     drawn = []
     missing = []
     for name in dict.fromkeys(name for by_name in sheets for name in by_name):
-        there = sheets[0].get(name)
+        first_sheet = sheets[0].get(name)
         columns = []
         for (title, _), by_name in zip(others, sheets[1:], strict=True):
-            other = by_name.get(name)
-            if there and other and there[1].round == other[1].round:
-                columns.append((f"{title} − {first}", there, other))
+            other_sheet = by_name.get(name)
+            if first_sheet and other_sheet and first_sheet[1].round == other_sheet[1].round:
+                columns.append((f"{title} − {first}", first_sheet, other_sheet))
         if not columns:
             missing.append(f"no map of the difference of {name}: not the same surface in two runs")
             continue
@@ -60,7 +60,11 @@ def _sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet]]:
         sheets = pictures.sheets(case)
     except pictures.UNREADABLE:
         return {}
-    return {name: there for name, there in sheets.items() if there and not there[1].cup}
+    return {
+        name: run_and_sheet
+        for name, run_and_sheet in sheets.items()
+        if run_and_sheet and not run_and_sheet[1].cup
+    }
 
 
 def _picture(
@@ -70,14 +74,16 @@ def _picture(
 ) -> Figure | None:
     """Draw the differences of an interface; None if no quantity is in two runs."""
     rows: list[pictures.Row] = []
-    differences = [_differences(there, other, name) for _, there, other in columns]
+    differences = [
+        _differences(first_sheet, other_sheet, name) for _, first_sheet, other_sheet in columns
+    ]
     for quantity in pictures.SHOWN:
         label, unit, _ = interface_fields()[quantity]
         values = [by_quantity.get(quantity) for by_quantity in differences]
         title = f"difference of {WORDS.get(quantity, label)} ({printed(unit)})"
         rows.append((title, figures.SIGNED, values))
     file = f"difference_{name}.png"
-    shown = [(title, *there) for title, there, _ in columns]
+    shown = [(title, *first_sheet) for title, first_sheet, _ in columns]
     labels = pictures.draw(folder / file, shown, rows, figures.PNG)
     if not labels:
         return None
@@ -92,13 +98,13 @@ def _picture(
 def _differences(
     first: tuple[Run, Sheet], second: tuple[Run, Sheet], interface: str
 ) -> dict[str, Floats]:
-    """Fields of the second run less those of the first, at the nodes of the first (n,).
+    """Fields of the second run minus those of the first, at the nodes of the first (n,).
 
-    By quantity, of those that both runs have. They are nan away from the interface.
+    They are by quantity, for quantities of both runs, and nan away from the interface.
     """
     run, sheet = first
-    other, other_sheet = second
-    common = {*run.point_fields} & {*other.point_fields}
+    other_run, other_sheet = second
+    common = {*run.point_fields} & {*other_run.point_fields}
     fields = {
         quantity: f"{interface}_{quantity}"
         for quantity in pictures.SHOWN
@@ -107,10 +113,12 @@ def _differences(
     if not fields:
         return {}
     factors = np.array([interface_fields()[quantity][2] for quantity in fields])
-    here = factors * np.stack([lengths(run, field) for field in fields.values()], axis=1)
-    values = factors * np.stack([lengths(other, field) for field in fields.values()], axis=1)
-    there = Interpolation(other_sheet.corners, values[other_sheet.nodes])
-    on_both = there.on_surface(sheet.corners)[..., None]
-    differences = np.full_like(here, np.nan)
-    differences[sheet.nodes] = np.where(on_both, there(sheet.corners), np.nan) - here[sheet.nodes]
+    first_values = factors * np.stack([lengths(run, field) for field in fields.values()], axis=1)
+    values = factors * np.stack([lengths(other_run, field) for field in fields.values()], axis=1)
+    interpolation = Interpolation(other_sheet.corners, values[other_sheet.nodes])
+    on_both = interpolation.on_surface(sheet.corners)[..., None]
+    differences = np.full_like(first_values, np.nan)
+    differences[sheet.nodes] = (
+        np.where(on_both, interpolation(sheet.corners), np.nan) - first_values[sheet.nodes]
+    )
     return dict(zip(fields, differences.T, strict=True))

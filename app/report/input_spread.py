@@ -42,19 +42,19 @@ class InputSpread:
         spread = uncertainty.of_number(values, self.inputs)
         if spread["deviation"] <= uncertainty.ROUNDING_RANGE:
             return None
-        most, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
-        clear = abs(rank) > 2.0 / len(values) ** 0.5
-        return spread["p5"], spread["p95"], f"{title(most)} ({rank:+.2f})" if clear else ""
+        strongest, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
+        is_clear = abs(rank) > 2.0 / len(values) ** 0.5
+        return spread["p5"], spread["p95"], f"{title(strongest)} ({rank:+.2f})" if is_clear else ""
 
     def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
         """Cells of a number below `HEAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
-        low, high, most = self.of(name) or (None, None, "-")
+        low, high, strongest = self.of(name) or (None, None, "-")
         ends = "-" if low is None else f"{low:.{q.digits}f} to {high:.{q.digits}f}"
-        return [titled(name), value, error or "-", ends, most or "none clearly"]
+        return [titled(name), value, error or "-", ends, strongest or "none clearly"]
 
     def sentence(self, run: SweptCase) -> str:
-        """Which of mesh and inputs dominates the main numbers, and the input that does."""
+        """Sentence on the dominant uncertainty of main numbers, mesh or inputs, and its input."""
         ratios, causes = list[float](), Counter[str]()
         for section, owner, _ in numbers_of(run.summary):
             for key, q in TABLE[section].items():
@@ -65,9 +65,11 @@ class InputSpread:
                     causes.update([cause.rpartition(" (")[0]])
                     ratios += [0.5 * (high - low) / n.error] if n and n.error else []
         del causes[""]
-        most = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
+        strongest = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
         if not ratios:
-            return f"The ± of main numbers was not estimated, so the two are not compared{most}."
+            return (
+                f"The ± of main numbers was not estimated, so the two are not compared{strongest}."
+            )
         larger, middle = sum(ratio > 1.0 for ratio in ratios), statistics.median(ratios)
         first = "Inputs matter more than the mesh"
         if middle <= 1.0:
@@ -75,7 +77,8 @@ class InputSpread:
         size = self.samples[0].data["mesh"]["size"]
         return (
             f"{first}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds the ± "
-            f"for {larger} of {len(ratios)} main numbers; the median ratio is {middle:.2g}{most}. "
+            f"for {larger} of {len(ratios)} main numbers; the median ratio is"
+            f" {middle:.2g}{strongest}. "
             f"The range is from {len(self.samples)} of {self.drawn} samples on meshes of {size}."
         )
 
@@ -86,18 +89,18 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
     Raises:
         InputError: It is no such sweep, one of another case, or has too few samples.
     """
-    sweep, where = read(folder), f"--spread {folder}"
+    sweep, option = read(folder), f"--spread {folder}"
     if len(sweep.uncertainty) != 1:
-        raise InputError(f"{where}: expected one part with converged samples (latin_hypercube)")
+        raise InputError(f"{option}: expected one part with converged samples (latin_hypercube)")
     ((part, spread),) = sweep.uncertainty.items()
     keys = dict.fromkeys(key for s in spread["numbers"].values() for key in s["correlation"])
     drawn = [c for c in sweep.cases if c.part == part]
-    others = {c.name: next(_differences(run.data, c.data, keys), "") for c in drawn if c.done}
-    samples = [c for c in drawn if c.done and not others[c.name]]
+    differences = {c.name: next(_differences(run.data, c.data, keys), "") for c in drawn if c.done}
+    samples = [c for c in drawn if c.done and not differences[c.name]]
     if len(samples) < FEWEST:
-        few = f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST}"
-        other = f"is of another case than {run.folder}: {next(iter(others.values()))}"
-        raise InputError(f"{where}: {few if samples else other}")
+        too_few = f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST}"
+        other_case = f"is of another case than {run.folder}: {next(iter(differences.values()))}"
+        raise InputError(f"{option}: {too_few if samples else other_case}")
     inputs = {key: [c.overrides[key] for c in samples] for key in keys}
     return InputSpread(samples, len(drawn), inputs)
 

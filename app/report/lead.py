@@ -57,8 +57,8 @@ def loads(case: SweptCase, summary: Summary) -> str:
     if not ended or not (summary["interfaces"] or summary.get("stem")):
         return ""
     forces: dict[str, list[float]] = {}
-    every = case.data.get("loads", {})
-    for name, load in every.items():
+    all_loads = case.data.get("loads", {})
+    for name, load in all_loads.items():
         if load.get("cycle_table"):
             continue  # it has no one size
         parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
@@ -69,13 +69,13 @@ def loads(case: SweptCase, summary: Summary) -> str:
         return ""
     largest = max(forces, key=lambda name: math.hypot(*forces[name]))
     sector = SECTORS.get(case.data.get("geometry", {}).get("sector", ""), "")
-    words = "Load" if len(every) == 1 else f"Largest load ({largest.replace('_', ' ')})"
+    words = "Load" if len(all_loads) == 1 else f"Largest load ({largest.replace('_', ' ')})"
     if largest == "hip":
         words = "Hip force"
     text = f"{words}: {math.hypot(*forces[largest]):,.0f} N{sector}."
-    if 1 < len(every) == len(forces):
+    if 1 < len(all_loads) == len(forces):
         total = math.hypot(*map(sum, zip(*forces.values(), strict=True)))
-        text += f" Sum of all {len(every)} loads: {total:,.0f} N."
+        text += f" Sum of all {len(all_loads)} loads: {total:,.0f} N."
     return text
 
 
@@ -103,18 +103,18 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
         yield from _captioned(name.replace("_", " "), q)
         if "slip_p99" not in q:
             continue
-        one, other, on = PAIRS.get(name, ("the sides", named(name), "of"))
+        moving_body, other_body, preposition = PAIRS.get(name, ("the sides", named(name), "of"))
         surface = "surface without rim and tip" if "rim" in q else "surface"
         if "micromotion_p99" in q:
             detail = f"99 % of the {surface} moves less, counted from the end of the insertion."
             area = q.get("area_micromotion_over_40um", 0.0)
             if area > NO_BONE:
                 detail += f" {area:,.0f} of {q['area']:,.0f} mm² move more than 40 µm."
-            caption = f"micromotion of {one} {on} {other}"
+            caption = f"micromotion of {moving_body} {preposition} {other_body}"
             yield _number("interfaces", "micromotion_p99", q, caption, detail)
             continue
         if q.get("open_fraction", 0.0) > APART:
-            caption = f"gap between {one} and {other}"
+            caption = f"gap between {moving_body} and {other_body}"
             if name not in PAIRS:
                 caption = f"gap of {named(name)}"
             detail = f"99 % of the {surface} is closer. The sides touch nowhere."
@@ -129,7 +129,7 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
             detail += f" 99 % is open by less than {gap}."
         else:
             detail += " It stays closed."
-        caption = f"slip of {one} {on} {other}"
+        caption = f"slip of {moving_body} {preposition} {other_body}"
         if 1e3 * q["slip_p99"] > NOTHING:
             yield _number("interfaces", "slip_p99", q, caption, detail)
         else:
@@ -171,8 +171,8 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
         return
     worst = max(bone, key=lambda q: q["temperature_max"])
     spans = {level: max(q[f"seconds_over_{level}"] for q in bone) for level in (47, 50, 56)}
-    over = [f"{s:,.0f} s above {level} °C" for level, s in spans.items() if s > 0]
-    detail = f"For up to {', '.join(over)}." if over else "Never above 47 °C."
+    durations = [f"{s:,.0f} s above {level} °C" for level, s in spans.items() if s > 0]
+    detail = f"For up to {', '.join(durations)}." if durations else "Never above 47 °C."
     caption = "highest temperature of the bone"
     yield _number("thermal.regions", "temperature_max", worst, caption, detail)
     dead = {r: sum(q.get(f"necrosis_{r}_volume") or 0.0 for q in bone) for r in NECROSIS}

@@ -79,8 +79,8 @@ class Sheet:
 
     corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
     nodes: Ints  # the run's, at these corners (m, 3)
-    round: bool  # whether it was unrolled; else it is flat
-    cup: bool = False  # or was spread out
+    round: bool  # True if it was unrolled, False if it is flat
+    cup: bool = False  # True if it was spread out from a cup
 
 
 Column = tuple[str, Run, Sheet]
@@ -89,10 +89,10 @@ Row = tuple[str, str, Sequence[Floats | None]]
 
 
 def ends(sweep: SweepResults) -> Chosen:
-    """The cases with the least and the most of the first number that varies."""
-    done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
-    first_and_last = [(0.0, c) for c in (*done[:1], *done[1:][-1:])]
-    _, shown = next(lead.ranges(done, headlines(done)), ("", first_and_last))
+    """Return the cases with the smallest and largest value of the first number that varies."""
+    with_fields = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
+    first_and_last = [(0.0, c) for c in (*with_fields[:1], *with_fields[1:][-1:])]
+    _, shown = next(lead.ranges(with_fields, headlines(with_fields)), ("", first_and_last))
     return [(c.name, c) for _, c in shown]
 
 
@@ -111,9 +111,9 @@ def maps(
     for name in dict.fromkeys(name for _, by_name in opened for name in by_name):
         columns = []
         for title, by_name in opened:
-            there = by_name.get(name)
-            if there:
-                columns.append((title, *there))
+            run_and_sheet = by_name.get(name)
+            if run_and_sheet:
+                columns.append((title, *run_and_sheet))
         if not columns:
             missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
@@ -172,25 +172,25 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
     if TEMPERATURE in labels:
         caption += " Temperature: the highest that each place of the second body reaches."
     place = f"{named(name)} interface"
-    of, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
-    return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of}")
+    of_titles, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
+    return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of_titles}")
 
 
 # Maps
 
 
-def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
+def facets(run: Run, side: Sequence[int], other_side: Sequence[int]) -> Ints:
     """Triangles of an interface (m, 3), in the cells of one side; curved facets are four each."""
-    mine, theirs = (
+    own_faces, other_faces = (
         cells[:, FACES[:, : 3 if cells.shape[1] == 4 else 6]].reshape(4 * len(cells), -1)
-        for cells in (cells_of(run, side), cells_of(run, other))
+        for cells in (cells_of(run, side), cells_of(run, other_side))
     )
     # Bodies that can part have separate nodes at the same places.
-    here, there = (
+    own_centres, other_centres = (
         np.round(run.points[f[:, :3]].mean(axis=1), 6).view("f8,f8,f8").ravel()
-        for f in (mine, theirs)
+        for f in (own_faces, other_faces)
     )
-    return quartered(mine[np.isin(here, there)])
+    return quartered(own_faces[np.isin(own_centres, other_centres)])
 
 
 def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
@@ -211,25 +211,26 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     angle = first + np.mod(angle - first + 180.0, 360.0) - 180.0
     corners = np.stack([angle, x[:, :, 2]], axis=2)
     low, high = angle.min(axis=1) < SEAM, angle.max(axis=1) > SEAM + 360.0
-    turn = np.array([360.0, 0.0])
-    corners = np.concatenate([corners, corners[low] + turn, corners[high] - turn])
+    full_turn = np.array([360.0, 0.0])
+    corners = np.concatenate([corners, corners[low] + full_turn, corners[high] - full_turn])
     return corners, np.concatenate([triangles, triangles[low], triangles[high]])
 
 
 def sheet(
     run: Run, around_z: bool, sides: Sides, regions: Sequence[str], name: str = ""
 ) -> Sheet | None:
-    """An interface of a run in the plane; None if it does not surround a stem, and is no plane.
+    """Return an interface of a run in the plane; None if it surrounds no stem and is no plane.
 
-    Of sides meshed apart that which has the contact points, which may be a part of a sphere too.
+    If the sides are meshed separately, the side with the contact points is taken. It may also be a
+    part of a sphere.
     """
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
     triangles = facets(run, second, first)
     if not len(triangles):
-        apart = side_of(run, name, outsides(run, curved=False)) if name else None
-        if not apart:
+        body_and_triangles = side_of(run, name, outsides(run, curved=False)) if name else None
+        if not body_and_triangles:
             return None
-        triangles = apart[1]
+        triangles = body_and_triangles[1]
         cup = spread(run.points[triangles])
         if cup is not None:
             return Sheet(cup, triangles, False, True)
@@ -254,14 +255,14 @@ def spread(x: Floats) -> Floats | None:
     flat = x.reshape(-1, 3)
     linear = np.column_stack([2 * flat, np.ones(len(flat))])
     centre = np.linalg.lstsq(linear, (flat**2).sum(axis=1))[0][:3]
-    way = x - centre
-    size = np.linalg.norm(way, axis=2, keepdims=True)
+    radial = x - centre
+    size = np.linalg.norm(radial, axis=2, keepdims=True)
     if np.ptp(size) > FLAT * size.max():
         return None
-    pole = way.mean(axis=(0, 1)) / np.linalg.norm(way.mean(axis=(0, 1)))
+    pole = radial.mean(axis=(0, 1)) / np.linalg.norm(radial.mean(axis=(0, 1)))
     others = np.delete(np.eye(3), np.abs(pole).argmax(), axis=0)
     plane, signs = np.linalg.qr(np.vstack([pole, others]).T)
-    place = way / size @ (plane * np.sign(np.diag(signs)))
+    place = radial / size @ (plane * np.sign(np.diag(signs)))
     across = np.linalg.norm(place[..., 1:], axis=2, keepdims=True)
     angle = np.arctan2(across, place[..., :1])
     return np.asarray(size * angle * place[..., 1:] / np.maximum(across, 1e-12))
@@ -283,34 +284,36 @@ def draw(
         return []
     round = all(s.round for _, _, s in columns)
     titles = [textwrap.fill(title.replace("_", " "), 30) for title, _, _ in columns]
-    alone = len(columns) == 1  # quantities of one case side by side
+    is_single = len(columns) == 1  # quantities of one case side by side
     down, across = (
-        (math.ceil(len(rows) / 2), min(2, len(rows))) if alone else (len(rows), len(titles))
+        (math.ceil(len(rows) / 2), min(2, len(rows))) if is_single else (len(rows), len(titles))
     )
-    wide, high = (3.0, 2.9) if round else (3.4, 3.0)
-    wide, high = (wide + 0.8 * alone) * across + 1.2, high * down + 0.3
+    width, high = (3.0, 2.9) if round else (3.4, 3.0)
+    width, high = (width + 0.8 * is_single) * across + 1.2, high * down + 0.3
     top = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
-    figure = figures.new(wide, high + top)
+    figure = figures.new(width, high + top)
     figure.set_layout_engine(None)  # takes a third of the time
-    margins = 0.75 / wide, 0.4 / (high + top), 1 - 0.45 / wide, high / (high + top)
-    figure.subplots_adjust(*margins, wspace=0.2 if alone else 0.12, hspace=0.16)
+    margins = 0.75 / width, 0.4 / (high + top), 1 - 0.45 / width, high / (high + top)
+    figure.subplots_adjust(*margins, wspace=0.2 if is_single else 0.12, hspace=0.16)
     grid = figure.subplots(down, across, squeeze=False, sharey=round)
     for axes in grid.ravel()[len(rows) * len(columns) :]:
         axes.set_visible(False)
     panels = grid.reshape(-1, len(columns))
     for axes_row, (label, colours, fields) in zip(panels, rows, strict=False):
-        of = [(flat, v) for (*_, flat), v in zip(columns, fields, strict=True)]
-        every = np.concatenate([v[flat.nodes].ravel() for flat, v in of if v is not None])
-        low, most = _limits(every[np.isfinite(every)], label, colours)
+        sheet_values = [(flat, v) for (*_, flat), v in zip(columns, fields, strict=True)]
+        all_values = np.concatenate(
+            [v[flat.nodes].ravel() for flat, v in sheet_values if v is not None]
+        )
+        low, highest = _limits(all_values[np.isfinite(all_values)], label, colours)
         shades: list[AxesImage] = []
-        for axes, (flat, v) in zip(axes_row, of, strict=True):
+        for axes, (flat, v) in zip(axes_row, sheet_values, strict=True):
             _axes(axes, flat)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            limits = low, most
+            limits = low, highest
             shades.append(plane.shaded(axes, flat.corners, v[flat.nodes], colours, limits))
-        beyond = np.nanmax(every) > most * (1 + 1e-6)
+        beyond = np.nanmax(all_values) > highest * (1 + 1e-6)
         extend = ("both" if colours == SIGNED else "max") if beyond else "neither"
         figure.colorbar(shades[0], ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, title in zip(grid[0], titles, strict=False):
@@ -324,8 +327,8 @@ def draw(
 def _limits(values: Floats, label: str, colours: str) -> tuple[float, float]:
     """Return the values at which the colours of a row begin and end."""
     if colours == SIGNED:
-        most = max(float(np.percentile(np.abs(values), CLIP)), LEAST)
-        return -most, most
+        highest = max(float(np.percentile(np.abs(values), CLIP)), LEAST)
+        return -highest, highest
     low = float(values.min()) if label == TEMPERATURE else 0.0
     return low, max(float(np.percentile(values, CLIP)), low + LEAST)
 
@@ -341,7 +344,7 @@ def _axes(axes: Axes, flat: Sheet) -> None:
         return
     axes.set_xlim(max(low[0], SEAM), min(high[0], SEAM + 360.0))
     shown = {a: w for a, w in WAYS.items() if axes.get_xlim()[0] <= a <= axes.get_xlim()[1]}
-    names = [SHORT[way] for way in shown.values()]
+    names = [SHORT[direction] for direction in shown.values()]
     ticks = axes.set_xticks(list(shown), names, fontsize=8)
     # The outer names stay inside the frame, so that those of the next map have room.
     for tick in ticks[:1]:
@@ -379,16 +382,18 @@ def sides(run: Run, folder: Path) -> list[Figure]:
         for quantity, colours in _on_sides(run, name).items():
             label, unit, factor = INTERFACE[quantity]
             values = factor * lengths(run, f"{name}_{quantity}")
-            most = float(np.percentile(values[triangles], CLIP)) or 1.0
-            scale = ScalarMappable(Normalize(0.0, most), colours)
+            highest = float(np.percentile(values[triangles], CLIP)) or 1.0
+            scale = ScalarMappable(Normalize(0.0, highest), colours)
             colour = scale.to_rgba(values[triangles].mean(axis=1))[:, :3]
-            x, near = run.points[triangles], [next(panels) for _ in VIEWS]
-            for ax, view in zip(near, VIEWS, strict=True):
+            x, views = run.points[triangles], [next(panels) for _ in VIEWS]
+            for ax, view in zip(views, VIEWS, strict=True):
                 surface(ax, x, x, colour, None, view)
                 ax.set_title(view, fontsize=8)
                 ax.set_axis_off()
-            extend = "max" if values.max() > most * (1 + 1e-6) else "neither"
-            bar = figure.colorbar(scale, ax=near, orientation="horizontal", pad=0.02, extend=extend)
+            extend = "max" if values.max() > highest * (1 + 1e-6) else "neither"
+            bar = figure.colorbar(
+                scale, ax=views, orientation="horizontal", pad=0.02, extend=extend
+            )
             bar.set_label(f"{label} on the {named(body)} ({unit}), largest {values.max():.3g}")
     figures.save(figure, folder / f"{SIDES}.png", 130)
     names = " and ".join(name.replace("_", "-") for name in shown)

@@ -140,22 +140,22 @@ def cell(case: SweptCase, name: str) -> str:
 
 def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Block], list[Path]]:
     """Draw each headline number over each numeric key that varies; also as files in a folder."""
-    done = [c for c in cases if c.done]
+    converged = [c for c in cases if c.done]
     blocks: list[Block] = []
     files: list[Path] = []
-    keys = varied(done)
-    if THICKNESS in keys and any(_mantle(c).get("clipped_fraction") for c in done):
+    keys = varied(converged)
+    if THICKNESS in keys and any(_mantle(c).get("clipped_fraction") for c in converged):
         keys = [ACHIEVED, *keys]
     for key in keys:
-        groups = _groups(done, key)
-        words, unit_of_x = title(key), levels(done, key)[0]
+        groups = _groups(converged, key)
+        words, unit_of_x = title(key), levels(converged, key)[0]
         x = f"{words} ({unit_of_x})" if unit_of_x else words
         panels = []
         for name in headlines([c for _, by_level in groups for c in by_level.values()]):
             text, unit = quantities.in_words(name)
             lines = []
             for k, (common, by_level) in enumerate(groups[:MOST_SERIES]):
-                numbers = {at: c.number(name) for at, c in by_level.items()}
+                numbers = {level: c.number(name) for level, c in by_level.items()}
                 lines.append(line_of(common, k, numbers))
             if any(_varies(line.y) for line in lines):
                 panels.append(Panel(page.spelled_out(text), unit or "value", lines, x))
@@ -165,9 +165,9 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
         if folder:
             file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
             files += draw(folder / file, panels, 3)[:1]
-        left = len(groups) - MOST_SERIES
-        more = f" {left} further curves are left out." if left > 0 else ""
-        caption = f"Bars: estimated errors, where they are known.{more}"
+        left_out = len(groups) - MOST_SERIES
+        rest_text = f" {left_out} further curves are left out." if left_out > 0 else ""
+        caption = f"Bars: estimated errors, where they are known.{rest_text}"
         drawings = page.drawings([drawing(panel) for panel in panels], caption)
         blocks += page.titled(f"Numbers over {words}", drawings)
     return blocks, files
@@ -210,14 +210,14 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
     unit = written.pop() if len(written) == 1 else None
     if unit:
         return quantities.printed(unit), numbers
-    kept = keys.unit(key)
+    schema_unit = keys.unit(key)
     for k, match in enumerate(matches):
         if match and match[2]:
             numbers[k] = None
             with suppress(LookupError, ValueError):  # the key has no unit
-                slope, offset = conversion(match[2], kept)
+                slope, offset = conversion(match[2], schema_unit)
                 numbers[k] = float(Fraction(match[1]) * slope + offset)
-    return quantities.printed(kept), numbers
+    return quantities.printed(schema_unit), numbers
 
 
 def _mantle(case: SweptCase) -> dict[str, float]:
@@ -234,8 +234,10 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
         others = {k for k in others if not k.startswith("geometry.")}
     for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
-            rest = [f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in others]
-            common = ": ".join(filter(None, (c.part, ", ".join(rest))))
+            other_changes = [
+                f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in others
+            ]
+            common = ": ".join(filter(None, (c.part, ", ".join(other_changes))))
             groups.setdefault(common, {})[x] = c
     return [(words, dict(sorted(g.items()))) for words, g in groups.items() if len(g) > 1]
 

@@ -150,8 +150,8 @@ def packed(
     the same mesh, are subtracted at the end of the stage of the same name, or of the last. Of the
     steps between the ends of stages as many are added as ``motion_bytes`` hold.
     """
-    at, kinds = _moments(run), kinds_of(run)
-    ends, others = [*at], {} if minus is None else _moments(minus)
+    steps_by_name, kinds = _moments(run), kinds_of(run)
+    ends, others = [*steps_by_name], {} if minus is None else _moments(minus)
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in others]
         kinds = [kind for kind in kinds if kind.name in minus.point_fields]
@@ -160,7 +160,7 @@ def packed(
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     moving = sum(kind.name.endswith(MOVING) for kind in kinds)
     room = min(FRAMES, motion_bytes // (2 * len(nodes) * (3 + moving)))
-    frames = _frames(run, {name: at[name] for name in ends}, room)
+    frames = _frames(run, {name: steps_by_name[name] for name in ends}, room)
     numbers = PackedArrays()
     x = run.points[nodes]
     places, extent = points_in_range(x)
@@ -189,20 +189,20 @@ def packed(
     }
     for frame in frames:
         u = run.displacement(frame.step)[nodes] if "displacement" in run.point_fields else 0 * x
-        most = float(np.abs(u).max()) or 1.0
-        moves.append({"at": numbers.add(fractions((u / most + 1) / 2)), "most": most})
+        highest = float(np.abs(u).max()) or 1.0
+        moves.append({"at": numbers.add(fractions((u / highest + 1) / 2)), "most": highest})
     for name, contact, label, unit, factor in kinds:
-        on = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
+        is_on_interface = run.at_interface(contact, "status", -1)[nodes] >= 0 if contact else True
         steps: list[dict[str, object] | None] = []
         for frame in frames:
             if not frame.whole and not name.endswith(MOVING):
                 steps.append(None)
                 continue
-            other = -1 if frame.name == ends[-1] else others.get(frame.name, -1)
-            less = 0.0 if minus is None else lengths(minus, name, other)
-            v = factor * (lengths(run, name, frame.step) - less)[nodes]
-            parts, least, most = _scaled(v, np.isfinite(v) & (on | (v > 0)))
-            steps.append({"at": numbers.add(parts), "min": least, "max": most})
+            other_step = -1 if frame.name == ends[-1] else others.get(frame.name, -1)
+            subtracted = 0.0 if minus is None else lengths(minus, name, other_step)
+            v = factor * (lengths(run, name, frame.step) - subtracted)[nodes]
+            parts, lowest, highest = _scaled(v, np.isfinite(v) & (is_on_interface | (v > 0)))
+            steps.append({"at": numbers.add(parts), "min": lowest, "max": highest})
         fields.append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, numbers.content()
 
@@ -228,11 +228,11 @@ def opening(
 
 def side_of(run: Run, contact: str, surfaces: Mapping[str, Ints]) -> tuple[str, Ints] | None:
     """Return the first body with facets on an interface, and these facets (t, 3)."""
-    on = run.at_interface(contact, "status") >= 0
+    is_on_interface = run.at_interface(contact, "status") >= 0
     for body, triangles in surfaces.items():
-        here = triangles[on[triangles].all(axis=1)]
-        if len(here):
-            return body, here
+        triangles_on_it = triangles[is_on_interface[triangles].all(axis=1)]
+        if len(triangles_on_it):
+            return body, triangles_on_it
     return None
 
 
@@ -244,8 +244,8 @@ def _moments(run: Run) -> dict[str, int | str]:
     *_, name = moments
     cycles = run.case["stages"][-1].get("cycles", 1)
     part = cycles * (run.times - run.times[-1]) + 1
-    within = np.flatnonzero((part > 1e-9) & (part < 1 - 1e-9))
-    for k in within[:: 1 + len(within) // MOMENTS]:
+    in_last_cycle = np.flatnonzero((part > 1e-9) & (part < 1 - 1e-9))
+    for k in in_last_cycle[:: 1 + len(in_last_cycle) // MOMENTS]:
         moments[f"{name}, {100 * part[k]:.0f} % of a cycle"] = int(k)
     return moments | {name: moments.pop(name)}
 
@@ -254,10 +254,10 @@ def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[ShownSte
     """Return the ends of stages, and at most so many steps between them, in order of time."""
     frames = {run.number_of(step): ShownStep(name, step, True) for name, step in ends.items()}
     others = [k for k in range(len(run.times)) if k not in frames]
-    every = -(-len(others) // room) if room else 0
-    if every:
+    stride = -(-len(others) // room) if room else 0
+    if stride:
         moments = moments_of(run)
-        for k in others[::every]:
+        for k in others[::stride]:
             frames[k] = ShownStep(f"{moments[k]} (step {k + 1})", k, False)
     return [frames[k] for k in sorted(frames)]
 
@@ -277,24 +277,31 @@ def moments_of(run: Run) -> list[str]:
     return moments
 
 
-def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:
+def _drawn(
+    run: Run, of_node: int, most_bytes: int
+) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:
     """Triangles and cells of the bodies, and their nodes; fewer where bytes exceed a limit."""
-    every = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
-    none = {name: run.cells[:0, :4] for name in every}
-    for curved, inside in ((True, every), (False, every), (True, none), (False, none)):
+    cells_of_body = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
+    no_cells = {name: run.cells[:0, :4] for name in cells_of_body}
+    for curved, inside in (
+        (True, cells_of_body),
+        (False, cells_of_body),
+        (True, no_cells),
+        (False, no_cells),
+    ):
         fine = outsides(run, curved)
         nodes = np.unique(np.concatenate([a.ravel() for a in (*fine.values(), *inside.values())]))
-        if of_node * len(nodes) + 16 * sum(map(len, inside.values())) <= most:
+        if of_node * len(nodes) + 16 * sum(map(len, inside.values())) <= most_bytes:
             break
     return fine, inside, nodes
 
 
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
     """Values as 16-bit fractions of their range, and its ends; one extra level marks no value."""
-    least, most = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
-    parts = fractions(np.where(known, (values - least) / ((most - least) or 1.0), 0.0))
+    lowest, highest = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
+    parts = fractions(np.where(known, (values - lowest) / ((highest - lowest) or 1.0), 0.0))
     parts[~known] = LEVELS + 1
-    return parts, least, most
+    return parts, lowest, highest
 
 
 def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
@@ -319,7 +326,11 @@ def kinds_of(run: Run) -> list[ShownField]:
         for key, (label, unit, factor) in interface_fields().items()
         if f"{contact}_{key}" in run.point_fields
     ]
-    kinds += [ShownField(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]
+    kinds += [
+        ShownField(key, "", *label_unit_factor)
+        for key, label_unit_factor in NODAL.items()
+        if key in run.point_fields
+    ]
     known = {kind.name for kind in kinds}
     others = [name for name in run.point_fields if "cure" in name and name not in known]
     return kinds + [ShownField(name, "", name.replace("_", " "), "", 1.0) for name in others]
@@ -334,8 +345,8 @@ def outsides(run: Run, curved: bool) -> dict[str, Ints]:
             continue
         facets, owner = exterior_facets(cells)
         inverted = cell_volumes(run.points, cells[owner]) < 0
-        turned = facets[:, [0, 2, 1, 5, 4, 3][: facets.shape[1]]]
-        facets = np.where(inverted[:, None], turned, facets)
+        reversed_facets = facets[:, [0, 2, 1, 5, 4, 3][: facets.shape[1]]]
+        facets = np.where(inverted[:, None], reversed_facets, facets)
         surfaces[name] = quartered(facets) if curved else facets[:, :3]
     return surfaces
 
