@@ -98,15 +98,15 @@ def run(
         EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
     scheduler.check(slurm is not None)
-    here = cores if slurm is None else None
-    runs = runs_of(planned, folder, here)
+    local_cores = cores if slurm is None else None
+    runs = runs_of(planned, folder, local_cores)
     total = len({r.id for r in runs})
     due = 0.0
     pending: dict[str, BatchRun] = {}
 
     def results() -> list[Result]:
-        both = zip(planned, runs, strict=True)
-        return [result_of(r, wanted, over=r.id not in pending) for wanted, r in both]
+        pairs = zip(planned, runs, strict=True)
+        return [result_of(r, planned_run, over=r.id not in pending) for planned_run, r in pairs]
 
     def watch() -> None:
         nonlocal due
@@ -121,14 +121,14 @@ def run(
         finished = total - len(pending)
         already = f"; {finished} of them are finished already" if finished else ""
         log.info("%s in %s%s", several(total, "run"), folder, already)
-        alone = any(r.planned.alone for r in pending.values())
+        needs_idle_machine = any(r.planned.alone for r in pending.values())
         load = os.getloadavg()[0]
-        if alone and load > BUSY:
+        if needs_idle_machine and load > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
-            _write(pending.values(), folder, here)
+            _write(pending.values(), folder, local_cores)
             try:
-                scheduler.execute(folder, cores, slurm, alone, watch)
+                scheduler.execute(folder, cores, slurm, needs_idle_machine, watch)
             except KeyboardInterrupt:
                 so_far(results())
                 text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
@@ -148,10 +148,10 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
     rows = []
     wall = 0.0
     seen: set[object] = set()
-    for wanted, r in zip(planned, runs, strict=True):
-        seconds = cost.seconds(wanted.case, r.process not in seen)  # of one core
-        alone = seconds / min(wanted.ranks, options.cores)
-        about = duration(alone)
+    for planned_run, r in zip(planned, runs, strict=True):
+        seconds = cost.seconds(planned_run.case, r.process not in seen)  # of one core
+        seconds_alone = seconds / min(planned_run.ranks, options.cores)
+        about = duration(seconds_alone)
         note = f"shares the matrices of {r.process}" if r.process in seen else ""
         if r.path in seen:
             note, about = "the same as one above", "-"
@@ -159,23 +159,25 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
             note, about = f"done in {duration(result_of(r).seconds)}", "-"
         seen |= {r.process, r.path}
         if about != "-":
-            wall += alone if wanted.alone else seconds / options.cores
-        size = layout.count(round(cost.unknowns(wanted.case), -2))
-        rows.append((wanted.name, wanted.ranks, size, about, note))
+            wall += seconds_alone if planned_run.alone else seconds / options.cores
+        size = layout.count(round(cost.unknowns(planned_run.case), -2))
+        rows.append((planned_run.name, planned_run.ranks, size, about, note))
     listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
     about = duration(IDLE * wall)
     return f"{title}\n\n{listed}\n\nabout {about} for the remaining runs on {options.cores} cores"
 
 
-def _log_ended(pending: dict[str, BatchRun], total: int, over: Callable[[BatchRun], bool]) -> bool:
-    """Log the pending runs that are over and remove them; whether there are any."""
-    ended = [r for r in pending.values() if over(r)]
+def _log_ended(
+    pending: dict[str, BatchRun], total: int, has_ended: Callable[[BatchRun], bool]
+) -> bool:
+    """Log and remove the pending runs that have ended; return True if there are any."""
+    ended = [r for r in pending.values() if has_ended(r)]
     for r in ended:
         del pending[r.id]
         result = result_of(r)
         code = result.exit_code
-        how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
-        log.info("[%d/%d] %s %s", total - len(pending), total, r.planned.name, how)
+        outcome = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
+        log.info("[%d/%d] %s %s", total - len(pending), total, r.planned.name, outcome)
     return bool(ended)
 
 

@@ -157,10 +157,10 @@ def _content(case: Case) -> str:
 def _begun(folder: Path) -> dict[str, Path]:
     """Directories of runs that are done or have saved their state, by id."""
     runs = folder / "runs"
-    every = [*runs.glob(f"{SHARED}*/{CASE}*"), *runs.glob(f"{CASE}*")]
-    ours = [path for path in every if NAMED.fullmatch(str(path.relative_to(runs)))]
-    done = {path.name: path for path in ours if (path / "DONE").exists()}
-    return {path.name: path for path in ours if saved(path)} | done
+    directories = [*runs.glob(f"{SHARED}*/{CASE}*"), *runs.glob(f"{CASE}*")]
+    ours = [path for path in directories if NAMED.fullmatch(str(path.relative_to(runs)))]
+    finished = {path.name: path for path in ours if (path / "DONE").exists()}
+    return {path.name: path for path in ours if saved(path)} | finished
 
 
 def _digest(text: str, run: PlannedRun) -> str:
@@ -181,15 +181,15 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
     if summary is not None:
         if run.shares or status is None:  # it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)
-        why = "; ".join(reasons_not_to_use(summary))
-        code = UnusableError.exit_code if why else 0
-        return result(code, seconds, summary, f"do not use: {why}" if why else "")
+        doubts = "; ".join(reasons_not_to_use(summary))
+        code = UnusableError.exit_code if doubts else 0
+        return result(code, seconds, summary, f"do not use: {doubts}" if doubts else "")
     if not over:
         return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
         # A process that continues with other runs leaves the reason in the folder of this one.
-        why = (run.path / FAILED).read_text(encoding="utf-8").strip()
-        return result(ConvergenceError.exit_code, 0.0, {}, why)
+        doubts = (run.path / FAILED).read_text(encoding="utf-8").strip()
+        return result(ConvergenceError.exit_code, 0.0, {}, doubts)
     message = tail(run.file("log"))
     if status is None:
         message += "\n" + tail(run.file("slurm"))

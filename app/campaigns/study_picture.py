@@ -62,13 +62,13 @@ def _draw(
     columns: int,
     size: tuple[float, float],
 ) -> None:
-    figure, every = figures.panels(len(shown), columns, *size)
-    for axes, m in zip(every, shown, strict=True):
+    figure, all_axes = figures.panels(len(shown), columns, *size)
+    for axes, m in zip(all_axes, shown, strict=True):
         figures.grid(axes)
         panel(axes, m)
     figures.legend_below(figure, ENTRIES, last=curves.FAILED)
     figure.draw_without_rendering()  # the axes have their places
-    for axes in every:
+    for axes in all_axes:
         labels.place(axes)
     figures.save(figure, path, 130, PNG)
 
@@ -102,17 +102,17 @@ def _line(
     """Draw the k-th line with labels; failed runs are crosses at the top, orders at the bottom."""
     words = name.replace("_", " ")
     indices = [i for i, r in enumerate(report.runs) if r.line == name]
-    good = {}
+    known_points = {}
     for i in indices:
         e = error[i]
         time = report.runs[i].time
         if e is not None and time is not None:
-            good[i] = (time, e)
-    times = [time for time, _ in good.values()]
-    errors = [e for _, e in good.values()]
+            known_points[i] = (time, e)
+    times = [time for time, _ in known_points.values()]
+    errors = [e for _, e in known_points.values()]
     curves.draw_line(axes, Line(words, k, times, errors))
-    labels.label(axes, [report.runs[i].label for i in good], times, errors, k)
-    for i, (time, e) in good.items():
+    labels.label(axes, [report.runs[i].label for i in known_points], times, errors, k)
+    for i, (time, e) in known_points.items():
         if not m.points[i].trusted:
             curves.hollow(axes, time, e, k)
     text = exponent_text(report, m, name)

@@ -227,17 +227,17 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
         return None
     ranks = rankdata(numbers)
     group = np.unique([str(v) for v in inputs], return_inverse=True)[1]
-    within = ranks - (np.bincount(group, ranks) / np.bincount(group))[group]
-    explained = 1.0 - np.var(within, ddof=groups) / np.var(ranks, ddof=1)
+    within_groups = ranks - (np.bincount(group, ranks) / np.bincount(group))[group]
+    explained = 1.0 - np.var(within_groups, ddof=groups) / np.var(ranks, ddof=1)
     return float(np.sqrt(max(explained, 0.0)))
 
 
-def rows(of: PartSpread) -> list[list[str]]:
+def rows(part_spread: PartSpread) -> list[list[str]]:
     """Rows of `HEAD` for a part, the most uncertain number first.
 
     Numbers that vary by no more than rounding are left out.
     """
-    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > ROUNDING_RANGE}
+    spread = {n: s for n, s in part_spread["numbers"].items() if s["deviation"] > ROUNDING_RANGE}
     order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
     table_rows = []
     for name in order:
@@ -245,11 +245,13 @@ def rows(of: PartSpread) -> list[list[str]]:
         short = short_keys(list(s["correlation"]))
         causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:3]
         follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
-        alone = ", ".join(
+        partial_text = ", ".join(
             f"{short[k]} {s['partial'][k]:+.2f}" for k, _ in causes if k in s["partial"]
         )
         numbers = [f"{value:.4g}" for value in (s["mean"], s["p5"], s["p95"])]
-        table_rows.append([name, quantities.find(name).unit, *numbers, follows, alone or "-"])
+        table_rows.append(
+            [name, quantities.find(name).unit, *numbers, follows, partial_text or "-"]
+        )
     return table_rows
 
 
@@ -264,10 +266,10 @@ HEAD = (
 )
 
 
-def index_rows(of: PartSpread) -> list[list[str]]:
+def index_rows(part_spread: PartSpread) -> list[list[str]]:
     """Rows of `INDEX_HEAD` for a part: the inputs of a number by total index."""
     table_rows = []
-    for name, by_input in of.get("indices", {}).items():
+    for name, by_input in part_spread.get("indices", {}).items():
         short = short_keys(list(by_input))
         for key, index in sorted(by_input.items(), key=lambda item: -item[1]["total"][0]):
             texts = [
@@ -289,10 +291,12 @@ INDEX_HEAD = (
 def table(spreads: Mapping[str, PartSpread]) -> str:
     """Tables of all parts."""
     tables = []
-    for part, of in spreads.items():
-        words = f"{part or 'samples'}: {of['samples']} samples"
-        tables.append(f"{words}\n{layout.table(HEAD, rows(of))}")
-        if of.get("indices"):
-            words = f"{part or 'samples'}: Sobol' indices of {of['base_samples']} base samples"
-            tables.append(f"{words}\n{layout.table(INDEX_HEAD, index_rows(of))}")
+    for part, part_spread in spreads.items():
+        words = f"{part or 'samples'}: {part_spread['samples']} samples"
+        tables.append(f"{words}\n{layout.table(HEAD, rows(part_spread))}")
+        if part_spread.get("indices"):
+            words = (
+                f"{part or 'samples'}: Sobol' indices of {part_spread['base_samples']} base samples"
+            )
+            tables.append(f"{words}\n{layout.table(INDEX_HEAD, index_rows(part_spread))}")
     return "\n".join(tables)

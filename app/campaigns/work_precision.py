@@ -181,5 +181,5 @@ def best(
 ) -> int | None:
     """Index of the fastest point within the target, else of the nearest; None if there is none."""
     front = pareto(costs, errors)
-    within = [i for i in front if (errors[i] or 0.0) <= target]
-    return next(iter(within + front[-1:]), None)
+    within_target = [i for i in front if (errors[i] or 0.0) <= target]
+    return next(iter(within_target + front[-1:]), None)

@@ -157,8 +157,13 @@ class Case(Section):
     @property
     def faces(self) -> dict[str, tuple[str, str]]:
         """Boundaries of the two sides of each interface with finite sliding, by name."""
-        far = {name: law for name, law in self.interfaces.items() if law.finite_sliding}
-        return {n: law.sliding_boundaries or self.geometry.faces[n] for n, law in far.items()}
+        finitely_sliding = {
+            name: law for name, law in self.interfaces.items() if law.finite_sliding
+        }
+        return {
+            n: law.sliding_boundaries or self.geometry.faces[n]
+            for n, law in finitely_sliding.items()
+        }
 
     def of_tissue(self, tissue: str) -> tuple[str, ...]:
         """Names of the regions of a tissue."""

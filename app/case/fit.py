@@ -173,12 +173,12 @@ class FitSearch(Section):
         """Lower and upper bound by number; infinite without one."""
         limits = {}
         for name, limit in self.constraints.items():
-            at = ("constraints", name)
+            path = ("constraints", name)
             low, high = -math.inf, math.inf
             if limit.at_least is not None:
-                low = _value(name, limit.at_least, (*at, "at_least"))
+                low = _value(name, limit.at_least, (*path, "at_least"))
             if limit.at_most is not None:
-                high = _value(name, limit.at_most, (*at, "at_most"))
+                high = _value(name, limit.at_most, (*path, "at_most"))
             limits[name] = (low, high)
         return limits
 

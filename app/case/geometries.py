@@ -79,10 +79,10 @@ class Blocks(Shape):
 
     @property
     def boundary_names(self) -> tuple[str, ...]:
-        """The six sides of the stack, and the four of each block."""
+        """The six sides of the stack, and the four sides of each block."""
         sides = ("x_min", "x_max", "y_min", "y_max")
-        each = tuple(f"{name}_{side}" for name in self.region_names for side in sides)
-        return (*sides, "bottom", "top", *each)
+        sides_of_blocks = tuple(f"{name}_{side}" for name in self.region_names for side in sides)
+        return (*sides, "bottom", "top", *sides_of_blocks)
 
     @property
     def tissues(self) -> dict[str, str]:

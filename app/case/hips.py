@@ -287,8 +287,10 @@ class Hip(Shape):
     def on_flanks(self, x: Floats) -> Bools:
         """True at points (n, 3) that are neither on the stem's end nor on its shoulder (n,)."""
         implant, height = self.implant, self.height_on_stem(x)
-        within = (height >= implant.tip_height - ROUNDING) & (height <= implant.length + ROUNDING)
-        return np.asarray(within)
+        is_on_flanks = (height >= implant.tip_height - ROUNDING) & (
+            height <= implant.length + ROUNDING
+        )
+        return np.asarray(is_on_flanks)
 
     def check_end(self) -> None:
         """Refuse a void below the stem that cannot be meshed."""
@@ -316,13 +318,18 @@ class Hip(Shape):
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along the stem and below it, cells through the layers."""
         implant = self.implant
-        stem, more, _ = mesh.graded(self.cut_height - implant.tip_z - implant.tip_height, "stem")
+        stem, further_steps, _ = mesh.graded(
+            self.cut_height - implant.tip_z - implant.tip_height, "stem"
+        )
         ends = 2.0 * (self.plug_length - self.void), implant.tip_height, self.void
         below, equal, _ = mesh.graded(implant.plug - self.distal_height, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
             "lines around": mesh.lines_around(self._section()),
-            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, filter(None, ends))),
+            "steps along the stem": len(stem)
+            - 1
+            + further_steps
+            + sum(map(mesh.steps, filter(None, ends))),
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": through,
         }
@@ -336,21 +343,24 @@ class Hip(Shape):
         within 18 %.
         """
         around, stem, below, (_, *bone) = self.grid(mesh).values()
-        most = (mesh.along_cement(self.cement_thickness), *bone)
+        cells_through = (mesh.along_cement(self.cement_thickness), *bone)
         core = 3.0 * max(around - 2.0, 0.041 * around**2 + 1.5 * around - 6.0)
         cement = spread(self.cement_thickness)[1]
         filled = cement - self.widening
-        open_, free = 1.0 - _interpolated(filled, FILLED), 1.0 - _interpolated(filled, FILLED_BELOW)
+        open_, unfilled_below = (
+            1.0 - _interpolated(filled, FILLED),
+            1.0 - _interpolated(filled, FILLED_BELOW),
+        )
         widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.widening)
         through, cancellous, cortical = (
             min(cells, max(1.0, width / length))
-            for cells, width, length in zip(most, widths, mesh.least_through, strict=True)
+            for cells, width, length in zip(cells_through, widths, mesh.least_through, strict=True)
         )
         layers = stem * (through + cortical + cancellous * open_)
-        layers += below * (through + cortical + cancellous * free)
+        layers += below * (through + cortical + cancellous * unfilled_below)
         # In neck and head cancellous bone is wide, cortical bone thin.
-        whole = 6.0 * around * (through + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
-        return (stem + below) * core + 6.0 * around * layers, core, core + whole
+        full_section = 6.0 * around * (through + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
+        return (stem + below) * core + 6.0 * around * layers, core, core + full_section
 
 
 class OperatedHip(Hip):

@@ -98,17 +98,17 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
 
     Kinds added from outside the program are among them.
     """
-    whole = root.model_json_schema(schema_generator=_Generator)
-    schemas: Schema = {"": whole} | whole["$defs"]
+    root_schema = root.model_json_schema(schema_generator=_Generator)
+    schemas: Schema = {"": root_schema} | root_schema["$defs"]
     places: dict[str, Keys] = {}
 
     def visit(path: str, name: str) -> None:
         schema = schemas[name]
         places[name] = Keys(path, _kind(schema), prose(schema.get("description", "")), [])
         for key, field in schema["properties"].items():
-            for place, other in _sections(field, f"{path}.{key}".removeprefix(".")):
-                if other not in places:
-                    visit(place, other)
+            for place, nested in _sections(field, f"{path}.{key}".removeprefix(".")):
+                if nested not in places:
+                    visit(place, nested)
 
     visit("", "")
     for name, section in places.items():

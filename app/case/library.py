@@ -69,8 +69,8 @@ def read(path: Path = SHIPPED) -> CaseFile:
 def listed(kind: str) -> str:
     """List the shipped names of a kind with their descriptions, as text."""
     entries = read().data[kind]
-    wide = max(map(len, entries), default=0)
-    lines = [f"  {name:<{wide}}  {entry.get(ABOUT, '')}" for name, entry in entries.items()]
+    width = max(map(len, entries), default=0)
+    lines = [f"  {name:<{width}}  {entry.get(ABOUT, '')}" for name, entry in entries.items()]
     return "\n".join([f"{kind}: {KINDS[kind]}", *lines])
 
 

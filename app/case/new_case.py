@@ -70,9 +70,11 @@ def save(path: Path, text: str) -> None:
             f"{path}: exists already and was not changed; choose another name"
         ) from None
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        why = "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else why
-        raise InputError(f"{path}: cannot be written: {why}") from error
+        reason = getattr(error, "strerror", None) or error
+        reason = (
+            "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else reason
+        )
+        raise InputError(f"{path}: cannot be written: {reason}") from error
 
 
 def add_from_labels(proposal: FromLabels) -> None:

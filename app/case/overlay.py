@@ -119,9 +119,9 @@ def _chain(path: FilePath) -> list[CaseFile]:
     """
     chain = [yaml_file.read(path)]
     of_this_version(chain[0])
-    for what, keys in (("sweep", AXES), ("study", {"study"}), ("fit", {"fit"})):
+    for file_kind, keys in (("sweep", AXES), ("study", {"study"}), ("fit", {"fit"})):
         if "base" in chain[0].data and keys & chain[0].data.keys():
-            text = f"is a {what} file, not a case; use mantle {what} {path}"
+            text = f"is a {file_kind} file, not a case; use mantle {file_kind} {path}"
             chain[0].raise_all([Fault(("base",), text)])
     while chain[-1].data.get("base") is not None:
         below = _named_file(chain[-1], "base")

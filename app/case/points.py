@@ -279,22 +279,26 @@ class SweepPart(Section):
         """Axes of the part at a path of the file: table, grid, lists, samples."""
         short = short_keys([*(self.grid or {}), *(self.lists or {})])
         if self.table is not None:
-            at = (*path, "table")
-            yield [overriding(changes, (*at, name), name) for name, changes in self.table.items()]
+            key_path = (*path, "table")
+            yield [
+                overriding(changes, (*key_path, name), name) for name, changes in self.table.items()
+            ]
         for key, values in (self.grid or {}).items():
             yield along({key: values}, (*path, "grid"), short)
         if self.lists is not None:
             yield along(self.lists, (*path, "lists"), short)
         hypercube = self.latin_hypercube
         if hypercube is not None:
-            digits, at = len(str(hypercube.samples)), (*path, "latin_hypercube", "inputs")
+            digits, key_path = len(str(hypercube.samples)), (*path, "latin_hypercube", "inputs")
             yield [
-                overriding(changes, at, f"sample{i:0{digits}d}")
+                overriding(changes, key_path, f"sample{i:0{digits}d}")
                 for i, changes in enumerate(hypercube.draw(), start=1)
             ]
         if self.sobol is not None:
-            at = (*path, "sobol", "inputs")
-            yield [overriding(changes, at, name) for name, changes in self.sobol.draw().items()]
+            key_path = (*path, "sobol", "inputs")
+            yield [
+                overriding(changes, key_path, name) for name, changes in self.sobol.draw().items()
+            ]
 
 
 def along(runs: Mapping[str, object], path: Path, short: Mapping[str, str]) -> list[Point]:
@@ -351,12 +355,12 @@ def _labels(values: Sequence[object]) -> list[str]:
     singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
     singles = [v.get("kind") if isinstance(v, dict) else v for v in singles]
     texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
-    whole = [text.replace(" ", "") for text in texts]
+    plain_texts = [text.replace(" ", "") for text in texts]
     numbers = [text.partition(" ")[0] for text in texts]
-    if all(map(LABEL.fullmatch, whole)) and (
-        len(set(whole)) == len(whole) or not any(isinstance(v, dict) for v in values)
+    if all(map(LABEL.fullmatch, plain_texts)) and (
+        len(set(plain_texts)) == len(plain_texts) or not any(isinstance(v, dict) for v in values)
     ):
-        return whole
+        return plain_texts
     if all(map(LABEL.fullmatch, numbers)) and len(set(numbers)) == len(numbers):
         return numbers
     return [f"#{i + 1}" for i in range(len(values))]
@@ -368,8 +372,8 @@ def short_keys(keys: Sequence[str]) -> dict[str, str]:
     short = {}
     for key, words in split.items():
         endings = (words[-n:] for n in range(1, len(words)) if not words[-n].isdigit())
-        alone = (e for e in endings if sum(w[-len(e) :] == e for w in split.values()) == 1)
-        short[key] = ".".join(next(alone, words))
+        unique_endings = (e for e in endings if sum(w[-len(e) :] == e for w in split.values()) == 1)
+        short[key] = ".".join(next(unique_endings, words))
     return short
 
 

@@ -704,9 +704,9 @@ def find(name: str) -> Quantity:
 
 def place_in_words(place: str) -> str:
     """An interface, a region or a part of one for people: ``stem-cement rim``."""
-    whole, _, part = place.rpartition("_")
-    if part in PARTS and whole in PLACES:
-        return f"{PLACES[whole]} {part}"
+    full_place, _, part = place.rpartition("_")
+    if part in PARTS and full_place in PLACES:
+        return f"{PLACES[full_place]} {part}"
     return PLACES.get(place, place.replace("_", " "))
 
 
@@ -753,8 +753,8 @@ def numbers_of(
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers
-            apart = [part for part in PARTS if parts and part in numbers]
-            yield from ((section, f"{name}_{part}", numbers[part]) for part in apart)
+            listed_parts = [part for part in PARTS if parts and part in numbers]
+            yield from ((section, f"{name}_{part}", numbers[part]) for part in listed_parts)
             zones = numbers.get("zones", {}) if parts and section == "interfaces" else {}
             yield from ((section, f"{name}_{zone}", part) for zone, part in zones.items())
 

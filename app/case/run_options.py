@@ -116,17 +116,17 @@ class Stage(Section):
 
     def reversal(self, time: float) -> int:
         """Number of the load reversal at a time: 1 at the first peak, 0 if there is none."""
-        way = self.ways * (time - math.ceil(time) + 1)
-        return round(way) if abs(way - round(way)) < 1e-6 else 0
+        segments_done = self.ways * (time - math.ceil(time) + 1)
+        return round(segments_done) if abs(segments_done - round(segments_done)) < 1e-6 else 0
 
     def reached(self, part: float) -> float:
         """Part of the change applied after a part of the stage: 1 at the end and at peaks."""
         if self._repeats:
             return part
-        way = min(int(self.ways * part), self.ways - 1)
-        low = self.valley if way else 0.0
-        up = min(self.ways * part / self.loaded, self.ways) - way
-        return low + (1.0 - low) * (1.0 - up if way % 2 else up)
+        full_segments = min(int(self.ways * part), self.ways - 1)
+        low = self.valley if full_segments else 0.0
+        up = min(self.ways * part / self.loaded, self.ways) - full_segments
+        return low + (1.0 - low) * (1.0 - up if full_segments % 2 else up)
 
     @property
     def seconds(self) -> float:

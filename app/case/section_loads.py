@@ -57,8 +57,8 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
         force = F[above].sum(axis=0).tolist()
         moment = np.cross(x[above] - [0.0, 0.0, z], F[above]).sum(axis=0).tolist()
         medial = -moment[1] / force[2] if force[2] else None
-        off = None if medial is None else medial - geometry.head_centre[0]
-        sections.append(SectionLoad(z, tuple(force), tuple(moment), medial, off))
+        offset = None if medial is None else medial - geometry.head_centre[0]
+        sections.append(SectionLoad(z, tuple(force), tuple(moment), medial, offset))
     return sections
 
 

@@ -96,8 +96,12 @@ class GradedThickness(Section):
     def tables(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
         """Means around (mm) by part of the height, from 0 to 1; ratios to them around, by turns."""
         heights, ring = (
-            [(k / of, t) for k, key in enumerate(keys) if (t := getattr(self, key)) is not None]
-            for keys, of in ((HEIGHTS, 2), (SIDES, 4))
+            [
+                (k / divisions, t)
+                for k, key in enumerate(keys)
+                if (t := getattr(self, key)) is not None
+            ]
+            for keys, divisions in ((HEIGHTS, 2), (SIDES, 4))
         )
         ring = [*ring, (ring[0][0] + 1.0, ring[0][1])] if ring else [(0.0, 1.0), (1.0, 1.0)]
         mean = _mean(ring)
@@ -114,9 +118,9 @@ class GradedThickness(Section):
                     f"is not enough; expected at least two of {', '.join(keys)}",
                     at=tuple(keys_given),
                 )
-        least, _, most = (round(t, 9) for t in spread(self))
-        if least < LEAST_CEMENT or most > MOST_CEMENT:
-            fail(f"is {least:.3g} to {most:.3g} mm by height and side; expected 1 to 8 mm")
+        lowest, _, highest = (round(t, 9) for t in spread(self))
+        if lowest < LEAST_CEMENT or highest > MOST_CEMENT:
+            fail(f"is {lowest:.3g} to {highest:.3g} mm by height and side; expected 1 to 8 mm")
         return self
 
 
@@ -238,7 +242,7 @@ class Shape(Extensible):
     @property
     def coarsest_size(self) -> float:
         """Largest edge length that it can be meshed with (mm)."""
-        return min((most * length for length, most in self.spans.values()), default=math.inf)
+        return min((ratio * length for length, ratio in self.spans.values()), default=math.inf)
 
     @property
     def continued_below(self) -> float | None:
@@ -403,8 +407,8 @@ class MeshOptions(Section):
             return self.around
         if self.around is not None:
             return max(COMPANION, 4 * round(perimeter(*section) / self.around / 4.0))
-        least = LINES if self.size <= COARSE else COMPANION
-        return max(least, 4 * round(perimeter(*section) / (AROUND * self.size) / 4.0))
+        fewest_lines = LINES if self.size <= COARSE else COMPANION
+        return max(fewest_lines, 4 * round(perimeter(*section) / (AROUND * self.size) / 4.0))
 
     def along_cement(self, cement: Thickness) -> float:
         """Cells through cement of a thickness (mm), by the mean of a graded one; 0 without cement.
@@ -439,11 +443,15 @@ class MeshOptions(Section):
         """
         first, longest, growth = GRADING[part]
         largest = min(longest * self.step_along, self.far)
-        at, step = [0.0], first * self.step_along
-        while step < largest and at[-1] + 0.5 * step < length:
-            at.append(at[-1] + step)
-            step = first * self.step_along + growth * at[-1]
-        return at, max(round((length - at[-1]) / largest), int(len(at) == 1)), largest
+        distances, step = [0.0], first * self.step_along
+        while step < largest and distances[-1] + 0.5 * step < length:
+            distances.append(distances[-1] + step)
+            step = first * self.step_along + growth * distances[-1]
+        return (
+            distances,
+            max(round((length - distances[-1]) / largest), int(len(distances) == 1)),
+            largest,
+        )
 
     def coarser(self, factor: float) -> MeshOptions:
         """The same mesh with cells that are larger by a factor, in all directions.

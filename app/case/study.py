@@ -184,8 +184,8 @@ def read(
         problems += checks.quantities(runs[0].case, names)
     problems += _shared_meshes(study, runs)
     if CONDITION in study.quantities and not all(r.case.output.condition for r in runs):
-        at = ("study", "quantities", study.quantities.index(CONDITION))
-        problems.append(Fault(at, "needs output.condition: true"))
+        key_path = ("study", "quantities", study.quantities.index(CONDITION))
+        problems.append(Fault(key_path, "needs output.condition: true"))
     file.raise_all(problems)
     keys = {o.partition("=")[0].strip() for o in others}
     common = points.as_overrides({k: v for k, v in content.set.items() if k not in keys})

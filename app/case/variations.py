@@ -74,8 +74,8 @@ def split(data: YamlMapping) -> tuple[dict[str, object], dict[str, object]]:
 
 def expand(key: str, data: YamlMapping) -> list[str]:
     """Expand ``*`` in a key to every name of its section in the data."""
-    section, _, rest = key.partition(".*")
-    return [f"{section}.{name}{rest}" for name in data.get(section, {})] if rest else [key]
+    section, _, ending = key.partition(".*")
+    return [f"{section}.{name}{ending}" for name in data.get(section, {})] if ending else [key]
 
 
 def title_with_changes(title: str, file: CaseFile) -> str:

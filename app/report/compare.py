@@ -165,8 +165,8 @@ def _numbers(
     others = rows[LARGEST:]
     blocks = table(head, rows[:LARGEST])
     blocks += page.folded(f"{len(others)} numbers with smaller differences", table(head, others))
-    alone = compared_numbers.unshared(names, cases)
-    return blocks + page.folded("Numbers that cannot be compared", bullets(alone))
+    unshared_numbers = compared_numbers.unshared(names, cases)
+    return blocks + page.folded("Numbers that cannot be compared", bullets(unshared_numbers))
 
 
 def _strains(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:

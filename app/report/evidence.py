@@ -442,9 +442,9 @@ def _code(basis: Evidence) -> Finding:
         c["order"] / c["expected_order"] for c in checks if c["order"] and c["expected_order"]
     ]
     if shares:
-        least = min(shares)
+        lowest = min(shares)
         texts.append(
-            f"{len(shares)} orders of convergence, the least {least:.0%} of the theoretical one"
+            f"{len(shares)} orders of convergence, the least {lowest:.0%} of the theoretical one"
         )
     if wrong:
         return Finding("a", texts, "solutions within tolerance for every problem that was run")
@@ -472,7 +472,7 @@ def _subjects(case: Case) -> list[str]:
     """Parts of the equations that a case uses, as in `SUBJECTS`."""
     kinds = {law.kind for law in case.interfaces.values()}
     thermal = [region.thermal for region in case.regions.values() if region.thermal]
-    used = {
+    uses_by_subject = {
         "elasticity": True,
         "contact": bool(kinds & {"contact", "penalty"}),
         "cohesion": "cohesive" in kinds,
@@ -480,7 +480,7 @@ def _subjects(case: Case) -> list[str]:
         "cure": any(part.cure for part in thermal),
         "creep": bool(_creeping(case)),
     }
-    return [subject for subject, uses in used.items() if uses]
+    return [subject for subject, uses in uses_by_subject.items() if uses]
 
 
 def _creeping(case: Case) -> list[str]:
@@ -673,12 +673,12 @@ def _result_uncertainty(basis: Evidence) -> Finding:
     if basis.spread:
         texts.append(basis.spread.sentence(basis.run))
     grades: tuple[Grade, ...] = ("a", "b", "c")
-    wanted = {"error": "--error", "spread": "--spread FOLDER"}
+    missing_options = {"error": "--error", "spread": "--spread FOLDER"}
     if "error" in basis.summary:
-        del wanted["error"]
+        del missing_options["error"]
     if basis.spread:
-        del wanted["spread"]
-    missing = f"a report with {' and '.join(wanted.values())}" if wanted else ""
+        del missing_options["spread"]
+    missing = f"a report with {' and '.join(missing_options.values())}" if missing_options else ""
     return Finding(grades[len(texts)], texts, missing)
 
 
@@ -760,11 +760,11 @@ def _paragraphs(case: Case, summary: Summary, record: Provenance) -> Iterator[st
             f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, "
             f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)."
         )
-    made = f"was meshed by gmsh {record['identity']['gmsh']} with tetrahedra of"
-    made = f"{made} {case.mesh.size:g} mm and order {order}"
+    mesh_text = f"was meshed by gmsh {record['identity']['gmsh']} with tetrahedra of"
+    mesh_text = f"{mesh_text} {case.mesh.size:g} mm and order {order}"
     if isinstance(case.geometry, MeshFile) and not case.geometry.is_script:
-        made = f"has the tetrahedra of {case.geometry.path.name}, of order {order}"
-    yield f"The model ({case.geometry.kind}) {made}: {solver['dofs']} unknowns.{mantle}"
+        mesh_text = f"has the tetrahedra of {case.geometry.path.name}, of order {order}"
+    yield f"The model ({case.geometry.kind}) {mesh_text}: {solver['dofs']} unknowns.{mantle}"
     for title in ("regions", "interfaces", "supports", "loads"):
         parts = getattr(case, title).items()
         lines = (f"- {name.replace('_', ' ')}: {_values(part)}" for name, part in parts)
@@ -783,5 +783,5 @@ def _paragraphs(case: Case, summary: Summary, record: Provenance) -> Iterator[st
 def _values(part: Section) -> str:
     """Keys and values of a part of a case, with units."""
     fields = part.model_dump(mode="json", exclude_none=True, exclude={"tissue", *ORIGIN})
-    kept = {key: value for key, value in fields.items() if value not in ([], {}, "")}
-    return ", ".join(f"{key.replace('_', ' ')} {plain(value)}" for key, value in kept.items())
+    filled = {key: value for key, value in fields.items() if value not in ([], {}, "")}
+    return ", ".join(f"{key.replace('_', ' ')} {plain(value)}" for key, value in filled.items())

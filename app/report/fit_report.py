@@ -169,11 +169,11 @@ def _caption(record: FitRecord) -> str:
 def _draw(record: FitRecord, path: Path) -> None:
     """Draw misfit or objective over the runs, keys over the runs, and two keys over each other."""
     keys = [*record["keys"]]
-    figure, every = figures.panels(2 + (len(keys) > 1), 3, 4.6, 3.7)
-    _draw_aim(every[0], record)
-    _draw_keys(every[1], record)
+    figure, all_axes = figures.panels(2 + (len(keys) > 1), 3, 4.6, 3.7)
+    _draw_aim(all_axes[0], record)
+    _draw_keys(all_axes[1], record)
     if len(keys) > 1:
-        _draw_plane(every[2], record)
+        _draw_plane(all_axes[2], record)
     figures.legend_below(figure, 5, last=curves.FAILED)
     figures.save(figure, path, curves.DPI, PNG)
 
@@ -258,8 +258,8 @@ def _draw_plane(axes: Axes, record: FitRecord) -> None:
     axes.set(xlabel=_title(record, first), ylabel=_title(record, second))
 
     def places(shares: Sequence[Sequence[float]]) -> tuple[list[float], list[float]]:
-        x = [_of_share(record, first, each[0]) for each in shares]
-        y = [_of_share(record, second, each[1]) for each in shares]
+        x = [_of_share(record, first, share_pair[0]) for share_pair in shares]
+        y = [_of_share(record, second, share_pair[1]) for share_pair in shares]
         return x, y
 
     x, y = places([run["shares"] for _, run in _steps(record)])

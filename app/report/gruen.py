@@ -87,7 +87,9 @@ def _zone(number: str) -> str:
 
 
 def _largest_and_mean(quantity: str, numbers: Numbers) -> str:
-    largest, mean = (TABLE["interfaces"][f"{quantity}_{how}"] for how in ("max", "mean"))
+    largest, mean = (
+        TABLE["interfaces"][f"{quantity}_{statistic}"] for statistic in ("max", "mean")
+    )
     return f"{largest.text(numbers)} / {mean.text(numbers)}"
 
 
@@ -100,13 +102,13 @@ def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
     return next((c for c in cases if zones(c) and "stem" not in c.data.get("regions", {})), None)
 
 
-def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]]:
+def shielding(case: SweptCase, intact: SweptCase) -> dict[str, dict[str, float]]:
     """Return the relative change of the energy density against the intact femur.
 
     By kind of bone and by zone.
     """
     changes: dict[str, dict[str, float]] = {}
-    before = zones(without)
+    before = zones(intact)
     for name, zone in zones(case).items():
         for bone, b in zone["strain_energy_density"].items():
             a = before.get(name, {}).get("strain_energy_density", {}).get(bone)
@@ -116,13 +118,13 @@ def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]
 
 
 def shielding_picture(
-    cases: Mapping[str, SweptCase], without: SweptCase | None, folder: Path
+    cases: Mapping[str, SweptCase], intact: SweptCase | None, folder: Path
 ) -> list[Figure]:
     """Draw the stress shielding of each case; nothing without an intact femur."""
-    if without is None:
+    if intact is None:
         return []
-    every = {stem: shielding(c, without) for stem, c in cases.items() if c is not without}
-    changes = {stem: by_bone for stem, by_bone in every.items() if by_bone}
+    all_shielding = {stem: shielding(c, intact) for stem, c in cases.items() if c is not intact}
+    changes = {stem: by_bone for stem, by_bone in all_shielding.items() if by_bone}
     if not changes:
         return []
     bones = [b for b in BONES if any(b in c for c in changes.values())]
@@ -132,9 +134,9 @@ def shielding_picture(
     for axes, bone in zip(grid, bones, strict=True):
         for k, (stem, by_bone) in enumerate(changes.items()):
             values = by_bone.get(bone, {})
-            at = [int(z) + (k - 0.5 * (len(changes) - 1)) * width for z in values]
+            positions = [int(z) + (k - 0.5 * (len(changes) - 1)) * width for z in values]
             percent = [100 * v for v in values.values()]
-            axes.bar(at, percent, 0.94 * width, color=figures.colour(k), label=stem)
+            axes.bar(positions, percent, 0.94 * width, color=figures.colour(k), label=stem)
         axes.axhline(0, color="0.2", lw=0.8)
         axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
         figures.title(axes, BONES[bone])
@@ -146,7 +148,7 @@ def shielding_picture(
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
     figures.save(figure, folder / "shielding.png", 120)
     caption = (
-        f"Strain energy per volume of bone against the intact femur ({without.name}); below zero "
+        f"Strain energy per volume of bone against the intact femur ({intact.name}); below zero "
         "the stem takes load from the bone."
     )
     text = ". ".join(

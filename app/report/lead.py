@@ -210,12 +210,14 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber
     numbers = []
     for name, ends in ranges(cases, names):
         words, unit = in_words(name)
-        least, most = (f"{v if abs(v) > NOTHING else 0.0:.3g}" for v, _ in ends)
-        if least == most:
+        lowest, highest = (f"{v if abs(v) > NOTHING else 0.0:.3g}" for v, _ in ends)
+        if lowest == highest:
             continue
         first, last = (c.name.replace("_", " ") for _, c in ends)
         detail = f"Least: {first}. Most: {last}."
-        numbers.append(LargeNumber(f"{least} to {most}", unit, spelled_out(words), detail=detail))
+        numbers.append(
+            LargeNumber(f"{lowest} to {highest}", unit, spelled_out(words), detail=detail)
+        )
     return numbers[:MOST]
 
 

@@ -115,14 +115,16 @@ def _draw(
 ) -> None:
     """Draw the steps one after another into a file."""
     values = [field.factor * viewer.lengths(run, field.name, k)[triangles] for k in steps]
-    on: Bools = np.ones(len(triangles), dtype=bool)
+    is_on_interface: Bools = np.ones(len(triangles), dtype=bool)
     if field.contact:
         status = run.at_interface(field.contact, "status")[triangles]
-        on = np.asarray((status >= 0).all(axis=1))
-    every = np.concatenate([v[on].ravel() for v in values])
-    least = 0.0 if field.contact else float(np.percentile(every, 100 - CLIP))
-    most = float(np.percentile(every, CLIP))
-    colours = ScalarMappable(Normalize(least, most if most > least else least + 1.0), "viridis")
+        is_on_interface = np.asarray((status >= 0).all(axis=1))
+    all_values = np.concatenate([v[is_on_interface].ravel() for v in values])
+    lowest = 0.0 if field.contact else float(np.percentile(all_values, 100 - CLIP))
+    highest = float(np.percentile(all_values, CLIP))
+    colours = ScalarMappable(
+        Normalize(lowest, highest if highest > lowest else lowest + 1.0), "viridis"
+    )
     moved = "displacement" in run.point_fields
     largest = max(np.abs(run.displacement(k)).max() for k in steps) if moved else 0.0
     scale = 0.0
@@ -135,9 +137,9 @@ def _draw(
     figure = figures.new(VIEW[0] * len(views) + 1.0, VIEW[1])
     axes = figure.subplots(1, len(views), squeeze=False)[0]
     unit = f" ({printed(field.unit)})" if field.unit else ""
-    extend = "max" if every.max() > most * (1 + 1e-6) else "neither"
+    extend = "max" if all_values.max() > highest * (1 + 1e-6) else "neither"
     figure.colorbar(colours, ax=[*axes], label=f"{field.label}{unit}", extend=extend, shrink=0.6)
-    x, rest = run.points, run.points[triangles].reshape(-1, 3)
+    x, undeformed = run.points, run.points[triangles].reshape(-1, 3)
     reach = scale * largest
     deformed = f", deformation × {scale:g}" if scale not in (0.0, 1.0) else ""
     with writer.saving(figure, str(path), DPI):
@@ -145,14 +147,14 @@ def _draw(
             shown = x + scale * run.displacement(k) if moved and scale else x
             pieces = shown[triangles]
             drawn = colours.to_rgba(of_step.mean(axis=1))[:, :3]
-            drawn[~on] = grey
+            drawn[~is_on_interface] = grey
             for ax, view in zip(axes, views, strict=True):
                 ax.clear()
                 surface(ax, pieces, pieces, np.asarray(drawn), None, view)
                 across, leftward, _ = VIEWS[view]
-                low, high = rest[:, across].min() - reach, rest[:, across].max() + reach
+                low, high = undeformed[:, across].min() - reach, undeformed[:, across].max() + reach
                 ax.set_xlim((high, low) if leftward else (low, high))
-                ax.set_ylim(rest[:, 2].min() - reach, rest[:, 2].max() + reach)
+                ax.set_ylim(undeformed[:, 2].min() - reach, undeformed[:, 2].max() + reach)
                 ax.set_title(f"from {view}", fontsize=9)
                 ax.set_axis_off()
             moment = moments[k].replace("_", " ")

@@ -245,8 +245,8 @@ def figures(pictures: Sequence[Figure], folder: Path) -> list[Block]:
 
 def files(pictures: Sequence[Figure], folder: Path) -> list[Path]:
     """Return the files of pictures in a folder, in all formats that were written."""
-    every = ((folder / f.name).with_suffix(suffix) for f in pictures for suffix in SUFFIXES)
-    return [file for file in every if file.exists()]
+    candidates = ((folder / f.name).with_suffix(suffix) for f in pictures for suffix in SUFFIXES)
+    return [file for file in candidates if file.exists()]
 
 
 def _picture(figure: Figure, path: Path) -> Picture:
@@ -255,8 +255,8 @@ def _picture(figure: Figure, path: Path) -> Picture:
 
     into = io.BytesIO()
     with Image.open(path) as picture:
-        few = picture.convert("RGB").quantize(
+        reduced = picture.convert("RGB").quantize(
             256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
         )
-        few.save(into, "PNG")
-    return Picture(figure, base64.b64encode(into.getvalue()).decode("ascii"), few.size)
+        reduced.save(into, "PNG")
+    return Picture(figure, base64.b64encode(into.getvalue()).decode("ascii"), reduced.size)

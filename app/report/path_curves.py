@@ -74,11 +74,11 @@ def fields_of(table: PathTable) -> list[str]:
 def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     """Draw the paths that several runs have at their last steps, and list the others."""
     blocks: list[Block] = []
-    alone: list[str] = []
+    unshared_paths: list[str] = []
     for path in dict.fromkeys(path for case in cases for path in case.paths):
         runs = [k for k, case in enumerate(cases) if path in case.paths]
         if len(runs) < 2:
-            alone.append(f"path {path}: only in {names[runs[0]]}")
+            unshared_paths.append(f"path {path}: only in {names[runs[0]]}")
             continue
         tables = [cases[k].paths[path] for k in runs]
         drawn = []
@@ -94,10 +94,10 @@ def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
         keys = [_definition(cases[k], path) for k in runs]
         caption = ""
         if any(key != keys[0] for key in keys):
-            every = (f"{names[k]}: {plain(key)}" for k, key in zip(runs, keys, strict=True))
-            caption = f"The keys of the path differ: {'; '.join(every)}"
+            keys_of_runs = (f"{names[k]}: {plain(key)}" for k, key in zip(runs, keys, strict=True))
+            caption = f"The keys of the path differ: {'; '.join(keys_of_runs)}"
         blocks += page.titled(named(path), page.drawings(drawn, caption))
-    return blocks + bullets(alone)
+    return blocks + bullets(unshared_paths)
 
 
 def _definition(case: SweptCase, path: str) -> Mapping[str, object]:
@@ -120,8 +120,8 @@ def _steps(table: PathTable, stages: Sequence[str]) -> dict[int, str]:
     if seconds is None or len(last_of_time) == 1:
         return {last: ""}
     by_step = {int(s): float(t) for s, t in zip(table["step"], seconds, strict=True)}
-    wanted = np.linspace(min(by_step.values()), max(by_step.values()), MOST_STEPS)
-    steps = {min(by_step, key=lambda s: abs(by_step[s] - time)) for time in wanted}
+    target_times = np.linspace(min(by_step.values()), max(by_step.values()), MOST_STEPS)
+    steps = {min(by_step, key=lambda s: abs(by_step[s] - time)) for time in target_times}
     return {step: f"{by_step[step]:.4g} s" for step in sorted(steps)}
 
 
@@ -143,10 +143,10 @@ def _shown(column: str) -> tuple[str, str]:
 
 def _lines(table: PathTable, column: str, step: float, label: str, style: int) -> list[Line]:
     """Curve of a field at a step, in pieces between gaps; only the first has a label."""
-    at = table["step"] == step
-    x: Floats = table[ARC][at]
+    is_at_step = table["step"] == step
+    x: Floats = table[ARC][is_at_step]
     factor = FACTORS.get(_shown(column)[1], 1.0)
-    y: Floats = factor * table[column][at]
+    y: Floats = factor * table[column][is_at_step]
     known = np.isfinite(y)
     pieces = np.split(np.arange(len(y)), np.flatnonzero(np.diff(known.astype(int))) + 1)
     lines: list[Line] = []

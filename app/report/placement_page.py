@@ -67,7 +67,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
     scripts = [viewer.THREE / name for name in viewer.SCRIPTS]
     if not all(script.exists() for script in scripts):
         raise InputError("mantle place: three.js is missing; install the package libjs-three")
-    here = Path(__file__).parent
+    module_folder = Path(__file__).parent
     head, numbers = packed(geometry, case.title or source.stem, source)
     texts = [script.read_text("utf-8") for script in scripts]
     html = page.render(
@@ -76,8 +76,8 @@ def write(case: Case, source: Path, path: Path) -> Path:
             "title": case.title or source.stem,
             "head": json.dumps(head),
             "data": as_text(numbers),
-            "licence": (here / "three_licence.txt").read_text("utf-8"),
-            "scripts": [*texts, (here / "placement.js").read_text("utf-8")],
+            "licence": (module_folder / "three_licence.txt").read_text("utf-8"),
+            "scripts": [*texts, (module_folder / "placement.js").read_text("utf-8")],
         },
     )
     try:
@@ -184,8 +184,8 @@ def _packed_stem(
     bests = []
     thickness = best_position.wanted_thickness(geometry, geometry.placement)
     for depth in DEPTHS:
-        at = replace(start, depth=float(depth))
-        bests.append(_shown(best_position.best(canal, stem, at, limits, thickness)))
+        start_position = replace(start, depth=float(depth))
+        bests.append(_shown(best_position.best(canal, stem, start_position, limits, thickness)))
     surface: dict[str, object] = {"points": None}
     if stem.points is not None:
         surface = {"points": numbers.described(stem.points.astype(np.float32))}
@@ -225,10 +225,10 @@ def sizes(geometry: OperatedHip, folder: Path) -> list[Size]:
     offered = [Size(stem.step.stem, geometry.implant, "")]
     for file in others:
         try:
-            other = StemFile(step=file, unit=stem.unit)
+            other_stem = StemFile(step=file, unit=stem.unit)
         except (MantleError, ValueError):
             continue  # no stem, or of another kind
-        implant = other.implant(None, geometry.plug_length, geometry.implant.tip_void)
+        implant = other_stem.implant(None, geometry.plug_length, geometry.implant.tip_void)
         name = os.path.relpath(file, folder.resolve())
         offered.append(Size(file.stem, implant, f"stem: {{step: {json.dumps(name)}}}"))
     return sorted(offered, key=lambda size: size.implant.length)
@@ -239,8 +239,8 @@ def _thinned(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     box = BOX
     while len(triangles) > MOST_TRIANGLES:
         cells = np.floor(points / box).astype(np.int64)
-        _, first, of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        corners = of.ravel()[triangles]
+        _, first, box_of_corner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        corners = box_of_corner.ravel()[triangles]
         a, b, c = corners.T
         points, triangles = points[first], corners[(a != b) & (b != c) & (c != a)]
         box *= 1.5

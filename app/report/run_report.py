@@ -103,10 +103,10 @@ def after_run(folder: Path, comm: MPI.Comm | None) -> None:
     """
     if comm is None and rank() != 0:
         return
-    every = comm or MPI.COMM_SELF
-    node = every.Split_type(MPI.COMM_TYPE_SHARED)
+    all_ranks = comm or MPI.COMM_SELF
+    node = all_ranks.Split_type(MPI.COMM_TYPE_SHARED)
     try:
-        if node.bcast(every.rank) == 0:
+        if node.bcast(all_ranks.rank) == 0:
             with mpl.rc_context():  # leaves the rcParams of the caller untouched
                 write(folder, SHARE if comm else 0.0, comm=node)
     except Exception as error:  # the results are there, whatever the page lacks
@@ -173,11 +173,11 @@ def _run(
         return float(share * summary["timing"]["total"])
 
     spent = on_root(comm, time) or 0.0
-    whole = alone or spent >= VIEW
+    has_viewer = alone or spent >= VIEW
     # The view first: rank 0, which also writes the page, has the least to draw.
     tasks: list[Callable[[], Any]] = [
-        lambda: _view(folder) if whole else ("", []),
-        lambda: _model(folder) if whole else [],
+        lambda: _view(folder) if has_viewer else ("", []),
+        lambda: _model(folder) if has_viewer else [],
         lambda: _pictures(case, spent),
     ]
     parts = dealt(comm, tasks)
@@ -186,7 +186,7 @@ def _run(
     (view, no_view), model, (sides, maps, files) = parts
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
-    over = of_run(spread, case) if spread else None
+    input_spread = of_run(spread, case) if spread else None
     panels = _forces(case)
     panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
     drawn = [curves.drawing(panel) for panel in panels]
@@ -198,10 +198,10 @@ def _run(
         files = _path_files(case) + files
     case_file = _text(folder / "case.yaml")
     verbatim = [Verbatim(case_file)] if case_file else []
-    every_number = _tables(summary, every=True)
+    every_number = _tables(summary, all_parts=True)
     sections = [
         PageSection("model", "Bodies, supports and loads", model),
-        PageSection("numbers", "Numbers", _numbers(summary, over)),
+        PageSection("numbers", "Numbers", _numbers(summary, input_spread)),
         PageSection("sides", "The interfaces from three sides", sides),
         PageSection("curves", "Over time", page.drawings(drawn)),
         PageSection("paths", "Along paths", path_curves.of_run(case)),
@@ -220,8 +220,8 @@ def _run(
     ]
     solved = bool(summary["time"])
     sentences = [lead.loads(case, summary) if solved else _no_results(summary)]
-    if over:
-        sentences.append(over.sentence(case))
+    if input_spread:
+        sentences.append(input_spread.sentence(case))
     html = page.page(
         case.data.get("title") or folder.name,
         sections,
@@ -291,19 +291,19 @@ def _pictures(case: SweptCase, spent: float) -> tuple[list[Block], list[Block], 
     if spent < MAPS:
         later = f"Not drawn for short runs. `mantle report {case.folder}` adds them (30 s)."
         return [], bullets([later]), []
-    whole = spent == math.inf
+    is_unlimited = spent == math.inf
     with tempfile.TemporaryDirectory() as scratch:
-        folder = case.folder / PICTURES if whole else Path(scratch)
+        folder = case.folder / PICTURES if is_unlimited else Path(scratch)
         folder.mkdir(exist_ok=True)
         try:
-            suffixes = figures.SUFFIXES[: None if whole else 1]
+            suffixes = figures.SUFFIXES[: None if is_unlimited else 1]
             maps, missing = pictures.maps([("", case)], folder, suffixes)
         except (KeyError, OSError) as error:
             maps, missing = [], [f"fields that cannot be read: {error}"]
-        sides = pictures.sides(Run(case.folder), folder) if whole else []
+        sides = pictures.sides(Run(case.folder), folder) if is_unlimited else []
         files = page.files((*sides, *maps), folder)
         from_sides, on_maps = page.figures(sides, folder), page.figures(maps, folder)
-    return from_sides, on_maps + bullets(missing), files if whole else []
+    return from_sides, on_maps + bullets(missing), files if is_unlimited else []
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:
@@ -370,10 +370,10 @@ def _notes(notes: Sequence[str]) -> list[Block]:
 
 def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
     """Return the numbers of the closing table, a column for each interface, region and so on."""
-    blocks = _tables(summary, every=False, spread=spread)
+    blocks = _tables(summary, all_parts=False, spread=spread)
     for stage, numbers in summary.get("cycles", {}).items():
         head = ["", "permanent", "inducible"]
-        rows = [[in_print(name), *both] for name, *both in cycles.rows(numbers)]
+        rows = [[in_print(name), *values] for name, *values in cycles.rows(numbers)]
         blocks += page.titled(f"Cycles of {stage}", table(head, rows))
         blocks += bullets([*cycles.friction(numbers)])
     head, peaks = _unsettled(summary)
@@ -387,18 +387,18 @@ def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
     return blocks
 
 
-def _tables(summary: Summary, every: bool, spread: InputSpread | None = None) -> list[Block]:
+def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None) -> list[Block]:
     """Return tables by section: of all numbers, or of the main ones with their spread."""
     sections: dict[str, dict[str, Numbers]] = {}
-    for section, name, numbers in quantities.numbers_of(summary, parts=every):
+    for section, name, numbers in quantities.numbers_of(summary, parts=all_parts):
         sections.setdefault(section, {})[name] = numbers
     blocks: list[Block] = []
     titles = TITLES | {section.name: section.title for section in quantities.ADDED.values()}
     for section in (s for s in titles if s in sections):
         known, by_owner = TABLE[section], sections[section]
         added = [k for k, q in known.items() if q.compute]
-        more = [k for k, q in known.items() if q.on_page]
-        keys = [] if every else [*text.keys(section), *more, *added]
+        page_keys = [k for k, q in known.items() if q.on_page]
+        keys = [] if all_parts else [*text.keys(section), *page_keys, *added]
         keys += [k for k in known if spread and k.startswith("necrosis")]
         shown = [known[k] for k in keys or known if not known[k].vector]
         rows = [[_label(q), *(q.text(numbers) for numbers in by_owner.values())] for q in shown]
@@ -411,7 +411,7 @@ def _tables(summary: Summary, every: bool, spread: InputSpread | None = None) ->
         rows = [row for row in rows if set(row[1:]) != {"-"}]
         head = HEAD if spread else ["", *map(named, by_owner)]
         blocks += page.titled(titles[section], table(head, rows))
-        if section == "thermal.regions" and not every and not spread:
+        if section == "thermal.regions" and not all_parts and not spread:
             blocks += page.titled("Dead bone", _necrosis(by_owner))
     return blocks
 
@@ -470,26 +470,26 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
             notes=tuple(row.get("notes", ())),
         )
         cases.append(case)
-    every = sweep_figures.headlines(cases)
-    names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
+    all_names = sweep_figures.headlines(cases)
+    names = [n for n in all_names if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES
-    whole = share == math.inf
-    if whole:
+    is_unlimited = share == math.inf
+    if is_unlimited:
         drawings.mkdir(exist_ok=True)
-    drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
+    drawn, files = sweep_figures.multiples(cases, drawings if is_unlimited else None)
     sections = [
         PageSection("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
         PageSection("curves", "Curves over the varied keys", drawn),
         PageSection("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
-    done = sum(c.done for c in cases)
-    bad = [f"{c.status}: {c.name}" for c in cases if not c.done]
+    converged_count = sum(c.done for c in cases)
+    failed = [f"{c.status}: {c.name}" for c in cases if not c.done]
     titles = [c.data["title"] for c in cases if c.data.get("title") and "title" not in c.overrides]
     title = titles[0].partition("; changed: ")[0] if titles else folder.resolve().name
     html = page.page(
         f"Variations: {title}",
         sections,
-        bullets([f"{done} of {len(cases)} variations converged", *bad]),
+        bullets([f"{converged_count} of {len(cases)} variations converged", *failed]),
         large=lead.spread(cases, names),
     )
     write_text(folder / PAGE, html)

@@ -142,8 +142,8 @@ def _parts(column: str) -> tuple[str, str, str]:
     """Place, key and unit of a column; the place is empty for numbers of the whole run."""
     head, _, unit = column.removesuffix("]").partition(" [")
     place, _, key = head.partition(" ")
-    whole = column.startswith(SOLVER) or key == "balance"
-    return ("" if whole else place), key, unit
+    is_of_run = column.startswith(SOLVER) or key == "balance"
+    return ("" if is_of_run else place), key, unit
 
 
 def steps(step_record: StepRecord) -> list[Block]:

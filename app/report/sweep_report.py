@@ -114,8 +114,8 @@ def _summary(sweep: SweepResults) -> list[str]:
 
 def _dependence(cases: Sequence[SweptCase]) -> str:
     """Return the key that the first main number depends on most, in a sentence."""
-    for words, (most, *_) in sweep_figures.sensitivity(cases)[1][:1]:
-        rank, _, key = most.partition(" ")
+    for words, (strongest, *_) in sweep_figures.sensitivity(cases)[1][:1]:
+        rank, _, key = strongest.partition(" ")
         return f"{words} depends most on {key} (rank correlation {rank})."
     return ""
 

@@ -177,9 +177,9 @@ def read(folder: Path) -> SweepResults:
         cases = [_case(entry, folder) for entry in data["cases"]]
         known: Json = {f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)}
     except FileNotFoundError:
-        what = "has no sweep.json" if folder.is_dir() else "no such folder"
+        problem = "has no sweep.json" if folder.is_dir() else "no such folder"
         raise InputError(
-            f"{folder}: {what}; expected a folder written by mantle run, sweep or fit"
+            f"{folder}: {problem}; expected a folder written by mantle run, sweep or fit"
         ) from None
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: cannot be read: {error!r}") from error

@@ -246,7 +246,7 @@ def test_run_report_necrosis_has_a_spread(tmp_path: Path) -> None:
     numbers = [{f"bone.{key}": 2.0 * k} for k in range(10)]
     samples = [SweptCase("", tmp_path, CONVERGED, numbers=of_sample) for of_sample in numbers]
     summary = {"thermal": {"regions": {"bone": {key: 2.0}}}}
-    blocks = run_report._tables(summary, every=False, spread=InputSpread(samples, 10, of))
+    blocks = run_report._tables(summary, all_parts=False, spread=InputSpread(samples, 10, of))
     follows = f"cement kinetics ({(1 - 9 / 7 / (82.5 / 9)) ** 0.5:+.2f})"
     name = "bone dead by 47 °C for 1 min, volume (mm³)"
     assert [name, "2.0", "-", "0.9 to 17.1", follows] in blocks[-1].rows
