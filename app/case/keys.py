@@ -176,9 +176,13 @@ def _value(schema: Schema, places: dict[str, Keys]) -> tuple[str, str]:
             if len(set(entries)) == 1:
                 return f"list of {NUMBERS[len(entries)]}: {entries[0][0]}", entries[0][1]
             units = ", ".join(dict.fromkeys(unit for _, unit in entries if unit))
-            return f"pair of {' and '.join(text for text, _ in entries)}", units
+            words = [text.partition(", e.g.")[0].replace(", ", " ") for text, _ in entries]
+            kind = "pair" if len(words) == 2 else "row"
+            return f"{kind} [{', '.join(words)}]", units
         case {"items": dict(inner)}:
             text, unit = _value(inner, places)
+            if text.startswith(("pair [", "row [")):
+                return f"list of {text.replace(' ', 's ', 1)}", unit
             return f"list of: {text}", unit
     if schema.get("format") == "path":
         return "path", ""
@@ -193,7 +197,8 @@ def _union(values: list[tuple[str, str]]) -> tuple[str, str]:
     if {"text", "whole number", "number"} <= set(others):
         others = ["number, text" + (", `true`, `false`" if len(others) > 3 else "")]
     parts = [*filter(None, others), *([f"kind {', '.join(kinds)}"] if kinds else [])]
-    return " or ".join(parts), next((unit for _, unit in values if unit), "")
+    separator = "; or " if any("," in part for part in parts) else " or "
+    return separator.join(parts), next((unit for _, unit in values if unit), "")
 
 
 def _default(key: str, field: Schema) -> str:

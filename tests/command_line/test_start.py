@@ -214,7 +214,7 @@ geometry.cement_thickness  (kind intact_femur)
 geometry.cement_thickness  (kind patient)
   Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side. 0 mm:
   no cement. The stem is then in contact with the bone (interface stem_bone).
-  value    length, at least 0 and at most 8, e.g. 4 mm or section
+  value    length, at least 0 and at most 8, e.g. 4 mm; or section
   unit     mm
   default  4.0 mm
   keys     proximal, middle, distal, medial, anterior, lateral, posterior
