@@ -112,10 +112,15 @@ def begin_run(comm: MPI.Comm) -> None:
         release(comm)
 
 
-def clean_up() -> None:
-    """Destroy the objects of PETSc that Python has dropped on all ranks; collective."""
+def clean_up(comm: MPI.Comm) -> None:
+    """Destroy the objects of PETSc on these ranks that Python has dropped; collective.
+
+    Others may be at work on other ranks: companions of a run are solved one to a rank.
+    """
     for _, keeper in _communicators:
-        PETSc.garbage_cleanup(keeper.comm)
+        same = MPI.Comm.Compare(keeper.comm.tompi4py(), comm)
+        if same in (MPI.IDENT, MPI.CONGRUENT):
+            PETSc.garbage_cleanup(keeper.comm)
 
 
 def release(comm: MPI.Comm) -> None:
@@ -123,7 +128,8 @@ def release(comm: MPI.Comm) -> None:
     for _ in range(COLLECTIONS):
         gc.collect()
         comm.barrier()
-        clean_up()
+        for _, keeper in _communicators:
+            PETSc.garbage_cleanup(keeper.comm)
     is_gone = [comm.allreduce(owner() is None, MPI.LAND) for owner, _ in _communicators]
     for (_, keeper), owner_is_gone in zip(_communicators, is_gone, strict=True):
         if owner_is_gone:

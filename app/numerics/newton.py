@@ -323,7 +323,7 @@ class Solver:
                 self.x.copy(self._spare_vector)
                 self.x, self._spare_vector = self._spare_vector, None
                 raise error.__cause__ or error from None
-        clean_up()
+        clean_up(self.system.comm)
         if self.snes.getConvergedReason() == NOT_FINITE:
             # PETSc calls neither monitor nor test if the residual is not finite.
             self.residuals.append(math.nan)
