@@ -223,9 +223,7 @@ def _mesh(case: CaseParts) -> Iterable[Fault]:
             text = "'size' is missing; expected the edge length at the interfaces, e.g. 4 mm"
             yield Fault(("mesh",), text)
         if not case.geometry.spans and 0.0 < largest < case.mesh.size:
-            text = (
-                f"{case.mesh.size:g} mm: is larger than every part; expected at most {largest:g} mm"
-            )
+            text = f"{case.mesh.size:g} mm is larger than every part; use at most {largest:g} mm"
             yield Fault(("mesh", "size"), text)
         for key in ("around", "along", "through_cement"):
             if getattr(case.mesh, key) and not case.geometry.grid(case.mesh):

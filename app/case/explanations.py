@@ -100,7 +100,7 @@ WORDS: dict[str, tuple[str, ...]] = {
 BY_ZONE = {
     "gruen.strain_energy_density": "strain energy density of the bone (MPa)",
     "gruen.volume": "volume of the bone (mm^3)",
-    "gruen.interfaces": "gap, slip, motion, pressure, shear",
+    "gruen.interfaces": "gap, slip, motion, pressure and shear of each zone",
 }
 
 
@@ -129,7 +129,7 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
     if len(words) > 1:
         return explained(words[-1], options)
     nearest = ", ".join(_nearest(query, library.described())) or ", ".join(Case.model_fields)
-    raise InputError(f"{key}: is no key, kind, result or term of mantle; nearest: {nearest}")
+    raise InputError(f"{key}: is not a key, kind, result or term of mantle; nearest: {nearest}")
 
 
 def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:

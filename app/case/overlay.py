@@ -103,6 +103,11 @@ def _from(folder: FilePath, part: object, keys: Sequence[str]) -> None:
                 part[key] = str((folder / expanduser(name)).absolute())
 
 
+def shipped_cases() -> list[str]:
+    """Names of the shipped cases."""
+    return sorted(path.stem for path in configs.FOLDER.glob("*.yaml"))
+
+
 def base_file(folder: FilePath, base: str) -> FilePath:
     """Path of a base: a file relative to a folder, or a shipped case by its name alone."""
     shipped = configs.FOLDER / f"{base}.yaml"
@@ -150,7 +155,7 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
         file.raise_all([Fault((key,), f"{show(name)} cannot be read: {error.strerror}")])
     if not readable:
         if key == "base":
-            known = sorted(p.stem for p in configs.FOLDER.glob("*.yaml"))
+            known = shipped_cases()
             hint = did_you_mean(name, known) or f"; cases by name: {', '.join(known)}"
         file.raise_all([Fault((key,), f"no such file: {path}{hint}")])
     return path

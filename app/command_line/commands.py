@@ -25,6 +25,7 @@ from app.command_line import actions
 from app.command_line.parser import options_of_commands, parser
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.foundation.errors import EnvironmentProblem, InputError, stack_needed
+from app.schema.section import did_you_mean
 from app.simulation import finished_runs
 from app.soundness import cost, memory
 from app.system import doctor, ranks, stopping
@@ -98,7 +99,12 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
 def _case_path(path: Path) -> Path:
     """File of the case of a command: a file, or a shipped case by its name alone."""
     shipped = overlay.base_file(path.parent, str(path))
-    return shipped if not path.exists() and shipped.exists() else path
+    if path.exists() or shipped.exists():
+        return path if path.exists() else shipped
+    hint = "" if path.suffix else did_you_mean(str(path), overlay.shipped_cases())
+    if hint:
+        raise InputError(f"{path}: no such file or shipped case{hint}")
+    return path
 
 
 def _load(options: argparse.Namespace) -> LoadedCase:

@@ -69,7 +69,7 @@ COMMANDS = {
     ),
     "mesh": ("mesh a case and draw it, or write it for CalculiX (.inp)", f"{CASE} -o"),
     "place": (
-        "write a page on which the stem of a hip is placed by eye; it needs only a browser",
+        "write a page for a browser, in which you place the stem of a hip by eye",
         f"{CASE} -o",
     ),
     "study": ("measure error against run time of a case on several meshes", f"{CASE} {SUITE}"),
@@ -78,7 +78,7 @@ COMMANDS = {
         f"sweep --set --allow-scripts {MANY}",
     ),
     "fit": (
-        "find values of keys by which numbers reach measured ones, or are smallest or largest",
+        "find values of keys that reproduce measured numbers, or that minimize or maximize one",
         f"fit --set --allow-scripts {MANY}",
     ),
     "report": (
@@ -86,10 +86,13 @@ COMMANDS = {
         "folders -o --spread --evidence --methods --gif --field",
     ),
     "verify": ("solve problems with known answers and compare", SUITE),
-    "stress": ("solve extreme cases: each is right, or refused with a reason", SUITE),
-    "bench": ("measure the cost of contact, from 20,000 unknowns (20 minutes)", SUITE),
+    "stress": (
+        "solve extreme cases: each must be solved correctly or refused with a reason",
+        SUITE,
+    ),
+    "bench": ("measure the cost of contact on meshes from 20,000 unknowns (20 minutes)", SUITE),
     "validate": (
-        "predict published experiments and compare with what was measured",
+        "predict published experiments and compare with the measurements",
         f"{SUITE} --record",
     ),
     "explain": ("explain a key, a result or a term, such as E, fixed or friction", "key --schema"),

@@ -31,6 +31,8 @@ from app.schema.yaml_file import Fault, Path
 # Marks, in the location of a pydantic error, an entry that names a class and not a key.
 TAG = "="
 T = TypeVar("T")
+# Young's modulus, Coulomb's law: keeps its capital inside a sentence.
+NAME_OF_PERSON = re.compile(r"[A-Z][a-z]+'s ")
 VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
 
 
@@ -91,8 +93,9 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
         case "mantle":
             return (*path, *entry["ctx"]["at"]), entry["ctx"]["text"]
         case "missing":
-            text = docstrings(model).get(str(path[-1]), "")
-            expected = f": {text[:1].lower()}{text[1:].rstrip('.')}" if text else ""
+            text = " ".join(docstrings(model).get(str(path[-1]), "").split())
+            start = text[:1] if NAME_OF_PERSON.match(text) else text[:1].lower()
+            expected = f": {start}{text[1:].rstrip('.')}" if text else ""
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
             if str(entry["loc"][-1]).startswith(TAG):  # a key of the file that looks like a mark

@@ -173,7 +173,10 @@ def resultant(case: Case) -> Iterator[str]:
     sections = section_loads(case, len(case.stages))
     if sections:
         remark = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
-        yield f"force and moment above a section{remark}, at the end (last row: the knee)"
+        yield (
+            f"force and moment above a section{remark}, at the end (last row: the knee; "
+            "line: line of action of the force)"
+        )
         yield from (f"  {line}" for line in table(sections).splitlines())
 
 

@@ -86,7 +86,7 @@ def test_explanation_of_every_listed_word_finds_all_its_targets(word: str) -> No
 
 def test_explanation_of_a_word_of_a_meaning_lists_the_keys() -> None:
     assert explanations.explained("Pennes").split()[:2] == ["heat.<name>:", "perfusion"]
-    with pytest.raises(InputError, match="is no key, kind, result or term of mantle; nearest: "):
+    with pytest.raises(InputError, match="is not a key, kind, result or term of mantle; nearest: "):
         explanations.explained("xyzzy")
 
 

@@ -187,6 +187,7 @@ def test_bad_input_is_printed_once_with_exit_code_2(
         ("chek x", "doctor); did you mean 'check'?; see mantle --help"),
         ("check", "the following arguments are required: CASE"),
         ("check none.yaml", "none.yaml: no such file"),
+        ("check stanse", "stanse: no such file or shipped case; did you mean 'stance'?"),
         ("check none.yaml --colour", "unrecognized arguments: --colour; see mantle check --help"),
         ("check none.yaml -- -log_view", "takes no PETSc options"),
         ("run none.yaml -n zero", "-n: 'zero' is not a number of ranks"),

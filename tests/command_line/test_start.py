@@ -264,7 +264,7 @@ geometry.cement_thickness  (kind patient)
         (
             "interfaces.frictoin",
             2,
-            ["interfaces.frictoin: is no key, kind, result or term of mantle; nearest: "],
+            ["interfaces.frictoin: is not a key, kind, result or term of mantle; nearest: "],
         ),
     ],
 )
