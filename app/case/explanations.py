@@ -100,7 +100,7 @@ WORDS: dict[str, tuple[str, ...]] = {
 BY_ZONE = {
     "gruen.strain_energy_density": "strain energy density of the bone (MPa)",
     "gruen.volume": "volume of the bone (mm^3)",
-    "gruen.interfaces": "gap, slip, motion, pressure and shear of each zone",
+    "gruen.interfaces": "gap, slip, motion, pressure and shear",
 }
 
 
