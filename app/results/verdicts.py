@@ -239,7 +239,7 @@ def _by_facets(name: str, q: Numbers) -> Verdict:
         f"the maximum on {name}, {largest} MPa, depends on the facets of the mesh: slip over their "
         f"edges causes up to {part} MPa"
     )
-    cure = "reduce `mesh.size`; replace straight cells by curved ones of second order"
+    cure = "reduce `mesh.size`; if cells are straight, use curved ones (`mesh.order: 2`)"
     return Verdict(text, "pressure", cure, Severity.WARNING)
 
 
