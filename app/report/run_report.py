@@ -267,8 +267,8 @@ def _model(folder: Path) -> list[Block]:
         "arrow is proportional to the square root of the force."
     )
     try:
+        case = load(folder / "case.yaml").config
         if not (folder / CASE_PICTURE).exists():
-            case = load(folder / "case.yaml").config
             data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
             case_picture.draw(case, data, folder / CASE_PICTURE)
         figure = Figure(CASE_PICTURE, "", words, "The case in two views", halves=True)
