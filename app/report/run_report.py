@@ -24,7 +24,7 @@ from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.case.summary import Numbers, Summary
-from app.foundation.errors import InputError, StoppedError, dealt, on_root
+from app.foundation.errors import InputError, MantleError, StoppedError, dealt, on_root
 from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
 from app.report import (
@@ -261,22 +261,31 @@ def _starts_at_rest(case: SweptCase) -> bool:
 
 
 def _model(folder: Path) -> list[Block]:
-    """Return the picture of the case, which is drawn once, with its landmarks, or why not."""
+    """Return the picture of the case, or the reason why there is none, and its landmarks."""
     words = (
         "Pale: the outside. Black lines: outlines of the bodies in the section. The length of an "
         "arrow is proportional to the square root of the force."
     )
+    figure = Figure(CASE_PICTURE, "", words, "The case in two views", halves=True)
     try:
-        case = load(folder / "case.yaml").config
         if not (folder / CASE_PICTURE).exists():
+            case = load(folder / "case.yaml").config
             data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
             case_picture.draw(case, data, folder / CASE_PICTURE)
-        figure = Figure(CASE_PICTURE, "", words, "The case in two views", halves=True)
-        details = case.geometry.details | case.geometry.placement_details
-        landmarks = bullets([f"{name}: {plain(detail)}" for name, detail in details.items()])
-        return [*page.figures([figure], folder), *landmarks]
+        picture = page.figures([figure], folder)
     except Exception as error:  # a mesh that was removed must not cost the page
-        return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
+        picture = bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
+    return picture + _landmarks(folder)
+
+
+def _landmarks(folder: Path) -> list[Block]:
+    """Return landmarks and the position of the stem; nothing without the files of the case."""
+    try:
+        geometry = load(folder / "case.yaml").config.geometry
+    except MantleError:
+        return []
+    details = geometry.details | geometry.placement_details
+    return bullets([f"{name}: {plain(detail)}" for name, detail in details.items()])
 
 
 def _pictures(case: SweptCase, spent: float) -> tuple[list[Block], list[Block], list[Path]]:

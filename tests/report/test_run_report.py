@@ -22,6 +22,7 @@ from app.foundation.verdict import Verdict, note
 from app.plots import curves
 from app.report import lead, pictures, run_report, step_curves, viewer
 from app.report.input_spread import InputSpread
+from app.report.page import Bullets
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import verdicts
 from app.schema import yaml_file
@@ -422,3 +423,15 @@ def test_run_report_ticks_are_round(ends: tuple[float, float], ticks: list[float
     placed = curves.ticks(*ends)
     assert placed[: len(ticks)] == ticks and placed[0] <= ends[0] and placed[-1] >= ends[1]
     assert 2 <= len(placed) <= 9
+
+
+def test_run_report_has_landmarks_if_the_files_of_the_case_are_there(tmp_path: Path) -> None:
+    """The picture of the case needs its files once, to be drawn."""
+    (tmp_path / "case.yaml").write_text("base: stance")
+    (landmarks,) = run_report._landmarks(tmp_path)
+    assert isinstance(landmarks, Bullets)
+    assert any(text.startswith("head of the stem: offset 43.0 mm") for text in landmarks.texts)
+    (tmp_path / "case.yaml").write_text(
+        "base: stance\ngeometry: {kind: patient, bone: {image: removed.nii.gz, label: 1}}"
+    )
+    assert run_report._landmarks(tmp_path) == []
