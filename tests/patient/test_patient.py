@@ -122,7 +122,7 @@ def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
         geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
         assert geometry.details["side"] == side
         body = LayeredSurfaces(geometry, options()).stem.body
-        shapes.append(np.stack([body._kept(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
+        shapes.append(np.stack([body._cached_outline(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
         shapes.append(np.array(list(geometry.points.values())))
     one, points, other, mirrored = shapes
     assert points == pytest.approx(mirrored, abs=0.05)
