@@ -97,9 +97,9 @@ class GradedThickness(Section):
         """Means around (mm) by part of the height, from 0 to 1; ratios to them around, by turns."""
         heights, ring = (
             [
-                (k / divisions, t)
+                (k / divisions, getattr(self, key))
                 for k, key in enumerate(keys)
-                if (t := getattr(self, key)) is not None
+                if getattr(self, key) is not None
             ]
             for keys, divisions in ((HEIGHTS, 2), (SIDES, 4))
         )

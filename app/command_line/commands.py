@@ -99,8 +99,10 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
 def _case_path(path: Path) -> Path:
     """File of the case of a command: a file, or a shipped case by its name alone."""
     shipped = overlay.base_file(path.parent, str(path))
-    if path.exists() or shipped.exists():
-        return path if path.exists() else shipped
+    if path.exists():
+        return path
+    if shipped.exists():
+        return shipped
     hint = "" if path.suffix else did_you_mean(str(path), overlay.shipped_cases())
     if hint:
         raise InputError(f"{path}: no such file or shipped case{hint}")

@@ -113,13 +113,14 @@ def begin_run(comm: MPI.Comm) -> None:
 
 
 def clean_up(comm: MPI.Comm) -> None:
-    """Destroy the objects of PETSc on these ranks that Python has dropped; collective.
+    """Destroy the objects of PETSc that the ranks of a communicator have dropped; collective.
 
-    Others may be at work on other ranks: companions of a run are solved one to a rank.
+    Communicators of other ranks are left out, as those ranks may be solving something else: the
+    companions of a run are solved one to a rank.
     """
     for _, keeper in _communicators:
-        same = MPI.Comm.Compare(keeper.comm.tompi4py(), comm)
-        if same in (MPI.IDENT, MPI.CONGRUENT):
+        ranks = MPI.Comm.Compare(keeper.comm.tompi4py(), comm)
+        if ranks in (MPI.IDENT, MPI.CONGRUENT):
             PETSc.garbage_cleanup(keeper.comm)
 
 

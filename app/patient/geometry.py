@@ -182,10 +182,8 @@ class Patient(OperatedHip):
         if not lowest_z + 2.0 < level < plug_z - 2.0:
             text = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
             fail(f"{text} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
-        least_length, length_inside = (
-            max(INSIDE * implant.length, SHORTEST_INSIDE),
-            implant.length + placed.top,
-        )
+        least_length = max(INSIDE * implant.length, SHORTEST_INSIDE)
+        length_inside = implant.length + placed.top
         if length_inside < least_length:
             text = f"leaves {length_inside:.0f} mm of the stem below the cut"
             fail(f"{text}; expected at least {least_length:.0f} mm", at=("insertion", "depth"))
@@ -263,9 +261,8 @@ class Patient(OperatedHip):
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""
-        from meshes.layered_surfaces import (
-            cached_surfaces,
-        )  # most of scipy, which other cases do without
+        # It imports most of scipy, which other cases do without.
+        from meshes.layered_surfaces import cached_surfaces
 
         return cached_surfaces(self, mesh, self.content)
 

@@ -480,7 +480,8 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
         )
         cases.append(case)
     all_names = sweep_figures.headlines(cases)
-    names = [n for n in all_names if not ((q := quantities.get(n)) and q.exact)]
+    quantity_by_name = {name: quantities.get(name) for name in all_names}
+    names = [name for name, q in quantity_by_name.items() if not (q and q.exact)]
     drawings = folder / PICTURES
     is_unlimited = share == math.inf
     if is_unlimited:
