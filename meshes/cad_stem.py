@@ -2,7 +2,8 @@
 
 Above the neck cut, or above the shoulder if that is lower, sections rotate until they are across
 the neck. Their centres lead from the stem's axis to the neck's. Each ray from a centre meets the
-triangles of the surface once.
+triangles of the surface once. Sections in a collar on the neck cut are parallel to it, and rotate
+from its top on.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ HIDDEN_METAL = 4.0  # mm of metal that a ray may meet beyond a gap: the corner o
 TIP_MARGIN = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
 NECK_SHARE = 0.38  # of the neck's length: what the points between axis and neck head for
 NECK_INSET = 1e-3  # mm that the last section is within the neck
+TURN_AFTER_COLLAR = 2.0  # speed at which sections turn above a collar, until they are as without it
+LONGEST_COLLAR = 0.5  # of the way from cut to neck's end: with more, the last section is not turned
 
 
 def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
@@ -209,8 +212,12 @@ class CadStem:
         ends: tuple[float, float],
         placed: Placement,
         mesh: StepKeys,
+        collar_thickness: float = 0.0,
     ) -> None:
-        """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
+        """Ends are the level of the tip and the height of the shoulder, or of the cut [mm].
+
+        The thickness of a collar is in mm; 0: there is none.
+        """
         (self._low, high), self._placed = ends, placed
         self._high = (
             self._low + float(shape["shoulder"]) - TIP_MARGIN if high < placed.top else np.inf
@@ -230,6 +237,9 @@ class CadStem:
         steepest, self._lean = placed.slopes
         self._planes = np.stack([self._plane(steepest), [medial, np.cross(neck_axis, medial)]])
         self._cut = self._path_fraction(placed.top, steepest)
+        rise = collar_thickness * np.sqrt(1.0 + steepest**2 * (1.0 + self._lean**2))
+        collar_top = self._path_fraction(placed.top + rise, steepest)
+        self._collar_end = min(LONGEST_COLLAR, (collar_top - self._cut) / (1 - self._cut))
         length = np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()
         self.ends = (mesh.steps((1 - self._cut) * length),)
 
@@ -247,9 +257,12 @@ class CadStem:
 
     def _outline(self, height: float, slope: float, fraction: float = 0.0) -> Floats:
         """Outline (`RAYS`, 3) [mm]. A fraction above 0 counts from the cut to the neck's end."""
-        t, path_fraction = 1 - fraction, self._cut + (1 - self._cut) * fraction
-        plane = t * t * self._planes[0] + (1 - t * t) * self._planes[1]
-        if fraction <= 0:
+        if fraction > 0:
+            path_fraction = self._cut + (1 - self._cut) * fraction
+            after_collar = max(0.0, fraction - self._collar_end)
+            left = (1 - min(fraction, TURN_AFTER_COLLAR * after_collar)) ** 2
+            plane = left * self._planes[0] + (1 - left) * self._planes[1]
+        else:
             path_fraction, plane = self._path_fraction(height, slope), self._plane(slope)
         origin = (
             np.array(
@@ -272,13 +285,13 @@ class CadStem:
                 " than once. Is there a collar, or does the neck leave the body below the neck"
                 " cut? Move the stem proximally (geometry.tip_z, geometry.insertion.depth), cut"
                 " lower (geometry.resection.height), or remove the"
-                " collar from the file"
+                " collar from the file and set geometry.stem.collar"
             ) from None
 
     def _lines(self, height: float, slope: float, fraction: float = 0.0) -> tuple[Floats, Floats]:
         """Points of an outline (n, 3) [mm], and the lines there in turns (n,)."""
         x = self._cached_outline(height, slope, fraction)
-        if fraction <= 0:
+        if fraction <= self._collar_end:
             return self._with_corner_points(x)
         return x, positions(x)  # corners are those of shoulder and neck
 
@@ -327,9 +340,9 @@ class CadStem:
         )
 
     def points(self, phi: Floats, s: Floats) -> Floats:
-        """Points at stations above the cut (n, 3) [mm]."""
-        zero = np.zeros(len(phi))
-        return self._points_on_outlines(phi, zero, zero, np.asarray(s) / self.ends[-1])
+        """Points at stations from the cut on (n, 3) [mm]."""
+        top, slope = (np.full(len(phi), v) for v in (self._placed.top, self._placed.slopes[0]))
+        return self._points_on_outlines(phi, top, slope, np.asarray(s) / self.ends[-1])
 
     def depth(self, thickness: Thickness, x: Floats) -> Floats:
         """Depth of points (n, 3) within the outer side of a mantle (n,) [mm].

@@ -38,6 +38,7 @@ CAD_COARSER = 1.4  # as `COARSER`, of stems from CAD, whose shoulders are not co
 CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges are sharp
 VOID = "void"  # where no cells are
 COLLAR = "collar"
+COLLAR_SEARCH = 20  # places for each station at which the height of a collar's top is searched
 STATION_SPACING = 0.3  # of a step above the neck cut: no station is nearer to the top of a collar
 # Least depth of a shoulder below the cut [mm]; a higher one counts as at the cut.
 LEAST_SHOULDER_DEPTH = 2.5
@@ -83,7 +84,7 @@ class StemWithMantle:
         self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
         if implant.cad is not None:
             levels = implant.tip_z, self.shoulder
-            body: Any = CadStem(implant.cad, levels, placed, mesh)
+            body: Any = CadStem(implant.cad, levels, placed, mesh, implant.collar_thickness)
         else:
             body = replace(femur_stem.body(implant), lean=placed.slopes[1])
         self.middle = 0.25 * implant.tip_z + 0.75 * placed.top
@@ -270,19 +271,27 @@ class LayeredSurfaces:
             return last
         steps = self.mesh.steps(thickness)
         # The station of the stem alone that is as high above the cut, around medial in the mean.
-        stations, angles = np.linspace(0.0, last, 20 * last + 1), np.linspace(-0.1, 0.1, 9)
-        phi, s = (grid.ravel() for grid in np.meshgrid(angles % 1.0, stations))
-        x = self.stem.upper.points(phi, s).reshape(len(stations), len(angles), 3)
-        height = ((x - x[0]) @ self.normal).mean(axis=1)
-        if height.max() < thickness:
+        stations, heights = [0.0], [0.0]
+        for station in np.arange(1, COLLAR_SEARCH * last + 1) / COLLAR_SEARCH:
+            if heights[-1] >= thickness:
+                break
+            stations.append(station)
+            heights.append(self._height_above_cut(station))
+        if heights[-1] < thickness:
             raise GeometryError("geometry.stem.collar.thickness: the collar is above the head")
-        top_station = float(np.interp(thickness, height, stations))
+        top_station = float(np.interp(thickness, heights, stations))
         next_station = math.ceil(top_station + STATION_SPACING)
         self._stations = np.concatenate(
             [np.linspace(0.0, top_station, steps + 1), np.arange(next_station, last + 1.0)]
         )
         self.collar = (self.cut, self.cut + steps)
         return len(self._stations) - 1 - steps
+
+    def _height_above_cut(self, station: float) -> float:
+        """Height of the stem at a station above the cut, around medial in the mean [mm]."""
+        phi = np.linspace(-0.1, 0.1, 9) % 1.0
+        x, on_cut = (self.stem.upper.points(phi, np.full(9, s)) for s in (station, 0.0))
+        return float(((x - on_cut) @ self.normal).mean())
 
     @property
     def normal(self) -> Floats:

@@ -56,6 +56,13 @@ class Collar(Section):
         return self
 
 
+def collar_numbers(collar: Collar | None) -> dict[str, float]:
+    """Thickness and angle of a collar by fields of `Implant`; both are zero without one."""
+    if collar is None:
+        return {"collar_thickness": 0.0, "collar_angle": 0.0}
+    return {"collar_thickness": collar.thickness, "collar_angle": collar.angle}
+
+
 class Stem(Section):
     """A straight tapered stem by its numbers, with or without a collar."""
 
@@ -120,9 +127,7 @@ class Stem(Section):
             "head_height": shoulder + self.head_height,
         }
         cement = {"plug_length": plug_length, "tip_void": tip_void}
-        if collar:
-            levels |= {"collar_thickness": collar.thickness, "collar_angle": collar.angle}
-        return Implant(**(numbers | levels | cement))
+        return Implant(**(numbers | levels | cement | collar_numbers(collar)))
 
 
 class StemFile(Section):
@@ -141,6 +146,8 @@ class StemFile(Section):
     taper_face: _Point | None = None
     """A point of the planar face that ends the neck; by default it is the one farthest to medial
     and proximal."""
+    collar: Collar | None = None
+    """Collar that rests on the neck cut, as for a stem by its numbers; the file must have none."""
 
     @model_validator(mode="after")
     def _readable(self) -> StemFile:
@@ -153,7 +160,7 @@ class StemFile(Section):
     @cached_property
     def content(self) -> str:
         """Hash of the file and of what is given beside it, at the first access."""
-        given = json.dumps(self.model_dump(exclude={"step"})).encode()
+        given = json.dumps(self.model_dump(exclude={"step", "collar"})).encode()
         return hashlib.sha256(self.step.read_bytes() + given).hexdigest()
 
     @property
@@ -167,6 +174,7 @@ class StemFile(Section):
             with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
                 shutil.copy(self.step, folder)
                 request = dict(self) | {"path": str(self.step), "step": None}
+                del request["collar"]
                 _READ[self.content] = confined.ask("meshes.stem_file:read", request, folder)
         return _READ[self.content]
 
@@ -204,8 +212,7 @@ class StemFile(Section):
         tip = shoulder - round(float(self.shape["shoulder"]), 2) if tip_z is None else tip_z
         unknown: dict[str, Any] = dict.fromkeys(field.name for field in fields(Implant))
         cement = {"plug_length": plug_length, "tip_void": tip_void}
-        no_collar = {"collar_thickness": 0.0, "collar_angle": 0.0}
-        numbers: dict[str, Any] = unknown | self.values(tip) | cement | no_collar
+        numbers: dict[str, Any] = unknown | self.values(tip) | cement | collar_numbers(self.collar)
         return Implant(**(numbers | {"tip_z": tip, "cad": self.shape}))
 
 

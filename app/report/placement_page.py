@@ -225,13 +225,24 @@ def sizes(geometry: OperatedHip, folder: Path) -> list[Size]:
     offered = [Size(stem.step.stem, geometry.implant, "")]
     for file in others:
         try:
-            other_stem = StemFile(step=file, unit=stem.unit)
+            other_stem = StemFile(step=file, unit=stem.unit, collar=stem.collar)
         except (MantleError, ValueError):
             continue  # no stem, or of another kind
         implant = other_stem.implant(None, geometry.plug_length, geometry.implant.tip_void)
         name = os.path.relpath(file, folder.resolve())
-        offered.append(Size(file.stem, implant, f"stem: {{step: {json.dumps(name)}}}"))
+        offered.append(Size(file.stem, implant, _stem_section(other_stem, name)))
     return sorted(offered, key=lambda size: size.implant.length)
+
+
+def _stem_section(stem: StemFile, name: str) -> str:
+    """The YAML of a stem with a file's name, in one line; unit and collar where they are given."""
+    keys: dict[str, object] = {"step": name}
+    if stem.unit != "mm":
+        keys["unit"] = stem.unit
+    if stem.collar is not None:
+        angle = math.degrees(stem.collar.angle)
+        keys["collar"] = {"thickness": f"{stem.collar.thickness:g} mm", "angle": f"{angle:g} deg"}
+    return "stem: {" + ", ".join(f"{key}: {json.dumps(given)}" for key, given in keys.items()) + "}"
 
 
 def _thinned(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:

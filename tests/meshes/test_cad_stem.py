@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from itertools import product
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 import mantle
 import meshes
 from app.case.case import dump, load
+from app.case.geometries import Femur, MeshOptions
 from app.cli import main
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
@@ -168,6 +170,55 @@ def test_cad_stem_refuses_a_collar(tmp_path: Path) -> None:
         known = load(case(file), [f"geometry.tip_z={tip}"]).config
         with pytest.raises(GeometryError, match=r"meet its surface more than once|mm for cement"):
             meshes.build(known.geometry, known.mesh)
+
+
+COLLAR = (
+    "geometry.stem.collar={thickness: 3 mm, angle: 90 deg}",
+    "regions.collar={material: Ti-6Al-4V}",
+    "interfaces.collar_bone={kind: contact, friction_coefficient: 0.3}",
+)
+
+
+@pytest.mark.parametrize("name", ["sharp", "deep"])
+def test_cad_stem_has_a_collar_on_the_cut(name: str, tmp_path: Path) -> None:
+    """Its sections in the collar are parallel to the cut, so that the plate is even."""
+    known = load(case(cad_stems.write(name, tmp_path)), COLLAR).config
+    data, placed = meshes._make(known.geometry, known.mesh), known.geometry.placement
+    x = data.points[np.unique(data.cells[data.cell_tags == data.regions["collar"], :4])]
+    height = (x - placed.foot) @ placed.normal
+    on_cut, top = height < 1.5, height >= 1.5
+    assert height[on_cut] == pytest.approx(0.0, abs=1e-5)
+    assert height[top] == pytest.approx(3.0, abs=0.02)
+    assert data.notes["quality"]["sicn_min_by_region"]["collar"] > 0.15
+    area = data.notes["interface_areas_mm2"]["collar_bone"]
+    assert data.notes["volumes_mm3"]["collar"] / area == pytest.approx(3.0, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_cad_stem_has_a_collar_in_random_hips(seed: int, tmp_path: Path) -> None:
+    of = random.Random(seed)
+    file = cad_stems.write(of.choice(["exeter", "charnley", "anatomic", "sharp"]), tmp_path)
+    collar = {
+        "thickness": f"{of.uniform(1.5, 6):.2f} mm",
+        "angle": f"{of.uniform(30, 180):.0f} deg",
+    }
+    keys = {
+        "stem": {"step": file, "collar": collar},
+        "tip_z": f"{TIPS.get(file.stem, -118) + of.uniform(-2, 2):.1f} mm",
+        "cement_thickness": of.choice(["0 mm", "3 mm"]),
+        "anteversion": f"{of.uniform(0, 20):.1f} deg",
+        "resection": {"angle": f"{of.uniform(34, 45):.1f} deg"},
+    }
+    order = of.choice([1, 2])
+    options = MeshOptions.model_validate({"size": "8 mm", "order": order})
+    geometry = Femur.model_validate(keys)
+    data = meshes._make(geometry, options.model_copy(update={"curved": order == 2}))
+    assert data.notes["quality"]["sicn_min_by_region"]["collar"] > 0.1
+    area = data.notes["interface_areas_mm2"]["collar_bone"]
+    volume = data.notes["volumes_mm3"]["collar"]
+    # The neck leans over the collar's top.
+    assert volume / area == pytest.approx(geometry.stem.collar.thickness, rel=0.1)
 
 
 @pytest.mark.slow

@@ -251,6 +251,25 @@ def test_placement_page_of_a_cad_stem_shows_the_numbers_of_check(
     assert [shown[key] for key in ("offset", "leg", "version")] == pytest.approx(printed, abs=0.1)
 
 
+def test_placement_page_offers_other_stems_with_unit_and_collar(tmp_path: Path) -> None:
+    """A part of a case with another stem has what its own stem has."""
+    for name in ("short", "exeter"):
+        cad_stems.write(name, tmp_path)
+    stem = {
+        "step": tmp_path / "short.step",
+        "unit": "mm",
+        "collar": {"thickness": "2.5 mm", "angle": "120 deg"},
+    }
+    this, other = placement_page.sizes(Femur.model_validate({"stem": stem}), tmp_path)
+    assert this.yaml == ""
+    section = ruamel.yaml.YAML(typ="safe").load(other.yaml)["stem"]
+    assert section == {
+        "step": "exeter.step",
+        "collar": {"thickness": "2.5 mm", "angle": "120 deg"},
+    }
+    assert other.implant.collar_thickness == 2.5
+
+
 def test_placement_page_refuses_a_case_without_a_stem(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
