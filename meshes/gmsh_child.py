@@ -25,6 +25,7 @@ from app import mesh_files
 from app.foundation.arrays import Floats, Ints
 from app.foundation.captured import captured
 from app.foundation.errors import GeometryError, MantleError
+from meshes import msh_groups
 from meshes.quality import untangle
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
@@ -190,6 +191,7 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
         if request["script"]:
             _run_script(gmsh, request)
         else:
+            msh_groups.keep_apart(Path(path.name), gmsh)
             try:
                 gmsh.merge(path.name)
             except Exception as error:  # gmsh raises bare Exception

@@ -65,7 +65,13 @@ def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
         raise ValueError("not of .msh format 2.2 or 4.1; save it again with gmsh")
     section = header.partition(b"$PhysicalNames")[2].partition(b"$EndPhysicalNames")[0]
     matches = map(ENTRY.fullmatch, section.split(b"\n"))
-    return [(int(m[1]), m[2].decode("utf-8", "replace")) for m in matches if m]
+    try:
+        return [(int(m[1]), m[2].decode()) for m in matches if m]
+    except UnicodeDecodeError as error:
+        name = error.object.decode("latin-1")
+        raise ValueError(
+            f"a name in it is not text in UTF-8, perhaps {name}; save it as UTF-8, or rename it"
+        ) from error
 
 
 def _groups_of_script(path: Path) -> list[tuple[int, str]]:

@@ -32,6 +32,8 @@ ERRORS = (BOTH, "time step", "load step")
 MOST = 3
 # A largest pressure above the largest mean at a point by this factor depends on the mesh.
 STEEP = 1.5
+# A largest pressure below this one is shown as 0.00 [MPa].
+SHOWN = 0.005
 # Ends of the keys of percentiles.
 PERCENTILE = re.compile(r"_p\d+$")
 # Limits of the balances: forces to rounding, heat to its solver's tolerance.
@@ -244,7 +246,8 @@ def _by_facets(name: str, q: Numbers) -> Verdict:
 
 
 def _is_steep(q: Numbers) -> bool:
-    return bool(q.get("pressure_max", 0.0) > STEEP * q.get("pressure_mean_max", np.inf))
+    largest = q.get("pressure_max", 0.0)
+    return bool(largest >= SHOWN and largest > STEEP * q.get("pressure_mean_max", np.inf))
 
 
 def _steep(name: str, q: Numbers) -> Verdict:

@@ -15,6 +15,7 @@ import meshes
 from app.case.case import Case
 from app.case.summary import Summary, merge
 from app.foundation.errors import on_root
+from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
 from app.mechanics.problem import Problem
@@ -32,7 +33,7 @@ from app.results.surface_parts import Surface, in_parts
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.steppers import steppers
 from app.simulation.thermal_model import ThermalModel
-from app.soundness import cost, memory, well_posedness
+from app.soundness import cost, loose_bodies, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.heat_state import HeatStep
 from app.stepping.heat_steps import OnHeat
@@ -358,6 +359,13 @@ class Model:
         for record in self.records.values():
             merge(numbers, record.numbers())
         return numbers
+
+    def left_free(self) -> list[Verdict]:
+        """Warnings on bodies that nothing holds in the last state; collective."""
+        path = self.mechanical_path
+        if path is None or path.problem.contact is None:
+            return []
+        return loose_bodies.left_free(path.problem, path.problem.trial(*path.solver.u_and_q()))
 
     def _add_places(self, numbers: Summary, samples: ContactSamples | None) -> None:
         """Add numbers of some geometries: mantle, layers, Gruen zones; collective."""

@@ -315,7 +315,7 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        notes = [*self._notes, *doubts.doubts(case, summary)]
+        notes = [*self._notes, *doubts.doubts(case, summary), *model.left_free()]
         verdicts.record(summary, notes)
         if verdicts.reasons_not_to_use(summary):
             summary["status"] = UNUSABLE

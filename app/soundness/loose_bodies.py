@@ -65,6 +65,12 @@ LOADINGS = 2
 SPREAD = 0.25
 # And that is more than this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
 PART = 0.05
+# Bodies are apart by more than this part of the size of the interfaces.
+GAP = 1e-8
+# Contact holds nothing by a pressure below this part of stiffness per area x size.
+UNPRESSED = 1e-10
+# Subject of verdicts on contact.
+CONTACT = "contact"
 # Remedy for a body that nothing holds.
 HOLD = "hold the body (a support, friction, an elastic foundation)"
 
@@ -241,6 +247,26 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
             text = f"displacements are no longer small: {text}"
             return Verdict(text, cure=cure, code=Reason.LARGE_DISPLACEMENT)
     return None
+
+
+def left_free(problem: Problem, trial: TrialState) -> list[Verdict]:
+    """Warnings on bodies that nothing holds within their gaps in a converged state; collective.
+
+    No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
+    """
+    contact, names = trial.contact, problem.bodies.names
+    local, size = contact.local, contact.frame[1]
+    gaps = np.einsum("pi,pki->pk", contact.opening(trial.jump), local.normals).max(axis=1)
+    is_open = trial.law.status == OPEN
+    if not any(problem.comm.allgather(bool((is_open & (gaps > GAP * size)).any()))):
+        return []
+    rounding = UNPRESSED * contact.law.stiffness * size
+    is_unpressed = contact.law.slides & (trial.law.pressures.max(axis=1) <= rounding)
+    motions = contact.loose_motions(np.where(is_unpressed, OPEN, trial.law.status))
+    centres = np.tile(contact.frame[0], (len(names), 1))
+    texts = describe(motions, [f"'{name}'" for name in names], centres, *contact.frame)
+    place = "in the last state, so that its place within the gaps is arbitrary"
+    return [Verdict(f"{text} {place}", CONTACT, HOLD, Severity.WARNING) for text in texts]
 
 
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:

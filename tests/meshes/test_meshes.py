@@ -11,6 +11,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
@@ -309,6 +310,44 @@ def test_imported_files_of_format_2_2(tmp_path: Path) -> None:
     # Interfaces are written with their names, too.
     assert back.notes["interior_surfaces"] == sorted(STACK.interface_sides)
     assert not set(back.boundaries) & set(STACK.interface_sides)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("tags", ["the same", "none", "distinct"])
+def test_imported_files_of_format_2_2_have_groups_of_elements(
+    binary: bool, tags: str, tmp_path: Path
+) -> None:
+    """Other programs give elements of several groups the same entity, or none."""
+    data = mesh(STACK, 3.0)
+    tetrahedra = data.cells[:, :4]
+    rows = {name: np.isin(data.facet_tags, data.boundaries[name]) for name in ("bottom", "top")}
+    facets = {name: data.facets[there, :3] for name, there in rows.items()}
+    groups = [data.cell_tags, *(np.full(len(f), k) for k, f in enumerate(facets.values(), 11))]
+    entities = {"the same": [np.full(len(g), 7) for g in groups], "distinct": groups}
+    file = meshio.Mesh(
+        data.points,
+        [("tetra", tetrahedra), *(("triangle", block) for block in facets.values())],
+        cell_data={"gmsh:physical": groups},
+        field_data={name: np.array([tag, 3]) for name, tag in data.regions.items()}
+        | {name: np.array([k, 2]) for k, name in enumerate(facets, 11)},
+    )
+    if tags != "none":
+        file.cell_data["gmsh:geometrical"] = entities[tags]
+    path = tmp_path / "a.msh"
+    meshio.write(path, file, file_format="gmsh22", binary=binary)
+    back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
+    assert region_volumes(back) == pytest.approx(region_volumes(data))
+    areas = boundary_areas(data)
+    assert boundary_areas(back) == pytest.approx({name: areas[name] for name in facets})
+    assert back.notes["cells_without_region"] == 0
+
+
+def test_imported_files_with_names_in_another_encoding_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.msh"
+    meshes.write_msh(mesh(STACK, 3.0), path)
+    path.write_bytes(path.read_bytes().replace(b'"low"', '"l\xf6w"'.encode("latin-1")))
+    with pytest.raises(ValueError, match="a name in it is not text in UTF-8"):
+        MeshFile(path=path, interfaces={})
 
 
 def test_imported_files_without_names_are_refused(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from app.foundation.verdict import Severity, Verdict, note, recorded
 from app.results import verdicts
 
@@ -64,6 +66,14 @@ def test_verdicts_on_singular_pressure() -> None:
     )
     assert tone == "warning"
     numbers["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
+    assert "pressure" not in judged(numbers)
+
+
+@pytest.mark.parametrize(("largest", "mean"), [(0.0, -0.03), (2e-10, 1e-10), (0.004, 0.001)])
+def test_verdicts_on_pressure_that_is_zero(largest: float, mean: float) -> None:
+    """A bond in tension and an unloaded interface have no largest pressure to speak of."""
+    numbers = summary()
+    numbers["interfaces"]["stem_cement"] |= {"pressure_max": largest, "pressure_mean_max": mean}
     assert "pressure" not in judged(numbers)
 
 
