@@ -1,4 +1,4 @@
-"""Many runs: sweeps, studies and the scheduler under them.
+"""Many runs: sweeps, studies, fits, and the scheduler that they use.
 
 It imports everything from `simulation` down. Begin with `batch`.
 """

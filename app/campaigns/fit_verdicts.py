@@ -17,16 +17,16 @@ from app.foundation.verdict import Severity, Verdict, recorded, texts_of
 
 # Deviation from its target that makes a number doubtful [standard uncertainties].
 DOUBTFUL = 2.0
-# Deviation from its target at which a number does not reach it [standard uncertainties].
+# Deviation above which a number has missed its target [standard uncertainties].
 NOT_REACHED = 3.0
-# Change of a number over the range of a key that is rounding, relative to the number.
+# Change of a number over the range of a key below which it is rounding, relative to the number.
 ROUNDING = 1e-6
 
 
 def verdicts(
     problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome, known: Identifiability | None
 ) -> list[Verdict]:
-    """Return the verdicts on runs, keys, targets or constraints, and on the knowledge of keys."""
+    """Return the verdicts on runs, keys and their uncertainty, and targets or constraints."""
     listed = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best, known)]
     if problem.fit.targets:
         listed += _of_targets(problem, outcome.best)
@@ -40,7 +40,7 @@ def verdicts(
 
 
 def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> Iterator[Verdict]:
-    """Verdicts on the number of runs, and on those that failed."""
+    """Verdicts on the number of runs and on failed runs."""
     if not outcome.converged:
         statement = f"the search stopped after {len(runs)} runs, before it converged"
         cure = f"set fit.runs above {problem.fit.runs}; run the same command again to continue"
@@ -60,7 +60,7 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
 
 
 def _of_keys(problem: FitProblem, best: FitRun, known: Identifiability | None) -> Iterator[Verdict]:
-    """Verdicts on keys at their bounds; none on keys that the targets do not determine."""
+    """Verdicts on keys at their bounds, without keys that the targets do not determine."""
     fit = problem.fit
     for k, (key, bounds) in enumerate(fit.keys.items()):
         bound = at_bound(float(best.shares[k]))

@@ -1,8 +1,9 @@
-"""Uncertainty of fitted keys, and directions of keys that data do not determine.
+"""Uncertainty of fitted keys, and combinations of keys that the data do not determine.
 
 J (numbers, keys) are the derivatives of the numbers by the keys, in standard uncertainties of the
-targets by ranges of the keys. The covariance of the fitted keys is (J^T J)^-1. By the singular
-value decomposition J = U S V^T, keys are known in a direction of V to 1 / s of their ranges.
+targets per range of the key. The covariance of the fitted keys is (J^T J)^-1. With the singular
+value decomposition J = U S V^T, the standard uncertainty of the keys along a direction of V is
+1 / s of their ranges.
 """
 
 from __future__ import annotations
@@ -15,26 +16,26 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 
-# Standard deviation of a value of which only its range is known, as a fraction of the range.
+# Standard deviation of a uniform distribution over a range, as a fraction of the range.
 KNOWN_RANGE = 1 / math.sqrt(12)
-# Smallest component of a direction by which a key takes part in it.
+# Component of a direction above which the key belongs to the direction.
 LEAST_COMPONENT = 0.3
-# Singular values relative to the largest, and components of directions, that are rounding.
+# Rounding of singular values relative to the largest, and of components of directions.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Knowledge of the keys from the data.
+    """Uncertainty of the keys from the data.
 
     Attributes:
-        singular_values: Of the derivatives, one for each key, largest first [-].
+        singular_values: Singular values of the derivatives, largest first (keys,) [-].
         directions: Right singular vectors, a row for each singular value (keys, keys).
         uncertainties: Standard uncertainty of each key as a fraction of its range (keys,);
             infinite if the data do not determine it.
         covariance: Covariance of the keys as fractions of their ranges (keys, keys), without the
             directions that the data do not determine.
-        correlation: Correlation of the keys (keys, keys); nan with keys of infinite uncertainty.
+        correlation: Correlation of the keys (keys, keys); nan if an uncertainty is infinite.
         influence: Change of all numbers over the range of each key, in standard uncertainties
             (keys,).
     """
@@ -47,7 +48,10 @@ class Identifiability:
     influence: Floats
 
     def undetermined(self) -> list[dict[int, float]]:
-        """Directions known no better than by the ranges: components by number of the key."""
+        """Return the directions that the data determine no better than the ranges of the keys.
+
+        Each has its components by number of the key.
+        """
         weak = []
         for i in np.flatnonzero(self.singular_values * KNOWN_RANGE < 1.0):
             parts = [float(v) for v in self.directions[i]]
@@ -56,7 +60,7 @@ class Identifiability:
 
 
 def identify(derivatives: Floats) -> Identifiability:
-    """Knowledge of keys from derivatives (numbers, keys) in uncertainties by ranges."""
+    """Return the uncertainty of keys from J (numbers, keys), as in the docstring of the module."""
     keys = derivatives.shape[1]
     _, sizes, directions = np.linalg.svd(derivatives, full_matrices=True)
     sizes = np.append(sizes, np.zeros(keys - len(sizes)))
@@ -82,7 +86,7 @@ def identify(derivatives: Floats) -> Identifiability:
 
 
 def in_words(direction: dict[int, float], names: Sequence[str]) -> str:
-    """Return keys of a direction that change together: ``a and b``, or ``a against b``."""
+    """Name the keys of a direction: ``a and b`` if they increase together, else ``a against b``."""
     first = next(iter(direction.values()))
     with_first = [names[k] for k, v in direction.items() if v * first > 0]
     against = [names[k] for k, v in direction.items() if v * first < 0]

@@ -1,4 +1,4 @@
-"""Error against run time: references, orders, Pareto fronts, advice. Plain numbers in and out."""
+"""Error against run time: references, orders of convergence, Pareto fronts, from plain numbers."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scipy.optimize import brentq
 
 # Lowest order of convergence accepted in an extrapolation.
 LOWEST_ORDER = 0.5
-# Highest order, unless the elements allow another.
+# Highest order of convergence accepted, unless the caller gives another.
 HIGHEST_ORDER = 4.0
-# Amount by which an order printed as the highest may exceed it.
+# Excess over the highest order that rounding in print hides.
 ROUNDED = 0.05
-# Words for values whose differences fall faster than their elements allow.
+# Text for values whose differences decrease faster than the order of the elements allows.
 NOT_CONVERGING = "not yet converging"
 # Factor by which the true error must exceed the algebraic one for an effectivity index.
 ALGEBRAIC_FACTOR = 10.0
-# Factor by which it must exceed the uncertainty of the reference.
+# Factor by which the true error must exceed the uncertainty of the reference.
 REFERENCE_FACTOR = 3.0
 
 
@@ -28,9 +28,10 @@ class ReferenceValue:
     """Reference value of a quantity.
 
     Attributes:
-        uncertainty: In the unit of the value; 0 if it is exact.
-        order: Observed order of convergence; None unless extrapolated.
-        method: Method of determination, in words.
+        value: The value in the unit of the quantity.
+        uncertainty: Its uncertainty in this unit; 0 if it is exact.
+        order: Observed order of convergence; None if the value is not extrapolated.
+        method: Method by which the value was determined, in words.
     """
 
     value: float
@@ -41,10 +42,10 @@ class ReferenceValue:
 
 @dataclass(frozen=True)
 class ErrorPoint:
-    """One quantity of a run.
+    """Value and error of a quantity in a run.
 
     Attributes:
-        value: None if the run failed or does not have it.
+        value: The value; None if the run failed or has no such quantity.
         estimate: Error estimated by the run itself, in the unit of the quantity.
         algebraic: Relative error of the linear and nonlinear solution.
         deviation: Distance from the reference, in the unit of the quantity.
@@ -66,12 +67,12 @@ class ErrorPoint:
 
     @property
     def bound(self) -> float | None:
-        """Upper bound of the error: at least the uncertainty of the reference; None if unknown."""
+        """Error, but at least the uncertainty of the reference; None if unknown."""
         return None if self.error is None else max(self.error, self.uncertainty)
 
     @property
     def effectivity(self) -> float | None:
-        """Estimated over true error; None where either is not known well enough."""
+        """Effectivity index: estimated over true error; None if one is not known well enough."""
         known = self.error is not None and self.error > max(
             ALGEBRAIC_FACTOR * self.algebraic, REFERENCE_FACTOR * self.uncertainty
         )
@@ -86,17 +87,17 @@ def extrapolate(
     highest: float = HIGHEST_ORDER,
     tolerance: float = 0.0,
 ) -> ReferenceValue:
-    """Richardson extrapolation from the last three values of a sequence of refinements.
+    """Return the Richardson extrapolation of the last three values of a refinement.
 
-    The error is assumed as c h^p with the observed p, and the uncertainty is the last correction.
-    Where p is below 0.5 or above the highest, the finest value is taken, and the uncertainty is the
-    larger of the last two differences.
+    The error is assumed as c h^p with the observed order p. The uncertainty is the difference
+    between the extrapolated and the finest value. If p is outside the accepted range, the reference
+    is the finest value, and its uncertainty is the larger one of the last two differences.
 
     Args:
-        sizes: Mesh size or another number that goes to 0, coarsest first; empty if there is none.
-        values: The quantity at each, at least two.
-        highest: Highest order accepted; above it values are not yet converging.
-        tolerance: Relative error of the values that is not of the mesh.
+        sizes: Mesh sizes, or another number that goes to 0, coarsest first; empty without one.
+        values: Quantity at each size; at least two.
+        highest: Highest accepted order; above it the values do not converge yet.
+        tolerance: Relative error of the values that does not come from the size.
     """
     f, h = list(values[-3:]), list(sizes[-3:])
     last, largest = abs(f[-1] - f[-2]), float(np.abs(np.diff(f)).max())
@@ -112,9 +113,9 @@ def extrapolate(
 
 
 def _observed_order(h: Sequence[float], f: Sequence[float], highest: float) -> float | None:
-    """The p with (f0 - f1) / (f1 - f2) = (h0^p - h1^p) / (h1^p - h2^p).
+    """Return the order p with (f0 - f1) / (f1 - f2) = (h0^p - h1^p) / (h1^p - h2^p).
 
-    Infinite above the highest, None if below the lowest.
+    Infinite if it is above the highest order, None if it is below the lowest.
     """
     if f[0] == f[1] or not h[0] > h[1] > h[2] > 0:
         return None
@@ -123,7 +124,7 @@ def _observed_order(h: Sequence[float], f: Sequence[float], highest: float) -> f
     def excess(p: float) -> float:
         return (h[0] ** p - h[1] ** p) / (h[1] ** p - h[2] ** p) - ratio
 
-    if excess(LOWEST_ORDER) > 0:  # it grows with p
+    if excess(LOWEST_ORDER) > 0:  # the excess grows with p
         return None
     if excess(highest + ROUNDED) < 0:
         return math.inf
@@ -131,7 +132,7 @@ def _observed_order(h: Sequence[float], f: Sequence[float], highest: float) -> f
 
 
 def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:
-    """Add deviation and error of a point from the reference."""
+    """Return a point with its deviation from the reference and its error."""
     if reference is None or point.value is None or reference.value == 0.0:
         return point
     deviation = abs(point.value - reference.value)
@@ -144,9 +145,9 @@ def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:
 
 
 def exponent(numbers: Sequence[float | None], points: Sequence[ErrorPoint]) -> float | None:
-    """The p of error ~ x^p by least squares in logarithms, over the trusted points of a line.
+    """Return the exponent p of error ~ x^p, by least squares in logarithms; None if undetermined.
 
-    Errors within the tolerance of the solution are not fitted.
+    Points that are not trusted, and errors within the tolerance of the solution, are left out.
     """
     pairs = [
         (x, p.error)
@@ -159,12 +160,12 @@ def exponent(numbers: Sequence[float | None], points: Sequence[ErrorPoint]) -> f
 
 
 def fitted_order(sizes: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of log error over log size by least squares; errors may have a sign."""
+    """Return the slope of log |error| over log size by least squares."""
     return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])
 
 
 def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:
-    """Indices of points that no other beats in both run time and error, fastest first."""
+    """Return indices of the points that no other point beats in time and error, fastest first."""
     front: list[tuple[float, int]] = []
     for _, error, i in sorted(
         (cost, error, i)
@@ -179,7 +180,10 @@ def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> lis
 def best(
     costs: Sequence[float | None], errors: Sequence[float | None], target: float
 ) -> int | None:
-    """Index of the fastest point within the target, else of the nearest; None if there is none."""
+    """Return the index of the fastest point within the target, else of the point nearest to it.
+
+    None if no point has a known error.
+    """
     front = pareto(costs, errors)
     within_target = [i for i in front if (errors[i] or 0.0) <= target]
     return next(iter(within_target + front[-1:]), None)

@@ -28,14 +28,14 @@ from meshes.data import exterior_facets
 
 # Most pictures of a film.
 MOST = 60
-# Pictures a second.
+# Pictures per second.
 RATE = 10
-# Seconds that a film lasts at least.
+# Shortest duration of a film [s].
 LEAST_SECONDS = 2.0
 DPI = 100
 # Percentile at which colours end.
 CLIP = 99.5
-# Largest displacement in a picture, in parts of the size of the model.
+# Largest displacement in a picture, as a fraction of the size of the model.
 DEFORMED = 0.05
 # Width and height of a view [inch].
 VIEW = (3.6, 6.0)
@@ -163,7 +163,7 @@ def _draw(
 
 
 def _round(scale: float) -> float:
-    """A scale with one digit, at least 1."""
+    """Return a scale of the deformation rounded to one digit, at least 1."""
     value = max(scale, 1.0)
     power = 10.0 ** math.floor(math.log10(value))
     return math.floor(value / power) * power

@@ -29,12 +29,18 @@ from meshes import best_position, femur_stem, layered_surfaces, room
 from meshes.femur_bone import tube_triangles
 from meshes.placement import Position, position
 
-DEPTHS = np.arange(-4.0, 14.5, 3.0)  # mm: depths for which the best position is in the page
-MOST_TRIANGLES = 40_000  # of the bone; above, corners are merged in boxes
-BOX = 1.0  # mm: first edge of these boxes
-BELOW = 25.0  # mm of bone shown below the part with a known canal
-EVERY = 3  # sections of the canal of which one is drawn
-SIZES = 12  # stems in one folder that are offered, at most
+# Depths of the stem for which the page has the best position [mm].
+DEPTHS = np.arange(-4.0, 14.5, 3.0)
+# Triangles of the bone above which corners within a box are merged.
+MOST_TRIANGLES = 40_000
+# Edge of these boxes at the first attempt [mm].
+BOX = 1.0
+# Length of bone shown below the part with a known canal [mm].
+BELOW = 25.0
+# Distance of the drawn sections of the canal, in sections.
+EVERY = 3
+# Largest number of stems of a folder that the page offers.
+SIZES = 12
 
 
 @dataclass(frozen=True)
@@ -208,7 +214,7 @@ def _packed_stem(
 
 
 def _half(diameter: float | None) -> float:
-    """Radius of a part of a neck; 0 for a stem from a file, which does not need it [mm]."""
+    """Radius of a part of a neck [mm]; 0 for a stem from a file, which has no such key."""
     return 0.5 * diameter if diameter else 0.0
 
 
@@ -246,7 +252,10 @@ def _stem_section(stem: StemFile, name: str) -> str:
 
 
 def _thinned(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Corners and triangles of a surface, corners in boxes merged until there are few enough."""
+    """Simplify a surface with points (n, 3) [mm] and triangles (m, 3).
+
+    Corners in the same box are merged. The boxes grow until at most `MOST_TRIANGLES` are left.
+    """
     box = BOX
     while len(triangles) > MOST_TRIANGLES:
         cells = np.floor(points / box).astype(np.int64)

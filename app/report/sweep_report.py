@@ -78,7 +78,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
 
 
 def _uncertain(sweep: SweepResults) -> list[Block]:
-    """Spread of numbers over samples of uncertain inputs."""
+    """Return tables of the spread of numbers over samples of uncertain inputs."""
     parts: list[Block] = []
     for part, samples in sweep.uncertainty.items():
         words = f"{samples['samples']} samples{f' ({part})' if part else ''}"
@@ -95,7 +95,7 @@ def _facts(sweep: SweepResults) -> str:
 
 
 def _summary(sweep: SweepResults) -> list[str]:
-    """Summary at the top of the page: varied keys, failures, warnings."""
+    """Texts at the top of the page: varied keys, failures, warnings."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
     lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_figures.axes_in_words(sweep.cases)]

@@ -43,13 +43,18 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True)
 class Number:
-    """A number, and its estimated error of mesh and step, None if there is no estimate."""
+    """A number with its estimated error by mesh and steps.
+
+    Attributes:
+        value: The number.
+        error: Its error in the same unit; None if it was not estimated.
+    """
 
     value: float
     error: float | None = None
 
     def __str__(self) -> str:
-        """Format to the error's second digit, or to four digits without error."""
+        """Format to the second digit of the error; without error, to four digits."""
         if self.error is None or self.error <= 0:
             return f"{self.value:.4g}"
         if self.error >= abs(self.value):
@@ -70,7 +75,7 @@ class SweptCase:
         overrides: Differences from the sweep's case, as after ``--set``.
         seconds: Wall time.
         unknowns: Number of unknowns, 0 if not known.
-        numbers: Headline numbers by name, as the sweep kept them.
+        numbers: Main numbers by full name, in units of ``summary.json``.
         notes: Warnings of the run.
     """
 
@@ -128,7 +133,7 @@ class SweptCase:
         return {}
 
     def number(self, name: str) -> Number | None:
-        """A number by ``<interface or region>.<key>`` in its unit for people, or None."""
+        """Return a number by ``<interface or region>.<key>`` in its printed unit, or None."""
         value, error = (quantities.read(self.summary, name, end) for end in ("", "_error"))
         if value is None:
             value, error = self.numbers.get(name), self.errors.get(name)
@@ -161,7 +166,7 @@ class SweepResults:
 
     @property
     def on_axes(self) -> list[SweptCase]:
-        """Cases that are no samples. Samples vary in all inputs at once: they make no curves."""
+        """Cases other than samples. Samples vary in all inputs at once and give no curves."""
         return [case for case in self.cases if case.part not in self.uncertainty]
 
 
@@ -169,7 +174,7 @@ def read(folder: Path) -> SweepResults:
     """Read ``sweep.json``.
 
     Raises:
-        InputError: It is not there or cannot be read.
+        InputError: The file is missing or cannot be read.
     """
     path = folder / "sweep.json"
     try:
@@ -198,14 +203,14 @@ def _case(entry: Json, folder: Path) -> SweptCase:
 
 
 def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:
-    """Cases by the parts of the sweep."""
+    """Return the cases of each part of the sweep."""
     return {
         part: [c for c in cases if c.part == part] for part in dict.fromkeys(c.part for c in cases)
     }
 
 
 def named(name: str) -> str:
-    """A place or a quantity in words."""
+    """Return a name of an interface, region or quantity in words."""
     return WORDS.get(name, name.replace("_", " "))
 
 

@@ -3,13 +3,13 @@
 Surfaces of all regions and their fields at the end of every stage are packed into the page as
 16-bit numbers, and displacement, slip and temperature at steps between them. `viewer.js` draws them
 with three.js (Debian's libjs-three), which has cameras, materials, clipping planes and mouse
-control. What is ours unpacks the numbers and has the controls:
-field, stage, motion, deformation, cut, bodies, several runs under one camera.
+control. `viewer.js` unpacks the numbers and has the controls: field, stage, motion, deformation,
+cut, bodies, several runs under one camera.
 
-vtk.js was measured (37.4, geometry, plane, cell picker and scalar bar, bundled by esbuild): 876 kB
-in place of three.js' 877 kB. Debian has no package of it, and a bundle needs Node. It would replace
-the colour map and its legend, some 40 of 375 lines; its cutter knows surfaces only, so that closed
-cuts through cells would stay ours.
+vtk.js has no advantage. A bundle of release 37.4 (geometry, plane, cell picker, scalar bar) has
+876 kB, three.js has 877 kB. Debian does not package it, and a bundle needs Node. It would replace
+the colour map and its legend, some 40 of 375 lines. It cuts surfaces only, so closed cuts through
+cells would remain in `viewer.js`.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from meshes.data import cell_volumes, exterior_facets
 
 THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
-# Bytes of values before they are compressed: about half of a page of 2 MB.
+# Largest size of all values before compression [bytes]; about half of a page of 2 MB.
 MOST = 3_000_000
-# The same of the steps between the ends of stages: such a page stays below 10 MB.
+# Largest size of steps between the ends of stages [bytes]; such a page is below 10 MB.
 MOTION = 3_500_000
-# Most steps between the ends of stages.
+# Largest number of steps between the ends of stages.
 FRAMES = 60
-# Ends of the names of fields that these steps have, next to the displacement that deforms.
+# Endings of the names of fields at these steps, which also have the displacement.
 MOVING = ("slip", "temperature", "displacement", "degree_of_cure")
 # Triangles of a facet with six nodes.
 QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
 # Largest value of a field that is zero to rounding, in the unit of its file.
 ROUNDING = 1e-9
-# Moments of a cycle that are shown, where a body turns.
+# Number of steps shown of the last cycle of a rotating body.
 MOMENTS = 12
-# Label, unit, and factor on the value in the file; of vectors the length is shown.
+# Label, printed unit, and factor on the values in the file. Vectors are shown by their length.
 INTERFACE: dict[str, tuple[str, str, float]] = {
     **{key: (key, *QUANTITIES[key]) for key in ("slip", *QUANTITIES)},
     "status": ("open 0, stick 1, slip 2", "", 1.0),
@@ -67,7 +67,7 @@ class ShownStep(NamedTuple):
 
     Attributes:
         name: Its name on the page.
-        step: The step, as `Run` takes it.
+        step: Number of the step, or name of a stage for its last step.
         whole: True if all fields are shown, False for those of `MOVING` alone.
     """
 
@@ -97,9 +97,9 @@ class ShownField(NamedTuple):
 def viewer(folders: Mapping[str, Path]) -> str:
     """Return the view as HTML; empty without fields or without three.js.
 
-    Several runs are shown side by side under one camera, at the ends of stages. The differences
-    from the first run follow, for runs on the same mesh. Folders without fields are left out. A
-    single run has more of its written steps, to play them.
+    Several runs are shown side by side under one camera, at the ends of stages. Runs on the mesh of
+    the first run also have a view of the differences from it. Folders without fields are left out.
+    A single run has steps between the ends of stages, too, so that they can be played.
 
     Args:
         folders: Run directories by name.
@@ -121,7 +121,7 @@ def viewer(folders: Mapping[str, Path]) -> str:
 
 
 def distinct(folders: Sequence[Path]) -> list[str]:
-    """Names of run directories, with as much of their paths as distinguishes them."""
+    """Return the shortest ends of the paths of run directories that differ from each other."""
     paths = [folder.resolve().parts for folder in folders]
     for k in range(1, max(map(len, paths)) + 1):
         names = ["/".join(p[-k:]) for p in paths]
@@ -144,18 +144,23 @@ def packed(
 ) -> tuple[dict[str, object], bytes]:
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
-    Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
-    corners of triangles, and of cells that fill a cut, as 32-bit indices. Beyond ``most_bytes``
-    only corners and the last stages are drawn, and cuts stay open. Fields of ``minus``, a run on
-    the same mesh, are subtracted at the end of the stage of the same name, or of the last. Of the
-    steps between the ends of stages as many are added as ``motion_bytes`` hold.
+    Numbers are little-endian. Positions (n, 3) and values (n,) are 16-bit fractions of their range.
+    Corners of triangles, and of the cells that fill a cut, are 32-bit indices.
+
+    Args:
+        run: The run.
+        minus: A run on the same mesh whose fields are subtracted, at the end of the stage of the
+            same name or else of the last stage; None for the fields of the run.
+        most_bytes: Limit of the size [bytes]. Above it, only corners of cells and the last stages
+            are drawn, and cuts are not filled.
+        motion_bytes: Limit of the size of steps between the ends of stages [bytes].
     """
     steps_by_name, kinds = _moments(run), kinds_of(run)
     ends, others = [*steps_by_name], {} if minus is None else _moments(minus)
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in others]
         kinds = [kind for kind in kinds if kind.name in minus.point_fields]
-    # Three for the places, three for the displacement that deforms.
+    # Three numbers for the position and three for the displacement.
     fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     moving = sum(kind.name.endswith(MOVING) for kind in kinds)
@@ -210,10 +215,11 @@ def packed(
 def opening(
     run: Run, kinds: Sequence[ShownField], surfaces: Mapping[str, Ints]
 ) -> dict[str, object]:
-    """Return the field, the bodies and the axis of the cut that a view shows at first.
+    """Return the field, the bodies and the axis of the cut that a view shows first.
 
-    The first field of an interface that is not zero is shown on its inner body without a cut (axis
-    -1). Without one, the first field of the nodes is shown on a section of all bodies across y.
+    The view begins with the first field of an interface that is not zero, on its inner body without
+    a cut (axis -1). If there is none, it begins with the first field of the bodies on a section of
+    all bodies normal to y.
     """
     for kind in kinds:
         side = side_of(run, kind.contact, surfaces) if kind.contact else None
@@ -237,7 +243,7 @@ def side_of(run: Run, contact: str, surfaces: Mapping[str, Ints]) -> tuple[str, 
 
 
 def _moments(run: Run) -> dict[str, int | str]:
-    """Written steps to show, by name: the ends of stages; where a body turns its last cycle."""
+    """Written steps to show, by name: ends of stages, and steps of the last cycle of a motion."""
     moments: dict[str, int | str] = {name: name for name in run.written_stages}
     if not run.case.get("motions") or not moments:
         return moments
@@ -251,7 +257,7 @@ def _moments(run: Run) -> dict[str, int | str]:
 
 
 def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[ShownStep]:
-    """Return the ends of stages, and at most so many steps between them, in order of time."""
+    """Return the ends of stages and at most ``room`` steps between them, in order of time."""
     frames = {run.number_of(step): ShownStep(name, step, True) for name, step in ends.items()}
     others = [k for k in range(len(run.times)) if k not in frames]
     stride = -(-len(others) // room) if room else 0
@@ -263,7 +269,7 @@ def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[ShownSte
 
 
 def moments_of(run: Run) -> list[str]:
-    """Return the stage of each written step with its time: seconds, or the part of the stage."""
+    """Return the stage of each written step with its seconds, or its fraction of the stage."""
     stages = [str(stage["name"]) for stage in run.case["stages"]]
     record = run.step_record
     moments = []
@@ -280,7 +286,7 @@ def moments_of(run: Run) -> list[str]:
 def _drawn(
     run: Run, of_node: int, most_bytes: int
 ) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:
-    """Triangles and cells of the bodies, and their nodes; fewer where bytes exceed a limit."""
+    """Return triangles and cells of each body, and their nodes; fewer above a limit of bytes."""
     cells_of_body = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
     no_cells = {name: run.cells[:0, :4] for name in cells_of_body}
     for curved, inside in (
@@ -297,7 +303,7 @@ def _drawn(
 
 
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
-    """Values as 16-bit fractions of their range, and its ends; one extra level marks no value."""
+    """Return values as 16-bit fractions of their range, and its ends; one level marks no value."""
     lowest, highest = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
     parts = fractions(np.where(known, (values - lowest) / ((highest - lowest) or 1.0), 0.0))
     parts[~known] = LEVELS + 1
@@ -305,7 +311,7 @@ def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, fl
 
 
 def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
-    """A field on the nodes (n,); of vectors the length."""
+    """Return a field on the nodes (n,) in the unit of its file; the length of vectors."""
     v = run.on_points(name, step)
     return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v
 
@@ -337,7 +343,7 @@ def kinds_of(run: Run) -> list[ShownField]:
 
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:
-    """Surface triangles of each region (t, 3), facing outwards; curved facets are four each."""
+    """Surface triangles of each region (t, 3), facing outwards; curved facets are divided."""
     surfaces: dict[str, Ints] = {}
     for name, number in run.regions.items():
         cells = cells_of(run, [number])
@@ -358,5 +364,5 @@ def cells_of(run: Run, numbers: Sequence[int]) -> Ints:
 
 
 def quartered(facets: Ints) -> Ints:
-    """Triangles (t, 3) of facets with three nodes or six; those with six are four each."""
+    """Triangles (t, 3) of facets with three or six nodes; a facet with six is four triangles."""
     return facets if facets.shape[1] == 3 else facets[:, QUARTERS].reshape(-1, 3)

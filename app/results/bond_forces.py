@@ -1,9 +1,9 @@
-"""Tractions of bonded interfaces, by equilibrium of the sides: would the bond hold?
+"""Tractions of bonded interfaces from the equilibrium of their sides, and failure indices.
 
-One side acts on the other with the forces of its stress on the common nodes. Forces of loads and
-elastic foundations there are subtracted. The force acts at the points that contact would have in
-place of the bond. It equals the force of contact that sticks. Loads on cells at the interface
-count as traction.
+The stress of one side exerts forces on the common nodes. After subtraction of loads and elastic
+foundations they are the forces on the other side. They are converted to the points that contact
+would have instead of the bond, and equal the forces of sticking contact. Loads on cells at the
+interface count as traction.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ CEMENT_ON_BONE = InterfaceStrength.model_validate({"tension": "1.35 MPa", "shear
 
 
 def _strength(bond: Interface) -> InterfaceStrength:
-    """Return the strength of a bond, that of cement on bone where it is not given."""
+    """Return the strength of a bond; the default is the strength of cement on bone."""
     return bond.law.strength or CEMENT_ON_BONE
 
 
 class _OnPiece(OnBody):
-    """A part of a body between interfaces; loads act on its boundaries alone."""
+    """A piece of a body between interfaces; only loads on its boundaries act on it."""
 
     def __init__(self, body_forms: BodyForms, piece: int, surface: SurfaceMeasure) -> None:
         super().__init__(body_forms, piece)
@@ -68,7 +68,7 @@ class _OnPiece(OnBody):
     def spread(
         self, density: Field, regions: Sequence[str] | None
     ) -> list[tuple[Expr, ufl.Measure]]:
-        """Return nothing: loads on cells count as traction."""
+        """Return an empty list, because loads on cells count as traction."""
         return []
 
 
@@ -78,16 +78,17 @@ class _Place:
 
     Attributes:
         points: Contact points that these interfaces would have.
-        entries: Displacement of the pieces by their jumps.
-        surfaces: The facets of each bond.
+        entries: Displacement of the pieces as a function of the jumps.
+        surfaces: Facets of each bond.
         pieces: The pieces.
-        rigid: Pieces that are rigid.
-        nodes: Global blocked dofs of the entries, rising (m,).
-        cells: By region: its rank-local cells with such nodes (c,). The indices of their nodes in
-            ``nodes``, m for others (c, nodes). Gradients of the shape functions times volume at the
-            points of the stress (c, points, nodes, 3) [mm2].
-        near_boundaries: Measures of the boundaries that have such nodes, on the pieces.
-        springs: Forces of elastic foundations on these boundaries by piece, with opposite sign.
+        rigid: Numbers of the rigid pieces.
+        nodes: Global blocked dofs of the nodes on interfaces, in increasing order (m,).
+        cells: For each region, its rank-local cells with such nodes. First their numbers (c,), then
+            the indices of their nodes in ``nodes``, with m for other nodes (c, nodes), then the
+            gradients of the shape functions times volume at the points of the stress
+            (c, points, nodes, 3) [mm2].
+        near_boundaries: Measures of the boundaries with such nodes, on the pieces.
+        springs: Piece and negative forces of each elastic foundation on these boundaries.
     """
 
     points: ContactPoints
@@ -102,16 +103,18 @@ class _Place:
 
 
 class BondForces:
-    """Tractions of bonded interfaces, and failure indices of those whose strength is known."""
+    """Tractions of bonded interfaces, and failure indices of bonds with known strength."""
 
     def __init__(self, problem: Problem, stresses: Stresses, borders: Borders | None) -> None:
         self._problem, self._stresses, self._borders = problem, stresses, borders
         self._at_full: dict[Load, Floats] = {}
 
     def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
-        """Surface of all interfaces, and for each bond its number there and failure indices (m,).
+        """Return failure indices of bonds by mean tractions; collective.
 
-        By mean tractions. Collective; None without a bond of known strength.
+        Returns:
+            The surface of all interfaces, and for each bond its number there and the indices at its
+            points (m,) [-]. None without a bond of known strength.
         """
         if not any(b.law.strength for b in self._bonds):
             return None
@@ -124,7 +127,7 @@ class BondForces:
         """Published numbers by interface; collective.
 
         Args:
-            strong: Only interfaces of known strength.
+            strong: True for interfaces with known strength only.
         """
         selected_bonds = [b for b in self._bonds if b.law.strength or not strong]
         if not selected_bonds:
@@ -187,7 +190,7 @@ class BondForces:
                 exerted -= load.amplitude(p.load_time) * self._forces(load)
         for piece, form in place.springs:
             exerted[piece] += self._at_nodes(assemble_form_vector(form))
-        # The stress of a rigid piece is not known: it bears the opposite of all other forces.
+        # A rigid piece has no stress. It is in equilibrium with the opposite of all other forces.
         exerted[place.rigid] = 0.0
         exerted[place.rigid] = -exerted.sum(axis=0)
         return np.asarray(exerted)
@@ -204,7 +207,7 @@ class BondForces:
 
     @cached_property
     def _place(self) -> _Place:
-        """All interfaces as contact would have them; all states and variations share it."""
+        """Return the interfaces with the points of contact; all states and variations share it."""
         p, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
         conforming = [c for c in scene.contacts if not c.between]
         pieces, other_pieces = pieces_of(p.tagged, [*self._bonds, *conforming])
@@ -213,7 +216,7 @@ class BondForces:
             for a, b in other_pieces
         ]
         interfaces = [*self._bonds, *conforming, *unnamed]
-        # The body of the mechanics of each piece.
+        # Mechanical body of each piece.
         body = np.zeros(len(pieces.names), dtype=np.int64)
         for region, piece in pieces.of_region.items():
             body[piece] = p.bodies.of_region[region]
@@ -241,7 +244,7 @@ class BondForces:
         )
 
     def _boundaries_near(self, pieces: Bodies, nodes: Ints) -> SurfaceMeasure:
-        """Measures of loaded and supported boundaries that have some of the nodes; collective."""
+        """Return measures of loaded or supported boundaries with some of the nodes; collective."""
         p, scene = self._problem, self._problem.scene
 
         def is_near(boundary: str) -> bool:
@@ -278,7 +281,7 @@ class BondForces:
         return self._at_full[key]
 
     def _at_nodes(self, vector: PETSc.Vec) -> Floats:
-        """Values of a vector at the nodes (m, 3), on all ranks; collective."""
+        """Return values of a vector at the nodes (m, 3) on all ranks; collective."""
         nodes = self._place.nodes
         low, high = self._problem.space.dofmap.index_map.local_range
         is_owned = (nodes >= low) & (nodes < high)

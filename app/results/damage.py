@@ -1,8 +1,8 @@
-"""Size of the zone in which an interface breaks.
+"""Length of the process zone, in which an interface is breaking.
 
-With w the spent part of the fracture energy, the zone is where 0 < w < 1. By the co-area formula
-the integral of the slope of w is its largest value times the mean length of its contours. The area
-of the zone over that length is its width,
+w is the spent fraction of the fracture energy, and the zone is the area with 0 < w < 1. By the
+co-area formula, the integral of the gradient of w is the largest w times the mean length of the
+contours of w. The length of the zone is its area over this mean length,
 
 .. math:: l = A(0 < w < 1) w_{max} / ∫ |∇w| dA .
 """
@@ -14,16 +14,21 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.results.percentiles import SurfaceField
 
-# Part of the energy at which a point counts as broken: exponential softening never ends.
+# Spent fraction of the energy at which a point counts as broken: exponential softening never ends.
 BROKEN = 0.99
 # Fewest elements over a process zone that resolve it.
 RESOLVED = 3
 
 
 def zone(x: Floats, w: Floats, area: Floats) -> float:
-    """Length of the zone [mm] of w (f, 3) at the corners (f, 3, 3) of triangles; 0 without any.
+    """Return the length of the process zone [mm]; 0 without triangles.
 
-    It is not above the size of the surface: uniform damage has no slope.
+    It is at most the size of the surface, because uniform damage has no gradient.
+
+    Args:
+        x: Corners of triangles (f, 3, 3) [mm].
+        w: Spent fraction of the fracture energy at these corners (f, 3) [-].
+        area: Areas of the triangles (f,) [mm2].
     """
     field = SurfaceField(w, area, x)
     zone = field.area_above(0.0) - field.area_above(BROKEN)

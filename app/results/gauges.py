@@ -1,7 +1,7 @@
 """Strain and displacement of strain gauges, and displacement of points.
 
-A gauge measures the total strain :math:`d · ε d` in the direction d of its grid, thermal and other
-free strain included, as a mean over its circle (`meshes.gauge_points`).
+A gauge measures the strain :math:`d · ε d` in the direction d of its grid as a mean over its circle
+(`meshes.gauge_points`). It is the total strain, which includes thermal and other free strain.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class _Surface:
 
     Attributes:
         x: Their nodes in the order of gmsh (f, 3 or 6, 3) [mm].
-        rank: Rank that has each (f,).
-        cell: Its cell there (f,).
-        local: Its number in the cell (f,).
+        rank: Rank that owns the cell of each facet (f,).
+        cell: This cell, by its number on that rank (f,).
+        local: Number of the facet in the cell (f,).
     """
 
     x: Floats
@@ -49,13 +49,13 @@ class _Surface:
 
 @dataclass(frozen=True)
 class _Gauge:
-    """A gauge on its surface, as this rank sees it.
+    """A gauge with its points on this rank.
 
     Attributes:
         centre: Its centre (3,) [mm].
         direction: Unit vector of its grid (3,).
-        body: Body of each of its points on this rank (n,).
-        nodes: Nodes of its cell (n, k).
+        body: Body of each point on this rank (n,).
+        nodes: Nodes of the cell of each point (n, k).
         mean: Weights of nodal values for the mean (n, k).
         slope: Weights for the mean of the derivative along the grid (n, k) [1/mm].
     """
@@ -69,7 +69,7 @@ class _Gauge:
 
 
 class ProbedMechanics:
-    """Displacements of points and numbers of strain gauges of a case; made on all ranks.
+    """Displacements of points and numbers of strain gauges of a case; created on all ranks.
 
     Raises:
         InputError: A point is not in its region, or a gauge does not fit its surface.
@@ -90,7 +90,7 @@ class ProbedMechanics:
         self._order = tuple(case.output.probes)
 
     def numbers(self) -> dict[str, Numbers]:
-        """Numbers by probe; collective."""
+        """Return the numbers of each probe; collective."""
         u = self._problem.displacements()
         values = self._points.values(u)
         by_probe: dict[str, Numbers] = {
@@ -107,7 +107,7 @@ class ProbedMechanics:
         return {name: by_probe[name] for name in self._order}
 
     def step_record(self) -> Mapping[str, float]:
-        """Columns of ``history.csv``; collective."""
+        """Return the columns of ``history.csv`` after a step; collective."""
         row: dict[str, float] = {}
         for name, numbers in self.numbers().items():
             u = numbers["displacement"]
@@ -135,7 +135,7 @@ def _gauge(problem: Problem, surface: _Surface, name: str, gauge: StrainGauge) -
     """Place a gauge; the same on all ranks.
 
     Raises:
-        InputError: It does not fit its surface.
+        InputError: The gauge does not fit its surface.
     """
     try:
         points = gauge_points(surface.x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)

@@ -1,6 +1,7 @@
-"""Volume in which a level, linear in cells, is not negative, and its depth below a surface.
+"""Volume in which a level function is not negative, and its depth below a surface.
 
-Counting nodes would move in steps of the mesh, which has few cells across hot or dead zones.
+The level function is linear in cells. A count of nodes would change in large steps, because few
+cells are across a hot or dead zone.
 """
 
 from __future__ import annotations
@@ -36,31 +37,31 @@ class RegionCells:
         self._spread = fem.Function(forms.space)
 
     def _at_corners(self, dof: Ints, values: Floats, outside_value: float) -> Floats:
-        """Values of owned nodes at the corners of cells (m, 4), ``outside_value`` elsewhere."""
+        """Return values of owned nodes at corners of cells (m, 4); others are ``outside_value``."""
         self._spread.x.array[:] = outside_value
         self._spread.x.array[dof] = values
         self._spread.x.scatter_forward()
         return np.asarray(self._spread.x.array[self._dofs])
 
     def faces(self, dof: Ints) -> Floats:
-        """Faces with all corners among owned nodes (f, 3, 3) [mm], on every rank; collective."""
+        """Return faces with owned nodes as corners (f, 3, 3) [mm], on every rank; collective."""
         is_on_nodes = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
         return np.concatenate(self._comm.allgather(self._x[:, _FACES][is_on_nodes]))
 
     def volume(self, dof: Ints, level: Floats) -> float:
-        """Volume where a level, known at owned nodes (n,), is not negative [mm3]; collective."""
+        """Return the volume with a level (n,), at owned nodes, of at least 0 [mm3]; collective."""
         share = positive_share(self._at_corners(dof, level, -1.0))
         return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
 
     def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
-        """Depth to which a level, known at owned nodes (n,), is not negative [mm]; collective.
+        """Return the depth to which a level (n,) at owned nodes is not negative [mm]; collective.
 
-        It is measured from the triangles of a surface (f, 3, 3) [mm], at least one.
+        The depth is the distance from the triangles of a surface (f, 3, 3) [mm], at least one.
         """
         f = self._at_corners(dof, level, -1.0)
         depth = 0.0
         ends, x = f[:, _EDGES], self._x[:, _EDGES]
-        # Where edges leave the volume.
+        # Points at which edges leave the volume.
         cut = (ends.max(axis=2) >= 0) & (ends.min(axis=2) < 0)
         (a, b), (first, second) = ends[cut].T, x[cut].swapaxes(0, 1)
         points = first + (a / (a - b))[:, None] * (second - first)
@@ -71,13 +72,13 @@ class RegionCells:
 
 
 def positive_share(f: Floats) -> Floats:
-    """Fraction of each tetrahedron where f, linear between corners (m, 4), is not negative (m,)."""
+    """Return the fraction (m,) of tetrahedra in which a linear f (m, 4) is not negative."""
     f = -np.sort(-f, axis=1)
     a, b, c, d = f.T
     count = (f >= 0).sum(axis=1)
 
     def cut(high: Floats, low: Floats, mask: NDArray[np.bool_]) -> Floats:
-        """Position along an edge at which it crosses zero, from its higher end."""
+        """Return the fraction of an edge from its higher end to the zero."""
         return np.divide(high, high - low, out=np.zeros_like(high), where=mask & (high > low))
 
     share = np.where(count == 4, 1.0, 0.0)

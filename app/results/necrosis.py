@@ -1,10 +1,10 @@
-"""Heat doses of bone from its temperature in time, and necrosis by several criteria.
+"""Heat doses of bone from its temperature over time, and necrosis by several criteria.
 
-The criteria are reported side by side because they disagree: between 47 and 50 degC
-Henriques-Moritz, measured on skin, allows a hundred times longer than the bone rule.
+All criteria are reported, because they disagree. Between 47 and 50 degC Henriques-Moritz, which was
+measured on skin, allows a hundred times longer exposure than the rule for bone.
 
-Within a step the temperature is taken as linear in time. The doses of that line are exact, to a
-relative 1e-12, for steps of any length.
+Within a step the temperature is linear in time. The doses of this linear temperature are exact,
+with a relative error of 1e-12, for steps of any length.
 """
 
 from __future__ import annotations
@@ -17,42 +17,54 @@ import numpy as np
 from app.foundation.arrays import Floats
 from app.results.over_time import Measure
 
-CELSIUS = 273.15  # K at 0 degC
+# Temperature at 0 degC [K].
+CELSIUS = 273.15
 # Temperatures above which time and volume are reported [degC].
 LEVELS = (47.0, 50.0, 56.0)
 # Bone dies after a minute at 47 degC (Eriksson & Albrektsson 1983, J Prosthet Dent 50). The minute
-# may be made of parts: exposure is cumulative, bone does not recover in between.
+# may be the sum of several exposures: bone does not recover between them.
 MINUTE = 60.0
-# Sapareto & Dewey 1984, doi:10.1016/0360-3016(84)90379-1: equivalent minutes at 43 degC; one degree
-# more is half the time above 43 degC, a quarter below, and nothing counts below 39 degC.
+# Sapareto & Dewey 1984, doi:10.1016/0360-3016(84)90379-1: equivalent minutes at 43 degC. One degree
+# more halves the time above 43 degC and divides it by four below. Below 39 degC there is no dose.
 CEM43_THRESHOLDS = (16, 60, 240)
-COUNTS_FROM = 39.0  # degC
+# Lowest temperature with a dose [degC].
+COUNTS_FROM = 39.0
 _PIECES = ((COUNTS_FROM, 43.0, np.log(4.0)), (43.0, np.inf, np.log(2.0)))
 # Henriques 1947, Moritz & Henriques 1947: rate of the damage integral, which is irreversible at 1.
-FREQUENCY = 3.1e98  # 1/s
-ACTIVATION = 6.28e5 / 8.314462618  # K
-# Below this change [K] the difference of antiderivatives loses digits; three points do not.
+# Frequency factor [1/s].
+FREQUENCY = 3.1e98
+# Activation energy over the gas constant [K].
+ACTIVATION = 6.28e5 / 8.314462618
+# Change of temperature [K] below which three points replace the difference of antiderivatives,
+# which would lose digits.
 _SHORT = 0.1
-# Doses below this part of a lethal one count as none.
+# Fraction of a lethal dose below which a dose counts as zero.
 _LEAST = 1e-4
 _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 def seconds_over(start: Floats, end: Floats, seconds: float, level: float) -> Floats:
-    """Seconds of a step in which temperatures [K], linear in time, reach a level [degC] (n,)."""
+    """Return the time (n,) [s] of a step at or above a level.
+
+    Args:
+        start: Temperatures at the start (n,) [K]. Within the step they are linear in time.
+        end: Temperatures at the end (n,) [K].
+        seconds: Duration of the step [s].
+        level: The level [degC].
+    """
     low, high = np.minimum(start, end) - CELSIUS - level, np.maximum(start, end) - CELSIUS - level
     share = np.divide(high, high - low, out=(high >= 0).astype(float), where=high > low)
     return np.asarray(seconds * np.clip(share, 0.0, 1.0))
 
 
 def cem43(start: Floats, end: Floats, seconds: float) -> Floats:
-    r"""Cumulative equivalent minutes at 43 degC, :math:`∫ R^{43 - T} dt`, as `seconds_over`."""
+    r"""Equivalent minutes at 43 degC, :math:`∫ R^{43 - T} dt`; arguments as `seconds_over`."""
     low = np.minimum(start, end) - CELSIUS
     high = np.maximum(start, end) - CELSIUS
     total = np.zeros_like(low)
     for begin, stop, slope in _PIECES:
         a, b = np.clip(low, begin, stop), np.clip(high, begin, stop)
-        # The part of the step spent in the piece, and the mean of exp(slope (T - 43)) over it.
+        # Fraction of the step in this piece, and the mean of exp(slope (T - 43)) over it.
         share = np.divide(b - a, high - low, out=np.zeros_like(a), where=high > low)
         still = (high == low) & (low >= begin) & (low < stop)
         span = slope * (b - a)
@@ -62,9 +74,10 @@ def cem43(start: Floats, end: Floats, seconds: float) -> Floats:
 
 
 def henriques_moritz(start: Floats, end: Floats, seconds: float) -> Floats:
-    r"""Damage integral :math:`Ω = ∫ A \exp(-E/RT) dt`, arguments as `seconds_over`.
+    r"""Return the damage integral :math:`Ω = ∫ A \exp(-E/RT) dt`; arguments as `seconds_over`.
 
-    With :math:`B = E/R`, :math:`∫ \exp(-B/T) dT = T E_2(B/T)`, the exponential integral of order 2.
+    With :math:`B = E/R` and the exponential integral :math:`E_2` of order 2,
+    :math:`∫ \exp(-B/T) dT = T E_2(B/T)`.
     """
     change = end - start
     short = np.abs(change) < _SHORT
@@ -78,19 +91,19 @@ def henriques_moritz(start: Floats, end: Floats, seconds: float) -> Floats:
 
 
 def _rate(temperature: Floats) -> Floats:
-    # One exponent: A alone is 1e98 and its partner 1e-105.
+    # Both factors in one exponent, because they are about 1e98 and 1e-105.
     return np.asarray(np.exp(np.log(FREQUENCY) - ACTIVATION / temperature))
 
 
 def _antiderivative(temperature: Floats) -> Floats:
-    from scipy.special import expn  # 0.1 s, which most runs do without
+    from scipy.special import expn  # takes 0.1 s; most runs do not need it
 
     x = ACTIVATION / temperature
     return np.asarray(FREQUENCY * temperature * expn(2, x))
 
 
-# Integrals over time that are kept of bone and cement: seconds at or above each of `LEVELS`,
-# equivalent minutes at 43 degC, the damage integral.
+# Integrals over time in bone and cement: seconds at or above each of `LEVELS`, equivalent minutes
+# at 43 degC, and the damage integral.
 DOSES: dict[str, Measure] = {
     **{f"seconds_over_{level:g}": partial(seconds_over, level=level) for level in LEVELS},
     "cem43": cem43,
@@ -99,10 +112,10 @@ DOSES: dict[str, Measure] = {
 
 
 def death_levels(doses: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Level of each criterion (n,) by its name, from `DOSES`; not negative where nodes are dead.
+    """Return the level of each criterion (n,) from the doses `DOSES`; at least 0 at dead nodes.
 
-    It is linear in time for criteria in time, and in temperature where equivalent minutes and
-    damage are exponentials of it.
+    The level of a criterion on time is linear in time. The level of equivalent minutes and of the
+    damage integral, which grow exponentially with temperature, is linear in their logarithm.
     """
     lethal = {f"cem43_{minutes}": doses["cem43"] / minutes for minutes in CEM43_THRESHOLDS}
     lethal["henriques_moritz"] = doses["henriques_moritz"]

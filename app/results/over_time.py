@@ -1,11 +1,11 @@
-"""Values at nodes reduced over time: their maxima, times above a level, other integrals.
+"""Reduction of nodal values over time: maxima, times above a level, other integrals.
 
-A reduction has one number for each owned node of a region, and is updated at every accepted step.
-`maxima` and `largest` reduce the nodes of all ranks to the numbers that are reported.
+A reduction has one number for each owned node of a region. It is updated at every accepted step.
+`maxima` and `largest` reduce the nodes of all ranks to the reported numbers.
 
 Between steps values follow parabolas. A maximum between two steps is the vertex of a parabola
-through one of them and both neighbours (`peak_between`). An integral over a step uses the parabola
-through its ends and the step before (`bend`), divided into straight pieces.
+through one of them and its neighbours (`peak_between`). An integral over a step uses a parabola
+through the ends of the step and the step before (`bend`), divided into straight pieces.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy as np
 
 from app.foundation.arrays import Floats
 
-# A time [s] and the values at it (n,).
+# A time [s] and the values at this time (n,).
 State = tuple[float, Floats]
-# Integral over a piece of time, at each node, of a function of the value. Arguments: values at the
-# start and at the end (n,), linear between them, and the duration [s].
+# Integral over an interval of time of a function of the value, at each node. Arguments: values at
+# the start and at the end (n,), linear in between, and the duration [s].
 Measure = Callable[[Floats, Floats, float], Floats]
 
 
@@ -36,7 +36,7 @@ class Maximum:
         self.time = np.full(len(value), seconds)
 
     def take(self, value: Floats, seconds: Floats | float) -> None:
-        """Take values (n,) at one time, or each at its time (n,) [s]."""
+        """Update with values (n,) at one time [s], or at a time for each node (n,) [s]."""
         higher = value > self.value
         self.value[higher] = value[higher]
         self.time[higher] = np.broadcast_to(seconds, value.shape)[higher]
@@ -46,7 +46,7 @@ class Integrals:
     """Integrals over time of some functions of a value, at n nodes.
 
     Attributes:
-        totals: By the name of the measure (n,); NaN if unknown.
+        totals: Integral at each node (n,), by the name of its function; NaN if unknown.
     """
 
     saved = ("totals",)
@@ -56,12 +56,12 @@ class Integrals:
         self.totals: dict[str, Floats] = {name: np.zeros(n) for name in measures}
 
     def add(self, start: Floats, end: Floats, seconds: float) -> None:
-        """Add a piece of time in which the value goes linearly from start to end (n,)."""
+        """Add an interval in which the value changes linearly from start to end (n,)."""
         for name, measure in self._measures.items():
             self.totals[name] += measure(start, end, seconds)
 
     def add_bent(self, start: Floats, end: Floats, bends: Floats, step: float, pieces: int) -> None:
-        """Add a step along a parabola that passes below its chord by ``bends`` in the middle."""
+        """Add a step as straight pieces of a parabola with depth ``bends`` (n,) below its chord."""
         curve = [
             start + s * (end - start) - 4 * s * (1 - s) * bends
             for s in np.linspace(0.0, 1.0, pieces + 1)
@@ -70,7 +70,7 @@ class Integrals:
             self.add(first, following, step / pieces)
 
     def forget(self) -> None:
-        """Make all integrals unknown from here on."""
+        """Make all integrals unknown from now on."""
         for total in self.totals.values():
             total[:] = np.nan
 
@@ -84,7 +84,7 @@ class Integrals:
 
 
 def maxima(comm: MPI.Comm, values: Mapping[str, Floats]) -> dict[str, float]:
-    """Largest of some values each, over all ranks; minus infinity without any; collective."""
+    """Return the maximum of each array over all ranks; minus infinity if empty; collective."""
     local = [of_name.max(initial=-np.inf) for of_name in values.values()]
     local_maxima = np.array(local, dtype=np.float64)
     comm.Allreduce(MPI.IN_PLACE, local_maxima, MPI.MAX)
@@ -94,7 +94,10 @@ def maxima(comm: MPI.Comm, values: Mapping[str, Floats]) -> dict[str, float]:
 def largest(
     comm: MPI.Comm, values: Floats, x: Floats, times: Floats
 ) -> tuple[float, list[float], float]:
-    """Largest value of all ranks with place and time; of equal values the first place."""
+    """Return the largest value of all ranks with its place and time; collective.
+
+    Of equal values it is the one with the first place.
+    """
     largest_place = (-np.inf, [0.0, 0.0, 0.0], 0.0)
     if len(values):
         equal = np.flatnonzero(values == values.max())
@@ -107,11 +110,11 @@ def largest(
 
 
 def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Floats]:
-    """Peaks between the second and the third of four states, at rising times.
+    """Return the peaks between the second and the third of four states, at increasing times.
 
-    The peak is the vertex of a parabola. It passes through the higher one of the two states and the
-    neighbours of that state. The peak is not above the lines through the first two states and
-    through the last two, so that heating that is switched off leaves no peak.
+    A peak is the vertex of the parabola through the higher one of the two states and its
+    neighbours. It is limited by the lines through the first two and through the last two states, so
+    that heating that is switched off causes no peak.
 
     Returns:
         Values (n,), minus infinity without a peak, and times (n,).
@@ -130,7 +133,7 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
     slope = across - curvature * (t2 - t1)
     when = t1 - slope / (2 * curvature)
     inside &= (when > t1) & (when < t2)
-    # Time from the second state to the place where the two lines meet.
+    # Time from the second state to the intersection of the two lines.
     meeting_time = np.divide(
         c - b - slope_after * (t2 - t1),
         slope_before - slope_after,
@@ -144,10 +147,10 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
 
 
 def bend(previous: State, start: State, end: State) -> Floats:
-    """Depth of a parabola below its chord in the middle of the last step (n,).
+    """Return the depth (n,) of a parabola below its chord in the middle of the last step.
 
-    The parabola passes through the ends of the step and the state before. Its depth is limited, so
-    that its values stay between those of the ends.
+    The parabola passes through the ends of the step and the state before. Its depth is limited so
+    that its values stay between the values at the ends.
     """
     (t0, a), (t1, b), (t2, c) = previous, start, end
     if not t0 < t1 < t2:
@@ -158,12 +161,12 @@ def bend(previous: State, start: State, end: State) -> Floats:
 
 
 def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
-    """Depth as in `bend`, from the rate of change at the end (n,), without an earlier state."""
+    """Return the depth as `bend`, but from the rate of change (n,) at the end of the step."""
     (t1, b), (t2, c) = start, end
     return limited((rate * (t2 - t1) - (c - b)) / 4, b, c)
 
 
 def limited(bends: Floats, start: Floats, end: Floats) -> Floats:
-    """Depths limited so that parabolas stay between the values of their ends (n,)."""
+    """Limit depths (n,) so that parabolas stay between the values at their ends (n,)."""
     limit = np.abs(end - start) / 4
     return np.asarray(np.clip(bends, -limit, limit))

@@ -1,7 +1,7 @@
-"""Records: what another package follows in the mechanics of a run and publishes of it.
+"""Records: extension point for packages that follow the steps of a run and publish numbers.
 
-A record sees every step, is saved and restored with the run, and adds its numbers to
-``summary.json`` and ``history.csv``, and fields by cell. `add_record` registers it.
+A record is called at every step and is saved and restored with the run. It adds numbers to
+``summary.json`` and ``history.csv``, and fields on cells. `add_record` registers it.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from app.stepping.load_steps import OnStep
     from meshes.gruen import Zones
 
-# Called before a stage.
+# Function that is called before a stage.
 OnStage = Callable[["Stage"], None]
-# Returns, at points (n, 3) [mm], by part of a hip (`quantities.PARTS`) a level (n,) that is not
-# positive in it (`meshes.gruen.Zones.borders`).
+# Function that returns levels at points (n, 3) [mm], by part of a hip (`quantities.PARTS`). A level
+# (n,) is not positive in its part (`meshes.gruen.Zones.borders`).
 Borders = Callable[[Floats], dict[str, Floats]]
 
 
@@ -34,8 +34,10 @@ class Followed:
     """Mechanics and heat of a run that a record follows.
 
     Attributes:
-        zones: Zones of a hip, if it is one.
-        heat: The implicit step of its heat, if heat flows in it.
+        problem: Mechanics of the run.
+        stresses: Stresses of the regions.
+        zones: Zones of a hip; None for other bodies.
+        heat: Implicit step of heat; None without heat.
     """
 
     problem: Problem
@@ -45,7 +47,7 @@ class Followed:
 
 
 class NodalSurface(Protocol):
-    """Triangulated surfaces of bodies, in parts, with fields at their nodes."""
+    """Triangulated surface of bodies, in numbered parts, with fields at its nodes."""
 
     @property
     def dof(self) -> Ints:
@@ -53,11 +55,11 @@ class NodalSurface(Protocol):
 
     @property
     def bodies(self) -> Ints:
-        """Bodies that have the fields at each node (m, b)."""
+        """Bodies whose field is known at each node (m, b)."""
 
     @property
     def interface(self) -> Ints:
-        """Part of the surfaces that each node is in (m,)."""
+        """Part of the surface with each node (m,)."""
 
     @property
     def triangles(self) -> Sequence[Ints]:
@@ -66,12 +68,12 @@ class NodalSurface(Protocol):
 
 @dataclass(frozen=True)
 class SurfaceFields:
-    """Fields on an interface whose sides share no nodes.
+    """Fields on an interface between separately meshed bodies.
 
     Attributes:
         master: Surface of the master.
-        values: By name: at the contact points of the interface (n,), and at the nodes of the
-            master (m,).
+        values: Fields by name: values at the contact points of the interface (n,), and at the
+            nodes of the master (m,).
     """
 
     master: NodalSurface
@@ -79,50 +81,50 @@ class SurfaceFields:
 
 
 class Record:
-    """A record of one run. This base publishes nothing; a record overrides what it needs.
+    """A record of a run. The methods of this base class do nothing; subclasses override some.
 
     Attributes:
-        saved: Names of the attributes that are saved.
+        saved: Names of the attributes that a checkpoint saves.
     """
 
     saved: tuple[str, ...] = ()
 
     def before(self, on_step: OnStep) -> OnStep:
-        """Return a hook of steps that takes a step in, then calls ``on_step``."""
+        """Return a function that records a step and then calls ``on_step``."""
         return on_step
 
     def before_stage(self, on_stage: OnStage) -> OnStage:
-        """Return a hook of stages that prepares a stage, then calls ``on_stage``."""
+        """Return a function that prepares a stage and then calls ``on_stage``."""
         return on_stage
 
     def numbers(self) -> Summary:
-        """Sections of ``summary.json``, merged into those of the run; collective."""
+        """Sections of ``summary.json``, which are merged with those of the run; collective."""
         return {}
 
     def step_record(self) -> dict[str, float]:
-        """Columns of ``history.csv`` after a step; collective."""
+        """Return columns of ``history.csv`` after a step; collective."""
         return {}
 
     def cell_fields(self, cells: int) -> dict[str, Floats]:
-        """Fields by name on the cells of this rank (cells,)."""
+        """Return fields by name on the cells of this rank (cells,)."""
         return {}
 
     def surface_fields(self) -> dict[str, SurfaceFields]:
-        """Fields on both sides of interfaces, by interface."""
+        """Return fields on both sides of interfaces, by interface."""
         return {}
 
 
-# Makes the record of a run, or None if its case needs none; collective.
+# Function that makes the record of a run, or None if the case does not need it; collective.
 Maker = Callable[[Case, Followed], Record | None]
-# By name, in the order in which they take a step in.
+# Makers by name, in the order in which records are called.
 MAKERS: dict[str, Maker] = {}
 
 
 def add_record(name: str, make: Maker) -> None:
-    """Register what makes a record.
+    """Register a function that makes a record.
 
     Raises:
-        ValueError: The name is taken.
+        ValueError: Another record has this name.
     """
     if name in MAKERS:
         raise ValueError(f"there is a record '{name}' already")
@@ -130,6 +132,6 @@ def add_record(name: str, make: Maker) -> None:
 
 
 def records(case: Case, followed: Followed) -> dict[str, Record]:
-    """The records of a run; collective."""
+    """Return the records of a run by name; collective."""
     made_records = {name: make(case, followed) for name, make in MAKERS.items()}
     return {name: record for name, record in made_records.items() if record is not None}

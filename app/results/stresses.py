@@ -1,4 +1,4 @@
-"""Stress of the regions: at quadrature points, in cells, and published numbers."""
+"""Stress of the regions: at quadrature points, its mean in cells, and published numbers."""
 
 from __future__ import annotations
 
@@ -21,24 +21,26 @@ from forms import elasticity
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-# Stiffness of each law met: UFL takes 20 ms, and companions and variations share it.
+# Cache of the stiffness of laws: UFL takes 20 ms, and companions and variations share it.
 _MODULI: dict[tuple[type[Elastic], str], Floats] = {}
-FINE = 9  # a degree whose weights are all positive, as those of 7 are not
+# Degree of a quadrature with positive weights for integrals of powers of stress. (The rule of
+# degree 7 has a negative weight.)
+FINE = 9
 
 
 class Stresses:
-    """Stress at quadrature points of every elastic region, compiled once.
+    """Stress at quadrature points of all elastic regions, with forms that are compiled once.
 
     Attributes:
         cells: Owned cells of each region.
-        points: Points of its cells, in the reference cell (points, 3).
-        shares: Fraction of a cell's volume at each of them (points,).
+        points: Quadrature points of each region in the reference cell (points, 3).
+        shares: Fraction of the volume of a cell at each of these points (points,).
 
     Args:
         around_z: True if the z axis is the axis of a stem, so that hoop stress is defined.
-        depth: Distance of points (n, 3) below a neck cut, above which a stem is a neck [mm].
-        fine: Regions, where not all, whose points are exact to degree `FINE` instead of to that of
-            energies.
+        depth: Function that returns the distance of points (n, 3) below the neck cut [mm]; the
+            stem above it is the neck. None without a neck cut.
+        fine: Regions with the quadrature of degree `FINE` instead of that of the energy.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class Stresses:
         self.cells = {e.region: body_forms.region_cells(e.region) for e in elastic}
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
-        # Stress of path-dependent regions is known at the points of its history.
+        # Stress of path-dependent regions is known at the points of their stress history.
         self._stress_histories = {
             r: problem.stress_history
             for r in body_forms.path_dependent_regions
@@ -67,7 +69,7 @@ class Stresses:
         for region, stress_history in self._stress_histories.items() if not fine else ():
             self.points[region] = stress_history.points
             self.shares[region] = stress_history.weights / stress_history.weights.sum()
-        # Stiffness over its largest at the points, where it varies.
+        # Varying stiffness at the points, relative to its largest value.
         self._relative: dict[str, Floats] = {}
         self.follow_density(all_regions=True)
         self._places: dict[str, tuple[Floats, Floats]] = {}
@@ -84,7 +86,7 @@ class Stresses:
                 self._with_free_strain[e.region] = self._expression(elastic_strain)
 
     def follow_density(self, all_regions: bool = False) -> None:
-        """Update stiffness that follows a density, with ``all_regions`` wherever it varies."""
+        """Update stiffness that follows a density; with ``all_regions`` all varying stiffness."""
         for e in self._problem.scene.elastic:
             if e.varies and (all_regions or e._density):
                 points = self.points[e.region]
@@ -95,7 +97,7 @@ class Stresses:
             return fem.Expression(ε, self._points, comm=self._problem.comm)
 
     def _elastic_strain(self, region: str) -> Floats:
-        """Strain of a region's law for the stress, without thermal or other free strain [-]."""
+        """Strain of a region that causes stress, without thermal and other free strain [-]."""
         problem, cells = self._problem, self.cells[region]
         expression = self._with_free_strain.get(region)
         if expression is None:
@@ -106,7 +108,7 @@ class Stresses:
         return expression.eval(problem.tagged.mesh, cells).reshape(len(cells), -1, 3, 3)
 
     def evaluate(self, region: str) -> Floats:
-        """Stress at the quadrature points of a region's owned cells (cells, points, 3, 3) [MPa]."""
+        """Return stress at the points of a region's owned cells (cells, points, 3, 3) [MPa]."""
         stress_history = self._stress_histories.get(region)
         if stress_history:
             σ, cell_points = stress_history.stress(region), self.points[region]
@@ -117,10 +119,10 @@ class Stresses:
         return self._stress(region, self._elastic_strain(region))
 
     def _stress(self, region: str, ε: Floats) -> Floats:
-        """Stress of a region's elastic strain at its points (cells, points, 3, 3) [MPa]."""
+        """Return the stress of elastic strain at a region's points (cells, points, 3, 3) [MPa]."""
         e = next(e for e in self._problem.scene.elastic if e.region == region)
         turning = e.fibre if e.fibre is not None and e.fibre.curved is True else None
-        if turning:  # in axes that turn with it
+        if turning:  # in axes that rotate with the fibre
             Q = turning.frames(self.places(region)[0]).reshape(ε.shape)
             ε = Q.swapaxes(2, 3) @ ε @ Q
         σ = (ε.reshape(-1, 9) @ _moduli(e)).reshape(ε.shape)
@@ -129,36 +131,36 @@ class Stresses:
         return σ * self._relative[region][..., None, None] if region in self._relative else σ
 
     def varying_moduli(self) -> dict[str, Floats]:
-        """Mean Young's modulus of owned cells (cells,) [MPa], of regions where it varies."""
+        """Mean Young's modulus of owned cells (cells,) [MPa] of regions where it varies."""
         modulus_of_region = {e.region: e.moduli[0] for e in self._problem.scene.elastic}
         return {
             r: modulus_of_region[r] * (g * self.shares[r]).sum(1) for r, g in self._relative.items()
         }
 
     def mean(self, region: str) -> Floats:
-        """Mean stress of a region's owned cells (cells, 3, 3) [MPa]."""
+        """Return the mean stress of a region's owned cells (cells, 3, 3) [MPa]."""
         return np.einsum("q,cqij->cij", self.shares[region], self.evaluate(region))
 
     def places(self, region: str) -> tuple[Floats, Floats]:
-        """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
-        if region not in self._places:  # all states and variations share them
+        """Positions (cells * points, 3) [mm] and volumes (cells, points) [mm3] of the points."""
+        if region not in self._places:  # cached, because all states and variations share them
             body_forms = self._problem.body_forms
             x, volumes = body_forms.places(region, self.points[region], self.shares[region])
             self._places[region] = x.reshape(-1, 3), volumes
         return self._places[region]
 
     def hoop_strain(self, region: str) -> Floats:
-        """Elastic strain around the z axis (cells, points) [-]."""
+        """Return the elastic hoop strain about the z axis (cells, points) [-]."""
         ε, (x, _) = self._elastic_strain(region), self.places(region)
         return _hoop(ε.reshape(-1, 3, 3), x).reshape(ε.shape[:2])
 
     def energy_density(self, region: str) -> Floats:
-        r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa]."""
+        r"""Return the elastic energy density :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa]."""
         ε = self._elastic_strain(region)
         return np.asarray(np.einsum("cqij,cqij->cq", self._stress(region, ε), ε) / 2)
 
     def region(self, region: str) -> Numbers:
-        """Published stresses of a region, of a stem without its neck; collective."""
+        """Published numbers on stress of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.places(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
@@ -189,11 +191,11 @@ class Stresses:
         return self._statistics(values) | extra
 
     def gather(self, rows: Floats) -> Floats:
-        """Values at the points of all ranks (k, n)."""
+        """Return values at the points of all ranks (k, n)."""
         return np.concatenate(self._problem.comm.allgather(rows), axis=1)
 
     def _statistics(self, values: Floats) -> Numbers:
-        """Published numbers of stresses and volumes at points, one row for each (6, n)."""
+        """Numbers on stresses and volumes at points, which are the rows of ``values`` (6, n)."""
         mises, hoop, principal, smallest_principal, mean, volume = values
         result = {
             "von_mises_max": float(mises.max()),
@@ -211,9 +213,9 @@ class Stresses:
 
 
 def _moduli(e: Elastic) -> Floats:
-    """Matrix (9, 9) that turns rows of strains into those of stresses [MPa].
+    """Return the matrix (9, 9) from strain to stress, both as rows of nine components [MPa].
 
-    For a fibre that turns, in axes that turn with it, of which it is the third.
+    If the fibre direction varies, the matrix is in axes of which the third is the fibre.
     """
     law = type(e), e.model_dump_json()
     if law not in _MODULI:
@@ -228,7 +230,7 @@ def _moduli_by_energy(e: Elastic) -> Floats:
         ε = elasticity.symmetric([float(c) for c in strain])
         return float(e.energy(ε, e.coefficients, as_vector(fibre))(()))
 
-    # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b), and ψ(2 a) = 4 ψ(a).
+    # A quadratic form has ψ(a + b) - ψ(a) - ψ(b) = a : σ(b) and ψ(2 a) = 4 ψ(a).
     unit_strains = np.eye(6)
     single = np.array([energy(a) for a in unit_strains])
     work = np.diag(2 * single)
@@ -243,10 +245,10 @@ def _moduli_by_energy(e: Elastic) -> Floats:
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
-    """Values (f, p, k) at points (p, 3) of each cell, linearly extrapolated to points X (q, 3)."""
+    """Extrapolate values (f, p, k) at points (p, 3) of each cell linearly to points X (q, 3)."""
 
     def basis(x: Floats) -> Floats:
-        # One point gives no slope.
+        # With a single point the field is constant.
         constant = np.ones((len(x), 1))
         return np.concatenate([constant, x], axis=1) if len(points) > 1 else constant
 
@@ -254,7 +256,7 @@ def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
 
 
 def _hoop(σ: Floats, x: Floats) -> Floats:
-    """Component around the z axis of tensors (n, 3, 3) at points x (n, 3): shape (n,)."""
+    """Return the hoop component about the z axis (n,) of tensors (n, 3, 3) at points x (n, 3)."""
     r = np.hypot(x[:, 0], x[:, 1])
     r = np.where(r > 0, r, 1.0)
     t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, np.zeros(len(x))])
