@@ -1,21 +1,21 @@
-"""Many runs by Snakemake over ``mantle run``, here or by Slurm: the runs not done yet.
+"""Many runs of ``mantle run`` by Snakemake, on this machine or by Slurm.
 
-A run lives in a directory named by its content, so that a finished one is never repeated, and a
-failed or changed one is::
+The name of a run directory is a digest of the run's inputs. So a finished run is never repeated; a
+failed or changed one is run again::
 
     folder/cases/<id>.yaml      the resolved case; <id> is case- and a digest of all inputs
     folder/runs/<id>/           its run directory, complete once it holds DONE
     folder/runs/<id>.log        its output
     folder/runs/<id>.status     when it began and ended, and its exit code
     folder/runs/<id>.lock       locked while it runs
-    folder/runs/<id>.ok         for Snakemake: it is done
+    folder/runs/<id>.ok         mark for Snakemake that it is done
     folder/runs/<id>.slurm      the output of its Slurm job
     folder/jobs.json            the jobs for Snakemake
     folder/snakemake.log        the output of Snakemake
 
-Runs that may share a stiffness (`PlannedRun.share`) are variations of one process, or of as many as
-keep the cores busy. The last of these files have the id of this process. The run directories are
-inside the folder of the process.
+Runs that may share a stiffness matrix (`PlannedRun.share`) are variations of one process, or of as
+many processes as keep the cores busy. The case and the files beside ``runs/<id>`` then have the id
+of the process, and the run directories are inside its folder.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Options:
 
     Attributes:
         folder: Folder of the results; finished runs in it are not repeated.
-        pattern: Part of the names wanted; empty for all.
+        pattern: Text in the names of the selected runs; empty for all.
         tier: quick, default or long.
         slurm: Options of sbatch, to make each run a Slurm job; None to run here.
         dry_run: True to log the `plan` only.
@@ -85,12 +85,12 @@ def run(
     """Make the runs that are not done yet; return a result for each, failed ones included.
 
     Args:
-        planned: The runs wanted.
+        planned: The runs.
         folder: Folder of the batch; used by one batch at a time.
-        cores: Most cores of this machine to use.
-        slurm: Options of sbatch, to make each run a Slurm job; all nodes see the folder. None:
-            all run here.
-        so_far: Called with the results so far as runs end, and if interrupted.
+        cores: Largest number of cores of this machine to use.
+        slurm: Options of sbatch, to make each run a Slurm job; all nodes must see the folder. None
+            to run on this machine.
+        so_far: Function that is called with the results so far when runs end, and on interruption.
 
     Raises:
         InputError: The folder cannot be written or is in use.
@@ -170,7 +170,7 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
 def _log_ended(
     pending: dict[str, BatchRun], total: int, has_ended: Callable[[BatchRun], bool]
 ) -> bool:
-    """Log and remove the pending runs that have ended; return True if there are any."""
+    """Log the pending runs that have ended and remove them; return True if there are any."""
     ended = [r for r in pending.values() if has_ended(r)]
     for r in ended:
         del pending[r.id]
@@ -232,7 +232,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
 
 
 def _text(runs: Sequence[BatchRun]) -> str:
-    """Case file of a process: its run, or its runs as variations."""
+    """Return the case file of a process: its only run, or all its runs as variations."""
     first = runs[0]
     if not first.shares:
         return dump(first.planned.case)
@@ -247,7 +247,7 @@ def _text(runs: Sequence[BatchRun]) -> str:
 
 
 def _environment(cores: int | None) -> list[str]:
-    """Arguments of ``env`` that undo what Snakemake sets."""
+    """Return arguments of ``env`` that undo settings of Snakemake."""
     one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
     if not cores and scheduler.TREE_JOB.exists():
         return one_thread  # the cache is the node's

@@ -1,19 +1,19 @@
-"""``mantle fit``: values of keys by which numbers reach targets, or are smallest or largest.
+"""``mantle fit``: search for values of keys with which numbers reach targets or an extremum.
 
-Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and beside it::
+The folder is that of a batch (`app/campaigns/batch.py`) with these files in addition::
 
     folder/fit.json      keys with uncertainties, numbers, verdicts, and all runs in their order
     folder/fit.csv       a row for each run: keys, numbers, misfit
 
-Keys are fractions of their ranges here. The search is repeatable: after a kill the same command
-asks for the same runs, and finished ones are not repeated.
+In this module keys are fractions of their ranges. The search is repeatable: after a kill the same
+command needs the same runs, and finished runs are not repeated.
 
 **Targets.** ``least_squares`` of scipy (dogbox: Gauss-Newton steps in a box, by dogleg) minimises
 the sum over the targets of ((number - value) / uncertainty)^2. Derivatives are differences over
 `FitSearch.step` of a range; their runs are one batch. The method was chosen by a measurement: 3
 functions of 2 keys with 3 targets, 20 fits each, with noise of 0, 0.1 and 0.5 uncertainties in
-every number. The excess is that of the sum of squares, at the 90th percentile of the worst
-function.
+every number. The table has the excess of the sum of squares over its minimum: the 90th percentile
+over the fits, for the function where it is largest.
 
     method                  runs (median)   excess for noise 0   0.1    0.5
     dogbox, step 5 %        12 to 18                     0.003   0.08   1.4
@@ -23,13 +23,14 @@ function.
     COBYLA                  17 to 21                     1.4     4.9    16
     Nelder-Mead             40 to 60                     0.02    0.23   8.7
 
-If the optimum is at a bound, trf took 21 runs with an excess of 0.3, 7 and 90, and dogbox 13 runs
-with 0.02, 1.2 and 14.
+With an optimum at a bound, trf took 21 runs with an excess of 0.3, 7 and 90. dogbox took 13 runs
+with an excess of 0.02, 1.2 and 14.
 
 **Minimum and maximum.** COBYQA of scipy needs no derivatives and keeps bounds. It was
 measured on 3 functions of 2 keys with an active constraint, 10 fits each, with noise of 0, 0.2 and
-1 %. It took 11 to 22 runs (median) and COBYLA 14 to 23. SLSQP with differences of 5 % took 14 to 42
-runs, at times more than 60. All came equally close. Failed runs are infeasible to it.
+1 %. COBYQA took 11 to 22 runs (median) and COBYLA 14 to 23. SLSQP with differences of 5 % took 14
+to 42 runs, at times more than 60. All came equally close to the optimum. A failed run counts as
+infeasible.
 """
 
 from __future__ import annotations
@@ -72,10 +73,10 @@ class _RunsUsed(Exception):
 
 
 class Evaluations:
-    """All runs of a search, each made once.
+    """Runs of a search by the values of the keys; no run is made twice.
 
     Attributes:
-        runs: The runs in the order in which they were asked for.
+        runs: The runs in the order of the search.
     """
 
     def __init__(self, problem: FitProblem, options: Options) -> None:
@@ -86,7 +87,7 @@ class Evaluations:
         self._short = [*short_keys(list(problem.fit.keys)).values()]
 
     def step(self, shares: Floats) -> FitRun:
-        """Make the run of a step of the search, or return it if it is known."""
+        """Return the run with keys at fractions (keys,) of their ranges; make it if it is new."""
         steps = sum(run.name.startswith("step") and "," not in run.name for run in self.runs)
         (run,) = self({f"step {steps + 1}": np.clip(shares, 0.0, 1.0)})
         return run
@@ -127,9 +128,10 @@ class Evaluations:
         return [self._by_values[id] for id in identities.values()]
 
     def derivatives(self, run: FitRun) -> Floats:
-        """Differences of the numbers around a run, divided by the step (numbers, keys).
+        """Return the derivatives of the numbers by the keys at a run (numbers, keys).
 
-        A run that fails is replaced by one on the other side; nan if this fails, too.
+        They are differences from runs with one changed key. If such a run fails, the key is changed
+        in the other direction; nan if this run fails, too.
         """
         step = self.problem.fit.step
         steps = {k: step if share + step <= 1.0 else -step for k, share in enumerate(run.shares)}
@@ -147,7 +149,7 @@ class Evaluations:
         return np.array(columns).T
 
     def _changed_runs(self, run: FitRun, steps: Mapping[int, float]) -> dict[int, FitRun]:
-        """Runs in each of which one key is changed by a step, by number of the key."""
+        """Make a run for each step of a key, by number of the key; the other keys are unchanged."""
         requested = {}
         for k, step in steps.items():
             sign = "+" if step > 0 else "-"
@@ -157,11 +159,12 @@ class Evaluations:
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | None:
-    """Search the values of the keys of a fit, and write its record; None with ``dry_run``.
+    """Search for the values of the keys of a fit, and write its record; None with ``dry_run``.
 
     Raises:
-        InputError: Every error of the file, before anything runs; a number that runs do not have.
-        MantleError: The first run failed; with its exit code.
+        InputError: The file has errors (all are in one message, before anything runs), or a number
+            of the fit is not in the results.
+        MantleError: The first run failed; the error has its exit code.
         StoppedError: Interrupted; the same command continues the search.
     """
     problem = fit_file.read(path, overrides)
@@ -232,7 +235,7 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
 
 
 def _cost(problem: FitProblem, run: FitRun) -> float:
-    """Objective of a run, with the other sign if it is maximised; nan if the run failed."""
+    """Objective of a run, with opposite sign if it is maximised; nan if the run failed."""
     fit = problem.fit
     sign = 1.0 if fit.minimise else -1.0
     if fit.objective in fit.keys:
@@ -242,7 +245,7 @@ def _cost(problem: FitProblem, run: FitRun) -> float:
 
 
 def _violations(problem: FitProblem, run: FitRun) -> Floats:
-    """Violation of each bound of a number, relative to the bound; negative if it is met."""
+    """Violation of each bound of a number, relative to the bound; negative if the bound is kept."""
     fit = problem.fit
     violations = []
     for name, (low, high) in fit.limits.items():

@@ -36,14 +36,14 @@ class FitRun:
 
     Attributes:
         name: ``start``, ``step 3``, or ``step 3, +friction_coefficient`` for a derivative.
-        shares: Keys as fractions of their ranges, as rounded in the case (keys,).
+        shares: Keys as fractions of their ranges, after rounding in the case (keys,).
         values: Values of the keys.
         array: Numbers of the fit in units of ``summary.json`` (numbers,); nan if the run failed.
         misfit: Sum over the targets of the squares of (number - value) / uncertainty; nan without
             targets.
         exit_code: 0 if it is done.
-        message: Why it failed.
-        seconds: Wall time.
+        message: Reason of a failure; empty if it is done.
+        seconds: Wall time [s].
         folder: Run directory; None if the case was refused.
     """
 
@@ -69,9 +69,9 @@ class Outcome:
 
     Attributes:
         best: The run with the fitted values; if no run meets the constraints, the closest one.
-        derivatives: Of the numbers by the keys, over their ranges (numbers, keys); nan where runs
-            failed. None if there were too few runs.
-        converged: False if the search stopped because it had used its runs.
+        derivatives: Derivatives of the numbers by the keys as fractions of their ranges
+            (numbers, keys); nan where runs failed. None if there were too few runs.
+        converged: False if the search ended because it had used its number of runs.
     """
 
     best: FitRun
@@ -90,8 +90,8 @@ class KeyRow(TypedDict):
         high: Upper bound.
         scale: Scale of its range.
         uncertainty: Standard uncertainty by the targets; None if they do not determine it.
-        interval: Ends of its interval of 95 %, within the bounds; empty likewise.
-        at: ``low`` or ``high`` if the key is at a bound.
+        interval: Ends of its 95 % interval, within the bounds; empty without uncertainty.
+        at: ``low`` or ``high`` if the key is at a bound; otherwise empty.
     """
 
     value: object
@@ -111,8 +111,8 @@ class NumberRow(TypedDict):
     Attributes:
         value: Value in the best run.
         unit: Its unit.
-        derivatives: Change over the range of each key by the derivatives at the best run.
-        target: Wanted value.
+        derivatives: Change over the range of each key, by the derivatives at the best run.
+        target: Target value.
         uncertainty: Its standard uncertainty.
         deviation: (value - target) / uncertainty [-].
         at_least: Lower bound.
@@ -159,11 +159,12 @@ class FitRecord(TypedDict):
         misfit: Its sum of squares; None without targets.
         keys: Fitted keys.
         numbers: Numbers of the aim and of the constraints.
-        correlation: Correlation of the keys; nan is None. Empty without targets.
+        correlation: Correlation of the keys; None if undetermined. Empty without targets.
         covariance: Covariance of the keys as fractions of their ranges, without the directions that
-            the targets do not determine; empty likewise.
-        singular_values: Of the derivatives, in uncertainties by ranges; empty likewise.
-        verdicts: What speaks for or against the result.
+            the targets do not determine. Empty without targets.
+        singular_values: Singular values of the derivatives (`app/campaigns/identifiability.py`).
+            Empty without targets.
+        verdicts: Verdicts on the result.
         runs: All runs in their order.
     """
 
@@ -192,7 +193,7 @@ def fit_run(
     """Return a run of a fit, from its result or the reason of its refusal.
 
     Raises:
-        InputError: The run is done and lacks a number.
+        InputError: The results do not contain a number of the fit.
     """
     names = problem.fit.numbers
     values = problem.values(shares)
@@ -239,7 +240,7 @@ def record(
         folder: Its folder.
         runs: All runs in their order.
         outcome: Result of the search.
-        known: Knowledge of the keys from the targets; None without targets or derivatives.
+        known: Uncertainties of the keys from the targets; None without targets or derivatives.
         verdicts: Verdicts on the result.
     """
     fit, best = problem.fit, outcome.best
@@ -271,12 +272,12 @@ def record(
 
 
 def _floats(values: Floats) -> list[float]:
-    """Numbers for JSON."""
+    """Return numbers for JSON."""
     return [float(v) for v in values]
 
 
 def _plain(values: Floats) -> list[float | None]:
-    """Numbers for JSON, None for nan."""
+    """Return numbers for JSON, with None for nan."""
     return [float(v) if math.isfinite(v) else None for v in values]
 
 
@@ -306,7 +307,7 @@ def _key_rows(
 
 
 def at_bound(share: float) -> str:
-    """Bound that a key has reached: low, high, or none."""
+    """Return ``low`` or ``high`` if a key has reached this bound; otherwise an empty text."""
     if share < AT_BOUND:
         return "low"
     return "high" if share > 1.0 - AT_BOUND else ""
@@ -358,13 +359,13 @@ def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
 
 
 def shown(name: str, value: float) -> str:
-    """A number with its unit as printed."""
+    """Format a number with its unit as printed."""
     q = quantities.find(name)
     return f"{q.factor * value:.4g} {quantities.printed(q.shown)}".strip()
 
 
 def line(problem: FitProblem, run: FitRun) -> str:
-    """Keys, numbers and misfit of a run in a line."""
+    """Format keys, numbers and misfit of a run in one line."""
     short = short_keys(list(problem.fit.keys))
     keys = ", ".join(f"{short[key]} {value}" for key, value in run.values.items())
     if not run.done:

@@ -1,4 +1,4 @@
-"""The runs of a batch: identity by content, the files they leave, and their results."""
+"""Runs of a batch: their identity by content, their files, and their results."""
 
 from __future__ import annotations
 
@@ -46,10 +46,11 @@ class Result:
     Attributes:
         planned: The run as planned.
         folder: Run directory.
-        exit_code: 0 if done, else that of ``mantle run``; not 0 for an unusable result either.
-        seconds: Wall time of the process, or of the run if it shared one.
+        exit_code: 0 if it is done and usable, otherwise the exit code of ``mantle run``.
+        seconds: Wall time of the process [s]; of the run if it shares the process with others.
         summary: ``summary.json``; empty unless the run is done.
-        message: Why it failed or is unusable, with the last lines of its log; else empty.
+        message: Reason of a failure or of an unusable result, with the last lines of the log;
+            otherwise empty.
     """
 
     planned: PlannedRun
@@ -75,16 +76,16 @@ class BatchRun:
 
     @property
     def shares(self) -> bool:
-        """Return True if the process makes other runs too."""
+        """Return True if other runs share the process."""
         return self.path.parent.name.startswith(SHARED)
 
     @property
     def process(self) -> str:
-        """Id of the process that runs it."""
+        """Id of its process."""
         return self.path.parent.name if self.shares else self.id
 
     def file(self, kind: str) -> Path:
-        """File of its process, beside the process's run directory."""
+        """Return the file of its process with a suffix (``log``, ``status``, ``ok``, ``slurm``)."""
         folder = self.path.parent if self.shares else self.path
         return folder.with_name(f"{folder.name}.{kind}")
 
@@ -114,10 +115,11 @@ class BatchRun:
 
 
 def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> list[BatchRun]:
-    """The run directory of each planned run, the same for equal content.
+    """Return the run directory of each planned run; planned runs with equal content have the same.
 
-    Runs that share a stiffness are split over several processes, each with the same matrices, so
-    that all ``cores`` of this machine are busy; None on a cluster.
+    Runs that share a stiffness matrix are divided among several processes, each with this matrix,
+    so that all ``cores`` of this machine are busy. On a cluster ``cores`` is None, and one process
+    makes them all.
     """
     unique: dict[str, PlannedRun] = {}
     ids: list[str] = []
@@ -149,7 +151,7 @@ def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> l
 
 
 def _content(case: Case) -> str:
-    """A case as YAML without the changes in its title, which equal cases may word differently."""
+    """Return a case as YAML, without the changes that its title names: they are no content."""
     title, _, _ = case.title.partition(CHANGED)
     return dump(case.model_copy(update={"title": title}))
 
@@ -164,15 +166,18 @@ def _begun(folder: Path) -> dict[str, Path]:
 
 
 def _digest(text: str, run: PlannedRun) -> str:
-    """Hexadecimal digest of a case as text and of all else that its result depends on."""
+    """Return the hexadecimal digest of a case as text, ranks, program and files of the geometry."""
     parts = [text, str(run.ranks), identity.text(), run.case.geometry.content]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 
 def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = True) -> Result:
-    """Result of a run, or of another planned run of the same content.
+    """Return the result of a run.
 
-    A run that is not over counts as stopped, whatever it ends with.
+    Args:
+        run: The run.
+        planned: Planned run of the same content to which the result belongs; the first by default.
+        over: False if the run has not ended. It then counts as stopped, unless it is done.
     """
     status = run.status()
     code, seconds = status or (LOST, 0.0)
@@ -202,7 +207,7 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
 
 
 def _killed(run: BatchRun) -> str:
-    """Message on a run that the system killed, with the needed and the available memory."""
+    """Return the message on a run that the system killed, with needed and available memory."""
     have = memory.available()
     need = cost.gigabytes(run.planned.case, have)
     text = "killed, probably out of memory: "
@@ -215,7 +220,7 @@ def _killed(run: BatchRun) -> str:
 
 
 def tail(path: Path) -> str:
-    """The last lines of a log."""
+    """Return the last lines of a log; an empty text if it cannot be read."""
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -224,6 +229,9 @@ def tail(path: Path) -> str:
 
 
 def reason(message: str) -> str:
-    """Essential line of a message: the one on missing convergence, else the last."""
+    """Return the most important line of a message.
+
+    It is the line on missing convergence if there is one, otherwise the last line.
+    """
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

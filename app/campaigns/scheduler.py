@@ -1,9 +1,9 @@
-"""Snakemake: runs the jobs of a batch on this machine, or each as a job of a Slurm cluster.
+"""Snakemake: run the jobs of a batch on this machine, or each as a job of a Slurm cluster.
 
-On a cluster only ``sbatch``, ``squeue`` and ``scancel`` are called: no accounting is needed. Of
-jobs of one name Slurm runs one at a time, whoever submitted it: where a batch was killed and its
-jobs go on, none is run twice. In the launcher's tree these programs are the host's, and jobs enter
-the tree by a script that the launcher wrote.
+On a cluster only ``sbatch``, ``squeue`` and ``scancel`` are called: no accounting is needed. Slurm
+runs jobs of the same name one after another. So if a batch was killed while its jobs continue, a
+new batch does not run them a second time. In the file tree of the launcher these programs are those
+of the host, and a script of the launcher starts jobs in the tree.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LATENCY = 60
 
 
 def check(slurm: bool) -> None:
-    """Check that Snakemake, and Slurm if asked for, are there.
+    """Check that Snakemake is installed, and Slurm if it is used.
 
     Raises:
         EnvironmentProblem: Either is missing, or Snakemake has no ``--cluster``.

@@ -35,11 +35,12 @@ TARGET_PARTS = (1.0, 0.4, 0.2)
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """Run all points of a study one at a time, so that times can be compared, and report them.
 
-    ``--set`` options hold for every point; keys that vary are refused.
+    Options ``--set`` apply to all points; an option with a key that varies is refused.
 
     Raises:
-        InputError: Every error of the file and its points, before anything runs.
-        MantleError: Every run failed; with the gravest exit code.
+        InputError: The file or its points have errors (all are in one message, before anything
+            runs).
+        MantleError: All runs failed; the error has the gravest exit code.
         StoppedError: Interrupted; the same command continues.
     """
     study, planned, common = study_file.read(path, overrides)
@@ -69,7 +70,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
 
 
 def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:
-    """Select lines by name and keep the reference; a quick study takes two runs of each.
+    """Select lines by name, and always the reference; a quick study has two runs of each.
 
     Raises:
         InputError: No line matches.
@@ -101,7 +102,7 @@ def _study_run(result: Result) -> StudyRun:
 
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
-    """Value of a key and its internal unit; None if it is no positive number."""
+    """Return the value of a key and its internal unit; None if it is not a positive number."""
     value: object = {**case.model_dump(mode="json"), "ranks": ranks}
     for item in key_parts(key):
         if isinstance(value, list | tuple):
@@ -117,7 +118,7 @@ def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
 
 
 def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
-    """Errors, orders, fronts and advice from the runs of a study."""
+    """Compute errors, orders, Pareto fronts and advice from the runs of a study."""
     curve = [r for r in runs if r.line]
     ladder = [r for r in runs if not r.line]
     measured = [_measure(study, name, curve, ladder) for name in study.quantities]
@@ -150,7 +151,7 @@ def _measure(
 
 
 def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.ReferenceValue | None:
-    """Given or extrapolated value of a quantity; None if the reference runs failed."""
+    """Return the given or extrapolated value of a quantity; None if the reference runs failed."""
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(quantities.known_value(name, values[name]), 0.0, None, "given")
@@ -175,9 +176,10 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
 def _costs(
     target: float, title: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
-    """Cost of having all of these quantities within the target, and within parts of it.
+    """Return the cost of an error below the target, and below fractions of it, in words.
 
-    A run is as good as the worst of those that follow it in its line: it may be close by chance.
+    The error is the largest one of the given quantities. A run may be close to the reference by
+    chance, so its error is at least that of the runs after it in its line.
     """
     if any(m.reference and m.reference.method == wp.NOT_CONVERGING for m in measured):
         return (

@@ -29,7 +29,7 @@ EXACT = 1e-16
 
 
 def draw(report: Report, folder: Path) -> list[str]:
-    """Draw the first six quantities of each kind; return the names of the files."""
+    """Draw the first `MOST_PANELS` quantities of each kind; return the names of the files."""
     compared = [m for m in report.quantities if m.compared][:MOST_PANELS]
     columns = 2 if len(compared) in (1, 2, 4) else 3
     names = []
@@ -45,7 +45,7 @@ def draw(report: Report, folder: Path) -> list[str]:
 
 
 def varying_lines(report: Report) -> dict[str, list[int]]:
-    """Lines that vary a number other than the mesh, with the indices of their runs."""
+    """Lines that vary a number other than the mesh size, with the indices of their runs."""
     runs, lines = report.runs, dict.fromkeys(r.line for r in report.runs)
     by_line = {name: [i for i, r in enumerate(runs) if r.line == name] for name in lines}
     return {
@@ -99,7 +99,7 @@ def _against_time(report: Report, axes: Axes, m: Measured) -> None:
 def _line(
     axes: Axes, report: Report, m: Measured, error: list[float | None], name: str, k: int
 ) -> None:
-    """Draw the k-th line with labels; failed runs are crosses at the top, orders at the bottom."""
+    """Draw the k-th line with labels, failed runs as crosses at the top, orders at the bottom."""
     words = name.replace("_", " ")
     indices = [i for i, r in enumerate(report.runs) if r.line == name]
     known_points = {}
@@ -128,7 +128,7 @@ def _line(
 
 
 def _limits(axes: Axes, report: Report, error: list[float | None]) -> None:
-    """Show at least a decade of error, with room for labels, crosses and orders."""
+    """Set limits of at least a decade of error, with room for labels, crosses and orders."""
     known = [report.target, *(e for e in error if e is not None)]
     low, high = min(known), max(*known, 10 * min(known))
     room = (high / low) ** 0.12

@@ -40,7 +40,7 @@ class StudyRun:
 
     @property
     def highest_order(self) -> float:
-        """Highest order that errors can have in the key; in mesh size twice the elements'."""
+        """Highest order of the errors in the key; for mesh size, twice that of the elements."""
         of_mesh = self.key == "mesh.size"
         return 2.0 * self.result.planned.case.mesh.order if of_mesh else HIGHEST_ORDER
 
@@ -56,9 +56,9 @@ class Measured:
     """One quantity over the runs of all lines.
 
     Attributes:
-        compared: True if it has an error; otherwise only values are shown.
-        points: One for each run.
-        exponents: The p of error ~ key^p along each line.
+        compared: True if it is compared with a reference; otherwise only values are shown.
+        points: Value and error in each run.
+        exponents: The exponent p of error ~ key^p along each line.
         front: Pareto front of time and error: indices of points, fastest first.
     """
 
@@ -72,7 +72,7 @@ class Measured:
 
     @property
     def uncertainty(self) -> float:
-        """Relative uncertainty of the reference; 0 without one that is not 0."""
+        """Relative uncertainty of the reference; 0 without a reference or if its value is 0."""
         known = self.reference is not None and self.reference.value
         return self.reference.uncertainty / abs(known) if self.reference and known else 0.0
 
@@ -87,10 +87,10 @@ class Report:
     """All results of a study.
 
     Attributes:
-        target: Relative error wanted.
+        target: Relative error that is aimed at.
         runs: The runs of all lines.
         ladder: The runs of the reference.
-        advice: Cost of accuracy for each compared quantity, and for all of them as "".
+        advice: Sentence on the cost of accuracy for each compared quantity; the key "" is for all.
     """
 
     target: float
@@ -101,7 +101,7 @@ class Report:
 
     @property
     def covered(self) -> list[bool]:
-        """True for each number with a known error if its true value lies within its ±."""
+        """For each number with a known error: True if the true value lies within its ±."""
         indices = [p.effectivity for m in self.quantities for p in m.points]
         return [index >= 1.0 for index in indices if index is not None]
 
@@ -112,7 +112,11 @@ def shown(value: float | None, q: Quantity) -> str:
 
 
 def exponent_text(report: Report, m: Measured, line: str) -> str:
-    """The exponent of a line, or that it is not one of its elements; empty if it is 0."""
+    """Return the exponent of a line as text.
+
+    The text is empty if the error does not depend on the key, and `NOT_CONVERGING` if the elements
+    cannot have this order.
+    """
     p = m.exponents[line]
     if p is None or abs(p) < FLAT:
         return ""
@@ -122,7 +126,7 @@ def exponent_text(report: Report, m: Measured, line: str) -> str:
 
 
 def describe(reference: ReferenceValue | None, q: Quantity) -> str:
-    """Reference value with its uncertainty and observed order, in words."""
+    """Return the reference value with its uncertainty and observed order, in words."""
     if reference is None:
         return "no reference: its runs failed or lack this number"
     text = f"reference {shown(reference.value, q)}"
@@ -225,7 +229,7 @@ def _run_record(r: StudyRun) -> dict[str, object]:
 
 
 def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, object]:
-    """Row of ``study.csv``: a point of a quantity and its cost, in the unit of the row."""
+    """Return a row of ``study.csv``: a quantity of a run in the unit of the row, and its cost."""
     p, timing = m.points[i], r.result.summary.get("timing", {})
     solver = r.result.summary.get("solver", {})
     counts = {"unknowns": "dofs", "steps": "steps", "newton iterations": "newton_iterations"}

@@ -1,6 +1,6 @@
-"""``mantle sweep``: many cases from one, with one table for all of them.
+"""``mantle sweep``: many cases that differ in some keys, with one table of their results.
 
-Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and beside it::
+The folder is that of a batch (`app/campaigns/batch.py`) with these files in addition::
 
     folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
     folder/sweep.json    the same with overrides, folders and messages
@@ -59,11 +59,12 @@ class SweepRecord(TypedDict):
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """Run the cases of a sweep that are not done yet, and write their table.
 
-    ``--set`` options hold for every case; keys that vary are refused.
+    Options ``--set`` apply to all cases; an option with a key that varies is refused.
 
     Raises:
-        InputError: Every error of the file and its cases, before anything runs.
-        MantleError: Some cases failed; with the gravest exit code. The others are done.
+        InputError: The file or its cases have errors (all are in one message, before anything
+            runs).
+        MantleError: Some cases failed; the error has the gravest exit code. The others are done.
         StoppedError: Interrupted; the same command continues.
     """
     sweep, planned = sweep_file.read(path, overrides)

@@ -50,8 +50,8 @@ class SobolIndices(TypedDict):
     """Sobol' indices of an input, each with the ends of its 95 % confidence interval [-].
 
     Attributes:
-        first: First-order index: the share of the variance that the input causes alone.
-        total: Total index: this share with the interactions with other inputs.
+        first: First-order index: fraction of the variance that the input causes alone.
+        total: Total index: this fraction plus that of interactions with other inputs.
     """
 
     first: list[float]
@@ -77,7 +77,7 @@ class PartSpread(TypedDict):
 def of_parts(
     rows: Sequence[SweepRow], parts: Mapping[str, UncertainInputs]
 ) -> dict[str, PartSpread]:
-    """Spread of each number over the converged samples of each part of a sweep.
+    """Return the spread of each number over the converged samples of each part of a sweep.
 
     Args:
         rows: Rows of ``sweep.json``.
@@ -108,7 +108,12 @@ def of_parts(
 
 
 def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]) -> NumberSpread:
-    """Spread of one number, from its value and its inputs by key in each sample."""
+    """Return the spread of a number.
+
+    Args:
+        numbers: Its value in each sample.
+        inputs: Values of each input in the samples, by key.
+    """
     low, high = np.percentile(numbers, (5, 95))
     correlations = {key: correlation(numbers, values) for key, values in inputs.items()}
     return {
@@ -122,7 +127,10 @@ def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]) 
 
 
 def _base_samples(rows: Sequence[SweepRow], samples: UncertainInputs) -> list[Sequence[SweepRow]]:
-    """Rows of a part for Sobol' indices by base sample: A, B, and A with each input of B."""
+    """Return the rows of each base sample for Sobol' indices.
+
+    They are two samples A and B, and for each input the sample A with this input of B.
+    """
     width = len(samples.inputs) + 2
     return [rows[start : start + width] for start in range(0, len(rows) - width + 1, width)]
 
@@ -130,7 +138,7 @@ def _base_samples(rows: Sequence[SweepRow], samples: UncertainInputs) -> list[Se
 def _converged_base_samples(
     rows: Sequence[SweepRow], samples: UncertainInputs
 ) -> list[Sequence[SweepRow]]:
-    """Base samples whose runs all converged: the first ones, a power of two of them."""
+    """Return the first base samples whose runs all converged; their number is a power of two."""
     converged = [
         run for run in _base_samples(rows, samples) if not any(row["exit_code"] for row in run)
     ]
@@ -140,9 +148,9 @@ def _converged_base_samples(
 def sobol_indices(
     base_samples: Sequence[Sequence[SweepRow]], inputs: Sequence[str]
 ) -> dict[str, dict[str, SobolIndices]]:
-    """Sobol' indices by number and input, of base samples (a power of two) by scipy.
+    """Return Sobol' indices by number and input, computed by scipy.
 
-    Numbers that vary by no more than rounding are left out.
+    The number of base samples is a power of two. Numbers that vary by rounding only are left out.
     """
     from scipy.stats import sobol_indices as indices_of
 
@@ -175,10 +183,11 @@ def _with_interval(values: Floats, spread: Any, k: int) -> list[float]:
 def partial_correlations(
     numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]
 ) -> dict[str, float]:
-    """Partial rank correlation of a number with each ordered input: without the others' effect.
+    """Return the partial rank correlation of a number with each ordered input.
 
-    From the inverse P of the matrix of rank correlations: -P_iy / sqrt(P_ii P_yy). Empty for a
-    single input, for inputs that follow from others, and for too few samples.
+    It excludes the effect of the other inputs. With the inverse P of the matrix of rank
+    correlations it is -P_iy / sqrt(P_ii P_yy) for input i and number y. Empty for a single input,
+    for inputs that determine each other, and for too few samples.
     """
     from scipy.stats import rankdata
 
@@ -198,7 +207,7 @@ def partial_correlations(
 
 
 def _value(value: object) -> float:
-    """Number of a value with or without a unit."""
+    """Return the number in a text such as ``4.0 mm`` or ``0.3``."""
     match = NUMBER.fullmatch(str(value))
     assert match is not None
     return float(match[1])
@@ -211,10 +220,11 @@ def _ordered(values: Sequence[object]) -> bool:
 
 
 def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | None:
-    """Spearman's rank correlation; None where one of them does not vary.
+    """Return the rank correlation of numbers with an input; None if one of both does not vary.
 
-    Inputs other than numbers of one unit have no order: Kelley's epsilon of the ranks, the root
-    of the part of their variance that the inputs explain beyond chance.
+    It is Spearman's correlation if the inputs are numbers of one unit. Other inputs have no order.
+    They have Kelley's epsilon of the ranks: the square root of the fraction of the variance of the
+    ranks that the inputs explain beyond chance.
     """
     from scipy.stats import rankdata, spearmanr  # half a second, which only samples need
 
@@ -233,9 +243,9 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
 
 
 def rows(part_spread: PartSpread) -> list[list[str]]:
-    """Rows of `HEAD` for a part, the most uncertain number first.
+    """Return the rows of a part below `HEAD`, the most uncertain number first.
 
-    Numbers that vary by no more than rounding are left out.
+    Numbers that vary by rounding only are left out.
     """
     spread = {n: s for n, s in part_spread["numbers"].items() if s["deviation"] > ROUNDING_RANGE}
     order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
@@ -267,7 +277,7 @@ HEAD = (
 
 
 def index_rows(part_spread: PartSpread) -> list[list[str]]:
-    """Rows of `INDEX_HEAD` for a part: the inputs of a number by total index."""
+    """Return the rows of a part below `INDEX_HEAD`; the largest total index is first."""
     table_rows = []
     for name, by_input in part_spread.get("indices", {}).items():
         short = short_keys(list(by_input))
@@ -289,7 +299,7 @@ INDEX_HEAD = (
 
 
 def table(spreads: Mapping[str, PartSpread]) -> str:
-    """Tables of all parts."""
+    """Format the tables of all parts."""
     tables = []
     for part, part_spread in spreads.items():
         words = f"{part or 'samples'}: {part_spread['samples']} samples"

@@ -1,7 +1,8 @@
 """A case in one picture: bodies, contact, supports and loads, from the front and from the side.
 
-Each view has the outside in pale colours and a section in full ones. Loads are arrows with a dot
-where they attack: those that point away from the middle of the model begin there, others end.
+Each view shows the outside in pale colours and a section in full colours. A load is an arrow with a
+dot at its point of application. The arrow begins at the dot if it points away from the middle of
+the model; otherwise it ends there.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class View:
         style: str = "-",
         alpha: float = 1.0,
     ) -> Floats:
-        """Draw the section of triangles (n, 3, 3); return the middles of its lines (k, 2)."""
+        """Draw the section of triangles (n, 3, 3) [mm]; return the middles of its lines (k, 2)."""
         flat = sections.section_lines(x, self.toward, self.at)[..., [self.across, 2]]
         lines = LineCollection(
             list(flat), colors=colour, lw=width, ls=style, alpha=alpha, label=label
@@ -168,7 +169,15 @@ def _region_labels(data: MeshData) -> list[str]:
 
 
 def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:
-    """Draw the outside, of which facets and their cells are given, and the section."""
+    """Draw the outside and the section.
+
+    Args:
+        view: The view.
+        data: The mesh.
+        name: Side from which the view looks, as in `sections.VIEWS`.
+        facets: Nodes of the facets of the outside (n, k).
+        cells: Cells of these facets (n,).
+    """
     colours = sections.colours_of(data.regions)
     for region, colour in colours.items():
         view.ax.plot([], [], color=colour, lw=7.0, label=region.replace("_", " "))
@@ -224,12 +233,12 @@ def _continued(view: View, level: float | None) -> None:
 
 
 def _boundary(data: MeshData, name: str) -> Floats:
-    """Triangles of a boundary (n, 3, 3)."""
+    """Triangles of a boundary (n, 3, 3) [mm]."""
     return data.points[boundary_facets(data, name)[:, :3]]
 
 
 def _forces(case: Case, data: MeshData) -> Iterator[Force]:
-    """Loads at full amplitude."""
+    """Return the loads at full amplitude, each with its text, places and forces."""
     for name, load in case.loads.items():
         x = _boundary(data, next(iter(load.boundaries), ""))
         area, places = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, x.mean(axis=1)
@@ -254,7 +263,7 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
 
 
 def _arrows(view: View, forces: Sequence[Force]) -> None:
-    """Draw loads as arrows; a pressure has the arrows of some facets."""
+    """Draw loads as arrows; a pressure is drawn by arrows at some of its facets."""
     flat, largest = [view.across, 2], max((np.abs(f[2]).max() for f in forces), default=0.0)
     for text, places, force_vectors in forces:
         across = places[:, view.across]
@@ -310,7 +319,7 @@ def _labels(view: View) -> None:
 
 
 def _wrapped(label: str) -> str:
-    """Break the lines of a label."""
+    """Break the long lines of a label."""
     return "\n".join(part for line in label.split("\n") for part in textwrap.wrap(line, LETTER_ROW))
 
 

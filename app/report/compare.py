@@ -1,4 +1,4 @@
-"""A page that compares runs: input, numbers with errors, bodies under one camera."""
+"""A page that compares runs: their input, their numbers with errors, and 3D views of all runs."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
 
 
 def _flat(values: Json, path: str = "") -> Iterator[tuple[str, str]]:
-    """Every value of a case by its key, as ``interfaces.stem_cement.clearance``."""
+    """Every value of a case with its full key, such as ``interfaces.stem_cement.clearance``."""
     for key, value in values.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{path}{key}.")

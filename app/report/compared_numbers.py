@@ -1,4 +1,4 @@
-"""The numbers of several runs beside each other: which differ, by how much, and how surely.
+"""Comparison of the numbers of several runs: which differ, by how much, and how surely.
 
 Every number that two runs have in common is compared: of interfaces, regions, the stem, the femur,
 its strains, Gruen zones, temperatures and added sections. Costs and balances of a run are left out.
@@ -26,13 +26,13 @@ class ComparedNumber:
     """A number of several runs.
 
     Attributes:
-        key: Its name, as ``<interface or region>.<key>`` or ``gruen.<zone>.<place>.<key>``.
-        group: What it belongs to, for people: ``stem-cement``, ``Gruen zones``.
-        label: Its name for people.
-        unit: Its unit as printed; empty for a plain number.
-        numbers: Its value in each run; None in a run that does not have it.
-        rounding: Largest difference that is rounding.
-        exact: True if it has no discretization error.
+        key: Full name: ``<interface or region>.<key>`` or ``gruen.<zone>.<place>.<key>``.
+        group: Interface, region or section as printed, such as ``stem-cement``, ``Gruen zones``.
+        label: Name as printed.
+        unit: Unit as printed; empty for a number without unit.
+        numbers: Value in each run, in the printed unit; None in a run without this number.
+        rounding: Largest difference that counts as rounding, in the printed unit.
+        exact: True if the number has no discretization error.
     """
 
     key: str
@@ -50,7 +50,7 @@ class ComparedNumber:
 
     @property
     def changes(self) -> list[tuple[int, Number, Number]]:
-        """Each run that has the number beside the first that has it: its place and both numbers."""
+        """Index of each run with the number, its reference (the first such run) and its number."""
         known_numbers = [(k, number) for k, number in enumerate(self.numbers) if number is not None]
         return [(k, known_numbers[0][1], number) for k, number in known_numbers[1:]]
 
@@ -153,7 +153,7 @@ def unshared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[str]:
 
 
 def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
-    """Every number of a run, in the order of the table of quantities, then by Gruen zone."""
+    """All numbers of the runs, in the order of the table of quantities, then by Gruen zone."""
     keys: dict[str, str] = {}
     for case in cases:
         for section, owner, content in quantities.numbers_of(case.summary, parts=True):
@@ -209,7 +209,7 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
 
 
 def _number(values: Json | None, errors: Json | None, key: str, suffix: str = "") -> Number | None:
-    """A number of a mapping with its error from another one; None where it is missing."""
+    """Return the value of a key with its error from another mapping; None if it is missing."""
     value = (values or {}).get(key)
     if not isinstance(value, int | float):
         return None
@@ -217,7 +217,7 @@ def _number(values: Json | None, errors: Json | None, key: str, suffix: str = ""
 
 
 def _scaled(number: Number | None, factor: float) -> Number | None:
-    """A number in another unit."""
+    """Return a number and its error times the factor to another unit."""
     if number is None:
         return None
     return Number(factor * number.value, None if number.error is None else factor * number.error)

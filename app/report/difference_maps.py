@@ -1,8 +1,8 @@
 """Maps of the differences of interfaces between runs, on the surface of the first run.
 
-Meshes and bones may differ. An interface of the first run is laid into the plane (unrolled about
-the stem's axis, or flat). The values of another run are interpolated at the same angle and height,
-or at the same place of the plane. There is no difference where the other run has no interface.
+Meshes and bones may differ. An interface of the first run is drawn in the plane: unrolled about the
+stem's axis, or as it is if flat. The values of another run are interpolated at the same angle and
+height, or at the same place of the plane. Where the other run has no interface, nothing is drawn.
 """
 
 from __future__ import annotations
@@ -98,9 +98,10 @@ def _picture(
 def _differences(
     first: tuple[Run, Sheet], second: tuple[Run, Sheet], interface: str
 ) -> dict[str, Floats]:
-    """Fields of the second run minus those of the first, at the nodes of the first (n,).
+    """Return the fields of the second run minus those of the first, by quantity.
 
-    They are by quantity, for quantities of both runs, and nan away from the interface.
+    Quantities that only one run has are left out. The values are at the nodes of the first run
+    (n,), in the unit of the field file, and nan outside the interface.
     """
     run, sheet = first
     other_run, other_sheet = second

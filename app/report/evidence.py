@@ -105,7 +105,7 @@ LINKS: Mapping[FactorName, tuple[str, ...]] = {
 
 
 class Check(TypedDict):
-    """Outcome of a problem in ``verify.json`` or ``validate.json``, as far as evidence needs it."""
+    """Outcome of a problem in ``verify.json`` or ``validate.json``: the entries used here."""
 
     name: str
     group: str
@@ -119,7 +119,7 @@ class Check(TypedDict):
 
 @dataclass(frozen=True)
 class Evidence:
-    """Everything that factors are graded by.
+    """The data from which factors are graded.
 
     Attributes:
         case: The case of the run.
@@ -141,7 +141,13 @@ class Evidence:
 
 
 class Finding(NamedTuple):
-    """Grade of a factor by the program, None without evidence; sentences; what is missing."""
+    """Assessment of a factor by the program.
+
+    Attributes:
+        grade: Grade; None without evidence.
+        evidence: Sentences on the evidence.
+        missing: Evidence that is missing for the next grade.
+    """
 
     grade: Grade | None
     evidence: Sequence[str]
@@ -183,7 +189,7 @@ class AssessedFactor:
 
     @property
     def state(self) -> str:
-        """Goal reached, or below it; empty if there is no goal."""
+        """Text on the grade compared with the goal; empty if there is no goal."""
         if self.goal is None:
             return ""
         return "reached" if (self.grade or "") >= self.goal else "below"
@@ -611,7 +617,14 @@ def _inputs(case: Case) -> Iterator[str]:
 
 
 def _comparator(grade: Grade, text: str, missing: str, several: Grade | None = None) -> Grader:
-    """Grader of a factor on samples or conditions, the same for the shipped experiments."""
+    """Return the grader of a factor on samples or conditions of the shipped experiments.
+
+    Args:
+        grade: Grade with an experiment.
+        text: Sentence on the experiments.
+        missing: Evidence that is missing for the next grade.
+        several: Grade with more than one experiment; None if it is the same.
+    """
 
     def graded(basis: Evidence) -> Finding:
         if not basis.validated:

@@ -99,7 +99,7 @@ def _sections(record: FitRecord) -> list[PageSection]:
 
 
 def _influence(record: FitRecord) -> tuple[list[str], list[list[str]]]:
-    """Table of derivatives over the ranges, in units of people or in uncertainties."""
+    """Head and rows: change of each number over the range of each key, in its printed unit."""
     short = short_keys(list(record["keys"]))
     rows = []
     for name, row in record["numbers"].items():
@@ -179,7 +179,7 @@ def _draw(record: FitRecord, path: Path) -> None:
 
 
 def _steps(record: FitRecord) -> list[tuple[int, FitRow]]:
-    """Steps of the search with their number; differences for derivatives are left out."""
+    """Steps of the search with their number; runs for derivatives are left out."""
     return [
         (i, run)
         for i, run in enumerate(record["runs"], start=1)
@@ -213,7 +213,7 @@ def _draw_aim(axes: Axes, record: FitRecord) -> None:
 
 
 def _value(record: FitRecord, run: FitRow, name: str) -> float | None:
-    """Number of a run in its unit for people, or the value of a key; None if the run failed."""
+    """Number of a run in its printed unit, or the value of a key; None if the run failed."""
     if name in record["keys"]:
         share = run["shares"][[*record["keys"]].index(name)]
         return None if run["exit_code"] else _of_share(record, name, share)

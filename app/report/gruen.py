@@ -103,9 +103,9 @@ def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
 
 
 def shielding(case: SweptCase, intact: SweptCase) -> dict[str, dict[str, float]]:
-    """Return the relative change of the energy density against the intact femur.
+    """Return the relative change of the strain energy density against the intact femur.
 
-    By kind of bone and by zone.
+    It is by kind of bone and by zone [-].
     """
     changes: dict[str, dict[str, float]] = {}
     before = zones(intact)
@@ -161,7 +161,7 @@ def shielding_picture(
 
 
 def mantles(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows: thickness and volume of each cement mantle, and the least cortex."""
+    """Return head and rows: thickness and volume of cement mantles, and the thinnest cortex."""
     keys = ("min", "p5", "median", "mean", "p95", "max")
     head = ["geometry", "mesh (mm)", "key (mm)", *(f"{k} (mm)" for k in keys)]
     head += ["made thinner by the canal", "cement (cm³)", "least cortex (mm)"]

@@ -25,7 +25,13 @@ HEAD = ("", "value", "± of the mesh", "5 to 95 % over inputs", "follows most (r
 
 @dataclass(frozen=True)
 class InputSpread:
-    """Samples of a run's case that converged, of those drawn, and their inputs by key."""
+    """Samples of a run's case over uncertain inputs.
+
+    Attributes:
+        samples: The samples that converged.
+        drawn: Number of all samples.
+        inputs: Value of each input in the converged samples, by key.
+    """
 
     samples: Sequence[SweptCase]
     drawn: int
@@ -47,14 +53,14 @@ class InputSpread:
         return spread["p5"], spread["p95"], f"{title(strongest)} ({rank:+.2f})" if is_clear else ""
 
     def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
-        """Cells of a number below `HEAD`."""
+        """Return the cells of a number in a table with the head `HEAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
         low, high, strongest = self.of(name) or (None, None, "-")
         ends = "-" if low is None else f"{low:.{q.digits}f} to {high:.{q.digits}f}"
         return [titled(name), value, error or "-", ends, strongest or "none clearly"]
 
     def sentence(self, run: SweptCase) -> str:
-        """Sentence on the dominant uncertainty of main numbers, mesh or inputs, and its input."""
+        """Compare mesh and inputs as sources of uncertainty of the main numbers, in sentences."""
         ratios, causes = list[float](), Counter[str]()
         for section, owner, _ in numbers_of(run.summary):
             for key, q in TABLE[section].items():
@@ -87,7 +93,8 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
     """Read the samples of a run's case from the folder of a sweep.
 
     Raises:
-        InputError: It is no such sweep, one of another case, or has too few samples.
+        InputError: The folder is not a sweep over uncertain inputs, the sweep is of another case,
+            or it has too few samples.
     """
     sweep, option = read(folder), f"--spread {folder}"
     if len(sweep.uncertainty) != 1:
@@ -108,7 +115,7 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
 def _differences(
     run: object, sample: object, inputs: Iterable[str], path: str = ""
 ) -> Iterator[str]:
-    """Keys in which a sample differs from the run, but for its inputs, with both values."""
+    """Yield the keys other than inputs in which a sample differs from the run, with both values."""
     if isinstance(run, dict) and isinstance(sample, dict):
         for key in (run | sample).keys() - FREE:
             yield from _differences(run.get(key), sample.get(key), inputs, f"{path}.{key}")

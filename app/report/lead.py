@@ -33,7 +33,8 @@ SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter 
 def large_numbers(summary: Summary) -> list[LargeNumber]:
     """Return the most important numbers of ``summary.json``, at most `MOST`.
 
-    The groups contact, stem, heat and cure each give their first number, then their second one.
+    The first numbers of the groups contact, stem, heat and cure are chosen first, then their second
+    numbers, and so on. A case without these groups has the stress of its regions.
     """
     groups = [
         list(_contacts(summary)),
@@ -98,7 +99,7 @@ def _with_unit(section: str, key: str, numbers: Numbers) -> str:
 
 
 def _contacts(summary: Summary) -> Iterator[LargeNumber]:
-    """Slip and opening of the interfaces, and what other packages lead with."""
+    """Slip and opening of the interfaces, and the main numbers of added sections."""
     for name, q in summary["interfaces"].items():
         yield from _captioned(name.replace("_", " "), q)
         if "slip_p99" not in q:
@@ -224,7 +225,10 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber
 def ranges(
     cases: Sequence[SweptCase], names: Sequence[str]
 ) -> Iterator[tuple[str, list[tuple[float, SweptCase]]]]:
-    """Slip, gap and temperature that vary: name, the least and its case, the most and its case."""
+    """Yield each slip, gap and temperature that varies, with its least and largest value.
+
+    Each value comes with its case, in the printed unit.
+    """
     for name in names:
         values = [(n.value, k) for k, c in enumerate(cases) if (n := c.number(name))]
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):

@@ -33,7 +33,7 @@ SPELLED = {r"\bp(\d\d)\b": r"\1th percentile", r"\bmax\b": "maximum", r"\bmin\b"
 
 
 class Link(NamedTuple):
-    """Text that leads to a page, if there is one."""
+    """Text with the address of a page; plain text if the address is empty."""
 
     text: str
     to: str
@@ -45,10 +45,14 @@ Cell = str | Link | Sequence[str | Link]
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the report: file, title, caption and alternative text.
+    """A figure of the report.
 
-    ``halves`` is true if it may be divided in the middle, one half below the other, on a narrow
-    screen.
+    Attributes:
+        name: Name of its file.
+        title: Title above it.
+        caption: Caption below it.
+        text: Alternative text for readers who cannot see it.
+        halves: True if a narrow screen may show its right half below its left half.
     """
 
     name: str

@@ -27,7 +27,7 @@ GAPS = "Curves have gaps where the path is outside."
 
 
 def of_run(case: SweptCase) -> list[Block]:
-    """Draw the paths of a run: a panel for each field, a curve for each of some steps."""
+    """Draw the paths of a run: a panel for each field, a curve for each drawn step (`_steps`)."""
     blocks: list[Block] = []
     for name, table in case.paths.items():
         drawn = [drawing(panel) for panel in panels(table, stages_of(case))]
@@ -41,7 +41,7 @@ def stages_of(case: SweptCase) -> list[str]:
 
 
 def has_gaps(table: PathTable) -> bool:
-    """Return True if a point of a path is outside."""
+    """Return True if a point of a path is outside all bodies."""
     return bool((table[REGION] == "").any())
 
 
@@ -107,7 +107,11 @@ def _definition(case: SweptCase, path: str) -> Mapping[str, object]:
 
 
 def _steps(table: PathTable, stages: Sequence[str]) -> dict[int, str]:
-    """Steps to draw with their names: ends of stages; within one stage with time, some times."""
+    """Steps to draw with their names.
+
+    They are the last steps of the stages. A run of a single stage with time has some steps at equal
+    distances in time.
+    """
     last_of_time = {float(t): int(s) for t, s in zip(table["time [-]"], table["step"], strict=True)}
     ends: dict[int, float] = {}
     for time in last_of_time:
@@ -133,7 +137,7 @@ def _panel(column: str, lines: Sequence[Line], title: str = "") -> Panel:
 
 
 def _shown(column: str) -> tuple[str, str]:
-    """Label and unit on pages of a column of a file."""
+    """Label of a column of a file, and its unit as in the table of fields."""
     name, _, unit = column.removesuffix("]").partition(" [")
     key, _, axis = name.partition(".")
     field = field_of(key)

@@ -1,9 +1,9 @@
-"""Pictures of interfaces: maps in the plane, and the surfaces from three sides without WebGL.
+"""Pictures of interfaces: maps in the plane, and surfaces seen from three sides.
 
-Maps of a stem are unrolled: over the angle about its axis, which is z in both geometries that have
-one, and the height. The angle begins behind (posterior), so that medial and lateral both lie inside
-the picture. End faces, seen edge on, are left out. Other interfaces are drawn if they are flat, in
-their plane.
+The map of an interface around a stem is unrolled about the stem's axis z: abscissa is the angle,
+ordinate the height. The angle begins posteriorly, so that the medial and the lateral side are both
+inside the picture. End faces would be lines in this map and are left out. Other interfaces are
+drawn if they are flat, or if they are part of a sphere such as a cup.
 """
 
 from __future__ import annotations
@@ -75,7 +75,15 @@ LEAST = 1e-3  # of the colours' range, so that rounding has no colour
 
 @dataclass(frozen=True)
 class Sheet:
-    """An interface in the plane."""
+    """An interface in the plane.
+
+    Attributes:
+        corners: Corners of its triangles (m, 3, 2): angle [degrees] and height [mm] if it is
+            unrolled, otherwise coordinates in the plane [mm].
+        nodes: Nodes of the run at these corners (m, 3).
+        round: True if it is unrolled about the stem's axis.
+        cup: True if it is a part of a sphere that is spread out from its pole.
+    """
 
     corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
     nodes: Ints  # the run's, at these corners (m, 3)
@@ -89,7 +97,10 @@ Row = tuple[str, str, Sequence[Floats | None]]
 
 
 def ends(sweep: SweepResults) -> Chosen:
-    """Return the cases with the smallest and largest value of the first number that varies."""
+    """Return the cases with the smallest and largest value of the first number that varies.
+
+    If no number varies, they are the first and the last case with fields.
+    """
     with_fields = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
     first_and_last = [(0.0, c) for c in (*with_fields[:1], *with_fields[1:][-1:])]
     _, shown = next(lead.ranges(with_fields, headlines(with_fields)), ("", first_and_last))
@@ -99,7 +110,7 @@ def ends(sweep: SweepResults) -> Chosen:
 def maps(
     chosen: Chosen, folder: Path, suffixes: Sequence[str] = figures.SUFFIXES
 ) -> tuple[list[Figure], list[str]]:
-    """Draw the maps of cases, a picture for each interface; return why others have none."""
+    """Draw a map of each interface for all cases; return pictures, reasons for missing ones."""
     drawn: list[Figure] = []
     missing: list[str] = []
     opened = []
@@ -180,7 +191,7 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
 
 
 def facets(run: Run, side: Sequence[int], other_side: Sequence[int]) -> Ints:
-    """Triangles of an interface (m, 3), in the cells of one side; curved facets are four each."""
+    """Triangles of an interface (m, 3) with nodes of one side; a curved facet is four triangles."""
     own_faces, other_faces = (
         cells[:, FACES[:, : 3 if cells.shape[1] == 4 else 6]].reshape(4 * len(cells), -1)
         for cells in (cells_of(run, side), cells_of(run, other_side))
@@ -197,8 +208,8 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Angle about the z axis and height of triangles that surround it.
 
     Returns:
-        Corners (k, 3, 2) [degrees, mm] of unbroken triangles, those across the seam on both sides
-        of it; and their nodes (k, 3). End faces are left out.
+        Corners (k, 3, 2) [degrees, mm] and nodes (k, 3). A triangle across the seam of the map
+        is there twice, once at each end of the map. End faces are left out.
     """
     x = points[triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -219,10 +230,10 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 def sheet(
     run: Run, around_z: bool, sides: Sides, regions: Sequence[str], name: str = ""
 ) -> Sheet | None:
-    """Return an interface of a run in the plane; None if it surrounds no stem and is no plane.
+    """Return an interface of a run in the plane.
 
-    If the sides are meshed separately, the side with the contact points is taken. It may also be a
-    part of a sphere.
+    None if it neither surrounds a stem nor is flat nor part of a sphere. If the sides are meshed
+    separately, the side with the contact points is drawn.
     """
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
     triangles = facets(run, second, first)
@@ -248,9 +259,10 @@ def sheet(
 
 
 def spread(x: Floats) -> Floats | None:
-    """Corners (m, 3, 3) [mm] of a cup in the plane (m, 3, 2) [mm]; None if it is no sphere.
+    """Spread the triangles of a cup (m, 3, 3) [mm] into the plane (m, 3, 2) [mm].
 
-    Its pole is in the middle, distances from there are arcs.
+    The pole is in the middle, and distances from it are arc lengths. None if the triangles are not
+    on a sphere.
     """
     flat = x.reshape(-1, 3)
     linear = np.column_stack([2 * flat, np.ones(len(flat))])
@@ -274,10 +286,11 @@ def draw(
     rows: Sequence[Row],
     suffixes: Sequence[str] = figures.SUFFIXES,
 ) -> list[str]:
-    """Draw quantities of an interface, one below the other, cases side by side; one case in pairs.
+    """Draw the maps of an interface: a row for each quantity, a column for each case.
 
-    The colours of a row are the same in all cases, so that they can be compared. Returns the labels
-    of the rows drawn; no picture if there is none.
+    A single case has two quantities side by side. A quantity has the same colours in all cases, so
+    that these can be compared. Return the labels of the quantities drawn; without values there is
+    no picture.
     """
     rows = [row for row in rows if any(v is not None for v in row[2])]
     if not rows:
@@ -359,7 +372,7 @@ def _axes(axes: Axes, flat: Sheet) -> None:
 
 
 def _on_sides(run: Run, name: str) -> dict[str, str]:
-    """Colours of the quantities of an interface; micromotion in place of slip for a press fit."""
+    """Return the colours of the quantities drawn; a press fit has micromotion instead of slip."""
     if f"{name}_micromotion" not in run.point_fields:
         return ON_SIDES
     return {"micromotion" if key == "slip" else key: colours for key, colours in ON_SIDES.items()}

@@ -1,6 +1,6 @@
-"""``report.html`` of a run: the main findings first, then all numbers, curves and maps.
+"""``report.html`` of a run: main results first, then all numbers, curves and maps.
 
-Everything is read from the run directory, so that the page can be made again later and elsewhere.
+All content is read from the run directory, so the page can be made again later, on any machine.
 """
 
 from __future__ import annotations
@@ -98,8 +98,9 @@ def after_run(folder: Path, comm: MPI.Comm | None) -> None:
 
     Args:
         folder: The run directory.
-        comm: The ranks of the run. Those on the node of rank 0, which have its files, share the
-            pictures. None after a failure: rank 0 draws alone and little, as others may not come.
+        comm: The ranks of the run. The ranks on the node of rank 0 see its files and share the
+            pictures. None after a failure: other ranks may have ended, so rank 0 draws a few
+            pictures alone.
     """
     if comm is None and rank() != 0:
         return
@@ -127,11 +128,12 @@ def write(
     spread: Path | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
 ) -> list[Path]:
-    """Write the page of a run, or of its variations and over them; collective.
+    """Write the page of a run; of variations, a page each and one over all of them (collective).
 
     Args:
         folder: The run directory.
-        share: Part of the run's time that may be spent; if infinite, pictures become files, too.
+        share: Largest time for the page as a fraction of the run's time. If it is infinite, all
+            pictures are drawn and also written as files.
         spread: Folder of a sweep over uncertain inputs of the run's case.
         comm: The ranks that share the pictures.
 
@@ -154,7 +156,7 @@ def write(
 
 
 def opened(folder: Path) -> SweptCase:
-    """Open a run directory, that of a failed run as well."""
+    """Open a run directory; the run may have failed."""
     return SweptCase(folder.name, folder, CONVERGED)
 
 
@@ -165,7 +167,7 @@ def _run(
     alone: bool = True,
     spread: Path | None = None,
 ) -> list[Path]:
-    """Write the page of a run; of one among many, as its share of time allows."""
+    """Write the page of a run with the pictures that its share of time allows."""
     case = opened(folder)
 
     def time() -> float:
@@ -255,7 +257,7 @@ def _path_files(case: SweptCase) -> list[Path]:
 
 
 def _starts_at_rest(case: SweptCase) -> bool:
-    """Return True if all loads grow from zero: none follows a time course."""
+    """Return True if all loads grow from zero, so that none follows a time course."""
     loads = case.data.get("loads", {}).values()
     return bool(case.data) and not any(load.get("cycle_table") for load in loads)
 
@@ -364,7 +366,7 @@ def _status(summary: Summary) -> list[Block]:
 
 
 def _with_words(text: str, places: Sequence[str]) -> str:
-    """Text with the names of interfaces and regions in words; keys and quoted names stay."""
+    """Write names of interfaces and regions in words; keys and quoted names are unchanged."""
     for place in places:
         text = re.sub(rf"(?<![\w.`']){place}(?!\.?[\w`'])", named(place), text)
     return text
@@ -378,7 +380,7 @@ def _notes(notes: Sequence[str]) -> list[Block]:
 
 
 def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
-    """Return the numbers of the closing table, a column for each interface, region and so on."""
+    """Return a table of numbers for each section, with a column for each body or interface."""
     blocks = _tables(summary, all_parts=False, spread=spread)
     for stage, numbers in summary.get("cycles", {}).items():
         head = ["", "permanent", "inducible"]
@@ -397,7 +399,7 @@ def _numbers(summary: Summary, spread: InputSpread | None) -> list[Block]:
 
 
 def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None) -> list[Block]:
-    """Return tables by section: of all numbers, or of the main ones with their spread."""
+    """Return a table for each section: of all numbers, or of the main numbers with their spread."""
     sections: dict[str, dict[str, Numbers]] = {}
     for section, name, numbers in quantities.numbers_of(summary, parts=all_parts):
         sections.setdefault(section, {})[name] = numbers
@@ -431,7 +433,7 @@ def _label(q: Quantity) -> str:
 
 
 def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the peaks that do not converge, by mesh."""
+    """Return head and rows of maxima that do not converge: their values on meshes of each size."""
     unsettled = summary.get("error", {}).get("unsettled", {})
     peaks = {name: {size: value for size, value in pairs} for name, pairs in unsettled.items()}
     sizes = sorted({size for values in peaks.values() for size in values})

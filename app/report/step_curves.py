@@ -44,7 +44,7 @@ StepRecord = Mapping[str, Floats]
 
 
 def curves_shown() -> dict[str, tuple[str, str]]:
-    """Quantities drawn, in their order: those of interfaces between those of heat and of loads."""
+    """Title and printed unit of the quantities drawn, by key, in the order of the panels."""
     of_interfaces = {
         key: (q.label, q.shown)
         for key, q in TABLE["interfaces"].items()
@@ -61,7 +61,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
         at_rest: True if all loads are zero at time 0. Curves of lengths, angles, forces and
             stresses over the stages then begin at zero there.
 
-    Loads change at no time of a history of heat. Such records are drawn over the stages.
+    The abscissa is time in seconds if each recorded step has a different time, else the stages.
     """
     drawn = curves_shown()
     seconds = step_record.get(SECONDS, np.empty(0))
@@ -97,9 +97,10 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
 
 
 def forces(case: Case, step_record: StepRecord) -> list[Panel]:
-    """Return the panel of the sizes of the forces on a case at the steps; none if they only grow.
+    """Return the panel of the magnitudes of the forces at the steps.
 
-    Through cycle tables the abscissa is their time in seconds.
+    Nothing if the forces only grow, in a single stage without cycles. In a stage that repeats cycle
+    tables, the abscissa is the time of the cycles in seconds.
     """
     scene = build_scene(case)
     times = step_record.get(TIME, np.empty(0))
@@ -123,7 +124,7 @@ def forces(case: Case, step_record: StepRecord) -> list[Panel]:
 
 
 def tension(summary: Summary) -> list[Panel]:
-    """Return the panel of the volume of cement over levels of tension; none below the first."""
+    """Return the panel of the cement volume above each level of tension; none if it is zero."""
     lines: list[Line] = []
     levels = [float(level) for level in STRESSED]
     keys = [f"volume_over_{level}_MPa" for level in STRESSED]

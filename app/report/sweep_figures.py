@@ -1,4 +1,4 @@
-"""Figures of any sweep: its numbers over each key that varies."""
+"""Figures of a sweep: main numbers over each key that varies."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FEWEST = 6
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
-    """Names of the numbers to show of cases, most important first."""
+    """Full names of the numbers to show, most important first."""
     names: dict[str, None] = {}
     for case in cases:
         for section in quantities.ADDED.values():
@@ -59,7 +59,10 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
 
 
 def title(key: str) -> str:
-    """A swept key in words: ``interfaces.cement_bone.friction_coefficient``."""
+    """Return a key in words: ``friction coefficient, cement-bone``.
+
+    This is the key ``interfaces.cement_bone.friction_coefficient``.
+    """
     plain = re.sub(r"force\[([012])\]$", lambda m: f"force along {'xyz'[int(m[1])]}", key)
     *path, last = plain.replace("_", " ").split(".")
     if not path or path[0] in ("geometry", "stages", "solver", "output"):
@@ -70,7 +73,7 @@ def title(key: str) -> str:
 
 
 def value(level: object) -> str:
-    """A level in words; a section by its kind."""
+    """Return the value of a key as text; a section has its kind."""
     if isinstance(level, dict):
         return str(level.get("kind") or ", ".join(map(str, level.values())))
     return str(level)
@@ -131,7 +134,7 @@ def _link(path: Path, folder: Path) -> str:
 
 
 def cell(case: SweptCase, name: str) -> str:
-    """A number with its error; 0 where it is rounding."""
+    """Return a number of a case with its error as text; 0 if it is rounding."""
     q, n = quantities.get(name), case.number(name)
     if n is None or q is None:
         return "-" if n is None else str(n)
@@ -139,7 +142,7 @@ def cell(case: SweptCase, name: str) -> str:
 
 
 def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Block], list[Path]]:
-    """Draw each headline number over each numeric key that varies; also as files in a folder."""
+    """Draw each main number over each numeric key that varies; write files if a folder is given."""
     converged = [c for c in cases if c.done]
     blocks: list[Block] = []
     files: list[Path] = []
@@ -181,7 +184,7 @@ def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> L
 
 
 def varied(cases: Sequence[SweptCase]) -> list[str]:
-    """Keys whose values differ between the cases of a part; of a single case all its keys."""
+    """Keys whose values differ within a part of a sweep; all changed keys of a single case."""
     keys = dict.fromkeys(key for c in cases for key in c.overrides)
     parts = by_part(cases).values() if len(cases) > 1 else []
     values = {
@@ -196,10 +199,10 @@ def _varies(values: Sequence[float]) -> bool:
 
 
 def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None]]:
-    """Return the printed unit of a key's values, and its number in each case.
+    """Return the printed unit of a key, and its value in this unit for each case.
 
-    A number is None where the value is not numeric. The unit is taken from the file. If the file
-    has several units or none, it is the unit of the schema.
+    A value is None if it is not numeric. The unit is the one written in the sweep. If the sweep has
+    several units or none, it is the unit of the schema.
     """
     if key == ACHIEVED:
         return "mm", [_mantle(c).get("mean") for c in cases]
@@ -227,7 +230,10 @@ def _mantle(case: SweptCase) -> dict[str, float]:
 
 
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
-    """Cases that differ in a numeric key alone, by the words on their common keys."""
+    """Groups of cases that differ in a numeric key alone.
+
+    Each group has a text on the keys that its cases have in common, and its cases by level.
+    """
     groups: dict[str, dict[float, SweptCase]] = {}
     others = set(varied(cases)) - {key}
     if key == ACHIEVED:
@@ -243,9 +249,9 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
 
 
 def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """Rank correlation of each headline number with each key: head and rows.
+    """Return head and rows: rank correlation of each main number with each key.
 
-    Parts with fewer than two varied keys are left out, as a curve shows more.
+    Parts with fewer than two varied keys are left out, because a curve shows more.
     """
     rows: list[tuple[str, list[str]]] = []
     for part, members in by_part([c for c in cases if c.done]).items():

@@ -1,13 +1,13 @@
 r"""Balances of force, moment and energy from separate forms, and of heat.
 
-The heat integrator's sum of a step of length Δt with weights :math:`b_i` is exact for the
-discrete solution, to the solver's tolerance,
+For the discrete solution the following sum of the heat integrator is exact to the tolerance of the
+solver. The steps have lengths Δt, and the stages of a step have weights :math:`b_i`:
 
 .. math:: E(t) - E(0) = \sum_{steps} Δt \sum_i b_i \sum_c Q_c(t_i),
 
-with E the stored heat and :math:`Q_c` the flow into the model by condition c. A second sum takes
-the flows at the ends of the steps by the trapezoidal rule: it does not use the stages, and its
-defect is the error of that rule.
+E is the stored heat and :math:`Q_c` the flow into the model by condition c. A second sum uses the
+trapezoidal rule with the flows at the ends of the steps. It does not use the stages; its defect is
+the error of this rule.
 """
 
 from __future__ import annotations
@@ -40,7 +40,17 @@ Pairs = list[tuple[Floats, Floats]]
 
 @dataclass(frozen=True)
 class _State:
-    """Forces and motions of this rank's nodes in a state."""
+    """Forces and motions of this rank's nodes in a state.
+
+    Attributes:
+        external: Loads, reactions and free strains with their motions.
+        setting: Forces of curing regions with their displacement.
+        energy: Stored energy [N mm].
+        outer: Loads, reactions, forces of springs and between separately meshed bodies
+            (3 nodes,) [N].
+        reaction: Reactions alone (3 nodes,) [N].
+        unbalanced: Residual forces on unknowns and jumps [N].
+    """
 
     external: Pairs  # loads, reactions and free strains with their motions
     setting: Pairs  # forces of curing regions with their displacement
@@ -51,28 +61,28 @@ class _State:
 
 
 class Balance:
-    """Sums of force, moment and energy over the steps, relative to the largest so far.
+    """Balances of force, moment and energy over the steps.
 
-    Defects are relative to a scale. Of forces it is the largest of loads, reactions, and forces of
-    free strains and of contact. Of energy it is the work of all of these, even where each is in
-    balance by itself. Neither scale is below the rounding of the assembled terms: nothing else acts
-    in a body that has moved without strain.
+    Defects are relative to a scale, the largest one so far. The scale of forces is the largest of
+    loads, reactions, and forces of free strains and of contact. The scale of energy is the sum of
+    the absolute work of all of these. Neither scale is below the rounding of the assembled terms,
+    which are the only forces in a body that has moved without strain.
 
-    Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
+    Work is summed by the trapezoidal rule, which is exact for linear bodies. External work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
-    forces. Regions that set or creep have no stored energy: the work of their stress in their
-    strain, also trapezoidal, takes the place of stored energy and of the work of free strain. So it
-    does in all regions where the density of one changes: what is stored changes with stiffness too.
+    forces. Regions that set or creep have no stored energy. For them the work of their stress,
+    also by the trapezoidal rule, replaces stored energy and the work of free strain. If the density
+    of a region changes, this holds for all regions, because stored energy changes with stiffness.
 
     Attributes:
         external_work: Work of loads, supports and free strains so far [N mm].
         setting_work: Work of the stress of regions that set or creep so far [N mm].
-        energy_scale: Largest energy so far, which the defect of energy is compared with [N mm].
-        force_scale: Largest force so far, which the defect of force is compared with [N].
+        energy_scale: Scale of the defect of energy: the largest energy so far [N mm].
+        force_scale: Scale of the defect of force: the largest force so far [N].
         force, moment, energy: Relative defects of the last step [-].
 
     Args:
-        about: Point that moments are taken about (3,) [mm].
+        about: Reference point of moments (3,) [mm].
     """
 
     saved = (
@@ -144,7 +154,7 @@ class Balance:
         self.force = self.moment = self.energy = 0.0
 
     def continue_from(self, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Measure a restored state with updated displacements; collective."""
+        """Evaluate a restored state, whose displacements are updated; collective."""
         self._last_state = self._measure(u, trial)
 
     def _work_of(self, e: Elastic, strain: Expr) -> ufl.Form:
@@ -202,7 +212,7 @@ class Balance:
         return _State(external, set_in, float(energy), outer - springs + passed, reaction, total)
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Add a committed step with updated displacements; collective."""
+        """Add a committed step, whose displacements are updated; collective."""
         previous, current = self._last_state, self._measure(u, trial)
         self._last_state = current
         problem, comm = self._problem, self._problem.comm
@@ -269,15 +279,16 @@ class HeatBalance:
     """Sums of heat over the steps.
 
     Attributes:
-        heat: Largest defect of the integrator's sum after any step, over the heat that had moved.
-        quadrature: Defect of the trapezoidal sum.
-        heats: Heat that came in by each condition so far, by the integrator's sum [N mm].
+        heat: Largest defect of the integrator's sum after any step, relative to the heat that had
+            moved [-].
+        quadrature: Defect of the trapezoidal sum, relative to the same heat [-].
+        heats: Heat that has entered by each condition so far, by the integrator's sum [N mm].
 
     Args:
         stored: Heat stored at the start [N mm].
-        flows: Flow into the model by each condition at the start [N mm/s]. Empty if unknown: it is
-            infinite where initial temperatures differ from prescribed ones. The first step is then
-            summed with the flows at its end.
+        flows: Flow into the model by each condition at the start [N mm/s]. Empty if it is unknown,
+            because it is infinite where initial and prescribed temperatures differ. The first step
+            is then summed with the flows at its end.
     """
 
     saved = (
@@ -299,12 +310,12 @@ class HeatBalance:
 
         Args:
             step: Length of the step [s].
-            heats: Heat that came in by each condition, as the integrator sums its stages [N mm].
+            heats: Heat that entered by each condition, summed over the stages of the step [N mm].
             end: Flows at the end [N mm/s].
-            stored: Heat stored then [N mm].
+            stored: Heat stored at the end [N mm].
             moved: Heat that moved within the model in the step [N mm], the scale of the balances
                 (`ThermalRecord.moved_heat`).
-            least: Heat moved so far below which only rounding would be compared [N mm].
+            least: Heat below which the balance would only compare rounding errors [N mm].
         """
         for name, heat in heats.items():
             self.heats[name] = self.heats.get(name, 0.0) + heat
@@ -320,7 +331,7 @@ class HeatBalance:
             self.quadrature = abs(self.end_sum - gained) / scale
 
     def steady(self, flows: Flows, stored: float, rounding: float) -> None:
-        """Add a steady state, where inflow equals outflow and storage does not count.
+        """Add a steady state: the sum of all flows is compared with zero, without storage.
 
         Args:
             flows: Flows into the model, by condition [N mm/s].

@@ -1,6 +1,6 @@
-"""Log of a run: lines of steps, the closing tables, the verdicts and the main results.
+"""Log of a run: lines of steps, closing tables, verdicts and main results.
 
-Messages go through `logging`, on rank 0 alone.
+Messages are written by `logging`, on rank 0 only.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ HEAT |= {"hottest": 10, "balance": 9, "elapsed": 9}
 
 
 def line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
-    """One line of right-aligned texts, one for each column."""
+    """Return a line of right-aligned texts, one for each column with its width."""
     return " ".join(f"{t:>{width}}" for t, width in zip(texts, columns.values(), strict=True))
 
 
 def step_line(
     step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, time_left: float
 ) -> str:
-    """Line of a converged step.
+    """Return the line of a converged step.
 
     Args:
         step: The step.
@@ -56,7 +56,7 @@ def step_line(
 
 
 def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
-    """Line of an accepted heat step; ``wall`` is the time since the run began [s]."""
+    """Return the line of an accepted heat step; ``wall`` is the time since the run began [s]."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
     o = accepted.outcome
     times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
@@ -65,7 +65,7 @@ def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: floa
 
 
 def report(summary: Summary, table: bool = True) -> None:
-    """Log the end of a run: its tables if wanted, its verdicts, and its main results last."""
+    """Log the end of a run: its tables with ``table``, its verdicts, and last its main results."""
     if table:
         log.info("%s", "\n".join(lines(summary)))
     # Notes are logged before the run begins.
@@ -84,7 +84,7 @@ def report(summary: Summary, table: bool = True) -> None:
 
 
 def headline(summary: Summary) -> Iterator[str]:
-    """Main results: motion of interfaces and stem, tension in the cement, temperature of bone."""
+    """Yield the main results: motions, tension in the cement, temperature of bone."""
     rows: dict[str, dict[str, Numbers]] = {}
     for section, name, numbers in numbers_of(summary):
         rows.setdefault(section, {})[name] = numbers
@@ -118,7 +118,7 @@ def headline(summary: Summary) -> Iterator[str]:
 
 
 def _with_unit(section: str, key: str, numbers: Numbers) -> str:
-    """Number with its error and unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
+    """Format a number with error and unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
     q = TABLE[section][key]
     return q.with_unit(numbers, q.shown)
 
@@ -180,7 +180,7 @@ SENTENCES = {
 
 
 def lines(summary: Summary) -> Iterator[str]:
-    """Lines of the closing tables: interfaces, regions, bonds, temperatures, dead bone, cure."""
+    """Yield the closing tables: interfaces, regions, bonds, temperatures, dead bone, cure."""
     texts = [*_tables(summary)]
     yield from texts
     if any(STAR in text for text in texts):
@@ -210,17 +210,17 @@ def _tables(summary: Summary) -> Iterator[str]:
 
 
 def keys(section: str) -> list[str]:
-    """Quantities in the table of a section, in its order."""
+    """Return the quantities in the table of a section, in its order."""
     return re.findall(r"\w+", " ".join(_columns(section).values()))
 
 
 def _columns(section: str) -> Mapping[str, str]:
-    """Columns of the table of a section; none if it has none."""
+    """Return the columns of the table of a section; empty if it has no table."""
     return ADDED[section].columns if section in ADDED else TABLES.get(section, {})
 
 
 def _table(section: str, rows: Rows) -> list[str]:
-    """A table of a section; quantities added by other packages stand on the right."""
+    """Return the lines of a table; quantities of other packages are its last columns."""
     quantities = TABLE[section]
     columns = dict(_columns(section)) | {q.label: key for key, q in quantities.items() if q.compute}
     templates = list(filter(None, columns.values()))
@@ -236,7 +236,7 @@ def _table(section: str, rows: Rows) -> list[str]:
 
 
 def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
-    """Regions of bone, and volume and depth of their dead parts by criterion [mm3, mm]."""
+    """Return regions of bone, and rows of volume [mm3] and depth [mm] of dead bone by criterion."""
     quantities = TABLE["thermal.regions"]
     bones = [name for name, q in regions.items() if "necrosis_47C_1min_volume" in q]
     columns = [(regions[name], measure) for name in bones for measure in ("volume", "depth")]
@@ -268,7 +268,7 @@ def _sentence(section: str, name: str, numbers: Numbers, text: str = "") -> str:
 
 
 def _filled(template: str, section: str, name: str, numbers: Numbers, **more: str) -> str:
-    """A sentence with the numbers of a section in place of their names."""
+    """Fill in a sentence, in which names of quantities stand for their numbers."""
     scalars = [key for key, q in TABLE[section].items() if not q.vector]
     texts = {key: _with_unit(section, key, numbers) for key in scalars}
     return template.format(name=name, **texts, **more)

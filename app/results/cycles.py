@@ -1,4 +1,4 @@
-"""Loads that come again: what stays when they go, and what comes and goes with them."""
+"""Cyclic loads: permanent motions, inducible motions, and dissipation per cycle."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Cycles:
         self.turns: dict[str, tuple[list[float], list[Turn]]] = {}
 
     def add(self, stage: str, stem: Numbers, interfaces: Mapping[str, Numbers]) -> None:
-        """Keep the numbers where the loads of a stage turn: peaks and valleys in turns."""
+        """Add the numbers at a peak or a valley of the loads of a stage; these alternate."""
         interface_numbers = {
             name: {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
             for name, numbers in interfaces.items()
@@ -54,13 +54,13 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
 
     Args:
-        dissipations: Dissipation at every turn [N mm], peaks and valleys in turns.
-        last_turns: Numbers of the last three.
+        dissipations: Dissipation at every peak and valley, which alternate [N mm].
+        last_turns: Numbers at the last three of them.
 
     Returns:
-        ``permanent``: motions in the last valley, by place and key. ``inducible``: what the load
-        adds from there to the next peak; of interfaces the 99th percentile of the way between
-        both. ``dissipation`` [N mm] of each cycle after the first peak, and its ``trend``.
+        ``permanent``: motions in the last valley, by place and key. ``inducible``: motion from this
+        valley to the next peak; for interfaces, its 99th percentile. ``dissipation`` [N mm] of each
+        cycle after the first peak, and its ``trend``.
     """
     *_, low, high = last_turns if len(dissipations) % 2 else last_turns[:-1]
     permanent: Turn = {}
@@ -86,8 +86,9 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
 def trend(first_dissipation: float, per_cycle: list[float]) -> str:
     """Return the trend of dissipation per cycle: ``vanishes``, ``stays``, ``falls``, ``grows``.
 
-    ``first_dissipation`` is that up to the first peak, ``per_cycle`` that of each cycle after it [N
-    mm].
+    Args:
+        first_dissipation: Dissipation up to the first peak [N mm].
+        per_cycle: Dissipation of each cycle after it [N mm].
     """
     if abs(per_cycle[-1]) <= NOTHING * first_dissipation:
         return "vanishes"
@@ -97,7 +98,7 @@ def trend(first_dissipation: float, per_cycle: list[float]) -> str:
 
 
 def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
-    """Motions of a stage with cycles: name, permanent part and inducible part, as texts."""
+    """Yield the motions of a stage with cycles as texts: name, permanent and inducible part."""
     for place, permanent in numbers.get("permanent", {}).items():
         for key in permanent:
             q = TABLE["stem" if place == "stem" else "interfaces"][key]
@@ -113,7 +114,7 @@ def friction(numbers: StageCycles) -> Iterator[str]:
 
 
 def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:
-    """A line for the log for each stage."""
+    """Yield a line of the log for each stage."""
     for stage, numbers in cycles.items():
         parts = ", ".join(f"{name} {low} / {inducible}" for name, low, inducible in rows(numbers))
         lines = [*friction(numbers)]

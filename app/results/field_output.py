@@ -1,8 +1,8 @@
-"""Fields of a run on one grid, where bodies that can separate have separate nodes.
+"""Fields of a run on one grid, in which bodies that can separate have separate nodes.
 
-A node of the mesh appears once for every body that meets there, so that gaps and temperature jumps
-are visible. Bodies of the mechanics are not those of the heat: a bonded interface may resist heat
-and an open one may conduct; the grid separates both.
+A node of the mesh is in the grid once for every body at this node, so that gaps and temperature
+jumps are visible. Mechanics and heat may have different bodies: a bonded interface may resist heat,
+and an open one may conduct it. The grid separates the bodies of both.
 """
 
 from __future__ import annotations
@@ -36,14 +36,15 @@ from meshes.distribute import TaggedMesh
 
 @dataclass(frozen=True)
 class OutputNodes:
-    """Nodes at which this rank evaluates fields, as one physics sees them.
+    """Nodes at which this rank evaluates the fields of mechanics or of heat.
 
     Attributes:
         body: Body of each node (n,).
-        dof: Its row in the space the nodes were made from, ghosts too (n,).
-        cell: A cell that has it (n,).
-        ends: Vertices of that cell: the node itself, twice, or the ends of its edge (n, 2).
-        parts: Groups of regions. The stress of a node is the mean of the cells of its group.
+        dof: Its dof in the function space of the nodes, on this rank, ghosts included (n,).
+        cell: A cell with this node (n,).
+        ends: Two vertices of this cell (n, 2): the ends of the edge with the node in its middle, or
+            twice the node itself.
+        parts: Groups of regions. The stress at a node is the mean over the cells of its group.
         part: Group of each node (n,).
     """
 
@@ -58,17 +59,17 @@ class OutputNodes:
 def output_nodes(
     tagged: TaggedMesh, groups: Sequence[FieldGroup], cells: Ints, label: Ints
 ) -> tuple[list[OutputNodes], Ints, Ints]:
-    """Nodes of cells of this rank, once for each label of cells that have them.
+    """Return the nodes of cells of this rank, once for each label of their cells.
 
     Args:
         tagged: The mesh.
         groups: Sources of fields; the first one has the finest space.
         cells: Cells of this rank (m,).
-        label: Number of the body, or of the region, of each of them (m,).
+        label: Number of the body or region of each cell (m,).
 
     Returns:
-        * The nodes as each group sees them, with its bodies as groups of regions.
-        * Rows of the nodes of each cell, in the order of the space (m, k).
+        * The nodes for each source of fields, with its bodies as groups of regions.
+        * Numbers of the nodes of each cell, in the order of the function space (m, k).
         * Keys of the nodes, equal on all ranks (n,).
     """
     space = groups[0].space
@@ -119,15 +120,15 @@ class Fields:
         """Begin the file, or continue it after some steps; collective.
 
         Raises:
-            OSError: It cannot be written, or does not have these steps.
+            OSError: The file cannot be written or has too few steps.
         """
         self._file = GridFile(self._comm, self._path, self._grid, steps)
 
     def close(self) -> None:
-        """Write the last step to a separate file, for readers without time; on rank 0.
+        """Write the last step to a separate file, for programs that read no time; on rank 0.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: The file cannot be written.
         """
         write_last_step(self._path, self._path.with_name("final.vtkhdf"))
 
@@ -159,22 +160,23 @@ class HeatFields:
     def values(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
     ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-        """Fields by node, and none by cell; collective."""
+        """Return the fields on nodes; there are none on cells. Collective."""
         return self.at_nodes(nodes, samples, cells), {}
 
     def of_cells(self, cells: int) -> dict[str, Floats]:
-        """No fields by cell."""
+        """Return an empty mapping: heat has no fields on cells."""
         return {}
 
     def at_nodes(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
     ) -> dict[str, Floats]:
-        """Fields by node; collective.
+        """Return the fields on nodes by name; collective.
 
-        Everywhere: temperature and its highest value so far [degC]. In bone: seconds at or above
-        47 degC, CEM43 [min] and Henriques-Moritz. In curing regions: degree of cure. By interface
-        of finite conductance: temperature jump, second side minus first [K], and heat flux from
-        first to second side [W/m2]. Both are zero away from the interface.
+        All regions have the temperature and its highest value so far [degC]. Bone has the time at
+        or above 47 degC [s], CEM43 [min] and the Henriques-Moritz integral [-]. Curing regions have
+        the degree of cure [-]. An interface of finite conductance has the temperature jump, second
+        side minus first [K], and the heat flux from the first to the second side [W/m2]. Both are
+        zero away from the interface.
         """
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
@@ -208,7 +210,7 @@ class HeatFields:
         return fields
 
     def _of_regions(self, nodes: OutputNodes, values: Mapping[str, Floats]) -> Floats:
-        """Values by region and node at the nodes of the grid, zero elsewhere; collective."""
+        """Return nodal values of regions at the nodes of the grid, zero elsewhere; collective."""
         values_of_parts = [np.zeros(len(self._work.x.array)) for _ in nodes.parts]
         for region, of_region in values.items():
             region_nodes = self._record.regions[region].nodes
@@ -222,7 +224,7 @@ class HeatFields:
         return self._values_on_nodes(nodes, values_of_parts, nodes.part)
 
     def _values_on_nodes(self, nodes: OutputNodes, values: Sequence[Floats], which: Ints) -> Floats:
-        """Values at nodes, of the table whose number each has (n,): linear along edges."""
+        """Return values at nodes (n,) from the body ``which`` (n,) of each; linear along edges."""
         table = np.stack(values)
         dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]
         ends = np.take_along_axis(dofs, nodes.ends, axis=1)
@@ -233,7 +235,7 @@ class HeatFields:
 
 
 class MechanicalFields:
-    """Displacement, stress, and contact quantities."""
+    """Fields of mechanics: displacement, stress, and quantities of the interfaces."""
 
     def __init__(
         self,
@@ -254,22 +256,22 @@ class MechanicalFields:
     def values(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
     ) -> tuple[dict[str, Floats], dict[str, Floats]]:
-        """Fields by node and by cell, of one evaluation of the stress; collective."""
+        """Return fields on nodes and on cells, with one evaluation of the stress; collective."""
         nodal, mean = self._stress(nodes, cells)
         return self._point(nodes, samples, nodal), named_stress(mean) | self.of_cells(cells)
 
     def at_nodes(
         self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
     ) -> dict[str, Floats]:
-        """Fields by node; collective."""
+        """Return the fields on nodes by name; collective."""
         return self._point(nodes, samples, self._stress(nodes, cells)[0])
 
     def _point(
         self, nodes: OutputNodes, samples: ContactSamples | None, σ: Floats
     ) -> dict[str, Floats]:
-        """Displacement with prescribed rotations, stress, and fields of the interfaces.
+        """Return displacement with prescribed rotations, stress, and fields of the interfaces.
 
-        Gap, slip, motion [mm], tractions [MPa], status, and what records have on both sides.
+        An interface has gap, slip, motion [mm], tractions [MPa], status, and fields of the records.
         """
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
@@ -308,7 +310,7 @@ class MechanicalFields:
         return point
 
     def of_cells(self, cells: int) -> dict[str, Floats]:
-        """Young's modulus where it varies [MPa], changing density, fields of records (cells,)."""
+        """Return varying Young's moduli [MPa], changing densities, fields of records (cells,)."""
         s, m = self._stresses, self._problem.body_forms
         density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.by_density}
         fields: dict[str, Floats] = {}
@@ -320,10 +322,11 @@ class MechanicalFields:
         return fields
 
     def _stress(self, nodes: OutputNodes, cells: int) -> tuple[Floats, Floats]:
-        """Stress at the nodes (n, 6), and its mean in the cells (cells, 6) [MPa]; collective.
+        """Return stress at the nodes (n, 6) and its mean in the cells (cells, 6) [MPa]; collective.
 
-        At a node it is the mean of the cells of its group there, by volume. Within a cell it is
-        the linear field that fits its stress best. Cells of no group have no mean.
+        The stress at a node is the mean, by volume, over the cells of its group at this node.
+        Within a cell it is the linear field that fits the stress best. Cells outside all groups
+        have no mean.
         """
         dofs, X = self.space.dofmap.list, interpolation_points(self.space)
         nodal, mean = (np.zeros((n, len(COMPONENTS))) for n in (len(nodes.dof), cells))
@@ -362,7 +365,7 @@ def _components(σ: Floats) -> Floats:
 
 
 def named_stress(σ: Floats) -> dict[str, Floats]:
-    """Components of stress (n, 6), von Mises and principal stresses [MPa], by name."""
+    """Return fields of stress (n, 6) by name: tensor, von Mises, principal stresses [MPa]."""
     full = np.empty((len(σ), 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
         full[:, i, j] = full[:, j, i] = σ[:, k]
@@ -382,9 +385,10 @@ def _contact_rows(
     bodies: Bodies,
     nodes: OutputNodes,
 ) -> list[Ints]:
-    """For each interface, the contact points (n, 2) at or around the nodes of the grid.
+    """Return two contact points (n, 2) for each node of the grid, for each interface.
 
-    The point twice at a corner, the ends of an edge of the interface at its middle, -1 elsewhere.
+    A corner of the interface has its point twice, the middle of an edge has the points at the ends
+    of the edge, and other nodes have -1.
     """
     index_map, dofs = space.dofmap.index_map, space.dofmap.list
     ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
@@ -402,7 +406,7 @@ def _contact_rows(
 
 
 def _rows_on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
-    """Pairs of contact points (n, 2), -1 where no triangle of the interface has both."""
+    """Return pairs of contact points (n, 2), with -1 if no triangle of the interface has both."""
     edges = np.sort(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
     pairs = np.sort(rows, axis=1)
     is_on_edge = np.isin(pairs @ [points, 1], edges @ [points, 1]) | (rows[:, 0] == rows[:, 1])
@@ -410,7 +414,7 @@ def _rows_on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
 
 
 def _values_on_rows(rows: Ints, values: Floats) -> Floats:
-    """Values of contact points at the grid's nodes, linear along edges; 0 away from them."""
+    """Return values of contact points at the nodes of the grid, linear along edges, 0 elsewhere."""
     has_point = rows[:, 0] >= 0
     out = np.zeros((len(rows), *values.shape[1:]))
     out[has_point] = values[rows[has_point]].mean(axis=1)
@@ -418,10 +422,10 @@ def _values_on_rows(rows: Ints, values: Floats) -> Floats:
 
 
 def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
-    """Fields of an interface at the grid's nodes: zero away from it, status -1.
+    """Return the fields of an interface at the nodes of the grid; elsewhere 0, and -1 for status.
 
-    They are linear along edges. In the middle of one the status is the more mobile of its ends:
-    open before all, else the higher number.
+    Fields are linear along edges. The status in the middle of an edge is that of the more mobile
+    end: open if one end is open, otherwise the higher number.
     """
     has_point, status = rows[:, 0] >= 0, np.full(len(rows), -1.0)
     ends = s.status[rows[has_point]]

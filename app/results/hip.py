@@ -31,13 +31,14 @@ ENDS = ("tip_displacement", "top_displacement")
 
 
 class StemMotion:
-    """Motion of the implant; nothing without implant or bone; made and called collectively.
+    """Motion of the implant; created and called collectively. Empty without implant or bone.
 
-    ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are parts of a rigid
-    motion. It is the best fit, by area, to the motion of the stem's surface against the nearest
-    surface of bone. Both surfaces are those that face cement, or each other. The neck has no part
-    in them, nor have the rigid motion and the bending of the femur. Retroversion turns the medial
-    side towards posterior, varus tilts the top towards medial; `Case.side` says where medial is.
+    ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are components of a rigid
+    motion. It is fitted, weighted by area, to the motion of the stem's surface relative to the
+    nearest surface of bone. Both are the surfaces that face cement, or each other without cement.
+    So the neck, and the rigid motion and bending of the femur, have no effect. Retroversion rotates
+    the medial side towards posterior, varus tilts the top towards medial. `Case.side` determines
+    the medial direction.
 
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are displacements of the stem's lowest
     and highest nodes. They are in the frame of the model and include the bending of the femur.
@@ -63,7 +64,7 @@ class StemMotion:
             self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
 
     def __call__(self, side: str) -> Numbers:
-        """The numbers, for a hip of this side."""
+        """Return the numbers of a hip of side ``left`` or ``right``."""
         u, comm = nodal_displacements(self._problem), self._problem.comm
         displacements: Numbers = {}
         for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
@@ -89,7 +90,14 @@ class StemMotion:
 
 @dataclass(frozen=True)
 class FacetSurface:
-    """Facets of all ranks: centres (f, 3) [mm], areas (f,), and nodes of this rank's facets."""
+    """Facets of all ranks.
+
+    Attributes:
+        comm: Their ranks.
+        x: Centres (f, 3) [mm].
+        area: Areas (f,) [mm2].
+        nodes: Body and nodes of this rank's facets.
+    """
 
     comm: MPI.Comm
     x: Floats
@@ -97,11 +105,11 @@ class FacetSurface:
     nodes: tuple[Ints, Ints]
 
     def mean_motion(self, u: Floats) -> Floats:
-        """Displacements of the centres (f, 3), from those of `nodal_displacements`; collective."""
+        """Return displacements of the centres (f, 3) [mm] from nodal ones; collective."""
         return np.concatenate(self.comm.allgather(u[self.nodes].mean(axis=1)))
 
     def rotation(self, u: Floats) -> Floats:
-        """Small rotation (3,) that fits displacements of the centres best, by area."""
+        """Fit a small rotation (3,) [rad] to displacements of the centres, weighted by area."""
         ξ = self.x - np.average(self.x, axis=0, weights=self.area)
         second = np.einsum("p,pi,pj->ij", self.area, ξ, ξ)
         inertia = np.trace(second) * np.eye(3) - second
@@ -109,7 +117,7 @@ class FacetSurface:
 
 
 def facet_surface(problem: Problem, f: bodies.FacetCells) -> FacetSurface:
-    """Facets as seen from their cells: few enough for every rank."""
+    """Return facets with their cells, on all ranks."""
     corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     dofs = problem.space.dofmap.list[f.cells][:, :4]
@@ -143,7 +151,7 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
 
 
 def nodal_displacements(problem: Problem) -> Floats:
-    """Of all bodies at all nodes of this rank (bodies, n, 3) [mm]."""
+    """Return displacements of all bodies at all nodes of this rank (bodies, n, 3) [mm]."""
     return np.stack([f.x.array.reshape(-1, 3) for f in problem.displacements()])
 
 
@@ -154,11 +162,12 @@ GAUGE = 5.0
 
 
 def of_femur(problem: Problem, case: Case) -> Numbers:
-    """Motion of a femur's head, and strain of its cortex along z; nothing of others; collective.
+    """Return the motion of a femur's head and the axial strain of its cortex; collective.
 
     ``head_displacement`` (3,) [mm] is the mean over the head, or over the end of the neck.
-    ``strain_lateral_10`` and others [-] are on the outside of the bone, at the levels of `GAUGES`
-    where there is bone: linear fits to the strain nearby.
+    ``strain_lateral_10`` and others [-] are strains on the outer surface of the bone at the levels
+    of `GAUGES`, by linear fits to the strain nearby. Levels without bone have no number. The result
+    is empty for other bodies than femora.
     """
     geometry = case.geometry
     elastic = {e.region for e in problem.scene.elastic}
@@ -186,12 +195,12 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
 
 
 def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
-    """Strain along z at the centres of facets, in their cells of bone (f,)."""
+    """Return the strain along z at the centres of facets, in their cells of bone (f,) [-]."""
     mesh, space = problem.tagged.mesh, problem.space
     centres = np.vstack([np.zeros(3), np.eye(3)])[bodies.FACET_NODES[:, :3]].mean(axis=1)
 
     def slopes(shape_functions: Floats, values: Floats) -> Floats:
-        """Derivatives (f, 3, 3) of values at nodes (f, n, 3) in the reference cell."""
+        """Return derivatives (f, 3, 3) in the reference cell of nodal values (f, n, 3)."""
         return np.einsum("jfn,fni->fij", shape_functions[1:, f.local], values)
 
     u = nodal_displacements(problem)[problem.bodies.of_region["cortical_bone"]]
@@ -209,10 +218,10 @@ def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
 
 
 def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
-    """Force with which a collar is pressed onto the bone along the stem; nothing without one.
+    """Return the force along the stem between collar and bone; empty without a collar.
 
-    ``collar_force`` [N]; ``collar_share`` [-] is its part of the force along the stem that collar
-    and flanks carry together.
+    ``collar_force`` is this force [N]. ``collar_share`` is its fraction of the force that collar
+    and flanks carry together [-].
     """
     geometry = case.geometry
     if ON_CUT not in interfaces or not is_hip(geometry):
@@ -235,12 +244,12 @@ LEAST = 0.01
 def by_zone(
     problem: Problem, stresses: Stresses, samples: ContactSamples | None, zones: Zones
 ) -> dict[str, Zone]:
-    """Numbers by zone; collective.
+    """Return the numbers of each zone; collective.
 
     Returns:
-        For each: ``strain_energy_density`` [MPa], the mean over the ``volume`` [mm3] of the zone's
-        bone that the operation leaves, and ``interfaces``: numbers of the interfaces within it.
-        Parts that a zone lacks have no entry.
+        For each zone: ``volume`` [mm3] of the bone that the operation leaves,
+        ``strain_energy_density`` [MPa], its mean over this volume, and ``interfaces``, the numbers
+        of interfaces within the zone. Bones and interfaces outside a zone have no entry.
     """
     # A rigid region has no strain energy; that of a path-dependent region is not known.
     elastic = {e.region for e in problem.scene.elastic} - problem.body_forms.path_dependent_regions
@@ -272,9 +281,10 @@ def by_zone(
 def zone_integrals(
     problem: Problem, stresses: Stresses, region: str, zones: Zones, *densities: Floats | float
 ) -> Floats:
-    """Integrals of densities (cells, points) over the zones in a region, zone 0 outside of all.
+    """Return the integrals of densities (cells, points) over the zones of a region.
 
-    By the points at which its stress is known: cells may span several zones.
+    The first one is outside all zones. The integrals use the points at which stress is known,
+    because a cell may be in several zones.
     """
     x, volume = stresses.places(region)
     zone = zones.at(x) * zones.is_left(x)[:, None]
@@ -285,7 +295,7 @@ def zone_integrals(
 
 
 def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, float]:
-    """Motion and tractions of the marked points of an interface; means by area."""
+    """Return motion and tractions of the points ``mask`` of an interface; means are by area."""
     weight, tractions = s.weight[mask], s.tractions[i]
     result: dict[str, float] = {}
     names = ["gap", "slip", "motion", "pressure", "shear"]

@@ -1,16 +1,16 @@
 """Published numbers of interfaces.
 
-All functions are collective and return the same plain values on every rank. Maxima, percentiles,
-means, areas and fractions of a hip leave out rim and tip, which have separate numbers. Sums are of
-the whole. Percentiles are weighted by area; maxima are reported beside them because peaks at
-edges grow with refinement.
+All functions are collective and return the same values on every rank. Maxima, percentiles, means,
+areas and fractions of a hip exclude rim and tip, which have separate numbers. Sums include them.
+Percentiles are weighted by area. They are reported in addition to maxima, because maxima at edges
+grow with refinement.
 
-Maxima and percentiles of tractions are of point values, recovered from forces over areas
-(`surface_parts`); means are those of the forces.
+Maxima and percentiles of tractions are those of point values, which are recovered from forces per
+area (`surface_parts`). Means are those of the forces.
 
-The law holds at the points, along the normals of the surface there. Between them the
-surfaces move apart by the displacements of both bodies, along the normals of the facets themselves:
-bodies may overlap there.
+The contact law holds at the contact points, along the normals of the surface. Between the points
+the gap follows from the displacements of both bodies, along the normals of the facets. There the
+bodies may overlap.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ DECIDED = 0.2
 
 
 def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
-    """Normal force per area (n,) [MPa], from those of the faces of each point (n, 3).
+    """Return the normal force per area of points (n,) [MPa] from that of their faces (n, 3).
 
-    Negative is tension, possible for laws that cannot open.
+    Negative values are tension, which laws without opening can carry.
     """
     size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
     return np.where(pressures.sum(axis=1) < 0, -size, size)
@@ -69,28 +69,29 @@ class TractionSize(NamedTuple):
 
 
 class ContactSamples:
-    """Corners of interfaces of all ranks, in canonical order, on every rank.
+    """Corners of the interfaces of all ranks, in an order independent of ranks, on every rank.
 
-    One row per point for vectors, one per point and face for what belongs to a face.
+    n is the number of corners, called points below. Quantities of faces are (n, 3), one for each
+    face of a point; vectors are (n, 3), too.
 
     Attributes:
         interface: Interface of each point (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
-        penetration: Overlap of the faces of contact points, by mean jumps where interfaces meet
-            (p, 3) [mm].
+        penetration: Overlap of the faces of contact points (p, 3) [mm]; by mean jumps where
+            interfaces meet.
         of_points: Interface of each contact point (p,).
-        gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
+        gap: Opening of each face (n, 3) [mm]; 0 for faces that a point does not have.
         opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
+        slip: Irreversible tangential motion; 0 if the point is open (n, 3) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
-        motion: Displacement of the second side as declared against the first (n, 3) [mm].
+        motion: Displacement of the second side relative to the first, as declared (n, 3) [mm].
         micromotion: Motion since the insertion, if there is a press fit (n, 3) [mm].
         pressure: Normal force per area, positive in compression (n,) [MPa].
         shear: Friction per area (n,) [MPa].
         force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
         status: State (n,).
-        dissipation: Dissipated by friction and damage (n,) [N mm].
+        dissipation: Energy dissipated by friction and damage (n,) [N mm].
         smallest_dissipation: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
         stored: Energy stored by layers and cohesion (n,) [N mm].
@@ -101,9 +102,9 @@ class ContactSamples:
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
     Args:
-        since: Jumps of local points at the last valley of the loads (n, 3) [mm]: ``inducible``
-            sizes are those of the way since then.
-        parts: Surface of each interface; by default undivided.
+        since: Jumps of local points at the last valley of the loads (n, 3) [mm]. Sizes with the
+            name ``inducible`` are those of the motion since then.
+        parts: Surface of each interface with its parts; by default undivided.
     """
 
     def __init__(
@@ -117,7 +118,7 @@ class ContactSamples:
             return surface.spread(contact.gather(values))
 
         def total(values: Floats) -> Floats:
-            """Amounts at the corners from amounts at the points, by area."""
+            """Distribute amounts at the contact points to their corners, by area."""
             return whole(values / local.weight) * surface.weight
 
         self.all_corners = surface
@@ -181,7 +182,7 @@ class ContactSamples:
 
     @cached_property
     def tractions(self) -> list[dict[str, TractionSize]]:
-        """Pressure and shear of each interface, by name."""
+        """Return pressure and shear of each interface, by the name of the traction."""
         return [self._tractions(i) for i in range(len(self.contacts))]
 
     def _tractions(self, i: int) -> dict[str, TractionSize]:
@@ -200,7 +201,7 @@ class ContactSamples:
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
-        """Motion, tractions and states of each interface, by its name; collective."""
+        """Return motion, tractions and states of each interface by its name; collective."""
         depths, sizes = overlap(self._contact, self._jump), self.facet_sizes
         return {
             c.name: _numbers(self, i) | ({} if c.between else depths[i] | {"facet_size": sizes[i]})
@@ -209,13 +210,13 @@ class ContactSamples:
 
     @cached_property
     def step_numbers(self) -> dict[str, Numbers]:
-        """Numbers computed at every step, the columns of history.csv among them."""
+        """Return the numbers of every step, which include the columns of history.csv."""
         selected = {key for key, q in TABLE["interfaces"].items() if q.step_record} | OF_CYCLES
         return {c.name: _numbers(self, i, selected) for i, c in enumerate(self.contacts)}
 
 
 def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Numbers:
-    """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
+    """Return all numbers of an interface and its parts, or the selected ones of its main part."""
     mask, surface = s.interface == i, s.surfaces[i]
     parts = {
         part: _of_part(s, i, surface, part, selected)
@@ -247,7 +248,7 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
 
 
 def _damage(s: ContactSamples, i: int) -> dict[str, float]:
-    """Areas [mm2], mean damage and process zone of a damaged interface; of others none."""
+    """Return areas [mm2], mean damage [-] and process zone [mm] of an interface with damage."""
     contact = s.contacts[i]
     if not {"damage", "spent"} <= contact.law.internal_variables.keys():
         return {}
@@ -272,7 +273,7 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
 def _of_part(
     s: ContactSamples, i: int, surface: Surface, part: str, selected: set[str] | None
 ) -> Numbers:
-    """Sizes of motion and tractions, states, area and force of a part of an interface."""
+    """Return sizes of motion and tractions, states, area and force of a part of an interface."""
     contact = s.contacts[i]
     numbers: Numbers = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
@@ -313,10 +314,15 @@ def _of_part(
 
 
 def failing(surface: Surface, index: Floats, part: str) -> Numbers:
-    """Failure indices at points (n,) or faces (n, 3) on a part of an interface.
+    """Return numbers on the failure index of a part of an interface.
 
-    Largest value, percentile, share of the area beyond 1, and load factor. The load factor is the
+    They are the maximum, the percentile, the fraction of the area above 1, and the load factor: the
     multiple of the tractions at which one hundredth of the area fails.
+
+    Args:
+        surface: The interface.
+        index: Failure index at points (n,) or faces (n, 3) [-].
+        part: Name of the part.
     """
     field = surface.field(index, part)
     p99, (largest, place) = field.percentile(), field.maximum()
@@ -336,9 +342,11 @@ LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) 
 
 
 def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
-    """Penetration of each interface on its facets: largest and mean over the area; collective.
+    """Return the penetration of each interface on its facets: maximum and mean; collective.
 
-    Jumps are those of local contact points (n, 3) [mm].
+    Args:
+        contact: The interfaces.
+        jump: Jumps of local contact points (n, 3) [mm].
     """
     motion = _motion(contact, jump)
     surface = contact.points.surface
@@ -360,7 +368,7 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
 def gaps(
     facets: InterfaceFacets, rows: Ints, motion: Floats, clearance: Floats
 ) -> tuple[Floats, Floats]:
-    """Gap along the normals of facets at `LATTICE` (f, q) [mm], and the area of each.
+    """Return the gap along the normals of facets at `LATTICE` (f, q) [mm], and their areas (f,).
 
     Args:
         facets: All facets.

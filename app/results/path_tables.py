@@ -1,9 +1,9 @@
 """Fields along paths: one CSV file for each path, with a row for each point and recorded step.
 
-Rows are written at the steps of the field file, so that curves and fields show the same states. A
-point is evaluated by the shape functions of its cell, from the values at the nodes of that cell
-that the field file has. Stress at a node is the mean of the cells of one region alone, so that it
-jumps where bonded regions meet.
+Rows are written at the steps of the field file, so that curves and fields show the same states. The
+value at a point is interpolated by the shape functions of its cell from the nodal values in the
+field file. Stress at a node is the mean over cells of one region, so that it jumps between bonded
+regions.
 """
 
 from __future__ import annotations
@@ -83,17 +83,17 @@ def path_tables(
     groups: Sequence[FieldGroup],
     data: MeshData | None,
 ) -> PathTables | None:
-    """Return the files of the paths of a case, None without paths; collective.
+    """Return the files of the paths of a case; None without paths; collective.
 
     Args:
         case: The case.
-        scene: Its scene.
-        tagged: Its mesh.
+        scene: The scene of the case.
+        tagged: The mesh of the case.
         groups: Sources of the fields.
-        data: The whole mesh on rank 0, else None.
+        data: The whole mesh on rank 0; None on other ranks.
 
     Raises:
-        InputError: The run does not have a field.
+        InputError: A path names a field that the run does not have.
     """
     if not case.output.paths:
         return None
@@ -109,13 +109,13 @@ def path_tables(
 
 
 class PathTables:
-    """The files of paths; made on all ranks.
+    """The files of paths; created on all ranks.
 
     Attributes:
         rows: Rows of each file as text, by the name of the path; on rank 0.
 
     Raises:
-        InputError: The run does not have a field of cells.
+        InputError: A path names a field on cells that the run does not have.
     """
 
     saved = ("rows",)
@@ -157,7 +157,7 @@ class PathTables:
         self._check_cell_fields()
 
     def _check_cell_fields(self) -> None:
-        """Refuse fields of cells that the run does not have; collective."""
+        """Raise an error for fields on cells that the run does not have; collective."""
         field_names = [name for group in self._groups for name in group.of_cells(self._cells)]
         for name, path in self._paths.items():
             for k, column in enumerate(path.columns):
@@ -210,14 +210,14 @@ class PathTables:
 
 
 def _digits(value: float) -> object:
-    """A number as written; empty if there is none."""
+    """Round a number to the digits of the file; an empty text for nan."""
     return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else ""
 
 
 def _sampled(
     column: PathColumn, local: _Local, point: Mapping[str, Floats], cell: Mapping[str, Floats]
 ) -> Floats:
-    """Values of a column at the points of this rank (n,)."""
+    """Return the values of a column at the points of this rank (n,)."""
     field = column.field
     if field.by_cell:
         return cell[field.file_name][local.cell]

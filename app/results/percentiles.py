@@ -22,7 +22,7 @@ def percentile(values: Floats, weights: Floats) -> float:
 
 
 class SurfaceField:
-    """A field that is linear on each triangle of a surface, of area ``area`` [mm2].
+    """A field that is linear on each triangle of a surface.
 
     Args:
         corners: Values of the field at the corners of triangles (f, 3).

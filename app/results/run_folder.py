@@ -1,7 +1,7 @@
 """The run directory: fields, history, summary, provenance, and the marker of completion.
 
-Every file is written under another name and renamed; a directory without ``DONE`` is not a result.
-Rank 0 writes; an error there is raised on every rank.
+Every file is written under a temporary name and then renamed. Only a directory with the file
+``DONE`` is a result. Rank 0 writes, and its errors are raised on every rank.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ log = logging.getLogger("mantle")
 
 @contextmanager
 def _full_disk(action_text: str) -> Iterator[None]:
-    """Turn a failed write into a stop."""
+    """Turn a failed write into a `StoppedError`."""
     try:
         yield
     except OSError as error:
@@ -58,7 +58,7 @@ def _full_disk(action_text: str) -> Iterator[None]:
 
 
 def _write(comm: MPI.Comm, action: Callable[[], None], action_text: str) -> None:
-    """Write on rank 0; a full disk or a folder without rights stops every rank."""
+    """Write on rank 0; a full disk or a missing permission stops every rank."""
 
     def guarded() -> None:
         with _full_disk(action_text):
@@ -102,12 +102,12 @@ class Provenance(TypedDict):
 
 
 class Writer:
-    """Writes a run directory step by step.
+    """Writer of a run directory, step by step.
 
     Args:
-        groups: Sources of the fields: the mechanics, if there are any, then the heat.
+        groups: Sources of the fields: mechanics and heat, or one of them.
         resolved: The resolved configuration, as YAML.
-        record: Called for the provenance when the run ends.
+        record: Function that returns the provenance when the run ends.
         again: True if the run restarts, so that existing files stay.
         paths: Files of paths, if the case has some.
 
@@ -200,7 +200,7 @@ class Writer:
             _write(self._comm, self.fields.close, "final.vtkhdf")
 
     def add_row(self, row: Mapping[str, float | None]) -> None:
-        """Add a row to history.csv, which is written now and then; collective."""
+        """Add a row to history.csv, which is written at most once in `OFTEN`; collective."""
         new_columns = [name for name in row if name not in self.columns]
         if new_columns:
             self.columns += new_columns
@@ -221,7 +221,7 @@ class Writer:
         _write(self._comm, write, str(path))
 
     def _path_tables(self, often: float = 0.0) -> None:
-        """Write the files of paths, unless they were written shortly before; collective."""
+        """Write the files of paths if the last time was ``often`` or longer ago; collective."""
         rows = self.paths.rows if self.paths else {}
 
         def write() -> None:
@@ -256,9 +256,10 @@ def provenance(
     mesh_hash: str,
     started: datetime,
 ) -> Provenance:
-    """Provenance of a result.
+    """Return the provenance of a result.
 
-    Digests are by name, of the case, then of the files that it builds upon, as they were read.
+    The first entry of ``digests`` is that of the case. Those of the files that it builds upon
+    follow. Files have the digests with which they were read.
     """
     (case, digest), *other_digests = digests.items()
     return {

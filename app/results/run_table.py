@@ -1,4 +1,4 @@
-"""Table of many runs: of the variations of a case, or of a sweep."""
+"""Table of the runs of a sweep, or of the variations of a case."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class RunRow(TypedDict):
         name: Name of the run.
         overrides: Changed keys of the case, with their values.
         status: Such as converged, not converged or stopped.
-        numbers: Headline numbers by full name, in the units of ``summary.json``.
+        numbers: Main numbers by full name, in the units of ``summary.json``.
         errors: Their estimated errors, as far as they are known.
         notes: Notes on the case.
-        unknowns: Number of unknowns; None if the run has no results, as for the next two.
-        newton_iterations: Number of Newton iterations.
-        linear_iterations: Number of Krylov iterations.
+        unknowns: Number of unknowns; None without results.
+        newton_iterations: Number of Newton iterations; None without results.
+        linear_iterations: Number of Krylov iterations; None without results.
         seconds: Wall time [s].
-        folder: Run directory, relative to that of the table.
+        folder: Run directory, relative to the folder of the table.
     """
 
     name: str
@@ -65,7 +65,7 @@ MOST = {"slip_p99": "slip (p99) on", "temperature_max": "in"}
 
 
 def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
-    """Row of the table.
+    """Return the row of a run.
 
     Args:
         point: Name of the run and its overrides.
@@ -98,7 +98,7 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
 
 
 def csv(rows: Sequence[RunRow], keys: Sequence[str], first: str) -> str:
-    """Table as CSV, with the overrides of some keys; ``first`` is the title of the names."""
+    """Format the table as CSV with columns for ``keys``; ``first`` is the title of the names."""
     return csv_text([_flat(r, keys, first) for r in rows])
 
 
@@ -132,7 +132,7 @@ def write_variations(rows: Sequence[RunRow], folder: Path) -> list[RunRow]:
 
 
 def text(rows: Sequence[RunRow]) -> str:
-    """Table as text: one line per run with its most informative number."""
+    """Format the table as text: one line per run with its most informative number."""
     lines = []
     for r in rows:
         counts = (r["unknowns"], r["newton_iterations"], r["linear_iterations"])
@@ -144,7 +144,7 @@ def text(rows: Sequence[RunRow]) -> str:
 
 
 def most_informative(numbers: Mapping[str, float]) -> str:
-    """Largest slip of a run, or its highest temperature, as text."""
+    """Return the largest slip of a run, or its highest temperature, as text."""
     for key, text in MOST.items():
         values = {name: value for name, value in numbers.items() if name.endswith(f".{key}")}
         if values:

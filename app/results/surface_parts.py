@@ -1,16 +1,17 @@
-r"""The facets of an interface in parts, and fields on them.
+r"""Parts of an interface, and fields on its facets.
 
-Parts are cut out along the zero lines of level functions, which are linear on each facet: a facet
-that crosses a border is cut into pieces. Maxima, percentiles, means, areas and fractions of a part
-are all of the same pieces, so that a percentile is never above the maximum.
+Borders of the parts are zero lines of level functions, which are linear on each facet. A facet
+across a border is cut into pieces. Maxima, percentiles, means, areas and fractions of a part all
+use the same pieces, so that a percentile is never above the maximum.
 
-The force of a point over its area is the mean of the traction t by the point's shape function,
+The force of a point over its area is the mean of the traction t, weighted by the shape function of
+the point,
 
 .. math:: m_i = \int N_i t \, dA / \int N_i \, dA = (A t)_i .
 
-As a value at the point it is of first order where the slope of t jumps, and always low at a peak.
-`Surface.sharpened` takes two steps of :math:`t \leftarrow t + m - A t` from t = m towards the
-linear field with these means. More steps follow the noise of the means (docs/verification.md).
+As a value at the point it is of first order where the gradient of t jumps, and too small at a
+maximum. `Surface.sharpened` takes two steps of :math:`t \leftarrow t + m - A t` from t = m towards
+the linear field with these means. More steps amplify the noise of the means (docs/verification.md).
 """
 
 from __future__ import annotations
@@ -45,16 +46,16 @@ class Pieces:
 
     @property
     def share(self) -> Floats:
-        """Part of the facet's area (t,)."""
+        """Fraction of the area of the facet (t,)."""
         a, b, c = np.moveaxis(self.at, 1, 0)
         return np.asarray(np.abs((a * np.cross(b, c)).sum(axis=1)))
 
     def values(self, corners: Floats) -> Floats:
-        """Values at the corners (t, 3, ...) of a linear field, from those of facets (f, 3, ...)."""
+        """Linear field at the corners (t, 3, ...) from its values on facets (f, 3, ...)."""
         return np.asarray(np.einsum("tcb,tb...->tc...", self.at, corners[self.facet]))
 
     def beyond(self, level: Floats) -> Pieces:
-        """Parts of them where a level, given at the corners of facets (f, 3), is positive."""
+        """Parts of the pieces with a positive level, given at corners of facets (f, 3)."""
         level = self.values(level)
         positive = level > 0
         cuts = [(self.facet[rows], self.at[rows]) for rows in [positive.all(axis=1)]]
@@ -80,15 +81,15 @@ class Pieces:
 
 
 def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
-    """Pieces of facets by part.
+    """Divide facets into pieces by part.
 
     Args:
-        levels: By part, a function at the corners of facets (f, 3) that is not positive there; the
-            first part counts where several do.
+        levels: Level function of each part at the corners of facets (f, 3), not positive in the
+            part. Where several are not positive, the first part is taken.
         facets: Number of facets.
 
     Returns:
-        The pieces of each part; of the rest, with the empty name, first.
+        The pieces of each part. The first part, with an empty name, is outside all others.
     """
     remaining = Pieces(np.arange(facets), np.tile(np.eye(3), (facets, 1, 1)))
     pieces = {}
@@ -100,9 +101,12 @@ def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
 def in_parts(
     points: ContactSurface, names: Sequence[str], borders: Mapping[str, Floats]
 ) -> list[Surface]:
-    """Surfaces of interfaces by their names, in parts; the one on the neck cut is undivided.
+    """Return the surfaces of interfaces in parts; an interface on the neck cut is undivided.
 
-    Borders are those of `Surface`.
+    Args:
+        points: Points of all interfaces.
+        names: Names of the interfaces.
+        borders: Level function of each part, as in `Surface`.
     """
     return [Surface(points, i, {} if n == ON_CUT else borders) for i, n in enumerate(names)]
 
@@ -113,15 +117,17 @@ class Surface:
     Attributes:
         points: Mask of its points (n,) among those of all interfaces.
         triangles: Points at the corners of each facet (f, 3).
-        corners: Their positions (f, 3, 3) [mm].
+        corners: Positions of these points (f, 3, 3) [mm].
         area: Area of each facet (f,) [mm2].
-        parts: Names of the parts; the empty name is that of the rest.
-        borders: As given.
-        weight: By part, area of each point there (n,) [mm2].
+        parts: Names of the parts; the part outside all others has an empty name.
+        borders: The argument.
+        weight: Area of each point within a part (n,) [mm2], by part.
 
     Args:
-        borders: By part, a function of all points (n,) that is not positive there; the first part
-            counts where several do.
+        points: Points of all interfaces.
+        i: Number of the interface.
+        borders: Level function of each part at all points (n,), not positive in the part. Where
+            several are not positive, the first part is taken.
     """
 
     def __init__(self, points: ContactSurface, i: int, borders: Mapping[str, Floats]) -> None:
@@ -147,24 +153,24 @@ class Surface:
 
     @property
     def parts(self) -> list[str]:
-        """Names of the parts; the empty name is that of the rest."""
+        """Names of the parts; the part outside all others has an empty name."""
         return list(self._pieces)
 
     def _hats(self, pieces: Pieces) -> Floats:
-        """Integrals of the points' shape functions over pieces (n,) [mm2]."""
+        """Return the integrals of the points' shape functions over pieces (n,) [mm2]."""
         shares = pieces.at.mean(axis=1) * (self.area[pieces.facet] * pieces.share)[:, None]
         sums = np.bincount(self.triangles[pieces.facet].ravel(), shares.ravel(), len(self.points))
         return np.asarray(sums, dtype=float)
 
     def _at_corners(self, values: Floats) -> Floats:
-        """Values at the corners of facets (f, 3), from those of points (n,) or faces (n, 3)."""
+        """Values at the corners of facets (f, 3) from those of points (n,) or faces (n, 3)."""
         corners = values[self.triangles]
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
         return np.asarray(corners)
 
     def field(self, values: Floats, part: str) -> SurfaceField:
-        """Values at points (n,), or at the faces of points (n, 3), as a field on a part."""
+        """Return values at points (n,) or at faces of points (n, 3) as a field on a part."""
         pieces = self._pieces[part]
         area = self.area[pieces.facet] * pieces.share
         corners = pieces.values(self._at_corners(values))
@@ -179,16 +185,16 @@ class Surface:
         return np.divide(values * area.sum(axis=1)[:, None], area, where=area > 0, out=0 * values)
 
     def _sums(self, corners: Floats) -> Floats:
-        """Sums over the facets of each face (n, 3) of values at their corners (f, 3)."""
+        """Sum values at the corners of facets (f, 3) over the facets of each face (n, 3)."""
         node = 3 * self.triangles + self._face
         sums = np.bincount(node.ravel(), corners.ravel(), 3 * len(self.points))
         return np.asarray(sums.reshape(-1, 3))
 
     def sharpened(self, means: Floats) -> Floats:
-        """Point values (n, 3) at the faces of points from means over their areas (n, 3).
+        """Return point values (n, 3) at the faces of points from means over their areas (n, 3).
 
-        Values keep the sign of their means, and zeros. Beside a point that supports hold, which
-        carries no reported traction, the means are kept.
+        Values have the sign of their means, and zeros remain. Next to a point that supports hold,
+        which has no reported traction, the means are returned.
         """
         area = self._face_area
         sharp_sums = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))

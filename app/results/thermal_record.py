@@ -1,8 +1,8 @@
 """Temperatures, necrosis and cure over time: sections thermal and cure of the summary.
 
-Records take every accepted step: temperatures and degrees of cure at nodes, heat through the
-interfaces and its entropy production. `over_time` reduces them. Temperatures are K inside and degC
-in reports; the other units are those of ``UNITS``.
+The records receive every accepted step: temperatures and degrees of cure at nodes, heat through the
+interfaces and its entropy production. `over_time` reduces them to numbers. Temperatures are in K
+inside and in degC in reports. Other units are those of ``UNITS``.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Exchanges = Mapping[str, tuple[Floats, Floats]]
 def exchange(
     operators: HeatOperators, x: Sequence[PETSc.Vec], temperatures: Sequence[fem.Function]
 ) -> Exchanges:
-    """Heat through the interfaces of finite conductance, by temperatures of the bodies [K]."""
+    """Return the heat through interfaces of finite conductance from temperatures of bodies [K]."""
     j = operators.jumps
     if j is None:
         return {}
@@ -61,14 +61,14 @@ def exchange(
 
 
 class RegionTemperatures:
-    """Temperatures at this rank's nodes of one region (n,), from an initial state on.
+    """Temperatures over time at this rank's nodes of a region (n,).
 
     Attributes:
-        now: Temperatures of the last state [K].
+        now: Temperatures of the last recorded state [K].
         peak: Highest temperatures so far [K].
         lowest: Lowest temperatures so far [K].
-        doses: Heat doses so far, by the names of `necrosis.DOSES`.
-        before: Up to three states before the last one, newest last.
+        doses: Heat doses so far, with the names of `necrosis.DOSES`.
+        before: Up to three states before the last one, in order of time.
     """
 
     saved = ("now", "peak", "lowest", "doses", "before")
@@ -82,12 +82,12 @@ class RegionTemperatures:
 
     @property
     def begin(self) -> Floats:
-        """Temperatures before the last recorded step."""
+        """Return the temperatures (n,) [K] before the last recorded step."""
         return self.before[-1][1]
 
     @property
     def warm(self) -> Bools:
-        """Nodes warm enough for doses at either end of that step."""
+        """Return the mask of nodes (n,) that are warm enough for doses at an end of this step."""
         return np.maximum(self.begin, self.now) > CELSIUS + COUNTS_FROM
 
     def take(self, last: float, temperatures: Sequence[fem.Function]) -> None:
@@ -97,9 +97,11 @@ class RegionTemperatures:
         self.lowest = np.minimum(self.lowest, self.now)
 
     def bend(self, seconds: float, rates: Sequence[Floats]) -> Floats:
-        """Deviation of the middle of a step from a straight line [K].
+        """Deviation of temperature from a straight line in the middle of a step (n,) [K].
 
-        It ends at some seconds with rates of change [K/s], which are given if it began with a kink.
+        Args:
+            seconds: Time at the end of the step [s].
+            rates: Rates of change at its end [K/s]; given if the step began with a kink.
         """
         previous = self.before[-1]
         current = (seconds, self.now)
@@ -108,7 +110,7 @@ class RegionTemperatures:
         return bend(self.before[max(len(self.before) - 2, 0)], previous, current)
 
     def raise_peak(self, seconds: float, highest: float) -> None:
-        """Raise the peaks to those at and before a time, at most to ``highest``."""
+        """Raise the peaks to the temperatures at a time and just before, at most to ``highest``."""
         self.peak.take(self.now, seconds)
         states = [*self.before, (seconds, self.now)]
         if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
@@ -118,7 +120,7 @@ class RegionTemperatures:
     # The summary
 
     def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> Numbers:
-        """Extremes and mean [degC], and volumes warmer than each level; collective."""
+        """Return extremes and mean [degC], and volumes above each level [mm3]; collective."""
         nodes = self.nodes
         heat = np.array([nodes.volume @ self.now, nodes.volume.sum()])
         comm.Allreduce(MPI.IN_PLACE, heat, MPI.SUM)
@@ -138,14 +140,14 @@ class RegionTemperatures:
         return result
 
     def times(self, comm: MPI.Comm) -> dict[str, float]:
-        """Longest time of a node above each level [s]; collective."""
+        """Return the longest time of a node above each level [s]; collective."""
         keys = [f"seconds_over_{level:g}" for level in LEVELS]
         return maxima(comm, {key: self.doses.totals[key] for key in keys})
 
     def dead(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
-        """Largest thermal doses, and dead volume and depth by criterion; collective.
+        """Return the largest thermal doses, and dead volume and depth by criterion; collective.
 
-        Depth is measured from triangles of a surface (f, 3, 3) [mm].
+        The depth is the distance from triangles of a surface (f, 3, 3) [mm].
         """
         doses = self.doses.totals
         result = maxima(comm, {f"{key}_max": doses[key] for key in ("cem43", "henriques_moritz")})
@@ -171,7 +173,7 @@ TIMELESS = (
 
 
 class ThermalRecord:
-    """Temperatures of a run, as far as they are reported.
+    """Record of the reported temperatures of a run.
 
     Attributes:
         bone: Regions of bone.
@@ -182,7 +184,7 @@ class ThermalRecord:
         of_region: Thermal body of each region.
         interfaces: Regions on the first and second side of each interface, in the order of the
             case.
-        faces: Nodes of the two boundaries of those between bodies meshed apart.
+        faces: Nodes of both boundaries, for interfaces between separately meshed bodies.
 
     Raises:
         InputError: A probe is not in its region.
@@ -233,17 +235,17 @@ class ThermalRecord:
     ) -> None:
         """Record an accepted step; collective.
 
-        The time to a steady state is unknown. Its temperatures count for peaks. Doses then have no
-        value, unless all temperatures before and after are too low for doses.
+        The time until a steady state is unknown. Its temperatures count for maxima. Doses become
+        unknown, unless all temperatures before and after are too low for doses.
 
         Args:
-            seconds: Time at its end [s].
-            temperatures: Of the bodies then [K].
-            exchanges: Heat through the interfaces of finite conductance then, if there are any.
-            highest: Upper bound of temperatures [K], between steps too.
+            seconds: Time at the end of the step [s].
+            temperatures: Temperatures of the bodies at the end [K].
+            exchanges: Heat through the interfaces of finite conductance at the end.
+            highest: Upper bound of temperatures at and between steps [K].
             rates: Rates of change at the end, at rank-local nodes of the bodies [K/s]. They are
-                given if the heat source has a kink at the start of the step; earlier states are
-                then not used.
+                given if the heat source has a kink at the start of the step, so that earlier states
+                cannot be used.
         """
         step = seconds - self.seconds
         for r in self.regions.values():
@@ -261,7 +263,7 @@ class ThermalRecord:
         self._take(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
-        """Add the doses of a step, in as many straight pieces as its curvature asks for."""
+        """Add the doses of a step, divided into straight pieces according to its curvature."""
         bends = {name: r.bend(seconds, rates) for name, r in self.regions.items()}
         largest_bends = (np.abs(b[self.regions[n].warm]).max(initial=0.0) for n, b in bends.items())
         worst = self._comm.allreduce(max(map(float, largest_bends)), MPI.MAX)
@@ -270,13 +272,13 @@ class ThermalRecord:
             r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, pieces)
 
     def _raise(self, interface: str, numbers: Mapping[str, float]) -> None:
-        """Raise the extremes of an interface to some numbers."""
+        """Raise the extremes of an interface to larger numbers."""
         extremes = self.extremes[interface]
         for key, value in numbers.items():
             extremes[key] = max(extremes.get(key, -np.inf), value)
 
     def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
-        """Keep the reported histories."""
+        """Set the columns of history.csv."""
         local = {
             f"{name} temperature_max [degC]": r.now - CELSIUS for name, r in self.regions.items()
         }
@@ -294,11 +296,11 @@ class ThermalRecord:
         self.seconds, self.row = seconds, {"seconds [s]": seconds, **row}
 
     def _on_side(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
-        """Values of the nodes of a side of an interface (n, ...)."""
+        """Return values at the nodes of a side of an interface (n, ...)."""
         return np.concatenate([values(self.regions[name])[rows] for name, rows in side.items()])
 
     def moved_heat(self, capacities: Mapping[str, float]) -> float:
-        """Heat that moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
+        """Return the heat that moved in the last step [N mm], from capacities [N/(mm2 K)]."""
         local = sum(
             capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
             for name, r in self.regions.items()
@@ -307,7 +309,7 @@ class ThermalRecord:
 
     @property
     def row_keys(self) -> dict[str, dict[str, Ints]]:
-        """Keys of the regions' nodes."""
+        """Return the keys of the regions' nodes."""
         nodes = node_keys(self._forms.space)
         return {
             "regions": {
@@ -318,7 +320,7 @@ class ThermalRecord:
     # The summary
 
     def summary(self) -> ThermalNumbers:
-        """Section ``thermal`` of the summary; collective."""
+        """Return the section ``thermal`` of the summary; collective."""
         comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
         # Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank.
         faces = [
@@ -392,7 +394,7 @@ class _CuringRegion:
 
 
 class CureRecord:
-    """Degrees of cure of a run, as far as they are reported.
+    """Record of the reported degrees of cure of a run.
 
     The time at which a node reaches a degree is interpolated within the step. The interpolant is a
     cubic of time over degree, from degrees and rates at both ends.
@@ -414,7 +416,7 @@ class CureRecord:
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
     ) -> None:
-        """Record an accepted step: its end [s], the degrees then (n,) and their rates [1/s]."""
+        """Record an accepted step: time [s], degrees (n,) and rates (n,) [1/s] at its end."""
         step = seconds - self.seconds
         for name, r in self.regions.items():
             degree = degrees[name]
@@ -435,7 +437,7 @@ class CureRecord:
         self.seconds = seconds
 
     def row(self) -> dict[str, float]:
-        """Columns of history.csv for the last recorded state; collective."""
+        """Return the columns of history.csv for the last recorded state; collective."""
         result: dict[str, float] = {}
         for name, r in self.regions.items():
             low, high = self._range(r)
@@ -443,7 +445,7 @@ class CureRecord:
         return result
 
     def summary(self) -> dict[str, Numbers]:
-        """Section ``cure`` of the summary; collective. Times not reached are None."""
+        """Return the section ``cure`` of the summary; collective. Times not reached are None."""
         result: dict[str, Numbers] = {}
         for name, r in self.regions.items():
             low, high = self._range(r)
@@ -461,9 +463,10 @@ class CureRecord:
 def _crossing(
     level: float, start: Floats, end: Floats, slope_before: Floats, slope_after: Floats
 ) -> Floats:
-    """Fraction of a step (n,) after which degrees from ``start`` to ``end`` (n,) reach a level.
+    """Fraction of a step (n,) at which degrees from ``start`` to ``end`` (n,) reach a level.
 
-    A cubic in the degree, by the rates at both ends times the step (n,); zero: not known.
+    The fraction is a cubic of the degree. Its slopes follow from the rates at both ends times the
+    step (n,); zero if they are unknown.
     """
     change = end - start
     s = np.divide(level - start, change, out=np.ones_like(start), where=change > 0)

@@ -1,4 +1,4 @@
-"""Verdicts on the numbers of a run: which are sound, which are doubtful, which must not be used."""
+"""Verdicts on the numbers of a run: which are sound, doubtful, or must not be used."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ _JUDGES: list[Judge] = []
 
 
 def judge(function: Judge) -> Judge:
-    """Register a function of ``summary.json`` that returns verdicts on its numbers."""
+    """Register a function that returns verdicts on the numbers of ``summary.json``."""
     _JUDGES.append(function)
     return function
 
 
 def record(summary: Summary, notes: Sequence[Verdict]) -> None:
-    """Put all verdicts on a run into its summary: on its numbers, then the notes on its case."""
+    """Put all verdicts on a run into its summary: first on its numbers, then notes on its case."""
     verdicts = [*of_numbers(summary), *notes]
     summary["verdicts"] = [verdict.record() for verdict in verdicts]
 
@@ -72,10 +72,10 @@ def notes_of(summary: Summary) -> list[str]:
 
 
 def check_usable(summaries: Mapping[Path, Summary]) -> None:
-    """Refuse unusable results, by run directory.
+    """Check that no result is unusable; summaries are given by run directory.
 
     Raises:
-        UnusableError: With the reasons of each.
+        UnusableError: Some results must not be used; the message has the reasons.
     """
     reasons = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
     bad = [
@@ -130,13 +130,13 @@ def of_numbers(summary: Summary) -> list[Verdict]:
 
 
 def unbalanced(summary: Summary) -> list[str]:
-    """Return the balances above their limit; NaN counts as above."""
+    """Return the balances with a defect above its limit; NaN counts as above."""
     b = summary.get("balance", {})
     return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
 
 
 def too_far(summary: Summary) -> list[str]:
-    """Return the interfaces on which bodies slip farther than their facets are wide."""
+    """Return the interfaces on which bodies slip by more than the width of their facets."""
     return [
         name
         for name, q in summary.get("interfaces", {}).items()
@@ -145,7 +145,7 @@ def too_far(summary: Summary) -> list[str]:
 
 
 def _balances(summary: Summary) -> Iterator[Verdict]:
-    """Balances of forces and of heat."""
+    """Yield verdicts on the balances of forces and of heat."""
     balance = summary["balance"]
     defects = {name: f"{name} {balance[name]:.1e}" for name in BALANCES if name in balance}
     excess = {
@@ -169,7 +169,7 @@ def _balances(summary: Summary) -> Iterator[Verdict]:
 
 
 def _physiology(summary: Summary) -> Iterator[Verdict]:
-    """Motion of the head and strain of the cortex that are not those of a loaded living femur."""
+    """Yield verdicts on motion of the head and strain of the cortex outside measured ranges."""
     femur = summary.get("femur")
     loaded = summary.get("section_loads", [])
     if not femur or not any(any(section["force"]) for section in loaded):
@@ -192,7 +192,7 @@ def _physiology(summary: Summary) -> Iterator[Verdict]:
 
 
 def _crack(name: str, q: Numbers) -> Verdict:
-    """Damage of an interface; a warning if the mesh does not resolve the zone where it breaks."""
+    """Return the verdict on damage; a warning if the mesh does not resolve the process zone."""
     table = TABLE["interfaces"]
     keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
     damaged, broken, never, zone, elements = (table[key].text(q) for key in keys)
@@ -208,7 +208,7 @@ def _crack(name: str, q: Numbers) -> Verdict:
 
 
 def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
-    """Penetration of the bodies, and what the numbers of interfaces leave out."""
+    """Return the verdict on penetration, and on parts that numbers of interfaces exclude."""
 
     def length(key: str) -> str:
         q = TABLE["interfaces"][key]
@@ -234,7 +234,7 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
 
 
 def _by_facets(name: str, q: Numbers) -> Verdict:
-    """The largest pressure of an interface, where facets decide it."""
+    """Return the verdict on a largest pressure that depends on the facets."""
     largest = TABLE["interfaces"]["pressure_max"].text(q)
     part = TABLE["interfaces"]["pressure_by_facets"].text(q)
     text = (
@@ -251,7 +251,7 @@ def _is_steep(q: Numbers) -> bool:
 
 
 def _steep(name: str, q: Numbers) -> Verdict:
-    """The largest pressure of an interface, where it is far above the mean at its point."""
+    """Return the verdict on a largest pressure that is far above the mean at its point."""
     largest, mean = (
         TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max")
     )
@@ -264,7 +264,7 @@ def _steep(name: str, q: Numbers) -> Verdict:
 
 
 def _mesh_and_step(summary: Summary) -> Verdict:
-    """Estimated error of mesh and step."""
+    """Return the verdict on the estimated errors of mesh and step."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
         text = "errors are not estimated; run with --error"
@@ -301,7 +301,7 @@ def _mesh_and_step(summary: Summary) -> Verdict:
 
 
 def _peaks(summary: Summary) -> list[Verdict]:
-    """Maxima that change most with the mesh, with their values on every mesh solved."""
+    """Return verdicts on maxima that change with the mesh, with their values on all meshes."""
     lines = []
     for name, ((finest, value), *coarser) in summary.get("error", {}).get("unsettled", {}).items():
         q = quantities.get(name)

@@ -1,13 +1,13 @@
-"""Fields in time on a mesh that does not move, in one VTKHDF file.
+"""Fields over time on a constant mesh, in one VTKHDF file.
 
 VTKHDF is the HDF5 format of ParaView and VTK (``UnstructuredGrid``, version 2.0, VTK 9.3 or later).
 The geometry and constant cell data are stored once, and every step adds its rows to each field.
 Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 
-Rank 0 gathers and writes one step at a time. Collective HDF5 would save that copy, but on a full
-disk its ranks wait for each other for ever. Serial HDF5 crashes at exit after a write error. So
-space for a step is reserved first: a full disk is then an ordinary ``OSError``. The file is open
-only while a step is written: a killed run leaves it readable.
+Rank 0 gathers and writes one step at a time. Collective HDF5 would need no gathering, but its ranks
+wait for each other forever if the disk is full. Serial HDF5 crashes at exit after a write error. So
+space for a step is reserved first, and a full disk is an ordinary ``OSError``. The file is open
+only while a step is written, so that it is readable if the run is killed.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ _METADATA = 1 << 20
 
 @dataclass(frozen=True)
 class Grid:
-    """The points and cells of a rank; one without any has empty arrays of the same type.
+    """Points and cells of a rank. A rank without cells has empty arrays of the same types.
 
-    Points and cells stand in the file in the order of their keys, so that it does not depend on
-    ranks. Several ranks may have the same point, with the same values.
+    Points and cells are in the file in the order of their keys, so that the file does not depend on
+    the ranks. Several ranks may have the same point, with the same values.
 
     Attributes:
         points: Coordinates (n, 3) [mm].
         point_keys: Keys of the points (n,).
-        cells: Rows of their points (m, nodes per cell), in VTK's node order.
-        cell_keys: Keys of the cells (m,), each of one rank.
+        cells: Points of each cell (m, nodes per cell), in VTK's node order.
+        cell_keys: Keys of the cells (m,); each cell is on one rank.
         cell_data: Constant values in the cells (m,) or (m, components).
         texts: Lists of words, constant over the grid.
     """
@@ -64,10 +64,13 @@ class Grid:
 
 
 class GridFile:
-    """One grid and its fields in time, from the arrays of each rank.
+    """File of a grid and its fields over time, from the arrays of each rank.
 
     Args:
-        steps: Number of steps of an existing file to continue after; later ones are overwritten.
+        comm: The ranks.
+        path: Path of the file.
+        grid: Points and cells of this rank.
+        steps: Number of steps of an existing file that are kept; later ones are overwritten.
 
     Raises:
         OSError: The file cannot be written, or has too few steps of such a grid (on every rank).
@@ -93,17 +96,17 @@ class GridFile:
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
         """Add one step (collective); the file is complete and closed when this returns.
 
-        After an error the file still holds the steps before, and the step may be tried again.
+        After an error the file has the earlier steps, and the step may be written again.
 
         Args:
-            time: Time of the step in s, later than the last.
+            time: Time of the step [s], later than that of the last step.
             point: Values at this rank's points, shape (n,) or (n, components).
             cell: Values in this rank's cells, shape (m,) or (m, components). VTK takes nine
                 components as a tensor by rows, and six as xx, yy, zz, xy, yz, xz.
 
         Raises:
             OSError: The file cannot be written (on every rank).
-            ValueError: Names or components are not those of the first step.
+            ValueError: Names or components of fields differ from those of the first step.
         """
         names = frozenset(point), frozenset(cell)
         if self._names not in (None, names) or not self._constant.isdisjoint(cell):
@@ -128,7 +131,7 @@ class GridFile:
         self.steps += 1
 
     def _gather(self, values: Array) -> Array:
-        """The rows of all ranks on rank 0, nothing elsewhere."""
+        """Return the rows of all ranks on rank 0, nothing on other ranks."""
         pieces = self.comm.gather(values)
         return values[:0] if pieces is None else np.concatenate(pieces)
 
@@ -162,10 +165,10 @@ def _create(path: Path, grid: Grid) -> None:
 
 
 def write_last_step(path: Path, target: Path) -> None:
-    """Write the last step of a closed file to another, as a grid without time; replace that.
+    """Write the last step of a closed file to a file without time, which is replaced.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     with (
         h5py.File(path, "r", locking=False) as file,
@@ -184,7 +187,7 @@ def write_last_step(path: Path, target: Path) -> None:
 
 
 def _cut(path: Path, points: int, cells: int, steps: int) -> None:
-    """Truncate a file to some steps; OSError if it is damaged, of another grid, or has too few."""
+    """Truncate a file to some steps; OSError if it is damaged, or its grid or steps differ."""
     try:
         with _edit(path, 0) as root:
             steps_in_file = int(root["Steps"].attrs["NSteps"])
@@ -197,7 +200,7 @@ def _cut(path: Path, points: int, cells: int, steps: int) -> None:
 
 
 def _commit(path: Path, step: int, time: float, starts: Mapping[str, int]) -> None:
-    """Make a step visible to readers, after its values, which begin at rows by array."""
+    """Make a step visible to readers, after its values; they start at a row of each array."""
     rows: dict[str, Array] = {"Values": np.array([float(time)]), "NumberOfParts": np.array([1])}
     rows |= {name: np.array([0]) for name in ("PartOffsets", "PointOffsets")}
     rows |= {name: np.array([[0]]) for name in ("CellOffsets", "ConnectivityIdOffsets")}
@@ -210,7 +213,7 @@ def _commit(path: Path, step: int, time: float, starts: Mapping[str, int]) -> No
 
 
 def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> None:
-    """Write rows of a dataset from a row on, making or enlarging it."""
+    """Write rows into a dataset from row ``start`` on; create or enlarge it."""
     shape = values.shape[1:]
     try:
         data = h5py.h5d.open(root.id, name.encode())
@@ -231,7 +234,7 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
 
 @contextmanager
 def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
-    """Open the file to add arrays of some bytes; OSError if there is no room for them."""
+    """Open the file to add arrays of a size [bytes]; OSError if there is no space for them."""
     with path.open("r+b") as plain:
         end = plain.seek(0, os.SEEK_END)
         try:
