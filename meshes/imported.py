@@ -170,6 +170,11 @@ def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
     empty = [
         n for n, block in facets_of_set.items() if not len(block) and n not in content.triangles
     ]
+    hidden = [
+        n
+        for n, block in facets_of_set.items()
+        if len(block) and not mesh_files.same_facets(block, content.triangles.get(n, block))
+    ]
     pairs = coincident(points)
     for sides in geometry.apart:
         on_first, on_second = (
@@ -179,6 +184,8 @@ def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
     notes = content.notes + mesh_files.left_out("sets of nodes without a facet", empty)
+    text = "sets of nodes that are not read, since surfaces have their names"
+    notes += mesh_files.left_out(text, hidden)
     doubled = int((row != np.arange(len(row))).sum())
     if doubled:
         notes.append(f"geometry: {doubled} nodes are merged with others at their places")

@@ -31,10 +31,21 @@ from app.mesh_files.content import (
     left_out,
     numbers_in,
     rows_of,
+    same_facets,
     word,
 )
 
-__all__ = ["READERS", "FileContent", "Pick", "case_names", "check", "left_out", "read", "word"]
+__all__ = [
+    "READERS",
+    "FileContent",
+    "Pick",
+    "case_names",
+    "check",
+    "left_out",
+    "read",
+    "same_facets",
+    "word",
+]
 
 EVERYTHING = Pick()
 Number = TypeVar("Number", np.float64, np.int64)
@@ -106,7 +117,10 @@ def _inp(path: Path, _pick: Pick) -> FileContent:
 
 
 def _feb(path: Path, _pick: Pick) -> FileContent:
-    """Read a file of FEBio 2.5 to 4: blocks of elements, surfaces, sets of nodes."""
+    """Read a file of FEBio 2.5 to 4: blocks of elements, surfaces, sets of nodes.
+
+    Triangles among the elements (shells) are a surface.
+    """
     content, root = FileContent(), ET.parse(path).getroot()
     mesh = [part for grid in root if grid.tag in ("Mesh", "Geometry") for part in grid]
     items = [node for part in mesh if part.tag == "Nodes" for node in part]
@@ -121,7 +135,11 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
             raise ValueError(f"{name}: is of type {', '.join(sorted(kinds))}; {ONLY}")
         if part.tag == "Elements" and matches[0]:
             table = _table(name, [e.text or "" for e in part], int(matches[0][2]), np.int64)
-            extend(content.sets, [name], content.add(rows_of(number, table, "node")))
+            rows = rows_of(number, table, "node")
+            if matches[0][1].lower() == "tri":
+                extend(content.triangles, [name], rows[:, :3])
+            else:
+                extend(content.sets, [name], content.add(rows))
         elif part.tag == "Surface":
             corners = [",".join((e.text or "").split(",")[:3]) for e in part]
             table = _table(name, corners, 3, np.int64)

@@ -15,7 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from app.mesh_files.content import ONLY, FileContent, left_out, numbers_in, rows_of
+from app.mesh_files.content import (
+    ONLY,
+    FileContent,
+    left_out,
+    numbers_in,
+    rows_of,
+    same_facets,
+)
 from app.mesh_files.keywords import READ, Keyword, keywords
 
 # Types of elements: tetrahedra, triangles, and other volumes.
@@ -443,6 +450,10 @@ def _name(content: FileContent, used_keywords: list[Keyword], sets: _Sets, mesh:
         corners = sets.members("SURFACE", key)
         if not len(corners):
             content.notes += left_out("surfaces without a facet", [boundary[key]])
+        shells = content.triangles.get(boundary[key], corners)
+        if not same_facets(shells, corners):
+            text = "sets of shells that are not read, since surfaces have their names"
+            content.notes += left_out(text, [boundary[key]])
         content.triangles[boundary[key]] = corners
     for key in sets.member_functions["NSET"]:
         content.nodes[boundary[key]] = rows_of(mesh.node, sets.members("NSET", key), "node")

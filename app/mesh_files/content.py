@@ -136,6 +136,11 @@ def rows_of(numbers: Ints, requested: Ints, kind: str) -> Ints:
     return np.asarray(rows)
 
 
+def same_facets(a: Ints, b: Ints) -> bool:
+    """Return True if two lists of triangles (n, 3) are the same surface."""
+    return np.array_equal(*(np.unique(np.sort(block, axis=1), axis=0) for block in (a, b)))
+
+
 def extend(sets: dict[str, Ints], names: Iterable[str], part: Ints) -> None:
     """Add members to sets; make sets that are not there."""
     for name in names:

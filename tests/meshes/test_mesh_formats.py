@@ -22,7 +22,7 @@ from app.foundation.errors import GeometryError, MantleError
 from app.mesh_files import named
 from app.mesh_files.vtu import lz4_decompress
 from app.soundness.well_posedness import judge, look
-from meshes.data import region_volumes
+from meshes.data import boundary_areas, region_volumes
 from meshes.gmsh_child import session
 from meshes.pieces import lying
 from tests.meshes.spellings import (
@@ -30,6 +30,7 @@ from tests.meshes.spellings import (
     AREA,
     BOTTOM,
     CELLS,
+    FACES,
     FREE,
     PACKERS,
     POINTS,
@@ -837,7 +838,8 @@ def test_med_meshes_of_parts_are_joined(tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------------- others
 
 
-def test_feb_blocks_of_one_name_are_one_region(tmp_path: Path) -> None:
+def of_febio(*parts: str) -> str:
+    """A file of FEBio with two cells, `cup`, and further parts."""
     rows = "".join(
         f'<node id="{k}">{x}</node>'
         for k, x in enumerate(("0,0,0", "3,0,0", "0,3,0", "0,0,3", "3,3,3"), 1)
@@ -846,8 +848,44 @@ def test_feb_blocks_of_one_name_are_one_region(tmp_path: Path) -> None:
         f'<Elements type="tet4" name="cup"><elem id="{k}">{c}</elem></Elements>'
         for k, c in enumerate(("1,2,3,4", "2,3,4,5"), 1)
     )
-    text = f"<febio_spec><Mesh><Nodes>{rows}</Nodes>{cells}</Mesh></febio_spec>"
-    assert region_volumes(build(tmp_path / "a.feb", text))["cup"] == pytest.approx(4.5 + 9.0)
+    return f"<febio_spec><Mesh><Nodes>{rows}</Nodes>{cells}{''.join(parts)}</Mesh></febio_spec>"
+
+
+def test_feb_blocks_of_one_name_are_one_region(tmp_path: Path) -> None:
+    volumes = region_volumes(build(tmp_path / "a.feb", of_febio()))
+    assert volumes["cup"] == pytest.approx(4.5 + 9.0)
+
+
+@pytest.mark.parametrize(("kind", "nodes"), [("tri3", "1,2,3"), ("tri6", "1,2,3,1,2,3")])
+def test_feb_shells_are_boundaries(kind: str, nodes: str, tmp_path: Path) -> None:
+    shells = f'<Elements type="{kind}" name="skin"><elem id="9">{nodes}</elem></Elements>'
+    data = build(tmp_path / "a.feb", of_febio(shells))
+    assert region_volumes(data) == pytest.approx({"cup": 4.5 + 9.0})
+    assert boundary_areas(data) == pytest.approx({"skin": 4.5})
+
+
+@pytest.mark.parametrize(("nodes", "hidden"), [("1,2,3", False), ("1,2,4", True), ("4,5", False)])
+def test_mesh_files_surface_and_set_of_nodes_of_one_name(
+    nodes: str, hidden: bool, tmp_path: Path
+) -> None:
+    """The surface is taken; a set of nodes that contains other facets is not lost silently."""
+    surface = '<Surface name="end"><tri3 id="1">1,2,3</tri3></Surface>'
+    text = of_febio(surface, f'<NodeSet name="end">{nodes}</NodeSet>')
+    data = build(tmp_path / "a.feb", text)
+    assert boundary_areas(data) == pytest.approx({"end": 4.5})
+    note = "geometry: sets of nodes that are not read, since surfaces have their names: end"
+    assert (note in data.notes["messages"]) == hidden
+
+
+@pytest.mark.parametrize("height", [BOTTOM, TOP])
+def test_inp_surface_and_shells_of_one_name(height: float, tmp_path: Path) -> None:
+    facets = [CELLS[e - 1][list(FACES[side - 1])] + 1 for e, side in on(height)]
+    shells = [", ".join(map(str, [900 + k, *facet])) for k, facet in enumerate(facets)]
+    rows = "\n".join(["*ELEMENT, TYPE=S3, ELSET=load", *shells, ""])
+    data = build(tmp_path / "a.inp", deck(more=surface("load", TOP) + rows))
+    assert whole(data)["load"] == pytest.approx(AREA)
+    note = "geometry: sets of shells that are not read, since surfaces have their names: load"
+    assert (note in data.notes["messages"]) == (height != TOP)
 
 
 def test_mesh_files_names_that_become_equal_are_refused(tmp_path: Path) -> None:
