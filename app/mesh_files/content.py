@@ -138,7 +138,8 @@ def rows_of(numbers: Ints, requested: Ints, kind: str) -> Ints:
 
 def same_facets(a: Ints, b: Ints) -> bool:
     """Return True if two lists of triangles (n, 3) are the same surface."""
-    return np.array_equal(*(np.unique(np.sort(block, axis=1), axis=0) for block in (a, b)))
+    first, second = (np.unique(np.sort(block, axis=1), axis=0) for block in (a, b))
+    return np.array_equal(first, second)
 
 
 def extend(sets: dict[str, Ints], names: Iterable[str], part: Ints) -> None:
