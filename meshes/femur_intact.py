@@ -137,9 +137,11 @@ class Intact(LayeredSurfaces):
             CORTEX_THICKNESS[0] + (CORTEX_THICKNESS[1] - CORTEX_THICKNESS[0]) * t,
         )
 
-    def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
+    def place_end_nodes(
+        self, nodes: Nodes, number: Ints, body: ReferenceBody
+    ) -> tuple[Nodes, Ints]:
         """Put the nodes of the head on sections, those of its cortex between two spheres."""
-        nodes, number = super().ended(nodes, number, body)
+        nodes, number = super().place_end_nodes(nodes, number, body)
         column_count, steps = len(body.section), self.ball - self.neck
         in_head = nodes.s > 2 * self.neck
         j, k = nodes.rho[in_head], nodes.s[in_head] // 2 - self.neck

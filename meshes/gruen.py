@@ -47,7 +47,7 @@ class Zones:
         self.top = min(placed.top, implant.shoulder)
         self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, placed.top)
 
-    def at(self, x: Floats) -> Ints:
+    def zones_at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
         x = self._local(x)
         third = np.floor(3 * (x[:, 2] - self.tip + ROUNDING) / (self.top - self.tip))

@@ -349,7 +349,9 @@ class LayeredSurfaces:
             height = (s[in_collar] - self.cut) * self._geometry.implant.collar_thickness / steps
             lines.end[in_collar] += height[:, None] * self.normal
 
-    def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
+    def place_end_nodes(
+        self, nodes: Nodes, number: Ints, body: ReferenceBody
+    ) -> tuple[Nodes, Ints]:
         """Drape the interior nodes of the plug over the bowl.
 
         Returns:

@@ -76,7 +76,7 @@ def describe(
         "plug_volume": float(volumes @ share_below),
     }
     if zones:
-        zone_of = zones.at(centres)
+        zone_of = zones.zones_at(centres)
         in_zone = {zone: (zone_of == zone).any(axis=1) for zone in zones.numbers}
         note["gruen"] = {
             str(zone): {

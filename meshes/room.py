@@ -177,7 +177,7 @@ class StemSurface:
         points = np.concatenate([body_points, stem.points(phi, levels)]).reshape(-1, around, 3)
         return cls(implant, points[0], np.zeros((around, 3)), points)
 
-    def at(self, placed: Placement) -> Floats:
+    def placed_points(self, placed: Placement) -> Floats:
         """Points in sections from the end of its flanks to the end of its neck (n, m, 3) [mm].
 
         The turn to the neck is not rounded.
@@ -204,7 +204,7 @@ class StemSurface:
 
     def cemented(self, placed: Placement, cut: CutPlane) -> Floats:
         """Points below the cut, and points where lines along the stem meet it (n, 3) [mm]."""
-        points = self.at(placed)
+        points = self.placed_points(placed)
         height = placed.to_model(points) @ cut.normal - cut.level
         is_below = height < 0
         row, column = np.nonzero(is_below[:-1] & ~is_below[1:])

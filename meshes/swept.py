@@ -262,7 +262,7 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     number[~in_core] += (
         representative[column_of_node, line_of_node, station][~in_core] - column_of_node[~in_core]
     )
-    return surfaces.ended(nodes, number, body)
+    return surfaces.place_end_nodes(nodes, number, body)
 
 
 def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:

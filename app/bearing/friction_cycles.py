@@ -247,12 +247,12 @@ class Bearing:
                 "torque_size": float(np.linalg.norm(torque)),
                 "torque_along": float(torque @ along),
             }
-        phase = stage.ways * (time - math.ceil(time) + 1)
+        phase = stage.load_segments * (time - math.ceil(time) + 1)
         energy = self.master_amounts[:, 0, 0].sum()
         row = (phase - self.cycle_start, *torque, *centre, energy)
         self.cycle_rows.append([float(v) for v in row])
         reversal = stage.reversal(time) if whole else 0
-        if reversal and (reversal % 2 or stage.ways == stage.cycles):
+        if reversal and (reversal % 2 or stage.load_segments == stage.cycles):
             self.slave_amounts[:, 2] = spent - self.slave_amounts[:, 1]
             self.slave_amounts[:, 1] = spent
             self.master_amounts[:, 1] = self.master_amounts[:, 0]

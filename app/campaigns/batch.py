@@ -45,13 +45,14 @@ from app.system.layout import duration, several
 log = logging.getLogger("mantle")
 
 MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "mantle", "run")
-# Snakemake sets these to the cores of the job; ranks have one thread each.
+# Beginnings of the variables that set the threads of BLAS. Snakemake sets them to the cores of the
+# job, but a rank needs one thread.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
-# Load of the machine from which it is too busy for runs whose times are compared.
+# Load average above which the machine is too busy for runs whose times are compared.
 BUSY = 0.5
-# Seconds between reports on all runs that have ended so far.
+# Time between reports on all runs that have ended so far [s].
 OFTEN = 10.0
-# Factor for cores that are idle at the end, as runs differ in length.
+# Factor on the time of a batch: some cores are idle at its end, because runs differ in length.
 IDLE = 1.1
 
 
@@ -121,7 +122,7 @@ def run(
         finished = total - len(pending)
         already = f"; {finished} of them are finished already" if finished else ""
         log.info("%s in %s%s", several(total, "run"), folder, already)
-        needs_idle_machine = any(r.planned.alone for r in pending.values())
+        needs_idle_machine = any(r.planned.needs_idle_machine for r in pending.values())
         load = os.getloadavg()[0]
         if needs_idle_machine and load > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
@@ -133,7 +134,7 @@ def run(
                 so_far(results())
                 text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
                 raise StoppedError(f"{text}; run the same command again to continue") from None
-            # Those that began without ending have failed.
+            # A run that began without an end has failed.
             _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
         if pending:
             logs = [r.file("slurm") for r in pending.values()]
@@ -149,7 +150,7 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
     wall = 0.0
     seen: set[object] = set()
     for planned_run, r in zip(planned, runs, strict=True):
-        seconds = cost.seconds(planned_run.case, r.process not in seen)  # of one core
+        seconds = cost.seconds(planned_run.case, r.process not in seen)  # on one core
         seconds_alone = seconds / min(planned_run.ranks, options.cores)
         about = duration(seconds_alone)
         note = f"shares the matrices of {r.process}" if r.process in seen else ""
@@ -159,7 +160,7 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
             note, about = f"done in {duration(result_of(r).seconds)}", "-"
         seen |= {r.process, r.path}
         if about != "-":
-            wall += seconds_alone if planned_run.alone else seconds / options.cores
+            wall += seconds_alone if planned_run.needs_idle_machine else seconds / options.cores
         size = layout.count(round(cost.unknowns(planned_run.case), -2))
         rows.append((planned_run.name, planned_run.ranks, size, about, note))
     listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
@@ -208,7 +209,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             write_text(case, _text(runs))
             for r in runs:
                 (r.path / FAILED).unlink(missing_ok=True)
-                if r.summary() is None:  # a run left over from a killed batch may end now
+                if r.summary() is None:  # a run that a killed batch left may still be ending
                     (r.path / "DONE").unlink(missing_ok=True)
             for kind in ("ok", "slurm", "status"):
                 runs[0].file(kind).unlink(missing_ok=True)
@@ -218,7 +219,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
                 command += ["-n", ranks]
             if not cores:
                 threads = ranks
-            elif any(r.planned.alone for r in runs):
+            elif any(r.planned.needs_idle_machine for r in runs):
                 threads = cores
             else:
                 threads = min(ranks, cores)
@@ -250,6 +251,9 @@ def _environment(cores: int | None) -> list[str]:
     """Return arguments of ``env`` that undo settings of Snakemake."""
     one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
     if not cores and scheduler.TREE_JOB.exists():
-        return one_thread  # the cache is the node's
+        return one_thread  # each node has its cache
     cache = os.environ.get("XDG_CACHE_HOME")
-    return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])
+    arguments = ["-u", "XDG_CACHE_HOME", *one_thread]
+    if cache:
+        arguments.append(f"XDG_CACHE_HOME={cache}")
+    return arguments

@@ -57,14 +57,14 @@ from app.system.folders import write_json, write_text
 
 log = logging.getLogger("mantle")
 
-# Decrease of the sum of squares below which the keys stay: a step of 0.1 uncertainties.
+# Decrease of the sum of squares at which the search ends: a step of 0.1 uncertainties.
 SMALL_DECREASE = 0.01
-# Step below which the keys stay, as a fraction of the ranges.
+# Step at which the search ends, as a fraction of the ranges.
 SMALL_STEP = 1e-3
 # First and last radius of the trust region of COBYQA, as fractions of the ranges.
 FIRST_RADIUS = 0.2
 LAST_RADIUS = 0.005
-# Violation of constraints that COBYQA takes for none, relative to their limits.
+# Violation of a constraint that COBYQA accepts, relative to its limit.
 FEASIBLE = 1e-3
 
 
@@ -98,7 +98,7 @@ class Evaluations:
         return [run for run in self.runs if run.done]
 
     def __call__(self, requested: Mapping[str, Floats]) -> list[FitRun]:
-        """Make runs with the keys at fractions of their ranges, by name; return them in order.
+        """Make runs with given names and keys (keys,) as fractions of their ranges; return them.
 
         Raises:
             _RunsUsed: There would be more than `FitSearch.runs`.
@@ -134,18 +134,20 @@ class Evaluations:
         in the other direction; nan if this run fails, too.
         """
         step = self.problem.fit.step
-        steps = {k: step if share + step <= 1.0 else -step for k, share in enumerate(run.shares)}
+        steps = {}
+        for k, share in enumerate(run.shares):
+            steps[k] = step if share + step <= 1.0 else -step
         changed = self._changed_runs(run, steps)
-        other_side = {
-            k: -steps[k]
-            for k, changed_run in changed.items()
-            if not changed_run.done and 0.0 <= run.shares[k] - steps[k] <= 1.0
-        }
-        changed |= self._changed_runs(run, other_side)
-        columns = [
-            (changed_run.array - run.array) / (changed_run.shares[k] - run.shares[k])
-            for k, changed_run in changed.items()
-        ]
+        opposite_steps = {}
+        for k, changed_run in changed.items():
+            opposite = run.shares[k] - steps[k]
+            if not changed_run.done and 0.0 <= opposite <= 1.0:
+                opposite_steps[k] = -steps[k]
+        changed |= self._changed_runs(run, opposite_steps)
+        columns = []
+        for k, changed_run in changed.items():
+            difference = changed_run.array - run.array
+            columns.append(difference / (changed_run.shares[k] - run.shares[k]))
         return np.array(columns).T
 
     def _changed_runs(self, run: FitRun, steps: Mapping[int, float]) -> dict[int, FitRun]:
@@ -208,7 +210,7 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     derivatives: Floats | None = None
 
     def deviations(shares: Floats) -> Floats:
-        # The constant makes the relative criterion of decrease an absolute one near zero.
+        # With the constant 1, the relative stop criterion is an absolute one near zero.
         return np.append((evaluate.step(shares).array - values) / uncertainties, 1.0)
 
     def jacobian(shares: Floats) -> Floats:

@@ -24,7 +24,7 @@ from app.schema.yaml_file import Fault
 from app.system import identity, layout
 from app.system.folders import csv_text
 
-# Half width of an interval of 95 % [standard uncertainties].
+# Half width of a 95 % interval [standard uncertainties].
 INTERVAL = 1.96
 # Distance to a bound at which a key has reached it, as a fraction of its range.
 AT_BOUND = 2e-3
@@ -290,7 +290,7 @@ def _key_rows(
         deviation = float(known.uncertainties[k]) if known else math.inf
         determined = deviation < KNOWN_RANGE
         ends = (max(0.0, share - INTERVAL * deviation), min(1.0, share + INTERVAL * deviation))
-        # The uncertainty on a logarithmic scale, too: half of the interval of one deviation.
+        # Half of the interval of one deviation, which also holds on a logarithmic scale.
         interval = bounds.number(share + deviation) - bounds.number(share - deviation)
         rows[key] = {
             "value": best.values[key],
@@ -437,11 +437,14 @@ def run_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
 def correlation_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of correlations; no rows for a single key."""
     names = [*short_keys(list(fit_record["keys"])).values()]
-    rows = [
-        [name, *("-" if value is None else f"{value:+.2f}" for value in row)]
-        for name, row in zip(names, fit_record["correlation"], strict=False)
-    ]
-    return ["correlation", *names], rows if len(names) > 1 else []
+    head = ["correlation", *names]
+    if len(names) == 1:
+        return head, []
+    rows = []
+    for name, values in zip(names, fit_record["correlation"], strict=False):
+        cells = ["-" if value is None else f"{value:+.2f}" for value in values]
+        rows.append([name, *cells])
+    return head, rows
 
 
 def text(fit_record: FitRecord) -> str:

@@ -29,13 +29,13 @@ CASE = "case-"
 SHARED = "shared-"
 # Digits of a digest in an id.
 DIGITS = 10
-# Ids, checked because they enter shell commands.
+# Pattern of ids. Ids are checked because they become part of shell commands.
 NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{CASE}[0-9a-f]{{10}}", re.ASCII)
-# Last lines of a log that a message shows.
+# Number of lines of a log in a message.
 LOG_LINES = 12
-# Beginning of the essential line of a run that did not converge.
+# Beginning of the line of a log that says why a run did not converge.
 NOT_CONVERGED = "no convergence"
-# Exit code of a run that left none.
+# Exit code of a run without a recorded one.
 LOST = 70
 
 
@@ -63,11 +63,12 @@ class Result:
 
 @dataclass(frozen=True)
 class BatchRun:
-    """A run directory and its run; several planned runs of equal content share it.
+    """A run directory with its run, which planned runs with equal content have in common.
 
     Attributes:
-        planned: The first of them; alone if any of them is.
-        path: Run directory: that of its process, or within that of a shared process.
+        id: Prefix and digest of its inputs.
+        planned: The first of these planned runs. It needs an idle machine if one of them does.
+        path: Run directory: the directory of its process, or inside it if runs share the process.
     """
 
     id: str
@@ -100,7 +101,7 @@ class BatchRun:
     @property
     def ended(self) -> bool:
         """Return True if the run is done or has failed."""
-        marks = (self.path / "DONE", self.path / FAILED)  # its process may go on without it
+        marks = (self.path / "DONE", self.path / FAILED)  # its process may continue with other runs
         return self.status() is not None or any(mark.exists() for mark in marks)
 
     def summary(self) -> Summary | None:
@@ -128,15 +129,17 @@ def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> l
         id = CASE + _digest(_content(run.case), run)
         ids.append(id)
         first = unique.setdefault(id, run)
-        unique[id] = replace(first, alone=first.alone or run.alone)
+        needs_idle_machine = first.needs_idle_machine or run.needs_idle_machine
+        unique[id] = replace(first, needs_idle_machine=needs_idle_machine)
         if run.share:
             shared, _ = split(plain(run.case))
             group = groups.setdefault(_digest(json.dumps(shared, sort_keys=True), run), [])
             if id not in group:
                 group.append(id)
     longest = len(unique)
-    alone = any(run.alone for run in planned)  # such runs share one process
-    if cores and not alone:
+    # Runs whose times are compared stay in one process.
+    are_timed = any(run.needs_idle_machine for run in planned)
+    if cores and not are_timed:
         longest = math.ceil(sum(run.ranks for run in unique.values()) / cores)
     paths = {id: folder / "runs" / id for id in unique}
     for digest, group in groups.items():
@@ -184,7 +187,7 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
     result = partial(Result, planned or run.planned, run.path)
     summary = run.summary()
     if summary is not None:
-        if run.shares or status is None:  # it was killed before its time was written
+        if run.shares or status is None:  # or it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)
         doubts = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if doubts else 0
@@ -192,7 +195,7 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
     if not over:
         return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
-        # A process that continues with other runs leaves the reason in the folder of this one.
+        # A process that continues with other runs writes the reason of a failure into its folder.
         doubts = (run.path / FAILED).read_text(encoding="utf-8").strip()
         return result(ConvergenceError.exit_code, 0.0, {}, doubts)
     message = tail(run.file("log"))

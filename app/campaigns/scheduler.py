@@ -34,14 +34,17 @@ SNAKEFILE = HERE / "Snakefile"
 # Script from which Snakemake gets the status of a Slurm job.
 SLURM_STATUS = HERE / "slurm_status"
 MEGABYTE = 1e6
-# Seconds between looks at Snakemake.
+# Time between checks of Snakemake [s].
 POLL = 0.1
-# Most jobs in the queue of Slurm.
+# Largest number of jobs in the queue of Slurm.
 JOBS_AT_ONCE = 1000
-# Template of the script of a Slurm job, where mantle runs in the launcher's tree.
+# Template of the script of a Slurm job if mantle runs in the launcher's tree.
 TREE_JOB = Path("/run/mantle/job")
-# Seconds after which files that a node wrote are seen on this machine.
+# Time until this machine sees a file that a node has written [s].
 LATENCY = 60
+
+
+Watch = Callable[[], None]
 
 
 def check(slurm: bool) -> None:
@@ -66,12 +69,16 @@ def check(slurm: bool) -> None:
 
 
 def execute(
-    folder: Path, cores: int, slurm: Sequence[str] | None, alone: bool, watch: Callable[[], None]
+    folder: Path, cores: int, slurm: Sequence[str] | None, exclusive: bool, watch: Watch
 ) -> None:
-    """Run the jobs of ``jobs.json`` by Snakemake, on some cores here or by Slurm.
+    """Run the jobs of ``jobs.json`` by Snakemake, on this machine or by Slurm.
 
-    ``slurm`` are options of sbatch, None to run here; ``alone``: each run has its node for itself.
-    An exception from ``watch``, which is called repeatedly, stops the runs.
+    Args:
+        folder: Folder of the batch.
+        cores: Number of cores of this machine.
+        slurm: Options of sbatch; None to run on this machine.
+        exclusive: True if a Slurm job has its node for itself.
+        watch: Function that is called repeatedly. An exception from it stops the runs.
 
     Raises:
         KeyboardInterrupt: By SIGINT, SIGTERM or SIGHUP; running cases have saved their state.
@@ -83,14 +90,14 @@ def execute(
     command += ["--nolock", "--scheduler", "greedy"]  # a killed Snakemake would leave its lock
     environ = dict(os.environ)
     if slurm is None:
-        # As many at a time as cores and memory allow.
+        # Snakemake runs as many jobs at once as cores and memory allow.
         megabytes = int(memory.available({}) / MEGABYTE)
         command += ["--cores", str(cores), "--resources", f"memory={megabytes}"]
     else:
-        command += _slurm_options(folder, slurm, alone)
+        command += _slurm_options(folder, slurm, exclusive)
         # Jobs inherit the environment: drop settings that keep Open MPI to one machine.
         environ = {k: v for k, v in environ.items() if ranks.ONE_NODE.get(k) != v}
-    # Snakemake needs a writable cache even where home is not.
+    # Snakemake needs a writable cache; the home directory may be read-only.
     environ["XDG_CACHE_HOME"] = str(folder.resolve() / ".snakemake")
     with _interruptible(), (folder / "snakemake.log").open("w") as log_file:
         # In a separate session: this process gets Ctrl-C and passes it on once.
@@ -112,21 +119,22 @@ def execute(
             raise
 
 
-def _slurm_options(folder: Path, extra: Sequence[str], alone: bool) -> list[str]:
-    """Options of Snakemake in place of ``--cores``; given options of sbatch win."""
+def _slurm_options(folder: Path, extra: Sequence[str], exclusive: bool) -> list[str]:
+    """Return options of Snakemake for Slurm; options in ``extra`` override those for sbatch."""
     prefix = f"mantle-{hashlib.sha256(bytes(folder.resolve())).hexdigest()[:10]}-"
     job = ["--job-name", prefix + "{wildcards.id}", "--dependency", "singleton"]
-    # A task per rank: of --cpus-per-task Open MPI makes a single slot.
+    # One task per rank, because Open MPI counts the cores of --cpus-per-task as a single slot.
     job += ["-n", "{threads}", "-c", "1", "-D", ".", "-o", "runs/{wildcards.id}.slurm"]
-    job += ["--exclusive"] if alone else []
+    if exclusive:
+        job.append("--exclusive")
     job += [word.replace("{", "{{").replace("}", "}}") for word in extra]
-    return [
-        *("--cluster", shlex.join(["sbatch", "--parsable", *job])),
-        *("--cluster-status", shlex.join(["sh", str(SLURM_STATUS)])),
-        *("--cluster-cancel", "scancel"),
-        *(("--jobscript", str(TREE_JOB)) if TREE_JOB.exists() else ()),
-        *("--jobs", str(JOBS_AT_ONCE), "--latency-wait", str(LATENCY)),
-    ]
+    options = ["--cluster", shlex.join(["sbatch", "--parsable", *job])]
+    options += ["--cluster-status", shlex.join(["sh", str(SLURM_STATUS)])]
+    options += ["--cluster-cancel", "scancel"]
+    if TREE_JOB.exists():
+        options += ["--jobscript", str(TREE_JOB)]
+    options += ["--jobs", str(JOBS_AT_ONCE), "--latency-wait", str(LATENCY)]
+    return options
 
 
 @contextmanager
@@ -155,7 +163,7 @@ def _stop(child: subprocess.Popen[bytes]) -> None:
         try:
             child.wait()
         except KeyboardInterrupt:
-            # One Ctrl-C may arrive twice: from the terminal and from whatever started this.
+            # One Ctrl-C may arrive twice: from the terminal and from the parent process.
             if time.monotonic() > end:
                 _send(child, signal.SIGKILL)
 

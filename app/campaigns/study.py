@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from app import __version__
@@ -24,11 +25,11 @@ from app.system.layout import duration, percent
 
 log = logging.getLogger("mantle")
 
-# Points of each line in a quick study.
+# Number of runs of each line in a quick study.
 QUICK_POINTS = 2
-# Beginning of advice that cannot be given.
+# Beginning of the text in place of advice if there is none.
 NO_ADVICE = "no advice on"
-# Parts of the target whose cost is reported.
+# Fractions of the target whose cost is reported.
 TARGET_PARTS = (1.0, 0.4, 0.2)
 
 
@@ -51,7 +52,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     results = batch.run(chosen, options.folder, options.cores, options.slurm)
     report = evaluate(study, [_study_run(result) for result in results])
     with batch.writable(options.folder):
-        # A stale picture would not match the new numbers.
+        # An old picture would not match the new numbers.
         folders.remove(options.folder / name for name in study_picture.NAMES)
         about = {
             "mantle": __version__,
@@ -83,7 +84,7 @@ def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[Plan
         raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
     most_points = QUICK_POINTS if options.tier == "quick" else None
     selected = [runs for name, runs in lines.items() if not name or options.pattern in name]
-    return [r for runs in selected for r in runs[:most_points]]
+    return list(chain.from_iterable(runs[:most_points] for runs in selected))
 
 
 def _study_run(result: Result) -> StudyRun:
@@ -163,7 +164,7 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
         return None
     x = [r.x for r, _ in known if r.x is not None]
     if x and x[0] < x[-1]:
-        x = [1.0 / size for size in x]  # a number that grows as the run gets finer
+        x = [1.0 / size for size in x]  # the number grows with refinement
     last = known[-1][0]
     return wp.extrapolate(
         x if len(x) == len(known) else [],
@@ -186,21 +187,26 @@ def _costs(
             f"{NO_ADVICE} {title}: its reference is {wp.NOT_CONVERGING}; refine study.reference.run"
         )
     worst: dict[str, float] = {}
-    errors = [
-        None if None in of_run else max(e for e in of_run if e is not None)
-        for of_run in zip(*(m.errors for m in measured), strict=True)
-    ]
+    errors: list[float | None] = []
+    for errors_of_run in zip(*(m.errors for m in measured), strict=True):
+        known = [error for error in errors_of_run if error is not None]
+        is_complete = len(known) == len(errors_of_run)
+        errors.append(max(known) if is_complete else None)
     for i, r in reversed([*enumerate(curve)]):
         error = errors[i]
         if error is not None:
             errors[i] = worst[r.line] = max(error, worst.get(r.line, 0.0))
     costs: list[str] = []
-    for level in (part * target for part in TARGET_PARTS):
+    for part in TARGET_PARTS:
+        level = part * target
         best = wp.best([r.time for r in curve], errors, level)
         if best is None:
             return f"{NO_ADVICE} {title}: no run has a known error"
-        r, time, error = curve[best], duration(curve[best].time or 0.0), errors[best] or 0.0
-        place = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
+        r = curve[best]
+        time = duration(r.time or 0.0)
+        error = errors[best] or 0.0
+        point = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
+        place = f"{r.line} at {point}"
         if error <= level:
             costs.append(f"{percent(level)} costs {time} ({place})")
             continue

@@ -20,11 +20,11 @@ from app.system.layout import percent
 
 # Files of errors against time, and of quantities over a number that varies.
 NAMES = ("study.png", "study_parameters.png")
-# Panels of a picture.
+# Largest number of panels in a picture.
 MOST_PANELS = 6
 # Entries of the legend in a row.
 ENTRIES = 5
-# Drawn in place of an error of zero.
+# Error that is drawn in place of zero [-].
 EXACT = 1e-16
 
 
@@ -46,13 +46,15 @@ def draw(report: Report, folder: Path) -> list[str]:
 
 def varying_lines(report: Report) -> dict[str, list[int]]:
     """Lines that vary a number other than the mesh size, with the indices of their runs."""
-    runs, lines = report.runs, dict.fromkeys(r.line for r in report.runs)
-    by_line = {name: [i for i, r in enumerate(runs) if r.line == name] for name in lines}
-    return {
-        name: indices
-        for name, indices in by_line.items()
-        if all(runs[i].x and not runs[i].key.startswith("mesh.") for i in indices)
-    }
+    by_line: dict[str, list[int]] = {}
+    for i, run in enumerate(report.runs):
+        by_line.setdefault(run.line, []).append(i)
+    varying = {}
+    for name, indices in by_line.items():
+        runs = [report.runs[i] for i in indices]
+        if all(run.x and not run.key.startswith("mesh.") for run in runs):
+            varying[name] = indices
+    return varying
 
 
 def _draw(
@@ -67,7 +69,7 @@ def _draw(
         figures.grid(axes)
         panel(axes, m)
     figures.legend_below(figure, ENTRIES, last=curves.FAILED)
-    figure.draw_without_rendering()  # the axes have their places
+    figure.draw_without_rendering()  # so that the axes have their final positions
     for axes in all_axes:
         labels.place(axes)
     figures.save(figure, path, 130, PNG)
@@ -85,7 +87,7 @@ def _against_time(report: Report, axes: Axes, m: Measured) -> None:
     error = [None if e is None else max(e, EXACT) for e in m.errors]
     for k, name in enumerate(m.exponents):
         _line(axes, report, m, error, name, k)
-    if m.front:  # as steps: least error reached by a time
+    if m.front:  # drawn as steps: the least error up to a time
         times = [report.runs[i].time or 0.0 for i in m.front]
         curves.front(axes, times, [error[i] or EXACT for i in m.front], "Pareto front")
     _limits(axes, report, error)
@@ -123,8 +125,12 @@ def _line(
         text = f"{words}: {order}"
         colour = figures.colour(k)
         axes.text(0.02, row, text, transform=axes.transAxes, color=colour, fontsize=8)
-    failed = [r.result for r in (report.runs[i] for i in indices) if r.result.exit_code]
-    curves.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
+    failed_times = []
+    for i in indices:
+        result = report.runs[i].result
+        if result.exit_code:
+            failed_times.append(max(result.seconds, 1e-2))
+    curves.crosses(axes, failed_times, k, 0.97)
 
 
 def _limits(axes: Axes, report: Report, error: list[float | None]) -> None:
@@ -156,13 +162,19 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Axes, m: Mea
         x = [report.runs[i].x or 0.0 for i in known]
         curves.draw_line(axes, Line(name.replace("_", " "), k, x, list(known.values())))
         failed = [report.runs[i].x or 0.0 for i in indices if report.runs[i].result.exit_code]
-        curves.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
+        # The crosses of each line have another height: two lines may fail at the same number.
+        curves.crosses(axes, failed, k, 0.93 - 0.08 * k)
     curves.span_decades(axes, drawn)
 
 
 def _label(report: Report, lines: dict[str, list[int]]) -> str:
     """Names and units of the varied numbers: ``penalty, augmentation (MPa/mm)``."""
     names: dict[str, dict[str, None]] = {}
-    for run in (report.runs[indices[0]] for indices in lines.values()):
-        names.setdefault(run.unit, {})[re.sub(r".*\.", "", run.key)] = None
-    return ", ".join(", ".join(n) + (f" ({unit})" if unit else "") for unit, n in names.items())
+    for indices in lines.values():
+        first = report.runs[indices[0]]
+        names.setdefault(first.unit, {})[re.sub(r".*\.", "", first.key)] = None
+    labels_by_unit = []
+    for unit, names_of_unit in names.items():
+        label = ", ".join(names_of_unit)
+        labels_by_unit.append(f"{label} ({unit})" if unit else label)
+    return ", ".join(labels_by_unit)

@@ -13,7 +13,7 @@ from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration, percent
 
-# Exponents nearer to 0 say that the error does not depend on the key.
+# Absolute exponent below which the error does not depend on the key.
 FLAT = 0.05
 
 
@@ -174,7 +174,7 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     if r.result.exit_code:
         return [*start, r.status, "", "", "", ""]
     p, q, error = m.points[i], m.quantity, m.errors[i]
-    # The reference is no more accurate.
+    # The error is below the uncertainty of the reference.
     below = "" if p.trusted or not error else "< "
     shown_error = "-" if error is None else f"{below}{percent(error)}"
     index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
@@ -184,27 +184,28 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
 
 def write(report: Report, about: Mapping[str, object], folder: Path) -> list[str]:
     """Write ``study.json``, which begins with ``about``, and ``study.csv``; return their names."""
+    quantity_records = {}
+    rows = []
+    for m in report.quantities:
+        quantity_records[m.name] = {
+            "unit": m.quantity.unit,
+            "advice": report.advice.get(m.name, ""),
+            "compared": m.compared,
+            "reference": None if m.reference is None else asdict(m.reference),
+            "exponents": m.exponents,
+            "points": [_point_record(r, m, i) for i, r in enumerate(report.runs)],
+        }
+        rows += [_flat(r, m, i) for i, r in enumerate(report.runs)]
     record = {
         **about,
         "target": report.target,
         "advice": report.advice.get("", ""),
-        "quantities": {
-            m.name: {
-                "unit": m.quantity.unit,
-                "advice": report.advice.get(m.name, ""),
-                "compared": m.compared,
-                "reference": None if m.reference is None else asdict(m.reference),
-                "exponents": m.exponents,
-                "points": [_point_record(r, m, i) for i, r in enumerate(report.runs)],
-            }
-            for m in report.quantities
-        },
+        "quantities": quantity_records,
         "within": {"numbers": len(report.covered), "covered": sum(report.covered)},
         "runs": [_run_record(r) for r in report.runs],
         "reference_runs": [_run_record(r) for r in report.ladder],
     }
     write_json(folder / "study.json", record)
-    rows = [_flat(r, m, i) for m in report.quantities for i, r in enumerate(report.runs)]
     write_text(folder / "study.csv", csv_text(rows))
     return ["study.json", "study.csv"]
 

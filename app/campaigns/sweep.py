@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TypedDict
 
@@ -72,7 +73,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     if options.dry_run:
         log.info("%s", batch.plan(f"{name}: {len(planned)} cases", planned, options))
         return
-    keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
+    keys = list(dict.fromkeys(chain.from_iterable(p.point.varied for p in planned)))
     log.info("%s: %s", name, layout.several(len(planned), "case"))
 
     def write(results: Sequence[Result]) -> SweepRecord:
@@ -89,7 +90,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         with batch.writable(folder):
             write_json(folder / "sweep.json", record)
             write_text(folder / "sweep.csv", run_table.csv(rows, keys, "case"))
-            # The file may have changed since.
+            # A copy, because the file may have changed since it was read.
             data = sweep.model_dump(mode="json", exclude_unset=True)
             write_text(folder / "sweep.yaml", yaml_file.to_yaml(data))
         return record

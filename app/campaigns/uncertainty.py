@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any, NotRequired, TypedDict
 
 import numpy as np
@@ -20,9 +21,9 @@ FEWEST = 3
 FEWEST_BASE = 8
 # Samples of the bootstrap for the confidence intervals of Sobol' indices.
 RESAMPLES = 999
-# Condition of a matrix of correlations from which inputs follow from each other.
+# Condition number of a matrix of correlations above which some inputs determine others.
 SINGULAR = 1e8
-# Numbers that stay below this are rounding, in any unit of theirs.
+# Range or deviation of a number below which it is rounding, in its unit.
 ROUNDING_RANGE = 1e-9
 
 
@@ -88,23 +89,33 @@ def of_parts(
         of_part = [row for row in rows if row["part"] == part]
         independent = of_part
         if samples.sobol:
-            independent = [row for run in _base_samples(of_part, samples) for row in run[:2]]
+            base = _base_samples(of_part, samples)
+            independent = list(chain.from_iterable(base_sample[:2] for base_sample in base))
         converged = [row for row in independent if not row["exit_code"]]
         if len(converged) < FEWEST:
             continue
-        values = {key: [row["overrides"][key] for row in converged] for key in samples.inputs}
-        names = [
-            n for n in converged[0]["numbers"] if all(n in row["numbers"] for row in converged)
-        ]
-        spreads[part] = {
-            "samples": len(converged),
-            "numbers": {n: of_number([r["numbers"][n] for r in converged], values) for n in names},
-        }
+        inputs = {}
+        for key in samples.inputs:
+            inputs[key] = [row["overrides"][key] for row in converged]
+        spreads_of_numbers = {}
+        for name in _common_numbers(converged):
+            values = [row["numbers"][name] for row in converged]
+            spreads_of_numbers[name] = of_number(values, inputs)
+        spreads[part] = {"samples": len(converged), "numbers": spreads_of_numbers}
         base_samples = _converged_base_samples(of_part, samples) if samples.sobol else []
         if len(base_samples) >= FEWEST_BASE:
             spreads[part]["base_samples"] = len(base_samples)
             spreads[part]["indices"] = sobol_indices(base_samples, samples.inputs)
     return spreads
+
+
+def _common_numbers(rows: Sequence[SweepRow]) -> list[str]:
+    """Return the names of the numbers that all rows have."""
+    common = []
+    for name in rows[0]["numbers"]:
+        if all(name in row["numbers"] for row in rows):
+            common.append(name)
+    return common
 
 
 def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]) -> NumberSpread:
@@ -139,10 +150,14 @@ def _converged_base_samples(
     rows: Sequence[SweepRow], samples: UncertainInputs
 ) -> list[Sequence[SweepRow]]:
     """Return the first base samples whose runs all converged; their number is a power of two."""
-    converged = [
-        run for run in _base_samples(rows, samples) if not any(row["exit_code"] for row in run)
-    ]
-    return converged[: 2 ** (len(converged).bit_length() - 1)] if converged else []
+    converged = []
+    for base_sample in _base_samples(rows, samples):
+        if not any(row["exit_code"] for row in base_sample):
+            converged.append(base_sample)
+    if not converged:
+        return []
+    power_of_two = 2 ** (len(converged).bit_length() - 1)
+    return converged[:power_of_two]
 
 
 def sobol_indices(
@@ -154,11 +169,12 @@ def sobol_indices(
     """
     from scipy.stats import sobol_indices as indices_of
 
-    first = base_samples[0][0]["numbers"]
-    names = [n for n in first if all(n in row["numbers"] for run in base_samples for row in run)]
     indices = {}
-    for name in names:
-        values = np.array([[row["numbers"][name] for row in run] for run in base_samples]).T
+    for name in _common_numbers(list(chain.from_iterable(base_samples))):
+        columns = []
+        for base_sample in base_samples:
+            columns.append([row["numbers"][name] for row in base_sample])
+        values = np.array(columns).T
         if np.ptp(values) <= ROUNDING_RANGE:
             continue
         a, b, mixed = values[:1], values[1:2], values[2:, None]
@@ -192,7 +208,9 @@ def partial_correlations(
     from scipy.stats import rankdata
 
     ordered = {key: values for key, values in inputs.items() if _ordered(values)}
-    columns = [[_value(v) for v in values] for values in ordered.values()]
+    columns = []
+    for values in ordered.values():
+        columns.append([_value(value) for value in values])
     varying = all(len({*column}) > 1 for column in [*columns, numbers])
     if len(columns) < 2 or len(numbers) < len(columns) + 3 or not varying:
         return {}
@@ -215,8 +233,13 @@ def _value(value: object) -> float:
 
 def _ordered(values: Sequence[object]) -> bool:
     """Return True if the values of an input are numbers of one unit."""
-    matches = [m for m in (NUMBER.fullmatch(str(v)) for v in values) if m]
-    return len(matches) == len(values) and len({m[2] for m in matches}) == 1
+    units = set()
+    for value in values:
+        match = NUMBER.fullmatch(str(value))
+        if match is None:
+            return False
+        units.add(match[2])
+    return len(units) == 1
 
 
 def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | None:

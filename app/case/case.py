@@ -172,9 +172,7 @@ class Case(Section):
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A run to be made: of a case alone, or one of many.
-
-    Lists of them come from the variations of a case, sweeps, studies and suites.
+    """A run to be made: a single one, or one of the runs of variations, sweeps, studies or suites.
 
     Attributes:
         file: The file of its case.
@@ -182,8 +180,8 @@ class PlannedRun:
         case: The case with the overrides.
         point: Name, which need not be unique, and the changes compared with other runs.
         ranks: Number of MPI ranks.
-        alone: True if no other run may be active at the same time, so that run times can be
-            compared.
+        needs_idle_machine: True if no other run may be active at the same time, because run times
+            are compared.
         share: True if it may share a process with runs of the same mesh and stiffness.
     """
 
@@ -192,7 +190,7 @@ class PlannedRun:
     case: Case = field(compare=False, repr=False)
     point: Point
     ranks: int = 1
-    alone: bool = False
+    needs_idle_machine: bool = False
     share: bool = False
 
     @property
@@ -207,7 +205,7 @@ class PlannedRun:
         file: Path,
         overrides: Sequence[str] = (),
         ranks: int = 1,
-        alone: bool = False,
+        needs_idle_machine: bool = False,
         share: bool = False,
     ) -> PlannedRun:
         """Plan a run of a file with overrides.
@@ -216,7 +214,7 @@ class PlannedRun:
             InputError: As `load`.
         """
         case = load(file, overrides).config
-        return cls(file, tuple(overrides), case, Point(name), ranks, alone, share)
+        return cls(file, tuple(overrides), case, Point(name), ranks, needs_idle_machine, share)
 
 
 @dataclass(frozen=True, repr=False)

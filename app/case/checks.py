@@ -5,6 +5,7 @@ They work on the valid parts, so that an error in one section does not hide erro
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
@@ -200,13 +201,21 @@ def _cement(case: CaseParts) -> Iterable[Fault]:
     }
     if any(unused.values()):
         sections = []
+        options = []
         for section, names in unused.items():
-            entries = dict.fromkeys(names, "null") | (missing if section == "interfaces" else {})
-            if entries:
-                written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
-                sections.append(f"`{section}: {{{written}}}`")
+            entries = dict.fromkeys(names, "null")
+            if section == "interfaces":
+                entries |= missing
+            if not entries:
+                continue
+            written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
+            sections.append(f"`{section}: {{{written}}}`")
+            for name, entry in entries.items():
+                option = shlex.quote(f"{section}.{name}={entry}")
+                options.append(f"--set {option}")
         reason = "there is no cement" if "regions" in geometry.left_out else "there is cement"
-        text = f"{reason}; add {' and '.join(sections)}"
+        in_file = f"in a file, add {' and '.join(sections)}"
+        text = f"{reason}; {in_file}; on the command line, add `{' '.join(options)}`"
         yield Fault(("geometry", "cement_thickness"), text)
     elif missing:
         example = ", ".join(f"{name}: {law}" for name, law in missing.items())

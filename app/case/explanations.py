@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 
 import configs
@@ -19,8 +19,13 @@ from app.case.keys import Key, Keys, every, matches, table
 from app.foundation.errors import InputError
 
 WIDTH = 96
+# Heading of the options of commands.
+OPTIONS = "options of commands"
 # End of the line of a result.
 RESULT = ", a result"
+# Headings of the units.
+RESULT_UNITS = "Results, in summary.json and history.csv:"
+KEY_UNITS = "Keys of a case. Write any unit, such as 4 mm or 110 GPa; mantle converts it to:"
 # Most lines that list keys by a word in their meaning.
 MOST_LINES = 12
 # Letters from which a word also finds longer ones that begin with it.
@@ -133,7 +138,7 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
 
 
 def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
-    """Explanations of keys, kinds or an entry of the library; then single lines in one text.
+    """Return explanations of keys, kinds or an entry of the library, then lines, then options.
 
     Args:
         query: A key, a kind or a name as typed.
@@ -147,16 +152,19 @@ def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
     entry = library.described().get(query)
     if entry and not blocks:
         blocks.append(entry)
-    lines = [line for target in targets for line in _named(target, options)]
-    if not blocks and not lines:
+    lines = [_results()[target] for target in targets if target in _results()]
+    option_lines = list(_options_named([*targets, f"--{word.replace('_', '-')}"], options))
+    if not blocks and not lines and not option_lines:
         lines += [_line(k) for k in every() if word in k.name.lower()]
     if not lists:
-        lines += _lines_with(word, options)
-    if not blocks and not lines:
+        lines += _lines_with(word)
+    if not blocks and not lines and not option_lines:
         lines += list(_lines_on(word.replace("_", " ")))[:MOST_LINES]
     texts = list(dict.fromkeys(blocks))
     if lines:
         texts.append("\n".join(dict.fromkeys(lines)))
+    if option_lines:
+        texts.append("\n".join([OPTIONS, *dict.fromkeys(option_lines)]))
     return texts
 
 
@@ -173,17 +181,23 @@ def _nearest(query: str, names: Iterable[str]) -> list[str]:
 
 
 def _units() -> str:
-    """Internal units, each with the keys that have it; then how values are written."""
+    """Return the units of the results and the internal units of the keys, with their names."""
+    results: dict[str, list[str]] = {}
+    for numbers in quantities.TABLE.values():
+        for quantity in numbers.values():
+            results.setdefault(quantity.unit, []).append(quantity.key)
     keys: dict[str, list[str]] = {}
     for key in every():
         if key.unit:
             keys.setdefault(key.unit, []).append(key.name)
-    head = "Values have units in the file, such as 4 mm or 110 GPa; results are in these:"
-    rows = [
-        f"  {unit:<14} {textwrap.shorten(', '.join(dict.fromkeys(names)), WIDTH - 20)}"
-        for unit, names in sorted(keys.items())
-    ]
-    return "\n".join([head, *rows])
+    texts = []
+    for head, names_of_units in ((RESULT_UNITS, results), (KEY_UNITS, keys)):
+        lines = [head]
+        for unit, names in sorted(names_of_units.items()):
+            listed = textwrap.shorten(", ".join(dict.fromkeys(names)), WIDTH - 20)
+            lines.append(f"  {unit:<14} {listed}")
+        texts.append("\n".join(lines))
+    return "\n\n".join(texts)
 
 
 # ------------------------------------------------------------------------------------ blocks
@@ -300,22 +314,16 @@ def _lines_on(word: str) -> Iterator[str]:
                 yield _line(key)
 
 
-def _named(target: str, options: Mapping[str, str]) -> Iterator[str]:
-    """Line of a result or an option by its name."""
-    if target in _results():
-        yield _results()[target]
-    for name, meaning in options.items():
-        if target in name.split():
-            yield _option(name, meaning)
+def _options_named(names: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
+    """Lines of the options of a command (``mesh``), or of options by their name (``--restart``)."""
+    for option, meaning in options.items():
+        if any(name in option.split() for name in names):
+            text = f"  {option:<44} {meaning}"
+            yield textwrap.fill(text, WIDTH, subsequent_indent=" " * 47, break_on_hyphens=False)
 
 
-def _option(name: str, meaning: str) -> str:
-    text = f"  {name:<44} {meaning}"
-    return textwrap.fill(text, WIDTH, subsequent_indent=" " * 47, break_on_hyphens=False)
-
-
-def _lines_with(word: str, options: Mapping[str, str]) -> Iterator[str]:
-    """Entries of the library, results, options and terms of the glossary with a word in them."""
+def _lines_with(word: str) -> Iterator[str]:
+    """Entries of the library, results and terms of the glossary with a word in them."""
     # Short words stand alone; longer ones may be the beginning of a word.
     end = r"(?![a-z0-9])" if len(word) < SHORT_WORD else ""
     pattern = re.compile(
@@ -333,9 +341,6 @@ def _lines_with(word: str, options: Mapping[str, str]) -> Iterator[str]:
         label = line.removesuffix(RESULT).removeprefix(f"  {name} ")
         if has_word(key) or has_word(label) or (has_word(section) and name in BY_ZONE):
             yield line
-    for name, meaning in options.items():
-        if f"--{word.replace('_', '-')}" in name.split():
-            yield _option(name, meaning)
     text = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
     # Term, symbol and unit, meaning, place in the code, other words.
     row = r"^\| ([^|]+) \|[^|]*\| ([^|]+) \|[^|]*\|([^|]*)\|$"

@@ -261,7 +261,7 @@ class FitProblem:
     def values(self, shares: Floats) -> dict[str, object]:
         """Values of the keys at fractions of their ranges (keys,)."""
         items = zip(self.fit.keys.items(), shares, strict=True)
-        return {key: bounds.at(float(share)) for (key, bounds), share in items}
+        return {key: bounds.value_at(float(share)) for (key, bounds), share in items}
 
     def plan(
         self, name: str, shares: Floats, end: str = ""

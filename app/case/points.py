@@ -135,7 +135,7 @@ class Range(Section):
             return low * (high / low) ** share
         return low + share * (high - low)
 
-    def at(self, share: float) -> str | float:
+    def value_at(self, share: float) -> str | float:
         """Value at a fraction of the range, to six digits."""
         number = float(f"{self.number(share):.6g}")
         return f"{number:g} {self.unit}" if self.unit else number
@@ -147,7 +147,7 @@ class Choice(Section):
     values: Values
     """The values: numbers, names or sections."""
 
-    def at(self, share: float) -> object:
+    def value_at(self, share: float) -> object:
         """Value at a fraction of the list."""
         return self.values[int(share * len(self.values))]
 
@@ -161,7 +161,7 @@ def _overrides_of_samples(
     """Overrides of samples, from fractions of the ranges of the inputs (samples, inputs)."""
     return [
         {
-            key: input.at(float(share))
+            key: input.value_at(float(share))
             for (key, input), share in zip(inputs.items(), row, strict=True)
         }
         for row in shares

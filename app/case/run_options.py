@@ -110,22 +110,22 @@ class Stage(Section):
         return 0.5 if self.creep else 1.0
 
     @property
-    def ways(self) -> int:
-        """Number of monotonic load segments in the stage; of cycle tables, of cycles."""
+    def load_segments(self) -> int:
+        """Number of monotonic load segments in the stage; with cycle tables, number of cycles."""
         return self.cycles if self._repeats else 2 * self.cycles - 1
 
     def reversal(self, time: float) -> int:
         """Number of the load reversal at a time: 1 at the first peak, 0 if there is none."""
-        segments_done = self.ways * (time - math.ceil(time) + 1)
+        segments_done = self.load_segments * (time - math.ceil(time) + 1)
         return round(segments_done) if abs(segments_done - round(segments_done)) < 1e-6 else 0
 
     def reached(self, part: float) -> float:
         """Part of the change applied after a part of the stage: 1 at the end and at peaks."""
         if self._repeats:
             return part
-        full_segments = min(int(self.ways * part), self.ways - 1)
+        full_segments = min(int(self.load_segments * part), self.load_segments - 1)
         low = self.valley if full_segments else 0.0
-        up = min(self.ways * part / self.loaded, self.ways) - full_segments
+        up = min(self.load_segments * part / self.loaded, self.load_segments) - full_segments
         return low + (1.0 - low) * (1.0 - up if full_segments % 2 else up)
 
     @property

@@ -189,4 +189,4 @@ def read(
     file.raise_all(problems)
     keys = {o.partition("=")[0].strip() for o in others}
     common = points.as_overrides({k: v for k, v in content.set.items() if k not in keys})
-    return study, [replace(run, alone=True) for run in runs], (*common, *others)
+    return study, [replace(run, needs_idle_machine=True) for run in runs], (*common, *others)

@@ -88,10 +88,14 @@ class CementRisk(Record):
         def step(done: LoadStep, trial: TrialState | None) -> None:
             stage = self._stages[math.ceil(done.time) - 1]
             reversal = stage.reversal(done.time)
-            if self._fatigue and reversal and (reversal == stage.ways or reversal % 2 == 0):
+            if (
+                self._fatigue
+                and reversal
+                and (reversal == stage.load_segments or reversal % 2 == 0)
+            ):
                 now = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
                 cycles = self._fatigue.spectrum.get(stage.name)
-                if reversal == stage.ways and cycles:
+                if reversal == stage.load_segments and cycles:
                     self._add(cycles, *tensions(now, self.valley))
                 self.valley = now
             on_step(done, trial)

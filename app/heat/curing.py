@@ -352,7 +352,7 @@ class CureHeat:
         self._step_length, self._seconds, self._last = h, seconds, None
         return bool(self._forms.comm.allreduce(all(map(are_admissible, start)), op=MPI.LAND))
 
-    def at(self, T: Floats) -> list[Degrees]:
+    def degrees_at(self, T: Floats) -> list[Degrees]:
         """Degrees of cure for temperatures of owned nodes of each body (b, n) [K].
 
         A steady state keeps its initial degrees: all heat of cure is already released.
@@ -374,7 +374,7 @@ class CureHeat:
         rate = 1 / self._step_length
         return [
             rate * n.heat * (d.degree - a)
-            for n, d, a in zip(self.nodes, self.at(T), self._start, strict=True)
+            for n, d, a in zip(self.nodes, self.degrees_at(T), self._start, strict=True)
         ]
 
     def heat_into_nodes(self, T: Floats) -> Floats:
@@ -387,6 +387,6 @@ class CureHeat:
     def heat_by_temperature(self, T: Floats) -> dict[int, Floats]:
         """Derivative of released heat by temperature at owned nodes of bodies [N mm/(s K)]."""
         total = self._forms.zeros()
-        for n, d in zip(self.nodes, self.at(T), strict=True):
+        for n, d in zip(self.nodes, self.degrees_at(T), strict=True):
             total[n.body, n.dof] += 1 / self._step_length * n.heat * d.by_temperature
         return {b: total[b] for b in sorted({n.body for n in self.nodes})}

@@ -3,7 +3,7 @@ r"""One implicit solve of temperature and temperature jumps, as a system for New
 A stage of a time step asks for the state at the end of an interval h that started at T*. Unknowns
 are the continuous temperature θ and, with interfaces of finite conductance, the jumps τ of their
 points. With the temperature T_b = θ + B_b τ of each body (`HeatOperators.nodal`) and its residual
-heat (`at` sums the terms)
+heat (`evaluate` sums the terms)
 
 .. math:: r_b = \tfrac1h M_b (T_b - T_b^*) + K_b (T_b - T_0) + R_b (T_b - T_a)
                 - f_b - a_b(T_b) - d_b + E_b(T),
@@ -220,7 +220,7 @@ class ImplicitStep(System):
         if jumps is not None:
             x[1].array[jumps.held] = self._given_values[1][jumps.held]
 
-    def at(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
+    def evaluate(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
         """Evaluate a state, unless it is the last one evaluated; collective."""
         operators = self.operators
         inputs = [v.array_r for v in x]
@@ -260,7 +260,7 @@ class ImplicitStep(System):
 
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
         """Residual heat, zero where temperatures are given [N mm/s]."""
-        evaluation, jumps = self.at(x), self.operators.jumps
+        evaluation, jumps = self.evaluate(x), self.operators.jumps
         f[0].array[:] = np.where(self._is_held, 0.0, evaluation.residual_heat.sum(axis=0))
         if jumps is not None and evaluation.flux:
             total = -jumps.weight * evaluation.flux[0]
@@ -273,14 +273,14 @@ class ImplicitStep(System):
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
-        evaluation, jumps, cure = self.at(x), self.operators.jumps, self.operators.cure
+        evaluation, jumps, cure = self.evaluate(x), self.operators.jumps, self.operators.cure
         by_jump = -jumps.weight * evaluation.flux[1] if jumps and evaluation.flux else None
         self._blocks.set(by_jump, cure.heat_by_temperature(evaluation.T) if cure else {})
 
     def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
         """Degrees of cure in a state, of owned nodes of each curing region."""
         cure = self.operators.cure
-        return [d.degree for d in cure.at(self.operators.nodal(x))] if cure else []
+        return [d.degree for d in cure.degrees_at(self.operators.nodal(x))] if cure else []
 
     def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> list[Measure]:
         """Size of a residual f of a state x [N mm/s]; collective.
@@ -288,7 +288,7 @@ class ImplicitStep(System):
         The scale is the heat stored, supplied and transferred. Conduction alone is no scale: it is
         large and cancels in a state that hardly changes.
         """
-        evaluation = self.at(x)
+        evaluation = self.evaluate(x)
         parts = [
             np.where(self._is_held, evaluation.residual_heat.sum(axis=0), 0.0),
             *evaluation.parts,
@@ -306,7 +306,7 @@ class ImplicitStep(System):
         Their sum is the rate at which heat is stored in the interval last begun, to the tolerance
         of the solver.
         """
-        evaluation, operators = self.at(x), self.operators
+        evaluation, operators = self.evaluate(x), self.operators
         heats: dict[str, float] = {}
         for c, nodal in operators.loads.heating:
             heats[c.name] = multiplier(c.time_course, self.seconds) * float(nodal.sum())
@@ -334,7 +334,7 @@ class ImplicitStep(System):
 
         By interface of finite conductance, without friction heat.
         """
-        evaluation, operators = self.at(x), self.operators
+        evaluation, operators = self.evaluate(x), self.operators
         into_slave: dict[str, float] = {}
         jumps = operators.jumps
         if jumps and evaluation.flux:

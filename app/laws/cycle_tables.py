@@ -78,7 +78,7 @@ class CycleTable(Section):
         """Times of the rows, growing [s]."""
         return self.columns["time"]
 
-    def at(self, names: Sequence[str], s: float) -> list[float]:
+    def values_at(self, names: Sequence[str], s: float) -> list[float]:
         """Values of columns at a part of a cycle from 0 to 1 [rad, N, -]; 0 of a missing one."""
         time = self.times[0] + s * (self.times[-1] - self.times[0])
         columns = (self.columns.get(name) for name in names)

@@ -102,7 +102,7 @@ class ModulusField(Extensible):
         """Largest Young's modulus, to which others are related [MPa]."""
         raise NotImplementedError
 
-    def at(self, x: Floats, geometry: Any) -> Floats:
+    def modulus_at(self, x: Floats, geometry: Any) -> Floats:
         """Young's modulus at points (n, 3) of a geometry (n,) [MPa]."""
         raise NotImplementedError
 

@@ -238,7 +238,7 @@ class Force(Load):
         """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a cycle table."""
         if self.cycle_table is None:
             return self.force
-        size, factor, *parts = self.cycle_table.at(("force", FACTOR, *FORCES), s)
+        size, factor, *parts = self.cycle_table.values_at(("force", FACTOR, *FORCES), s)
         pairs = zip(self.force, parts, strict=True)
         x, y, z = ((size + factor) * f + part for f, part in pairs)
         return x, y, z

@@ -255,7 +255,7 @@ class Isotropic(Elastic):
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""
         if self.modulus_field:
-            return np.asarray(self.modulus_field.at(x, self._geometry) / self.moduli[0])
+            return np.asarray(self.modulus_field.modulus_at(x, self._geometry) / self.moduli[0])
         if isinstance(self.youngs_modulus, float):
             return super().relative_stiffness(x)
         heights, moduli = np.transpose(np.asarray(self.youngs_modulus))

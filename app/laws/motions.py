@@ -74,6 +74,6 @@ class Motion(Named):
         if self.rotation is None:
             return Rotations.identity().as_matrix()
         columns = [f"rotation {axis}" for axis in self.rotation.axes]
-        angles = [part * angle for angle in self.rotation.cycle_table.at(columns, s)]
+        angles = [part * angle for angle in self.rotation.cycle_table.values_at(columns, s)]
         # Capital letters are axes that rotate with the region.
         return Rotations.from_euler(self.rotation.axes.upper(), angles).as_matrix()

@@ -301,7 +301,7 @@ class Constraints:
         """P^T C."""
         return self._P.transposeMatMult(C) if self._P else C
 
-    def at(self, nodes: Ints) -> PETSc.Mat:
+    def rows_of(self, nodes: Ints) -> PETSc.Mat:
         """Rows of P of owned nodes, zero in constrained columns; collective."""
         assert self._P
         rows = self._P.getOwnershipRange()[0] + 3 * nodes[:, None] + np.arange(3)
@@ -323,7 +323,7 @@ class Constraints:
             return self.constrained.reshape(-1, 3)[nodes]
         from scipy.sparse import bsr_array, csr_array  # few cases have rigid regions or local axes
 
-        start, columns, values = self.at(nodes).getValuesCSR()
+        start, columns, values = self.rows_of(nodes).getValuesCSR()
         shape = 3 * len(nodes), int(columns.max(initial=0)) + 1
         rows = csr_array((values, columns, start), shape=shape)
         blocks = axes.swapaxes(1, 2), np.arange(len(nodes)), np.arange(len(nodes) + 1)

@@ -100,7 +100,7 @@ class Forces:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
         self._free_strain_actions[cause] = self.action(parts.items())
 
-    def at(self, time: float) -> Action:
+    def total_at(self, time: float) -> Action:
         """All forces at a time [N]."""
         acting = [(load.amplitude(time), a) for load, a in self._loads]
         acting += [(amplitude(h, time), a) for h, a in self._eigenstrains]

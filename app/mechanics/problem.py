@@ -11,7 +11,7 @@ with
 - K, C, D: the elastic energy of the bodies (`BodyForms.body_energy`), its derivatives by u and q
   (`Stiffness.K`, `JumpCoupling.C`, `JumpCoupling.D`). They change when a region sets or its density
   changes (`update_stiffness`, `follow_density`) or when supports do (`set_stage`).
-- f, f_q: the forces on u and q (`Forces.at`, by `set_time`). They are the work of the loads
+- f, f_q: the forces on u and q (`Forces.total_at`, by `set_time`). They are the work of the loads
   (`Load.work`), eigenstrains, thermal expansion (`set_temperature`, `ThermalStrain`), and the
   stress history of regions that set or creep (`update_stiffness`, `StressHistory`).
 - e: the equilibrium of the contact points (`JumpCoupling.equilibrium`); W their areas.
@@ -220,7 +220,7 @@ class Problem:
         self._set_forces(time)
 
     def _set_forces(self, time: float) -> None:
-        action = self.forces.at(time)
+        action = self.forces.total_at(time)
         nodal = PETSc.Vec().createWithArray(action.nodal, comm=self.comm)
         self.f, self.f_q = self.stiffness.constraints.vector(nodal), action.jump
         self.load_size = float(self.f.norm())

@@ -268,11 +268,11 @@ class ContactSystem(BondedSystem):
             return None
         constraints, points = self._problem.stiffness.constraints, self.contact.points
         low = self._problem.space.dofmap.index_map.local_range[0]
-        Q = constraints.at(points.dof[self.contact.local.rows] - low)
+        Q = constraints.rows_of(points.dof[self.contact.local.rows] - low)
         follows = Q.createVecLeft()
         follows.array.reshape(-1, 3)[sliding.rows[sliding.on_deformable]] = 1.0
         Q.diagonalScale(follows)
-        return Q, constraints.at(sliding.followers.masters)
+        return Q, constraints.rows_of(sliding.followers.masters)
 
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
         """Residual of displacement and jumps without the law, and size of the forces [N]."""

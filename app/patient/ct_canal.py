@@ -63,7 +63,7 @@ def read(
     numbers = np.full(body.solid.shape, np.inf, dtype=float)
     try:
         ct = images.read(path)
-        numbers[tuple(inner_voxels.T)] = ct.at(body.places(inner_voxels))
+        numbers[tuple(inner_voxels.T)] = ct.values_at(body.places(inner_voxels))
     except InputError as error:
         raise InputError(
             f"{path}: {error}. The CT does not contain the labelled femur: use the CT from which"

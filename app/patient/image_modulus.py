@@ -101,7 +101,7 @@ class ImageModulus(ModulusField):
         """Young's modulus that is exceeded in one voxel of a thousand [MPa]."""
         return float(self.modulus_of(self.image.dense))
 
-    def at(self, x: Floats, geometry: Any) -> Floats:
+    def modulus_at(self, x: Floats, geometry: Any) -> Floats:
         """Young's modulus at points (n, 3) of a geometry (n,) [MPa].
 
         Points near the surface of a patient's bone have the modulus at `SURFACE_DEPTH` below it.
@@ -110,7 +110,13 @@ class ImageModulus(ModulusField):
             x = geometry.in_file(x, SURFACE_DEPTH)
         if self.axes == "LPS":
             x = x * [-1.0, -1.0, 1.0]
-        return np.asarray(self.modulus_of(self.image.at(x)))
+        from app.patient.images import OutsideImageError  # scipy, which other cases do without
+
+        try:
+            numbers = self.image.values_at(x)
+        except OutsideImageError as error:
+            raise InputError(f"{error}; is it in other axes? See the key `axes`") from error
+        return np.asarray(self.modulus_of(numbers))
 
     def details(self, geometry: Any) -> dict[str, str]:
         """Moduli at three densities, at the densest voxels, and below the surface of a patient."""
@@ -138,7 +144,7 @@ class ImageModulus(ModulusField):
 
     def below_surface(self, patient: Patient) -> Floats:
         """Young's moduli at a depth of `SURFACE_DEPTH` below a patient's surface (n,) [MPa]."""
-        return self.at(patient.skin, patient)
+        return self.modulus_at(patient.skin, patient)
 
     def doubts(self, geometry: Any) -> list[str]:
         """Notes on implausible CT numbers: shifted by 1024, or no numbers."""

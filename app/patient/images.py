@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from app.foundation.arrays import Floats
+from app.foundation.arrays import Bools, Floats
 from app.foundation.errors import InputError
 from app.foundation.files import parts
 from app.patient import dicom_segmentation, dicom_series, nrrd
@@ -49,6 +49,10 @@ OTHER_FORMATS = {
     b"ply": "is a PLY surface: give it as `surface`",
     b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
 }
+
+
+class OutsideImageError(InputError):
+    """A point is outside the image."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +101,15 @@ class Image:
         """Number of voxels that are no numbers."""
         return int(self.values.size - self._numbers.size)
 
-    def at(self, x: Floats) -> Floats:
-        """Values at points (n, 3) [mm], linear between voxels (n,).
+    def values_at(self, x: Floats) -> Floats:
+        """Return values (n,) at points (n, 3) [mm], linear between the centres of voxels.
 
         Raises:
-            InputError: A point is outside, or in a voxel that is no number.
+            OutsideImageError: A point is outside the image.
+            InputError: A point is in a voxel that is not a number.
         """
         index = (x - self.affine[:3, 3]) @ np.linalg.inv(self.affine[:3, :3]).T
-        # The outermost voxels reach half an edge beyond their middles.
+        # The outermost voxels extend by half an edge beyond their centres.
         nearest = np.clip(index, 0.0, np.array(self.values.shape) - 1.0)
         index = np.where(np.abs(index - nearest) <= HALF_VOXEL, nearest, index)
         values = ndimage.map_coordinates(self.values, index.T, float, order=1, cval=np.nan)
@@ -112,13 +117,17 @@ class Image:
         if is_lost.any():
             last = np.array(self.values.shape) - 1
             outside = is_lost & ((index < 0) | (index > last)).any(axis=1)
-            listed = outside if outside.any() else is_lost
-            where = "outside the image" if outside.any() else "in voxels that are not numbers"
-            text = f"{int(listed.sum()):,} of {len(x):,} points are {where}, such as "
-            text += "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[listed][0])
-            remedy = "; is it in other axes? See the key `axes`"
-            raise InputError(text + (remedy if outside.any() else "; fill these voxels"))
+            if outside.any():
+                raise OutsideImageError(_count(x, outside, "outside the image"))
+            text = _count(x, is_lost, "in voxels that are not numbers")
+            raise InputError(f"{text}; fill these voxels")
         return np.asarray(values)
+
+
+def _count(x: Floats, mask: Bools, place: str) -> str:
+    """Return a text on the number of masked points (n, 3) [mm] and the first one of them."""
+    first = "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[mask][0])
+    return f"{int(mask.sum()):,} of {len(x):,} points are {place}, such as {first}"
 
 
 def read(path: Path) -> Image:

@@ -29,8 +29,8 @@ from app.soundness import preview
 from app.system.layout import plain
 from meshes.data import MeshData, boundary_facets, cell_volumes, exterior_facets, interface_facets
 
-# Directions of the ends of the axes x, y, z in a femur.
-WAYS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))
+# Anatomical names of the negative and positive ends of the axes x, y, z of a femur.
+AXIS_ENDS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))
 # Colours of loads, supports and heat conditions.
 LOAD = "#b2182b"
 SUPPORT = "#1b7837"
@@ -75,16 +75,27 @@ Force = tuple[str, Floats, Floats]
 
 @dataclass
 class View:
-    """A view of the model between ``low`` and ``high`` (3,); ``inch`` is one on paper [mm]."""
+    """A view of the model with its section.
+
+    Attributes:
+        ax: Axes of the view.
+        across: Number of the coordinate from left to right.
+        toward: Number of the coordinate towards the viewer.
+        section_at: Coordinate of the section plane along `toward` [mm].
+        low: Lowest coordinates of the model (3,) [mm].
+        high: Highest coordinates of the model (3,) [mm].
+        inch: Length in the model of one inch on paper [mm].
+        labels: Text, colour and labelled place (2,) [mm] of each label.
+    """
 
     ax: Axes
     across: int
     toward: int
-    at: float  # of the section
+    section_at: float
     low: Floats
     high: Floats
     inch: float
-    labels: list[tuple[str, str, Floats]] = field(default_factory=list)  # text, colour, place (2,)
+    labels: list[tuple[str, str, Floats]] = field(default_factory=list)
 
     def lines(
         self,
@@ -96,7 +107,7 @@ class View:
         alpha: float = 1.0,
     ) -> Floats:
         """Draw the section of triangles (n, 3, 3) [mm]; return the middles of its lines (k, 2)."""
-        flat = sections.section_lines(x, self.toward, self.at)[..., [self.across, 2]]
+        flat = sections.section_lines(x, self.toward, self.section_at)[..., [self.across, 2]]
         lines = LineCollection(
             list(flat), colors=colour, lw=width, ls=style, alpha=alpha, label=label
         )
@@ -134,7 +145,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         _continued(view, case.geometry.continued_below)
         _arrows(view, forces)
         _labels(view)
-        _scale(view, WAYS if clinical else [("", axis) for axis in AXES])
+        _scale(view, AXIS_ENDS if clinical else [("", axis) for axis in AXES])
         view_title = f"from {name if clinical else f'+{AXES[toward]}'}"
         view_title += f", section {AXES[toward]} = {round(section_at, 3):g} mm"
         middle = (low + high)[across] / 2
@@ -185,7 +196,7 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
     x = data.points[facets]
     grey = np.full((len(x), 3), 0.7)
     sections.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
-    sections.fill(view.ax, data, view.toward, view.at)
+    sections.fill(view.ax, data, view.toward, view.section_at)
 
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
@@ -273,11 +284,9 @@ def _arrows(view: View, forces: Sequence[Force]) -> None:
             arrow_length = view.inch * max(SHORTEST, LONGEST * math.sqrt(size / largest))
             start_point, step = places[row, flat], arrow_length * force_vectors[row, flat] / size
             points_outwards = (2 * places[row] - view.low - view.high) @ force_vectors[row] > 0
-            start, end = (
-                (start_point, start_point + step)
-                if points_outwards
-                else (start_point - step, start_point)
-            )
+            start, end = start_point - step, start_point
+            if points_outwards:
+                start, end = start_point, start_point + step
             style = {"arrowstyle": "-|>", "color": LOAD, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
             view.ax.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style)
             view.ax.plot(*start_point, "o", color=LOAD, ms=3.5, label="load")
@@ -295,10 +304,9 @@ def _labels(view: View) -> None:
         label_heights = np.array([LABEL * (1 + text.count("\n")) + APART for text in texts])
         # Heights of the middles of labels that touch, from the first one.
         steps = view.inch * (np.cumsum(label_heights) - label_heights / 2)
-        # As near to their places as the gaps allow: isotonic regression.
+        # As near to their places as their heights allow.
         y = np.array([place[1] for *_, place in labels]) - steps
-        block_means = [[y[j:k].mean() for k in range(j + 1, n + 1)] for j in range(n)]
-        spread = [max(min(block_means[j][i - j :]) for j in range(i + 1)) for i in range(n)] + steps
+        spread = _least_increasing(y) + steps
         if n:
             # Below the title of the view.
             highest = view.high[2] + (TOP - 1.0 - APART) * view.inch
@@ -318,9 +326,28 @@ def _labels(view: View) -> None:
             )
 
 
+def _least_increasing(values: Floats) -> Floats:
+    """Return the non-decreasing values (n,) that are nearest to given ones in least squares.
+
+    Isotonic regression: value i is the maximum over the beginnings j <= i of the minimum over the
+    ends k >= i of the mean of the values j to k.
+    """
+    nearest = np.zeros(len(values))
+    for i in range(len(values)):
+        least_means = []
+        for j in range(i + 1):
+            means = np.cumsum(values[j:]) / np.arange(1, len(values) - j + 1)
+            least_means.append(means[i - j :].min())
+        nearest[i] = max(least_means)
+    return nearest
+
+
 def _wrapped(label: str) -> str:
     """Break the long lines of a label."""
-    return "\n".join(part for line in label.split("\n") for part in textwrap.wrap(line, LETTER_ROW))
+    lines: list[str] = []
+    for line in label.split("\n"):
+        lines += textwrap.wrap(line, LETTER_ROW)
+    return "\n".join(lines)
 
 
 def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:

@@ -195,11 +195,18 @@ def _maps(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     """Keys of the input with their values in each run, where these differ."""
-    data = [{k: v for k, v in case.data.items() if k not in NOT_COMPARED} for case in cases]
-    flat = [dict(_flat(values)) for values in data]
-    keys = dict.fromkeys(key for values in flat for key in values)
-    rows = [[key, *(values.get(key, "-") for values in flat)] for key in keys]
-    rows = [row for row in rows if len(set(row[1:])) > 1]
+    inputs = []
+    keys: dict[str, None] = {}
+    for case in cases:
+        sections = {key: part for key, part in case.data.items() if key not in NOT_COMPARED}
+        values = dict(_flat(sections))
+        inputs.append(values)
+        keys |= dict.fromkeys(values)
+    rows = []
+    for key in keys:
+        texts = [values.get(key, "-") for values in inputs]
+        if len(set(texts)) > 1:
+            rows.append([key, *texts])
     return table(["key", *names], rows) or bullets(["nothing: these are runs of the same case"])
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from app.case import quantities
 from app.report.sweep_results import Json, Number, SweptCase, named
@@ -126,7 +127,11 @@ def compared(cases: Sequence[SweptCase]) -> list[ComparedNumber]:
     Numbers with known errors come first, ordered by difference over error. Those without follow,
     ordered by relative difference. Numbers that do not differ come last.
     """
-    common = [c for c in _all_numbers(cases) if sum(n is not None for n in c.numbers) > 1]
+    common = []
+    for number in _all_numbers(cases):
+        known = [value for value in number.numbers if value is not None]
+        if len(known) > 1:
+            common.append(number)
     return sorted(common, key=_order)
 
 
@@ -159,8 +164,8 @@ def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
         for section, owner, content in quantities.numbers_of(case.summary, parts=True):
             if section not in NOT_COMPARED:
                 for quantity in quantities.TABLE[section].values():
-                    place = quantity.key.endswith("_at")  # of a maximum
-                    if content.get(quantity.key) is not None and not place:
+                    is_place_of_maximum = quantity.key.endswith("_at")
+                    if content.get(quantity.key) is not None and not is_place_of_maximum:
                         keys |= {f"{owner}.{name}": owner for name in quantity.names}
     for key, owner in keys.items():
         q = quantities.find(key)
@@ -176,11 +181,11 @@ def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
 def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
     """Numbers by Gruen zone: strain energy of the bones, and those of each interface."""
     all_zones = [case.summary.get("gruen") or {} for case in cases]
-    for zone in dict.fromkeys(zone for zones in all_zones for zone in zones):
+    for zone in dict.fromkeys(chain.from_iterable(all_zones)):
         zone_of_runs = [zones.get(zone, {}) for zones in all_zones]
         densities = [z.get("strain_energy_density", {}) for z in zone_of_runs]
         errors = [z.get("strain_energy_density_error", {}) for z in zone_of_runs]
-        for bone in dict.fromkeys(bone for density in densities for bone in density):
+        for bone in dict.fromkeys(chain.from_iterable(densities)):
             pairs = zip(densities, errors, strict=True)
             numbers = tuple(_scaled(_number(density, e, bone), KJ) for density, e in pairs)
             yield ComparedNumber(
@@ -190,10 +195,9 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
                 "kJ/m³",
                 numbers,
             )
-        for place in dict.fromkeys(
-            place for z in zone_of_runs for place in z.get("interfaces", {})
-        ):
-            of_place = [z.get("interfaces", {}).get(place) for z in zone_of_runs]
+        interfaces = [z.get("interfaces", {}) for z in zone_of_runs]
+        for place in dict.fromkeys(chain.from_iterable(interfaces)):
+            of_place = [numbers_of_run.get(place) for numbers_of_run in interfaces]
             for key, q in quantities.TABLE["interfaces"].items():
                 numbers = tuple(_scaled(_number(n, n, key, "_error"), q.factor) for n in of_place)
                 if any(number is not None for number in numbers):

@@ -8,6 +8,7 @@ height, or at the same place of the plane. Where the other run has no interface,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def draw(runs: Sequence[tuple[str, SweptCase]], folder: Path) -> tuple[list[Figu
     sheets = [_sheets(case) for _, case in runs]
     drawn = []
     missing = []
-    for name in dict.fromkeys(name for by_name in sheets for name in by_name):
+    for name in dict.fromkeys(chain.from_iterable(sheets)):
         first_sheet = sheets[0].get(name)
         columns = []
         for (title, _), by_name in zip(others, sheets[1:], strict=True):

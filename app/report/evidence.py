@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 APPLICANT = "the applicant writes this"
 NO_COMPARATOR = "no experiment was given: mantle validate -o FOLDER, then FOLDER after the run"
-# Outcome of a prediction that nothing measured is compared with.
+# Outcome of a prediction without a measurement to compare with.
 NOT_MEASURED = "predicted"
-# Folder with the repository's files; an installed program has only those of its packages.
+# Top folder of the repository. An installed program has only its packages there.
 REPOSITORY = configs.FOLDER.parent
 STANDARD = "ASME V&V 40-2018 with the guidance of the FDA of 17 November 2023"
 
@@ -207,7 +207,9 @@ def write(folders: Sequence[Path], spread: Path | None = None) -> list[Path]:
             is not one of this case.
     """
     run = _finished(folders[0])
-    checks = [check for folder in folders[1:] for check in _checks(folder)]
+    checks = []
+    for folder in folders[1:]:
+        checks += _checks(folder)
     swept = SweptCase(run.folder.name, run.folder, CONVERGED)
     basis = Evidence(
         load(run.folder / "case.yaml").config,
@@ -365,10 +367,10 @@ def _of_scale(grade: str | None, scale: Sequence[str]) -> str:
 
 def _blocks(folder: Path, factor: AssessedFactor) -> list[Block]:
     """Heading and table of a factor."""
-    scale = [
-        f"{letter}: {meaning}" + (" (this run)" if letter == factor.grade else "")
-        for letter, meaning in zip(credibility.GRADES, factor.scale, strict=False)
-    ]
+    scale = []
+    for letter, meaning in zip(credibility.GRADES, factor.scale, strict=False):
+        of_this_run = " (this run)" if letter == factor.grade else ""
+        scale.append(f"{letter}: {meaning}{of_this_run}")
     goal = f", goal {factor.goal}: {factor.state}" if factor.goal else ""
     rows: list[list[page.Cell]] = [["grades", scale]]
     if factor.evidence:
@@ -417,7 +419,9 @@ def _checks(folder: Path) -> list[Check]:
     if not files:
         text = f"mantle verify or mantle validate with -o {folder} writes one"
         raise InputError(f"{folder}: contains no verify.json or validate.json; {text}")
-    checks: list[Check] = [check for file in files for check in read_json(file)]
+    checks: list[Check] = []
+    for file in files:
+        checks += read_json(file)
     return [check for check in checks if check["outcome"] != NOT_MEASURED]
 
 
@@ -561,7 +565,7 @@ def _sensitivities(basis: Evidence) -> Finding:
         return Finding("a", ("no sweep was given",), SWEEP)
     texts = [_samples(basis.spread)]
     for name, q in _headlines(basis.summary):
-        values = basis.spread.of(f"{name}.{q.key}")
+        values = basis.spread.range_of(f"{name}.{q.key}")
         if values and values[2]:
             texts.append(f"{name}: {q.label} follows most {values[2]}")
     return Finding("b", texts, "the same for every input of the case")
@@ -597,7 +601,7 @@ def _headlines(summary: Summary) -> Iterator[tuple[str, quantities.Quantity]]:
 def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
     """Ranges of the main numbers over uncertain inputs."""
     for name, q in _headlines(summary):
-        values = spread.of(f"{name}.{q.key}")
+        values = spread.range_of(f"{name}.{q.key}")
         if values:
             low, high, _ = values
             ends = f"{low:.{q.digits}f} to {high:.{q.digits}f} {quantities.printed(q.shown)}"

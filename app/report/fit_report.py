@@ -19,7 +19,7 @@ from app.plots import curves, figures
 from app.plots.curves import Line
 from app.plots.figures import PNG
 from app.report import page
-from app.report.page import Figure, LargeNumber, Link, PageSection, bullets, folded, table
+from app.report.page import Cell, Figure, LargeNumber, Link, PageSection, bullets, folded, table
 from app.system.folders import read_json, write_text
 from app.system.layout import duration
 
@@ -29,7 +29,7 @@ PAGE = "report.html"
 PICTURE = "fit.png"
 # Directions of a drawn ellipse.
 DIRECTIONS = 120
-# Chi-square of two degrees of freedom that holds 95 %.
+# 95th percentile of chi-square with two degrees of freedom.
 CHI_SQUARE = 5.991
 # Most large numbers of a page.
 MOST_LARGE = 3
@@ -79,10 +79,9 @@ def _sections(record: FitRecord) -> list[PageSection]:
     """Sections with tables."""
     head, rows = fit_results.run_rows(record)
     pages = [run["folder"] and f"{run['folder']}/{PAGE}" for run in record["runs"]]
-    linked = [
-        [Link(name, to) if to else name, *cells]
-        for (name, *cells), to in zip(rows, pages, strict=True)
-    ]
+    linked: list[list[Cell]] = []
+    for (name, *cells), address in zip(rows, pages, strict=True):
+        linked.append([Link(name, address) if address else name, *cells])
     numbers = "Targets" if record["aim"] == "targets" else "Numbers"
     return [
         PageSection("keys", "Fitted keys", table(*fit_results.key_rows(record))),

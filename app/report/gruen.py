@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from app.case.quantities import TABLE
@@ -19,11 +20,11 @@ from app.report.sweep_results import (
     magnitude,
 )
 
-# Number of zones of the frontal view; the others are of the lateral one.
+# Last zone of the frontal view; higher numbers belong to the lateral view.
 FRONTAL = 7
 # Names of the kinds of bone.
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
-# kJ/m3 of a MPa.
+# kJ/m3 in 1 MPa.
 KJ = 1e3
 
 
@@ -50,9 +51,16 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
     """
     by_zone = zones(case)
     cement = (case.summary.get("mantle") or {}).get("gruen", {})
-    places = [p for p in INTERFACES if any(p in z["interfaces"] for z in by_zone.values())]
-    bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in by_zone.values())]
-    head = ["zone", *(["cement thickness, min / mean / max (mm)"] if cement else [])]
+    known_places: set[str] = set()
+    known_bones: set[str] = set()
+    for zone in by_zone.values():
+        known_places |= zone["interfaces"].keys()
+        known_bones |= zone["strain_energy_density"].keys()
+    places = [place for place in INTERFACES if place in known_places]
+    bones = [bone for bone in BONES if bone in known_bones]
+    head = ["zone"]
+    if cement:
+        head.append("cement thickness, min / mean / max (mm)")
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
     rows = []
     for z, zone in by_zone.items():
@@ -66,12 +74,16 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
             else:
                 row.append(_shown(density.get(bone), KJ))
         rows.append(row)
-    parts = [("Cement and bone" if cement else "Bone", head, rows)] if len(head) > 1 else []
+    parts = []
+    if len(head) > 1:
+        parts.append(("Cement and bone" if cement else "Bone", head, rows))
     for place in places:
-        known = {key for zone in by_zone.values() for key in zone["interfaces"].get(place, {})}
+        known: set[str] = set()
+        for zone in by_zone.values():
+            known |= zone["interfaces"].get(place, {}).keys()
         shown = {q: unit for q, (unit, _) in QUANTITIES.items() if f"{q}_mean" in known}
         if "micromotion" in shown:
-            del shown["motion"]  # it contains the interference
+            del shown["motion"]  # because it contains the interference
         head = ["zone", *(f"{WORDS[q]} ({unit})" for q, unit in shown.items())]
         rows = []
         for z, zone in by_zone.items():
@@ -127,7 +139,8 @@ def shielding_picture(
     changes = {stem: by_bone for stem, by_bone in all_shielding.items() if by_bone}
     if not changes:
         return []
-    bones = [b for b in BONES if any(b in c for c in changes.values())]
+    changed_bones = set(chain.from_iterable(changes.values()))
+    bones = [bone for bone in BONES if bone in changed_bones]
     figure = figures.new(9.4, 2.9 * len(bones) + 0.5)
     grid = figure.subplots(len(bones), 1, squeeze=False, sharex=True).ravel()
     width = 0.8 / len(changes)
@@ -151,13 +164,12 @@ def shielding_picture(
         f"Strain energy per volume of bone against the intact femur ({intact.name}); below zero "
         "the stem takes load from the bone."
     )
-    text = ". ".join(
-        f"{stem}, {BONES[bone]}: "
-        + ", ".join(f"zone {z} {100 * v:.0f} %" for z, v in by_zone.items())
-        for stem, by_bone in changes.items()
-        for bone, by_zone in by_bone.items()
-    )
-    return [Figure("shielding.png", "Stress shielding", caption, text)]
+    sentences = []
+    for stem, by_bone in changes.items():
+        for bone, by_zone in by_bone.items():
+            percentages = [f"zone {z} {100 * change:.0f} %" for z, change in by_zone.items()]
+            sentences.append(f"{stem}, {BONES[bone]}: {', '.join(percentages)}")
+    return [Figure("shielding.png", "Stress shielding", caption, ". ".join(sentences))]
 
 
 def mantles(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:

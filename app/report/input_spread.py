@@ -16,9 +16,10 @@ from app.report.sweep_figures import title
 from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain
 
-# Fewest samples with a 5th and a 95th percentile.
+# Fewest samples for a 5th and a 95th percentile.
 FEWEST = 10
-# Keys in which a sample may differ from the run: how it is solved, and what follows from inputs.
+# Keys in which a sample may differ from the run: numerical settings, and keys that the uncertain
+# inputs determine.
 FREE = {"title", "mesh", "solver", "output", "at", "status", "source"}
 HEAD = ("", "value", "± of the mesh", "5 to 95 % over inputs", "follows most (rank correlation)")
 
@@ -37,12 +38,15 @@ class InputSpread:
     drawn: int
     inputs: Mapping[str, Sequence[object]]
 
-    def of(self, name: str) -> tuple[float, float, str] | None:
-        """Percentiles of a number in its unit for people, and the input that it follows most.
+    def range_of(self, name: str) -> tuple[float, float, str] | None:
+        """Return the 5th and 95th percentile of a number, and the input with most effect on it.
 
-        None is named below 2 / sqrt(samples), which one of 20 unrelated inputs reaches.
+        Percentiles are in the printed unit. The input is empty if no rank correlation exceeds
+        2 / sqrt(samples), which one of 20 unrelated inputs reaches by chance. None if a sample
+        does not have the number or if it does not vary.
         """
-        values = [n.value for c in self.samples if (n := c.number(name))]
+        numbers = [sample.number(name) for sample in self.samples]
+        values = [number.value for number in numbers if number]
         if len(values) < len(self.samples):
             return None
         spread = uncertainty.of_number(values, self.inputs)
@@ -55,7 +59,7 @@ class InputSpread:
     def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
         """Return the cells of a number in a table with the head `HEAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
-        low, high, strongest = self.of(name) or (None, None, "-")
+        low, high, strongest = self.range_of(name) or (None, None, "-")
         ends = "-" if low is None else f"{low:.{q.digits}f} to {high:.{q.digits}f}"
         return [titled(name), value, error or "-", ends, strongest or "none clearly"]
 
@@ -64,7 +68,7 @@ class InputSpread:
         ratios, causes = list[float](), Counter[str]()
         for section, owner, _ in numbers_of(run.summary):
             for key, q in TABLE[section].items():
-                spread = self.of(f"{owner}.{key}") if q.headline and q.order else None
+                spread = self.range_of(f"{owner}.{key}") if q.headline and q.order else None
                 if spread:
                     low, high, cause = spread
                     n = run.number(f"{owner}.{key}")
@@ -100,7 +104,9 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
     if len(sweep.uncertainty) != 1:
         raise InputError(f"{option}: expected one part with converged samples (latin_hypercube)")
     ((part, spread),) = sweep.uncertainty.items()
-    keys = dict.fromkeys(key for s in spread["numbers"].values() for key in s["correlation"])
+    keys: dict[str, None] = {}
+    for number in spread["numbers"].values():
+        keys |= dict.fromkeys(number["correlation"])
     drawn = [c for c in sweep.cases if c.part == part]
     differences = {c.name: next(_differences(run.data, c.data, keys), "") for c in drawn if c.done}
     samples = [c for c in drawn if c.done and not differences[c.name]]
@@ -108,7 +114,9 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
         too_few = f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST}"
         other_case = f"is of another case than {run.folder}: {next(iter(differences.values()))}"
         raise InputError(f"{option}: {too_few if samples else other_case}")
-    inputs = {key: [c.overrides[key] for c in samples] for key in keys}
+    inputs = {}
+    for key in keys:
+        inputs[key] = [sample.overrides[key] for sample in samples]
     return InputSpread(samples, len(drawn), inputs)
 
 
@@ -119,5 +127,8 @@ def _differences(
     if isinstance(run, dict) and isinstance(sample, dict):
         for key in (run | sample).keys() - FREE:
             yield from _differences(run.get(key), sample.get(key), inputs, f"{path}.{key}")
-    elif run != sample and not any(f"{path}.".startswith(f".{k.split('[')[0]}.") for k in inputs):
+    elif run != sample:
+        input_keys = [key.partition("[")[0] for key in inputs]
+        if any(f"{path}.".startswith(f".{key}.") for key in input_keys):
+            return
         yield f"{path[1:]} is {plain(sample)} there, not {plain(run)}"

@@ -11,7 +11,7 @@ from app.case.summary import Numbers, Summary
 from app.report.page import LargeNumber, spelled_out
 from app.report.sweep_results import SweptCase, magnitude, named
 
-# Bodies on both sides of an interface: the one that moves, the other, and the preposition.
+# Words on the motion at an interface: body that moves, other body, preposition.
 PAIRS = {
     "stem_cement": ("the stem", "its cement", "in"),
     "cement_bone": ("the cement", "the bone", "on"),
@@ -22,11 +22,11 @@ PAIRS = {
 NOTHING = 0.05
 # Open fraction of the area above which the sides do not touch.
 APART = 0.995
-# Dead bone below this volume counts as none [mm3].
+# Volume of dead bone below which no bone counts as dead [mm3].
 NO_BONE = 0.5
 # Large numbers of a page.
 MOST = 3
-# Words for a model of a sector of the body.
+# Words on the force by the sector of the body that is modelled.
 SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
 
 
@@ -42,7 +42,7 @@ def large_numbers(summary: Summary) -> list[LargeNumber]:
         list(_heat(summary)),
         list(_cure(summary)),
     ]
-    by_rank = [n for rank in zip_longest(*groups) for n in rank if n is not None]
+    by_rank = [n for n in chain.from_iterable(zip_longest(*groups)) if n is not None]
     chosen = by_rank[:MOST]
     numbers = [n for n in chain.from_iterable(groups) if n in chosen]
     return numbers or list(_stresses(summary))[:MOST]
@@ -171,14 +171,19 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
         yield _number("thermal.regions", "temperature_max", q, caption)
         return
     worst = max(bone, key=lambda q: q["temperature_max"])
-    spans = {level: max(q[f"seconds_over_{level}"] for q in bone) for level in (47, 50, 56)}
-    durations = [f"{s:,.0f} s above {level} °C" for level, s in spans.items() if s > 0]
+    durations = []
+    for level in (47, 50, 56):
+        seconds = max(q[f"seconds_over_{level}"] for q in bone)
+        if seconds > 0:
+            durations.append(f"{seconds:,.0f} s above {level} °C")
     detail = f"For up to {', '.join(durations)}." if durations else "Never above 47 °C."
     caption = "highest temperature of the bone"
     yield _number("thermal.regions", "temperature_max", worst, caption, detail)
-    dead = {r: sum(q.get(f"necrosis_{r}_volume") or 0.0 for q in bone) for r in NECROSIS}
+    dead = {}
+    for criterion in NECROSIS:
+        dead[criterion] = sum(q.get(f"necrosis_{criterion}_volume") or 0.0 for q in bone)
     rule = "47C_1min"
-    others = [v for k, v in dead.items() if k != rule]
+    others = [volume for criterion, volume in dead.items() if criterion != rule]
     detail = f"By the rule of {in_print(NECROSIS[rule])}. By other rules "
     detail += f"{min(others):,.0f} to {max(others):,.0f} mm³."
     if max(dead.values()) < NO_BONE:
@@ -211,7 +216,7 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber
     numbers = []
     for name, ends in ranges(cases, names):
         words, unit = in_words(name)
-        lowest, highest = (f"{v if abs(v) > NOTHING else 0.0:.3g}" for v, _ in ends)
+        lowest, highest = (f"{_zero_if_small(value):.3g}" for value, _ in ends)
         if lowest == highest:
             continue
         first, last = (c.name.replace("_", " ") for _, c in ends)
@@ -222,6 +227,10 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber
     return numbers[:MOST]
 
 
+def _zero_if_small(value: float) -> float:
+    return value if abs(value) > NOTHING else 0.0
+
+
 def ranges(
     cases: Sequence[SweptCase], names: Sequence[str]
 ) -> Iterator[tuple[str, list[tuple[float, SweptCase]]]]:
@@ -230,7 +239,11 @@ def ranges(
     Each value comes with its case, in the printed unit.
     """
     for name in names:
-        values = [(n.value, k) for k, c in enumerate(cases) if (n := c.number(name))]
+        values = []
+        for k, case in enumerate(cases):
+            number = case.number(name)
+            if number:
+                values.append((number.value, k))
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
             ends = min(values), max(values)
             if ends[1][0] > NOTHING and ends[0] != ends[1]:

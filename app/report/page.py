@@ -17,7 +17,7 @@ from app.plots.curves import Drawing
 from app.plots.figures import SUFFIXES
 from app.system.layout import plain
 
-# Class of a word at the beginning of a text, which colours it.
+# CSS class, which sets the colour, of a word at the beginning of a text.
 CLASSES = {
     "converged": "good",
     "stopped": "open",
@@ -28,7 +28,7 @@ CLASSES = {
     "reached": "good",
     "below": "bad",
 }
-# Names of percentiles and maxima in labels of numbers, and as titles have them.
+# Names of percentiles and maxima in labels of numbers, with their spelling in titles.
 SPELLED = {r"\bp(\d\d)\b": r"\1th percentile", r"\bmax\b": "maximum", r"\bmin\b": "minimum"}
 
 
@@ -249,8 +249,13 @@ def figures(pictures: Sequence[Figure], folder: Path) -> list[Block]:
 
 def files(pictures: Sequence[Figure], folder: Path) -> list[Path]:
     """Return the files of pictures in a folder, in all formats that were written."""
-    candidates = ((folder / f.name).with_suffix(suffix) for f in pictures for suffix in SUFFIXES)
-    return [file for file in candidates if file.exists()]
+    existing = []
+    for picture in pictures:
+        for suffix in SUFFIXES:
+            file = (folder / picture.name).with_suffix(suffix)
+            if file.exists():
+                existing.append(file)
+    return existing
 
 
 def _picture(figure: Figure, path: Path) -> Picture:

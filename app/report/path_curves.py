@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from app.results.reading import PathTable
 from app.scene.path_fields import field_of
 from app.system.layout import plain
 
-# Most steps of a run that are drawn in one panel.
+# Largest number of steps of a run in one panel.
 MOST_STEPS = 5
 ABSCISSA = "distance along the path (mm)"
-# Columns that are no fields.
+# Columns that are not fields.
 ABOUT = ("step", "time [-]", "seconds [s]", ARC, *PLACES, REGION)
 GAPS = "Curves have gaps where the path is outside."
 
@@ -56,11 +57,9 @@ def panels(table: PathTable, stages: Sequence[str], title: str = "") -> list[Pan
     steps = _steps(table, stages)
     drawn = []
     for column in fields_of(table):
-        lines = [
-            line
-            for k, (step, label) in enumerate(steps.items())
-            for line in _lines(table, column, step, label, k)
-        ]
+        lines: list[Line] = []
+        for k, (step, label) in enumerate(steps.items()):
+            lines += _lines(table, column, step, label, k)
         if lines:
             drawn.append(_panel(column, lines, title))
     return drawn
@@ -75,20 +74,18 @@ def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     """Draw the paths that several runs have at their last steps, and list the others."""
     blocks: list[Block] = []
     unshared_paths: list[str] = []
-    for path in dict.fromkeys(path for case in cases for path in case.paths):
+    for path in dict.fromkeys(chain.from_iterable(case.paths for case in cases)):
         runs = [k for k, case in enumerate(cases) if path in case.paths]
         if len(runs) < 2:
             unshared_paths.append(f"path {path}: only in {names[runs[0]]}")
             continue
         tables = [cases[k].paths[path] for k in runs]
         drawn = []
-        for column in dict.fromkeys(title for table in tables for title in fields_of(table)):
-            lines = [
-                line
-                for k, table in zip(runs, tables, strict=True)
-                if column in table
-                for line in _lines(table, column, table["step"].max(), names[k], k)
-            ]
+        for column in dict.fromkeys(chain.from_iterable(map(fields_of, tables))):
+            lines: list[Line] = []
+            for k, table in zip(runs, tables, strict=True):
+                if column in table:
+                    lines += _lines(table, column, table["step"].max(), names[k], k)
             if lines:
                 drawn.append(drawing(_panel(column, lines)))
         keys = [_definition(cases[k], path) for k in runs]

@@ -12,6 +12,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
+from numpy.typing import NDArray
 
 from app.case.case import read_geometry
 from app.case.geometries import Sides
@@ -57,20 +59,22 @@ SHOWN = {
     "pressure": LOADED,
 }
 PEAK = "temperature_peak"
-SIDES = "interfaces"  # name of the picture from three sides
+# Name of the picture of the surfaces from three sides.
+SIDES = "interfaces"
 ON_SIDES = {"slip": "viridis", "gap": "viridis", "pressure": "cividis"}
-# The angle runs from here by 360 degrees.
+# Angle at the left end of an unrolled map [degrees].
 SEAM = -90.0
 WAYS = {-90: "posterior", 0: "medial", 90: "anterior", 180: "lateral", 270: "posterior"}
 SHORT = {"posterior": "post.", "medial": "med.", "anterior": "ant.", "lateral": "lat."}
-# Facets that face up or down more than this (cosine) are end faces.
+# Cosine between normal and vertical above which a facet belongs to an end face.
 STEEP = math.cos(math.radians(40.0))
 FLAT = 1e-6
 # Errors of runs whose fields or geometry cannot be read.
 UNREADABLE = (OSError, KeyError, ValueError, MantleError)
-# Colours end at this percentile of what is shown.
+# Percentile of the values drawn at which colours end.
 CLIP = 99.5
-LEAST = 1e-3  # of the colours' range, so that rounding has no colour
+# Least range of colours, in the printed unit, so that rounding errors have no colour.
+LEAST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -85,14 +89,14 @@ class Sheet:
         cup: True if it is a part of a sphere that is spread out from its pole.
     """
 
-    corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
-    nodes: Ints  # the run's, at these corners (m, 3)
-    round: bool  # True if it was unrolled, False if it is flat
-    cup: bool = False  # True if it was spread out from a cup
+    corners: Floats
+    nodes: Ints
+    round: bool
+    cup: bool = False
 
 
 Column = tuple[str, Run, Sheet]
-# Label, colours, and values at the nodes of each column's run; None where it has none.
+# Label, colours, and for each column the values at the nodes of its run (n,); None without values.
 Row = tuple[str, str, Sequence[Floats | None]]
 
 
@@ -119,7 +123,7 @@ def maps(
             opened.append((title, sheets(case)))
         except UNREADABLE as error:
             missing.append(f"no map of {case.name}: {str(error).partition(chr(10))[0]}")
-    for name in dict.fromkeys(name for _, by_name in opened for name in by_name):
+    for name in dict.fromkeys(chain.from_iterable(by_name for _, by_name in opened)):
         columns = []
         for title, by_name in opened:
             run_and_sheet = by_name.get(name)
@@ -183,8 +187,12 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
     if TEMPERATURE in labels:
         caption += " Temperature: the highest that each place of the second body reaches."
     place = f"{named(name)} interface"
-    of_titles, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
-    return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of_titles}")
+    title = place
+    text = f"{', '.join(labels)} on the {place}"
+    if titles:
+        title += f": {'; '.join(titles)}"
+        text += f" of {'; '.join(titles)}"
+    return Figure(file, title, caption, text)
 
 
 # Maps
@@ -192,16 +200,23 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
 
 def facets(run: Run, side: Sequence[int], other_side: Sequence[int]) -> Ints:
     """Triangles of an interface (m, 3) with nodes of one side; a curved facet is four triangles."""
-    own_faces, other_faces = (
-        cells[:, FACES[:, : 3 if cells.shape[1] == 4 else 6]].reshape(4 * len(cells), -1)
-        for cells in (cells_of(run, side), cells_of(run, other_side))
-    )
-    # Bodies that can part have separate nodes at the same places.
-    own_centres, other_centres = (
-        np.round(run.points[f[:, :3]].mean(axis=1), 6).view("f8,f8,f8").ravel()
-        for f in (own_faces, other_faces)
-    )
-    return quartered(own_faces[np.isin(own_centres, other_centres)])
+    faces = _faces(cells_of(run, side))
+    other_faces = _faces(cells_of(run, other_side))
+    # The sides may have separate nodes at the same places, so faces are compared by their centres.
+    is_shared = np.isin(_centres(run, faces), _centres(run, other_faces))
+    return quartered(faces[is_shared])
+
+
+def _faces(cells: Ints) -> Ints:
+    """Nodes of the four faces of each cell (4 m, 3), or (4 m, 6) of second order."""
+    nodes_of_face = 3 if cells.shape[1] == 4 else 6
+    return cells[:, FACES[:, :nodes_of_face]].reshape(4 * len(cells), -1)
+
+
+def _centres(run: Run, faces: Ints) -> NDArray[np.void]:
+    """Centres of faces (m,), each as one comparable value, rounded to 1e-6 mm."""
+    centres = np.round(run.points[faces[:, :3]].mean(axis=1), 6)
+    return centres.view("f8,f8,f8").ravel()
 
 
 def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
@@ -292,15 +307,15 @@ def draw(
     that these can be compared. Return the labels of the quantities drawn; without values there is
     no picture.
     """
-    rows = [row for row in rows if any(v is not None for v in row[2])]
+    rows = [row for row in rows if not all(values is None for values in row[2])]
     if not rows:
         return []
     round = all(s.round for _, _, s in columns)
     titles = [textwrap.fill(title.replace("_", " "), 30) for title, _, _ in columns]
-    is_single = len(columns) == 1  # quantities of one case side by side
-    down, across = (
-        (math.ceil(len(rows) / 2), min(2, len(rows))) if is_single else (len(rows), len(titles))
-    )
+    is_single = len(columns) == 1
+    down, across = len(rows), len(titles)
+    if is_single:
+        down, across = math.ceil(len(rows) / 2), min(2, len(rows))
     width, high = (3.0, 2.9) if round else (3.4, 3.0)
     width, high = (width + 0.8 * is_single) * across + 1.2, high * down + 0.3
     top = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
@@ -326,8 +341,9 @@ def draw(
                 continue
             limits = low, highest
             shades.append(plane.shaded(axes, flat.corners, v[flat.nodes], colours, limits))
-        beyond = np.nanmax(all_values) > highest * (1 + 1e-6)
-        extend = ("both" if colours == SIGNED else "max") if beyond else "neither"
+        extend = "neither"
+        if np.nanmax(all_values) > highest * (1 + 1e-6):
+            extend = "both" if colours == SIGNED else "max"
         figure.colorbar(shades[0], ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, title in zip(grid[0], titles, strict=False):
         axes.set_title(title, fontsize=10)
@@ -356,7 +372,8 @@ def _axes(axes: Axes, flat: Sheet) -> None:
         axes.set_xlabel("mm", fontsize=8)
         return
     axes.set_xlim(max(low[0], SEAM), min(high[0], SEAM + 360.0))
-    shown = {a: w for a, w in WAYS.items() if axes.get_xlim()[0] <= a <= axes.get_xlim()[1]}
+    left, right = axes.get_xlim()
+    shown = {angle: name for angle, name in WAYS.items() if left <= angle <= right}
     names = [SHORT[direction] for direction in shown.values()]
     ticks = axes.set_xticks(list(shown), names, fontsize=8)
     # The outer names stay inside the frame, so that those of the next map have room.
@@ -375,7 +392,8 @@ def _on_sides(run: Run, name: str) -> dict[str, str]:
     """Return the colours of the quantities drawn; a press fit has micromotion instead of slip."""
     if f"{name}_micromotion" not in run.point_fields:
         return ON_SIDES
-    return {"micromotion" if key == "slip" else key: colours for key, colours in ON_SIDES.items()}
+    others = {key: colours for key, colours in ON_SIDES.items() if key != "slip"}
+    return {"micromotion": ON_SIDES["slip"], **others}
 
 
 def sides(run: Run, folder: Path) -> list[Figure]:

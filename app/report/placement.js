@@ -31,7 +31,7 @@
     const slope = along(0) / along(2), lean = Math.abs(along(1)) > 1e-12 ? along(1) / along(0) : 0;
     return { turn, top, slope, lean, origin: foot.map((v, k) => v - top * turn[k][2]) };
   }
-  // Points along the stem in its axes, section by section, as `meshes.room.StemSurface.at`, and
+  // Points along the stem in its axes, section by section, as `meshes.room.StemSurface.placed_points`, and
   // whether the neck clears the cut.
   function surfaceAt(q, stem) {
     if (stem.points) return [stem.points, true];

@@ -12,6 +12,7 @@ import re
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ from app.system.ranks import rank
 PAGE = "report.html"
 # Folder of the pictures as files.
 PICTURES = "report"
-# Part of a run's time that its page may take.
+# Largest time for the page, as a fraction of the run's time.
 SHARE = 0.03
 # Time of the maps of the interfaces [s].
 MAPS = 1.2
@@ -86,9 +87,9 @@ SOLVER = {
     "linear_iterations": "Krylov iterations",
 }
 NOT_FINISHED = "There are no results: the run did not finish."
-# Notes on the input that are written out; more of them fold into one line.
+# Number of notes on the input above which they fold into one line.
 MOST_NOTES = 3
-# Rows of a table that are written out; more of them fold into one line.
+# Number of rows above which a table folds into one line.
 MOST_ROWS = 12
 log = logging.getLogger("mantle")
 
@@ -110,7 +111,7 @@ def after_run(folder: Path, comm: MPI.Comm | None) -> None:
         if node.bcast(all_ranks.rank) == 0:
             with mpl.rc_context():  # leaves the rcParams of the caller untouched
                 write(folder, SHARE if comm else 0.0, comm=node)
-    except Exception as error:  # the results are there, whatever the page lacks
+    except Exception as error:  # a failed page must not cost the results
         if node.rank == 0:
             log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
     finally:
@@ -176,7 +177,7 @@ def _run(
 
     spent = on_root(comm, time) or 0.0
     has_viewer = alone or spent >= VIEW
-    # The view first: rank 0, which also writes the page, has the least to draw.
+    # The view is first, so that it goes to rank 0: this rank also writes the page.
     tasks: list[Callable[[], Any]] = [
         lambda: _view(folder) if has_viewer else ("", []),
         lambda: _model(folder) if has_viewer else [],
@@ -275,7 +276,7 @@ def _model(folder: Path) -> list[Block]:
             data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
             case_picture.draw(case, data, folder / CASE_PICTURE)
         picture = page.figures([figure], folder)
-    except Exception as error:  # a mesh that was removed must not cost the page
+    except Exception as error:  # without the mesh there is still a page
         picture = bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
     return picture + _landmarks(folder)
 
@@ -321,7 +322,7 @@ def _view(folder: Path) -> tuple[str, list[str]]:
     """Return the view in three dimensions, and the reason if there is none."""
     try:
         return viewer.viewer({"": folder}), []
-    except Exception as error:  # wrong fields must not cost the page
+    except Exception as error:  # with unreadable fields there is still a page
         return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
 
@@ -359,7 +360,7 @@ def _status(summary: Summary) -> list[Block]:
         lines = [f"{status}: the numbers are those of the last converged state, at time {time}"]
         lines += map(str, others)
     else:
-        # The lead has the cause.
+        # The lead of the page names the cause of a failure.
         lines = [status, *map(str, others[1:])]
     content = bullets([_with_words(in_print(line), places) for line in lines])
     return content + _notes(notes)
@@ -412,13 +413,15 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
         keys = [] if all_parts else [*text.keys(section), *page_keys, *added]
         keys += [k for k in known if spread and k.startswith("necrosis")]
         shown = [known[k] for k in keys or known if not known[k].vector]
-        rows = [[_label(q), *(q.text(numbers) for numbers in by_owner.values())] for q in shown]
+        rows = []
+        for q in shown:
+            texts = [q.text(numbers) for numbers in by_owner.values()]
+            rows.append([_label(q), *texts])
         if spread:
-            rows = [
-                spread.cells(f"{owner}.{q.key}", q, numbers)
-                for q in shown
-                for owner, numbers in by_owner.items()
-            ]
+            rows = []
+            for q in shown:
+                for owner, numbers in by_owner.items():
+                    rows.append(spread.cells(f"{owner}.{q.key}", q, numbers))
         rows = [row for row in rows if set(row[1:]) != {"-"}]
         head = HEAD if spread else ["", *map(named, by_owner)]
         blocks += page.titled(titles[section], table(head, rows))
@@ -435,8 +438,10 @@ def _label(q: Quantity) -> str:
 def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of maxima that do not converge: their values on meshes of each size."""
     unsettled = summary.get("error", {}).get("unsettled", {})
-    peaks = {name: {size: value for size, value in pairs} for name, pairs in unsettled.items()}
-    sizes = sorted({size for values in peaks.values() for size in values})
+    peaks: dict[str, dict[float, float]] = {}
+    for name, pairs in unsettled.items():
+        peaks[name] = {size: value for size, value in pairs}
+    sizes = sorted(set(chain.from_iterable(peaks.values())))
     rows = []
     for name, values in peaks.items():
         q = quantities.get(name)
@@ -449,8 +454,12 @@ def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
 def _necrosis(regions: dict[str, Numbers]) -> list[Block]:
     bones, rows = text.necrosis(regions)
     measures = ("volume (mm³)", "depth (mm)")
-    head = ["", *(f"{named(bone)}, {measure}" for bone in bones for measure in measures)]
-    return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
+    if not bones:
+        return []
+    head = [""]
+    for bone in bones:
+        head += [f"{named(bone)}, {measure}" for measure in measures]
+    return table(head, [[in_print(words), *texts] for words, *texts in rows])
 
 
 def _solver(case: SweptCase, summary: Summary) -> list[Block]:
@@ -464,7 +473,8 @@ def _solver(case: SweptCase, summary: Summary) -> list[Block]:
 
 def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     rows = on_root(comm, lambda: _json(folder / "variations.json")) or []
-    solved = [f for f in (folder / row["name"] for row in rows) if (f / "summary.json").exists()]
+    run_folders = [folder / row["name"] for row in rows]
+    solved = [run for run in run_folders if (run / "summary.json").exists()]
     written = dealt(comm, [partial(_run, run, share, alone=False) for run in solved])
     if comm.rank:
         return []

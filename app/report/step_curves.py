@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from app.report.sweep_results import named
 from app.scene.scene import build_scene
 from app.system.layout import plain
 
-# Quantities drawn, by key in history.csv: title, unit for people.
+# Title and printed unit of the quantities drawn, by key in history.csv.
 BEFORE = {
     "temperature_max": ("highest temperature", "degC"),
     "temperature_max_second": ("highest temperature, second side", "degC"),
@@ -34,11 +35,11 @@ AFTER = {
 # Columns of time in history.csv.
 SECONDS = "seconds [s]"
 TIME = "time [-]"
-# Beginnings of the columns that belong to the solver.
+# First letters of the columns that belong to the solver.
 SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
 # Units of quantities that vanish without loads.
 VANISHING = ("um", "um/m", "mm", "deg", "N", "N mm", "MPa")
-# Values below which a quantity is zero, in its unit for people.
+# Value below which a quantity counts as zero, in its printed unit.
 ROUNDING = 1e-9
 StepRecord = Mapping[str, Floats]
 
@@ -82,7 +83,7 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
             if at_rest and not timed and shown in VANISHING:
                 x, y = [0.0, *x], [0.0, *y]
             lines.setdefault(key, {})[place] = x, y
-    places = list(dict.fromkeys(place for by_place in lines.values() for place in by_place))
+    places = list(dict.fromkeys(chain.from_iterable(lines.values())))
     panels = []
     for key, (title, unit) in drawn.items():
         if key in lines:
@@ -151,5 +152,7 @@ def steps(step_record: StepRecord) -> list[Block]:
     """Return a table of the solver's columns, by step."""
     columns = {c: v for c, v in step_record.items() if not _parts(c)[0] and np.isfinite(v).any()}
     rows = sparse([*zip(*columns.values(), strict=True)])
-    texts = [[plain(float(f"{value:.3g}")) for value in row] for row in rows]
+    texts = []
+    for row in rows:
+        texts.append([plain(float(f"{value:.3g}")) for value in row])
     return page.table([*columns], texts)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from urllib.parse import quote
 
@@ -18,21 +19,21 @@ from app.report.sweep_results import PERCENTILES, Number, SweptCase, by_part, ma
 from app.schema.units import NUMBER, conversion
 from app.system import layout
 
-# Panels of a picture.
+# Largest number of panels in a picture.
 MOST_PANELS = 12
-# Numbers in the table of cases.
+# Largest number of columns of results in the table of cases.
 MOST_NUMBERS = 11
-# Curves of a panel.
+# Largest number of curves in a panel.
 MOST_SERIES = 8
-# Levels of a varied key that are written one by one.
+# Number of levels of a key above which only the first and the last are written.
 MOST_LEVELS = 8
-# Stands for the keys of the geometry: the mean thickness of the mantle that they make.
+# Abscissa in place of keys of the geometry: mean thickness of the cement mantle they result in.
 ACHIEVED = "geometry.achieved_mean_thickness"
 # Key of the thickness of the mantle.
 THICKNESS = "geometry.cement_thickness"
 # Texts of cells without content.
 EMPTY = {"-", "", "1"}
-# Cases below which rank correlations say little.
+# Fewest cases for rank correlations.
 FEWEST = 6
 
 
@@ -49,13 +50,17 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
         for name in case.summary.get("interfaces", {}):
             names |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:
-        # Bone is what burns; cement may start hot.
+        # Bone comes first: heat damages it, while cement may start hot.
         regions = case.summary.get("thermal", {}).get("regions", {})
         order = sorted(regions, key=lambda name: name not in case.bones)
         names |= {f"{name}.temperature_max": None for name in order}
     for case in cases:
         names |= dict.fromkeys(case.numbers)
-    return [name for name in names if any(c.number(name) is not None for c in cases)]
+    known = []
+    for name in names:
+        if not all(case.number(name) is None for case in cases):
+            known.append(name)
+    return known
 
 
 def title(key: str) -> str:
@@ -84,7 +89,7 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     sentences = []
     for part, members in by_part(cases).items():
         varied = []
-        for key in dict.fromkeys(key for c in members for key in c.overrides):
+        for key in dict.fromkeys(chain.from_iterable(c.overrides for c in members)):
             unit, numbers = levels(members, key)
             written = [c.overrides[key] for c in members if key in c.overrides]
             known = [f"{x:g}" for x in numbers if x is not None]
@@ -111,21 +116,31 @@ def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) 
     names, keys = names[:MOST_NUMBERS], varied(cases)
     head = ["case", "status", "changes", *map(quantities.titled, names)]
     head += ["unknowns", "ranks", "time", "message"]
-    rows: list[list[Cell]] = [
-        [
-            Link(c.name, _link(c.folder / "report.html", folder)),
-            c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
-            [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items() if key in keys],
-            *(cell(c, name) for name in names),
-            f"{c.unknowns or '-'}",
-            f"{c.ranks}",
-            layout.duration(c.seconds),
-            c.message or ("" if not c.done or c.summary else "its folder has no summary.json"),
-        ]
-        for c in cases
-    ]
-    # Columns without content are left out.
-    filled = [k for k in range(len(head)) if k < 3 or {str(row[k]) for row in rows} - EMPTY]
+    rows: list[list[Cell]] = []
+    for c in cases:
+        status = c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}"
+        changes = {key: level for key, level in c.overrides.items() if key in keys}
+        message = c.message
+        if not message and c.done and not c.summary:
+            message = "its folder has no summary.json"
+        rows.append(
+            [
+                Link(c.name, _link(c.folder / "report.html", folder)),
+                status,
+                [f"{key} = {layout.plain(level)}" for key, level in changes.items()],
+                *(cell(c, name) for name in names),
+                f"{c.unknowns or '-'}",
+                f"{c.ranks}",
+                layout.duration(c.seconds),
+                message,
+            ]
+        )
+    # Columns after the third are left out if they are empty.
+    filled = []
+    for k in range(len(head)):
+        texts = {str(row[k]) for row in rows}
+        if k < 3 or texts - EMPTY:
+            filled.append(k)
     return page.table([head[k] for k in filled], [[row[k] for k in filled] for row in rows])
 
 
@@ -154,7 +169,8 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
         words, unit_of_x = title(key), levels(converged, key)[0]
         x = f"{words} ({unit_of_x})" if unit_of_x else words
         panels = []
-        for name in headlines([c for _, by_level in groups for c in by_level.values()]):
+        drawn_cases = list(chain.from_iterable(by_level.values() for _, by_level in groups))
+        for name in headlines(drawn_cases):
             text, unit = quantities.in_words(name)
             lines = []
             for k, (common, by_level) in enumerate(groups[:MOST_SERIES]):
@@ -163,10 +179,11 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
             if any(_varies(line.y) for line in lines):
                 panels.append(Panel(page.spelled_out(text), unit or "value", lines, x))
         panels = panels[:MOST_PANELS]
-        if all(len(line.x) < 2 for panel in panels for line in panel.lines):
+        all_lines = chain.from_iterable(panel.lines for panel in panels)
+        if all(len(line.x) < 2 for line in all_lines):
             continue
         if folder:
-            file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
+            file = f"over_{re.sub(r'[^a-zA-Z0-9]', '_', key)}.png"
             files += draw(folder / file, panels, 3)[:1]
         left_out = len(groups) - MOST_SERIES
         rest_text = f" {left_out} further curves are left out." if left_out > 0 else ""
@@ -185,12 +202,15 @@ def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> L
 
 def varied(cases: Sequence[SweptCase]) -> list[str]:
     """Keys whose values differ within a part of a sweep; all changed keys of a single case."""
-    keys = dict.fromkeys(key for c in cases for key in c.overrides)
-    parts = by_part(cases).values() if len(cases) > 1 else []
-    values = {
-        key: [{str(c.overrides.get(key)) for c in members} for members in parts] for key in keys
-    }
-    return [key for key, sets in values.items() if not sets or max(map(len, sets)) > 1]
+    keys = dict.fromkeys(chain.from_iterable(c.overrides for c in cases))
+    if len(cases) == 1:
+        return list(keys)
+    differing: dict[str, None] = {}
+    for members in by_part(cases).values():
+        for key in keys:
+            if len({str(c.overrides.get(key)) for c in members}) > 1:
+                differing[key] = None
+    return [key for key in keys if key in differing]
 
 
 def _varies(values: Sequence[float]) -> bool:
@@ -255,16 +275,18 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
     """
     rows: list[tuple[str, list[str]]] = []
     for part, members in by_part([c for c in cases if c.done]).items():
-        numeric = {key: levels(members, key)[1] for key in members[0].overrides}
-        varied: dict[str, Sequence[object]] = {
-            key: [c.overrides.get(key) for c in members] if None in x else x
-            for key, x in numeric.items()
-        }
-        varied = {key: x for key, x in varied.items() if len(set(map(str, x))) > 1}
+        varied: dict[str, Sequence[object]] = {}
+        for key in members[0].overrides:
+            inputs: Sequence[object] = levels(members, key)[1]
+            if None in inputs:
+                inputs = [c.overrides.get(key) for c in members]
+            if len(set(map(str, inputs))) > 1:
+                varied[key] = inputs
         if len(varied) < 2 or len(members) < FEWEST:
             continue
         for name in headlines(members)[:MOST_NUMBERS]:
-            y = [n.value for c in members if (n := c.number(name)) is not None]
+            numbers = [c.number(name) for c in members]
+            y = [number.value for number in numbers if number is not None]
             q = quantities.get(name)
             if (q and q.exact) or not _varies(y):
                 continue

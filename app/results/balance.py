@@ -34,7 +34,7 @@ from forms import elasticity, loads
 # Rounding of the assembled forces in units of the scale, whose hundredfold is still balanced.
 ROUNDING = 1e-10
 
-# Forces and the motions that they do work in.
+# Pairs of forces and the motions in which they do work.
 Pairs = list[tuple[Floats, Floats]]
 
 
@@ -52,12 +52,12 @@ class _State:
         unbalanced: Residual forces on unknowns and jumps [N].
     """
 
-    external: Pairs  # loads, reactions and free strains with their motions
-    setting: Pairs  # forces of curing regions with their displacement
-    energy: float  # stored [N mm]
-    outer: Floats  # loads, reactions, of springs and between bodies meshed apart (3 nodes,) [N]
-    reaction: Floats  # reactions alone (3 nodes,) [N]
-    unbalanced: Floats  # forces on unknowns and jumps that nothing balances [N]
+    external: Pairs
+    setting: Pairs
+    energy: float
+    outer: Floats
+    reaction: Floats
+    unbalanced: Floats
 
 
 class Balance:
@@ -103,27 +103,28 @@ class Balance:
         displacements = problem.displacements()
         energies = [body_forms.body_energy(b, U, dx) for b, U in enumerate(displacements)]
         energy = {b: e for b, e in enumerate(energies) if e != 0}
-        # Energy of all bodies, and its derivatives by body; a rigid body has none. Without free
-        # strains it is half the work of the derivatives.
+        # Energy of all bodies, and its derivatives by body; a rigid body has no energy. Without
+        # free strains the energy is half the work of its derivatives.
         has_free_strain = body_forms.free_strain or any(e.eigenstrains for e in scene.elastic)
-        self._elastic = (
-            body_forms.form(sum(energy.values())) if energy and has_free_strain else None
-        )
-        self._internal = [
-            (b, body_forms.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
-        ]
-        self._strain_work = [
-            (s.history, body_forms.form(self._work_of(e, elasticity.symmetric(s.strain))))
-            for e in scene.elastic
-            for s in e.eigenstrains
-        ]
+        self._elastic = None
+        if energy and has_free_strain:
+            self._elastic = body_forms.form(sum(energy.values()))
+        self._internal = []
+        for b, body_energy in energy.items():
+            forces = ufl.derivative(body_energy, displacements[b], v)
+            self._internal.append((b, body_forms.form(forces)))
+        self._strain_work = []
+        for e in scene.elastic:
+            for eigenstrain in e.eigenstrains:
+                work = self._work_of(e, elasticity.symmetric(eigenstrain.strain))
+                self._strain_work.append((eigenstrain.history, body_forms.form(work)))
         elastic = {e.region: e for e in scene.elastic}
         swelling = elasticity.isotropic_strain(ufl.TestFunction(body_forms.scalars))
-        self._swelling = [
-            (has_free_strain, body_forms.form(self._work_of(elastic[region], swelling)))
-            for region, has_free_strain in body_forms.free_strain.items()
-            if region not in body_forms.path_dependent_regions
-        ]
+        self._swelling = []
+        for region, free_strain in body_forms.free_strain.items():
+            if region not in body_forms.path_dependent_regions:
+                work = self._work_of(elastic[region], swelling)
+                self._swelling.append((free_strain, body_forms.form(work)))
         if body_forms.by_density:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
@@ -132,13 +133,13 @@ class Balance:
         if s:
             self._set = body_forms.form(s.complementary_energy())
             self._setting = [(b, body_forms.form(s.internal_work(b, v))) for b in s.bodies]
-        # The traction k_i U_i of each bed of springs on each body.
-        beds = [
-            sum(k[i] * U[i] * v[i] for i in range(3)) * ds
-            for f, k in zip(scene.foundations, body_forms.springs, strict=True)
-            for b, U in enumerate(displacements)
-            if (ds := body_forms.ds(f.boundary, b)) is not None
-        ]
+        # Work of the traction k_i U_i of each elastic foundation on each body.
+        beds = []
+        for f, k in zip(scene.foundations, body_forms.springs, strict=True):
+            for b, U in enumerate(displacements):
+                ds = body_forms.ds(f.boundary, b)
+                if ds is not None:
+                    beds.append(sum(k[i] * U[i] * v[i] for i in range(3)) * ds)
         self._springs = body_forms.form(sum(beds)) if beds else None
         nodes = problem.space.tabulate_dof_coordinates()[
             : len(problem.stiffness.constraints.reacting) // 3
@@ -252,7 +253,7 @@ class Balance:
         force, moment = comm.allreduce(sums)
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))
         reactions = comm.allreduce(np.abs(current.reaction).sum(), MPI.SUM)
-        # After unloading only forces of rounding are left.
+        # After unloading only rounding errors of forces are left.
         scale = self.force_scale = max(self.force_scale, scale, float(loads), float(reactions))
         unbalanced_size = float(np.sqrt(comm.allreduce(current.unbalanced @ current.unbalanced)))
         self.force = _relative(max(unbalanced_size, float(np.linalg.norm(force))), scale)
@@ -341,7 +342,7 @@ class HeatBalance:
         through = sum(abs(f) for f in flows.values())
         if through > rounding:
             self.heat = max(self.heat, abs(sum(flows.values())) / through)
-        # The sums go on from here.
+        # Later steps are summed from this state.
         self.end_sum += stored - self.stored
         self.stage_sum += stored - self.stored
         self.stored, self.last_flows = stored, dict(flows)

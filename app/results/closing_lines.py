@@ -97,7 +97,7 @@ def headline(summary: Summary) -> Iterator[str]:
             parts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
             since = " since the insertion" if key.startswith("micro") else ""
             yield f"99 % of the surface moves{since} by less than {', '.join(parts)}"
-    # With finite sliding there is no motion, and the pressure is the main result.
+    # Interfaces with finite sliding have no number for motion; pressure is their main result.
     pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
     if pressed:
         parts = [f"{_with_unit('interfaces', 'pressure_max', q)} ({name})" for name, q in pressed]
@@ -161,9 +161,9 @@ TABLES: dict[str, dict[str, str]] = {
     },
 }
 FAILING = "failure_load_factor"
-# Number that cement alone has.
+# Number that only cement has.
 CEMENT = "volume_over_3_MPa"
-# Mark of unresolved numbers in tables: it keeps the columns narrow.
+# Mark of unresolved numbers in tables, where the words would need wide columns.
 STAR = "*"
 LEGEND = "* not resolved: the error is larger than the number; refine the mesh"
 SENTENCES = {
@@ -239,32 +239,36 @@ def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
     """Return regions of bone, and rows of volume [mm3] and depth [mm] of dead bone by criterion."""
     quantities = TABLE["thermal.regions"]
     bones = [name for name, q in regions.items() if "necrosis_47C_1min_volume" in q]
-    columns = [(regions[name], measure) for name in bones for measure in ("volume", "depth")]
-    rows = [
-        [rule_text, *(quantities[f"necrosis_{rule}_{measure}"].text(q) for q, measure in columns)]
-        for rule, rule_text in NECROSIS.items()
-    ]
+    rows = []
+    for rule, rule_text in NECROSIS.items():
+        row = [rule_text]
+        for name in bones:
+            row.append(quantities[f"necrosis_{rule}_volume"].text(regions[name]))
+            row.append(quantities[f"necrosis_{rule}_depth"].text(regions[name]))
+        rows.append(row)
     return bones, rows
 
 
 def _necrosis(regions: Rows) -> list[str]:
     bones, rows = necrosis(regions)
-    head = [
-        "dead bone",
-        *(f"{name}{measure}" for name in bones for measure in (", volume", ", depth")),
-    ]
-    units = ["", *(["mm^3", "mm"] * len(bones))]
-    return layout.table(head, rows, units).splitlines() if bones else []
+    if not bones:
+        return []
+    head = ["dead bone"]
+    units = [""]
+    for name in bones:
+        head += [f"{name}, volume", f"{name}, depth"]
+        units += ["mm^3", "mm"]
+    return layout.table(head, rows, units).splitlines()
 
 
 def _sentence(section: str, name: str, numbers: Numbers, text: str = "") -> str:
-    reached = (
-        f", {part} % everywhere after {_with_unit(section, f'time_{part}', numbers)}"
-        for part in (50, 90)
-        if numbers.get(f"time_{part}") is not None
-    )
+    reached = ""
+    for percent in (50, 90):
+        key = f"time_{percent}"
+        if numbers.get(key) is not None:
+            reached += f", {percent} % everywhere after {_with_unit(section, key, numbers)}"
     template = SENTENCES[text or section]
-    return _filled(template, section, name, numbers, reached="".join(reached))
+    return _filled(template, section, name, numbers, reached=reached)
 
 
 def _filled(template: str, section: str, name: str, numbers: Numbers, **more: str) -> str:

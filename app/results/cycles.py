@@ -8,14 +8,14 @@ from itertools import pairwise
 from app.case.quantities import TABLE
 from app.case.summary import Numbers, StageCycles
 
-# Numbers of an interface where loads turn.
+# Numbers of an interface that are kept at peaks and valleys of the loads.
 OF_CYCLES = {"motion_p99", "micromotion_p99", "inducible_p99", "dissipation"}
-# Dissipation per cycle relative to the first below which it has vanished.
+# Dissipation per cycle, relative to that up to the first peak, below which it vanishes.
 NOTHING = 0.02
-# Relative change per cycle below which there is none.
+# Relative change per cycle below which the dissipation counts as constant.
 SAME = 0.1
 
-# Numbers by the stem or interface that they are of.
+# Numbers of the stem and of each interface at a peak or valley, by name.
 Turn = dict[str, dict[str, float]]
 
 
@@ -25,20 +25,21 @@ class Cycles:
     saved = ("turns",)
 
     def __init__(self) -> None:
-        # Dissipation at every turn [N mm], and numbers of the last three.
+        # Dissipation at every peak and valley [N mm], and the numbers at the last three.
         self.turns: dict[str, tuple[list[float], list[Turn]]] = {}
 
     def add(self, stage: str, stem: Numbers, interfaces: Mapping[str, Numbers]) -> None:
         """Add the numbers at a peak or a valley of the loads of a stage; these alternate."""
-        interface_numbers = {
-            name: {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
-            for name, numbers in interfaces.items()
-        }
+        turn: Turn = {}
+        if stem:
+            turn["stem"] = dict(stem)
+        dissipation = 0.0
+        for name, numbers in interfaces.items():
+            turn[name] = {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
+            dissipation += numbers.get("dissipation", 0.0)
         dissipations, last_turns = self.turns.setdefault(stage, ([], []))
-        dissipations.append(
-            sum(numbers.get("dissipation", 0.0) for numbers in interface_numbers.values())
-        )
-        last_turns.append(({"stem": dict(stem)} if stem else {}) | interface_numbers)
+        dissipations.append(dissipation)
+        last_turns.append(turn)
         del last_turns[:-3]
 
     def summary(self) -> dict[str, StageCycles]:
@@ -70,7 +71,7 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
             permanent[place] = numbers
             inducible[place] = {key: high[place][key] - value for key, value in numbers.items()}
         elif "motion_p99" in numbers:  # absent with finite sliding
-            # Of a press fit the motion without that of the insertion.
+            # The motion of a press fit is that since the insertion.
             key = "micromotion_p99" if "micromotion_p99" in numbers else "motion_p99"
             permanent[place] = {key: numbers[key]}
             inducible[place] = {key: high[place]["inducible_p99"]}

@@ -87,10 +87,9 @@ def output_nodes(
     for group in groups:
         body = group.bodies.of_tag[tags]
         of_region = group.bodies.of_region
-        parts = [
-            [region for region, number in of_region.items() if number == b]
-            for b in range(len(group.bodies.names))
-        ]
+        parts: list[list[str]] = [[] for _ in group.bodies.names]
+        for region, number in of_region.items():
+            parts[number].append(region)
         nodes.append(OutputNodes(body, dof, cell, NODE_VERTICES[local], parts, body))
     return nodes, rows.reshape(dofs.shape), keys
 
@@ -102,7 +101,7 @@ class Fields:
         self._groups, self._path, self._comm = tuple(groups), path, tagged.mesh.comm
         space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
-        # The bodies of all groups in one number.
+        # Each combination of bodies of mechanics and heat has one number.
         bodies: Ints = np.zeros(owned, dtype=np.int64)
         for part in groups:
             bodies = bodies * len(part.bodies.names) + part.bodies.of_tag[tags]
@@ -154,7 +153,7 @@ class HeatFields:
         self._heating, self._record, self._interfaces = heating, record, interfaces
         self._operators = heating.operators
         self.bodies, self.space = self._operators.bodies, self._operators.forms.space
-        # On nodes of this rank, ghosts too.
+        # At the nodes of this rank, ghosts included.
         self._work = fem.Function(self.space)
 
     def values(
@@ -199,7 +198,7 @@ class HeatFields:
             at_corners = [j.points.surface.spread(values) for values in point_values]
             rows = _contact_rows(j.points.surface, self.space, self.bodies, nodes)
             for c, points in zip(self._operators.scene.thermal_contacts, rows, strict=True):
-                # From first to second side, whichever is the master.
+                # From the first to the second side, independent of which one is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 for quantity, values in zip(
                     ("temperature_jump", "heat_flux"), at_corners, strict=True
@@ -219,7 +218,7 @@ class HeatFields:
             self._work.x.scatter_forward()
             for k, regions in enumerate(nodes.parts):
                 if region in regions:
-                    # Regions of one body agree on the nodes that they share.
+                    # Regions of one body have equal values at their common nodes.
                     values_of_parts[k] = np.maximum(values_of_parts[k], self._work.x.array)
         return self._values_on_nodes(nodes, values_of_parts, nodes.part)
 
@@ -250,7 +249,7 @@ class MechanicalFields:
         self._bonds = bonds
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
-        # Stress times volume, and volume, at the nodes of a body.
+        # Sums of stress times volume and of volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
 
     def values(
@@ -354,7 +353,8 @@ class MechanicalFields:
         return nodal, mean
 
 
-CENTRE = np.full((1, 3), 0.25)  # of the reference cell
+# Centre of the reference cell (1, 3).
+CENTRE = np.full((1, 3), 0.25)
 
 # Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -396,7 +396,7 @@ def _contact_rows(
     rows = []
     for i, triangles in enumerate(points.triangles):
         interface_points = np.flatnonzero(points.interface == i)
-        # By node and body.
+        # Contact point by node and body.
         point = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
         point[points.dof[interface_points, None], points.bodies[interface_points]] = (
             interface_points[:, None]

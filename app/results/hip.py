@@ -23,7 +23,7 @@ from app.scene import bodies
 from meshes.geometry import is_hip
 from meshes.gruen import Zones
 
-# Nodes at an end of the stem are within this part of its length [-].
+# Fraction of the length of the stem within which a node belongs to its end [-].
 END = 1e-6
 # Interfaces of a stem and its collar.
 ON_STEM = ("stem_cement", "stem_bone", ON_CUT)
@@ -59,7 +59,7 @@ class StemMotion:
             for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
         )
         if len(self._stem.x) and len(self._facing.x):
-            from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
+            from scipy.spatial import cKDTree  # takes 0.1 s; most runs do not need it
 
             self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
 
@@ -73,8 +73,8 @@ class StemMotion:
         nearest = self._nearest
         if nearest is None:
             return displacements
-        # The rigid motion of all bone is subtracted, as it moves stem and bone differently where
-        # they are apart. The rest, the bone's deformation, is taken at the nearest point.
+        # The rigid motion of all bone is subtracted first, because it moves a point of the stem and
+        # the nearest point of bone differently. The deformation of bone is that of this point.
         stem, bone = self._stem, self._facing
         bone_motion = bone.mean_motion(u)
         v = (
@@ -144,7 +144,7 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     for z in (low, high):
         is_near = np.abs(x[:, 2] - z) <= within
         places = np.concatenate(comm.allgather(x[is_near]))
-        # Ranks and regions share nodes: each counts once.
+        # Ranks and regions share nodes; each node is counted once.
         first = np.unique(np.round(places / within), axis=0, return_index=True)[1]
         ends.append((body[is_near], dofs[is_near], first))
     return ends
@@ -157,7 +157,7 @@ def nodal_displacements(problem: Problem) -> Floats:
 
 # Head and cortex
 
-# Length over which strain is taken: the standard deviation of its weights, in every direction [mm].
+# Standard deviation of the weights of the fit to the strain, in every direction [mm].
 GAUGE = 5.0
 
 
@@ -236,8 +236,8 @@ def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
 
 # Gruen zones
 
-# A region with less than this part of a zone's bone has no numbers there: it is cancellous bone
-# that the mesh leaves between cement and cortex.
+# Fraction of the bone of a zone below which a region has no numbers in the zone. Such a region is a
+# remnant of cancellous bone between cement and cortex.
 LEAST = 0.01
 
 
@@ -251,7 +251,7 @@ def by_zone(
         ``strain_energy_density`` [MPa], its mean over this volume, and ``interfaces``, the numbers
         of interfaces within the zone. Bones and interfaces outside a zone have no entry.
     """
-    # A rigid region has no strain energy; that of a path-dependent region is not known.
+    # A rigid region has no strain energy, and that of a path-dependent region is unknown.
     elastic = {e.region for e in problem.scene.elastic} - problem.body_forms.path_dependent_regions
     regions = [r for r in zones.regions if r in elastic]
     sums = {
@@ -269,7 +269,7 @@ def by_zone(
             "interfaces": {},
         }
     if samples is not None:
-        zones_of_points = zones.at(samples.x)
+        zones_of_points = zones.zones_at(samples.x)
         for i, contact in enumerate(problem.scene.contacts):
             for zone in zones.numbers:
                 in_zone = (samples.interface == i) & (zones_of_points == zone).any(axis=1)
@@ -287,7 +287,7 @@ def zone_integrals(
     because a cell may be in several zones.
     """
     x, volume = stresses.places(region)
-    zone = zones.at(x) * zones.is_left(x)[:, None]
+    zone = zones.zones_at(x) * zones.is_left(x)[:, None]
     rows = (np.repeat((w * volume).ravel(), 2) for w in densities)
     count = len(zones.numbers) + 1
     local = np.array([np.bincount(zone.ravel(), row, minlength=count) for row in rows])

@@ -34,14 +34,15 @@ from forms.contact import OPEN, SLIP, STICK
 from meshes.facets import shape_functions, surface
 
 Parts = Sequence[Surface]
-MICROMOTION = 0.030  # mm: where biology reacts
-# Levels of micromotion [mm] by the end of their keys: bone partly grew in dogs at 40 um, not at
-# 150 um (Jasty 1997).
+# Micromotion threshold for bone ingrowth [mm].
+MICROMOTION = 0.030
+# Levels of micromotion [mm] with the ends of their keys. In dogs bone grew in partly at 40 um, and
+# not at 150 um (Jasty 1997).
 INGROWTH = {"40um": 0.040, "150um": 0.150}
-# A point at its limit of friction that slides in a step by less than this part of the longest path
-# counts as stick. Rounding then does not decide while loads are constant.
+# Fraction of the longest path of sliding. A point at its friction limit sticks if it slides less
+# than this in a step, so that rounding does not decide while loads are constant.
 AT_REST = 1e-9
-# Facets decide the largest pressure if they may cause more than this part of it.
+# Fraction of the largest pressure above which the effect of facets on it is reported.
 DECIDED = 0.2
 
 
@@ -128,12 +129,12 @@ class ContactSamples:
         is_face = np.arange(3)[None, :] < surface.faces[:, None]
         self.gap = np.where(is_face, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
-        # The law holds at the points, some of which have the mean jump of several corners.
+        # The law holds at the contact points. Some of them have the mean jump of several corners.
         of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, local.normals)
         within = np.arange(3)[None, :] < local.faces[:, None]
         self.penetration = contact.gather(np.where(within, np.maximum(-of_points, 0.0), 0.0))
         self.of_points = points.interface
-        # The second side as declared is the slave or the master.
+        # The second side of the case may be the slave or the master.
         contacts = problem.scene.contacts
         signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
         sign = signs[local.interface][:, None]
@@ -172,7 +173,7 @@ class ContactSamples:
             step_motion = surface.true_jumps(contact.gather(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(step_motion, axis=1)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
-        # With a normal that is off by an angle, slip times this angle presses on the surface.
+        # If a normal is wrong by an angle, slip times this angle is an overlap with pressure.
         pressed = np.linalg.norm(state.slip, axis=1) * points.doubt[local.rows]
         self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
         self.facet_sizes = contact.edge_lengths
@@ -192,7 +193,7 @@ class ContactSamples:
             for name, v in (("pressure", self.pressure), ("shear", self.shear))
         }
         of_points = {"pressure": self.pressure.copy(), "shear": self.shear}
-        # In finite sliding, forces over areas are no means by shape functions.
+        # With finite sliding, forces per area are not means weighted by shape functions.
         if self.contacts[i].between:
             return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
         means["pressure"][:n] = surface.of_faces(self._pressures)[:n]
@@ -202,11 +203,13 @@ class ContactSamples:
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
         """Return motion, tractions and states of each interface by its name; collective."""
-        depths, sizes = overlap(self._contact, self._jump), self.facet_sizes
-        return {
-            c.name: _numbers(self, i) | ({} if c.between else depths[i] | {"facet_size": sizes[i]})
-            for i, c in enumerate(self.contacts)
-        }
+        depths = overlap(self._contact, self._jump)
+        numbers = {}
+        for i, contact in enumerate(self.contacts):
+            numbers[contact.name] = _numbers(self, i)
+            if not contact.between:
+                numbers[contact.name] |= depths[i] | {"facet_size": self.facet_sizes[i]}
+        return numbers
 
     @cached_property
     def step_numbers(self) -> dict[str, Numbers]:
@@ -255,10 +258,8 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     mask, surface, weight = s.interface == i, s.surfaces[i], s.weight
     never = np.ones(len(mask))
     never[mask] = contact.values["unbonded"](s.x[mask]) if "unbonded" in contact.values else 0.0
-    bonded, dissipated = (
-        weight * (1 - never),
-        np.where(never < 1, s.internal_variables["spent"], 0.0),
-    )
+    bonded = weight * (1 - never)
+    dissipated = np.where(never < 1, s.internal_variables["spent"], 0.0)
     length = zone(surface.corners, dissipated[surface.triangles], surface.area)
     return {
         "unbonded_fraction": float((weight * never)[mask].sum() / weight[mask].sum()),
@@ -277,11 +278,13 @@ def _of_part(
     contact = s.contacts[i]
     numbers: Numbers = {}  # of functions, what is asked for is computed
     tractions = s.tractions[i]
-    # In finite sliding a jump is no motion, a gap no debonding, and slips do not add up.
+    # With finite sliding the jump is not a motion, a gap not a debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if contact.between else ()
     if not contact.press_fit:
         left_out = (*left_out, "micromotion")
-    for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
+    for name, values in s.sizes.items():
+        if name in left_out:
+            continue
         mean, value, _ = tractions.get(name, TractionSize(values, values, values))
         field = surface.field(value, part)
         largest, place = field.maximum()
@@ -307,10 +310,11 @@ def _of_part(
     if contact.law.strength:
         values = (traction.value for traction in tractions.values())
         numbers |= failing(surface, contact.law.strength.index(*values), part)
-    selected_numbers = (
-        (key, value) for key, value in numbers.items() if not selected or key in selected
-    )
-    return {key: value() if callable(value) else value for key, value in selected_numbers}
+    computed_numbers: Numbers = {}
+    for key, value in numbers.items():
+        if not selected or key in selected:
+            computed_numbers[key] = value() if callable(value) else value
+    return computed_numbers
 
 
 def failing(surface: Surface, index: Floats, part: str) -> Numbers:
@@ -337,7 +341,7 @@ def failing(surface: Surface, index: Floats, part: str) -> Numbers:
 # Between the contact points
 
 
-# Sampled points of a facet: corners, middles of edges, and between them (barycentric).
+# Barycentric coordinates of the points of a facet at which overlap is sampled, quarters apart.
 LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4
 
 

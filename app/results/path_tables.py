@@ -32,7 +32,7 @@ from meshes.data import MeshData
 from meshes.distribute import TaggedMesh
 from meshes.paths import PathPoints
 
-# Fields that follow from the stress at a point.
+# Fields that are computed from the stress at a point.
 FROM_STRESS = ("von_mises", "principal_max", "principal_min")
 # Digits of numbers in files.
 DIGITS = 10
@@ -62,14 +62,14 @@ class _Local:
     """Points of a path in cells of this rank.
 
     Attributes:
-        at: Numbers of the points (n,).
+        point: Numbers of the points in the path (n,).
         cell: Their cells (n,).
-        nodes: Rows of the nodes of these cells (n, k).
-        shape: Shape functions (n, k).
+        nodes: Nodes of these cells (n, k).
+        shape: Shape functions at the points (n, k).
         corner: Nearest corner of the cell (n,).
     """
 
-    at: Ints
+    point: Ints
     cell: Ints
     nodes: Ints
     shape: Floats
@@ -158,7 +158,9 @@ class PathTables:
 
     def _check_cell_fields(self) -> None:
         """Raise an error for fields on cells that the run does not have; collective."""
-        field_names = [name for group in self._groups for name in group.of_cells(self._cells)]
+        field_names: set[str] = set()
+        for group in self._groups:
+            field_names |= group.of_cells(self._cells).keys()
         for name, path in self._paths.items():
             for k, column in enumerate(path.columns):
                 if column.field.by_cell and column.field.name not in field_names:
@@ -183,7 +185,7 @@ class PathTables:
             local = self._local[name]
             sampled = [_sampled(column, local, point, cell) for column in path.columns]
             values = np.array(sampled).T
-            gathered = self._comm.gather((local.at, values))
+            gathered = self._comm.gather((local.point, values))
             if gathered is None:
                 continue
             table = np.full((len(path.points.arc), len(path.columns)), np.nan)
@@ -226,7 +228,7 @@ def _sampled(
         return named_stress(σ)[field.name]
     if field.file_name not in point:
         # Before the first step of the mechanics there is no contact.
-        return np.full(len(local.at), np.nan)
+        return np.full(len(local.point), np.nan)
     values = point[field.file_name][local.nodes]
     if field.nearest:
         return np.asarray(values[np.arange(len(values)), local.corner])

@@ -64,13 +64,15 @@ class SurfaceField:
         above = (1.0 - fraction) * self.area
         excess = [self.area - above, -above]
         last_side = -1
-        while ends[0] < (level := _between(ends, excess)) < ends[1]:
+        level = _between(ends, excess)
+        while ends[0] < level < ends[1]:
             value = self.area_above(level) - above
             side = int(value <= 0)
             ends[side], excess[side] = level, value
-            if side == last_side:  # the other end would stay where it is for long
+            if side == last_side:  # otherwise the other end would move slowly
                 excess[1 - side] /= 2
             last_side = side
+            level = _between(ends, excess)
         return min(max(level, ends[0]), ends[1])
 
 

@@ -1,6 +1,6 @@
-"""A run directory read back: summary, step record, fields at every written step.
+"""Reading of a run directory: summary, step record, fields at every written step.
 
-Needs neither MPI nor dolfinx's meshes, so that tools over many runs load no solver.
+The module uses neither MPI nor meshes of dolfinx, so that tools for many runs load no solver.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from app.schema.section import did_you_mean
 from app.system.folders import path_files
 from meshes.data import exterior_facets, facet_areas
 
-# Columns of the file of a path by their titles; numbers, and the names of regions.
+# Columns of the file of a path by their titles: numbers, or names of regions.
 PathTable = dict[str, NDArray[Any]]
 # Distance over the least size of a cell within which middles of cells are one [-].
 SAME_PLACE = 1e-5
@@ -43,7 +43,7 @@ class Results:
         self.folder = folder
 
     def __repr__(self) -> str:
-        """Folder, title, interfaces with their slip and gap, and what else there is."""
+        """Return folder, title, interfaces with slip and gap, and the names of other results."""
         variations = self.variations
         if variations:
             return f"results in {self.folder}: variations {', '.join(variations)}"
@@ -74,20 +74,23 @@ class Results:
         """Columns of history.csv, by their titles with units; nan where there is no value."""
         with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-        return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
+        columns = {}
+        for key in rows[0]:
+            columns[key] = np.array([float(row[key] or "nan") for row in rows])
+        return columns
 
     @cached_property
     def fields(self) -> Run:
         """The fields at every written step.
 
         Raises:
-            OSError: There are none (``output.fields: false``), or they cannot be read.
+            OSError: The run has no fields (``output.fields: false``), or they cannot be read.
         """
         return Run(self.folder)
 
     @cached_property
     def variations(self) -> dict[str, Results]:
-        """The results of the variations by their names; empty where there are none."""
+        """The results of the variations by their names; empty without variations."""
         path = self.folder / "variations.json"
         rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
         return {row["name"]: Results(self.folder / row["name"]) for row in rows}
@@ -99,17 +102,18 @@ class Results:
         for name, file in path_files(self.folder).items():
             with file.open(encoding="utf-8", newline="") as text:
                 rows = list(csv.DictReader(text))
-            tables[name] = {
-                key: np.array(
-                    [row[key] if key == "region" else float(row[key] or "nan") for row in rows]
-                )
-                for key in (rows[0] if rows else ())
-            }
+            columns = {}
+            for key in rows[0] if rows else ():
+                if key == "region":
+                    columns[key] = np.array([row[key] for row in rows])
+                else:
+                    columns[key] = np.array([float(row[key] or "nan") for row in rows])
+            tables[name] = columns
         return tables
 
     @property
     def log(self) -> str:
-        """Log of the run, if it was kept beside the directory; else empty."""
+        """Log of the run; empty if there is no log next to the directory."""
         path = self.folder.with_name(f"{self.folder.name}.log")
         return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
@@ -117,11 +121,11 @@ class Results:
 class Run(Results):
     """A run directory with fields.
 
-    A step is the number of a written one, from 0 or from the end, or the name of a stage, for its
-    last.
+    A step is given by its number among the written steps, from 0 or negative from the end, or by
+    the name of a stage for its last written step.
 
     Attributes:
-        points: Positions of the nodes (n, 3) [mm]; nodes on an interface are there once per body.
+        points: Positions of the nodes (n, 3) [mm]; an interface has one node per body.
         cells: Nodes of the cells (m, 4 or 10), in VTK's order.
         region: Number of the region of each cell (m,), from 1.
         regions: Number of each region by its name.
@@ -131,7 +135,7 @@ class Run(Results):
         cell_fields: Names of the fields on cells.
 
     Raises:
-        OSError: It has no fields, or they cannot be read.
+        OSError: The run has no fields, or they cannot be read.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -158,16 +162,16 @@ class Run(Results):
         return [name for k, name in enumerate(names) if k in written]
 
     def on_points(self, name: str, step: int | str = -1) -> Floats:
-        """A field on the nodes at a written step (n,) or (n, k), by its name in the file."""
+        """Return a field on the nodes at a written step (n,) or (n, k), by its name in the file."""
         return self._field(f"PointData/{name}", len(self.points), step)
 
     def on_cells(self, name: str, step: int | str = -1) -> Floats:
-        """A field on the cells at a written step (m,) or (m, k), by its name in the file."""
+        """Return a field on the cells at a written step (m,) or (m, k), by its name in the file."""
         return self._field(f"CellData/{name}", len(self.cells), step)
 
     @cached_property
     def mesh(self) -> Any:
-        """The dolfinx mesh of the fields, on this process alone; bodies that can part are apart."""
+        """The dolfinx mesh of the fields, on this process, with separate nodes for each body."""
         from basix.ufl import element
         from dolfinx.mesh import create_mesh
 
@@ -177,7 +181,7 @@ class Run(Results):
         return create_mesh(MPI.COMM_SELF, cells, x=self.points, e=shape)
 
     def function(self, name: str, step: int | str = -1) -> Any:
-        """A field on the nodes at a written step as a dolfinx `Function` on `mesh`."""
+        """Return a field on the nodes at a written step as a dolfinx `Function` on `mesh`."""
         from dolfinx import fem
 
         values = self.on_points(name, step)
@@ -194,13 +198,15 @@ class Run(Results):
         return 1 if self.cells.shape[1] == 4 else 2
 
     def cells_of(self, mesh: Any) -> Ints:
-        """Number in `cells` of each cell of a dolfinx mesh on this rank, ghosts included (k,).
+        """Return the number in `cells` of each cell of a dolfinx mesh on this rank (k,).
+
+        Ghosts are included.
 
         Args:
-            mesh: The mesh that was handed to `mantle.run`, on any number of ranks.
+            mesh: The mesh that `mantle.run` was called with, on any number of ranks.
 
         Raises:
-            InputError: It has a cell that the results do not have.
+            InputError: The mesh has a cell that the results do not have.
         """
         from dolfinx.mesh import compute_midpoints
         from scipy.spatial import cKDTree
@@ -216,10 +222,10 @@ class Run(Results):
         return np.asarray(cells)
 
     def function_on(self, mesh: Any, name: str, step: int | str = -1) -> Any:
-        """A field on the nodes as a dolfinx `Function` on the mesh that was handed to `run`.
+        """Return a field on the nodes as a dolfinx `Function` on the mesh of `mantle.run`.
 
-        Its space is discontinuous, as a field jumps where bodies part: each cell has the values of
-        its own body, ghosts too. Every rank reads the file by itself.
+        The function space is discontinuous, because fields jump at interfaces. Each cell, ghosts
+        included, has the values of its body. Every rank reads the file.
 
         Args:
             mesh: The dolfinx mesh, on any number of ranks.
@@ -227,7 +233,7 @@ class Run(Results):
             step: Written step.
 
         Raises:
-            InputError: As `cells_of`, or there is no such field.
+            InputError: As in `cells_of`, or there is no such field.
         """
         from dolfinx import fem
 
@@ -236,7 +242,7 @@ class Run(Results):
         function = fem.Function(space, name=name)
         dofs = space.dofmap.list
         nodes = self.cells[self.cells_of(mesh)]
-        # A cell's dofs are at its nodes, in another order.
+        # The dofs of a cell are at its nodes, but in another order.
         x = space.tabulate_dof_coordinates()[dofs]
         apart = ((x[:, :, None] - self.points[nodes][:, None]) ** 2).sum(axis=3)
         nearest = np.take_along_axis(nodes, apart.argmin(axis=2), axis=1)
@@ -244,11 +250,11 @@ class Run(Results):
         return function
 
     def displacement(self, step: int | str = -1) -> Floats:
-        """Displacement of the nodes at a written step (n, 3) [mm]."""
+        """Return the displacement of the nodes at a written step (n, 3) [mm]."""
         return self.on_points("displacement", step)
 
     def temperature(self, step: int | str = -1) -> Floats:
-        """Temperature of the nodes at a written step (n,) [degC]."""
+        """Return the temperature of the nodes at a written step (n,) [degC]."""
         return self.on_points("temperature", step)
 
     def nodes_of(self, region: str | int) -> Ints:
@@ -263,19 +269,20 @@ class Run(Results):
         return np.unique(self.cells[self.region == number])
 
     def volumes(self) -> Floats:
-        """Volume of each cell (m,), as if its edges were straight [mm3]."""
+        """Return the volume of each cell (m,) with straight edges [mm3]."""
         x = self.points[self.cells[:, :4]]
         return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6
 
     def stress(self, step: int | str = -1) -> Floats:
-        """Mean stress of each cell at a written step (m, 3, 3) [MPa]."""
+        """Return the mean stress of each cell at a written step (m, 3, 3) [MPa]."""
         # VTK's order: XX, YY, ZZ, XY, YZ, XZ.
         return self.on_cells("stress", step)[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
 
     def at_interface(self, name: str, quantity: str, step: int | str = -1) -> Floats:
-        """An interface quantity at every node (n,), slip and motion (n, 3); zero away from it.
+        """Return an interface quantity at all nodes: (n,), or (n, 3) for vectors; 0 outside of it.
 
-        Quantities: gap, slip, slip_path, motion [mm], pressure, shear [MPa] and status.
+        Quantities are gap, slip, slip_path, motion [mm], pressure, shear [MPa] and status. Slip and
+        motion are vectors.
 
         Raises:
             InputError: There is no such interface, or it has no such quantity.
@@ -291,40 +298,40 @@ class Run(Results):
         return self.on_points(f"{name}_{quantity}", step)
 
     def on_interface(self, name: str) -> NDArray[np.bool_]:
-        """Nodes that are contact points of an interface (n,), on both sides."""
+        """Return the mask of the contact points of an interface, on both sides (n,)."""
         corners = np.zeros(len(self.points), dtype=bool)
         corners[self.cells[:, :4]] = True
         return corners & (self.at_interface(name, "status", 0) >= 0)
 
     def areas(self, name: str) -> Floats:
-        """Area of an interface by node (n,), half of it on each side [mm2].
+        """Return the area of an interface by node (n,), half of it on each side [mm2].
 
-        A third of every facet whose corners are contact points of both bodies it lies between.
+        A corner has a third of each facet whose corners are contact points of both bodies.
         """
         corners, _ = exterior_facets(self.cells[:, :4])
         corners = corners[self.on_interface(name)[corners].all(axis=1)]
-        # Facets of an interface come in pairs, one per body, at the same place.
+        # An interface has two facets at the same place, one for each body.
         centre = np.round(self.points[corners].mean(axis=1), 9)
         _, pair, count = np.unique(centre, axis=0, return_inverse=True, return_counts=True)
         return self.area_by_node(corners[count[pair.ravel()] == 2]) / 2
 
     def area_by_node(self, corners: Ints) -> Floats:
-        """Area of facets (f, 3), a third of each at its corners (n,) [mm2]."""
+        """Return the area of facets (f, 3) by node (n,), a third at each corner [mm2]."""
         thirds = np.repeat(facet_areas(self.points, corners) / 3, 3)
         return np.bincount(corners.ravel(), thirds, len(self.points)).astype(float)
 
     def norms(
         self, exact: Callable[[Floats, Ints], Floats], values: Floats | None = None, degree: int = 6
     ) -> tuple[float, float, float]:
-        """L2 norms of the error of a field, of the field and of the exact one.
+        """Return L2 norms of the error of a field, of the field and of the exact field.
 
         Args:
             exact: The exact values (q, k) at points (q, 3), and their regions (q,).
             values: Nodal values (n, k); the displacement at the end by default.
-            degree: Of the quadrature.
+            degree: Degree of the quadrature.
 
         Returns:
-            Norms of the difference, of the field and of the exact one.
+            Norms of the error, of the field and of the exact field.
         """
         rule = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a) for a in rule)
@@ -342,10 +349,10 @@ class Run(Results):
         return norm(have - should), norm(have), norm(should)
 
     def _file(self) -> h5py.File:
-        """Open the fields without a lock: a viewer may hold one, and a folder may be read-only.
+        """Open the fields without a lock: a viewer may have one, and a folder may be read-only.
 
         Raises:
-            OSError: They cannot be read; names the file and the cause.
+            OSError: They cannot be read; the message has the file and the cause.
         """
         path = self.folder / "fields.vtkhdf"
         try:
@@ -364,11 +371,11 @@ class Run(Results):
         k = self.number_of(step)
         with self._file() as file:
             field = file["VTKHDF"][name]
-            k = 0 if len(field) == rows else k  # one for all steps
+            k = 0 if len(field) == rows else k  # constant fields are stored once
             return np.asarray(field[k * rows : (k + 1) * rows])
 
     def number_of(self, step: int | str) -> int:
-        """Number of a written step, counted from 0.
+        """Return the number of a written step, counted from 0.
 
         Raises:
             InputError: There is no such step.
@@ -376,7 +383,7 @@ class Run(Results):
         return self._last_of(step) if isinstance(step, str) else self._written(step)
 
     def _written(self, step: int) -> int:
-        """Number of a written step counted from 0; InputError if there is none."""
+        """Return the number of a written step counted from 0; InputError if there is none."""
         count = len(self.times)
         if not -count <= step < count:
             text = f"no written step {step}; there are {count}, 0 to {count - 1}"
@@ -384,7 +391,7 @@ class Run(Results):
         return step % count
 
     def _last_of(self, stage: str) -> int:
-        """Last written step of a stage; InputError if there is none."""
+        """Return the last written step of a stage; InputError if there is none."""
         if stage not in self.written_stages:
             raise self._unknown("stage", stage, self.written_stages, " with a written step")
         ends = {s["name"]: k for k, s in enumerate(self.case["stages"], 1)}
@@ -394,7 +401,7 @@ class Run(Results):
     def _unknown(
         self, kind: str, name: str | int, available: Iterable[str], place: str = ""
     ) -> InputError:
-        """Error for a name of a kind that the results do not have; lists those that they have."""
+        """Return the error for an unknown name, which lists the available ones."""
         names = [*available]
         hint = did_you_mean(str(name), names)
         plural = f"{kind.removesuffix('y')}ies" if kind.endswith("y") else f"{kind}s"
@@ -403,7 +410,7 @@ class Run(Results):
 
 
 def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:
-    """Shape functions of a straight or quadratic tetrahedron in VTK's order of nodes.
+    """Return shape functions of a linear or quadratic tetrahedron in VTK's order of nodes.
 
     Args:
         points: Points of the reference tetrahedron (q, 3).

@@ -42,7 +42,8 @@ from meshes.distribute import TaggedMesh
 
 UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
-OFTEN = 1.0  # s between two states of history.csv
+# Shortest time between two writes of history.csv [s].
+OFTEN = 1.0
 PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")
 
@@ -134,7 +135,7 @@ class Writer:
     ) -> None:
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
         self.paths = paths
-        # Rows as text, for a run may have thousands of steps.
+        # Rows are kept as text, because a run may have thousands of steps.
         self.columns, self.rows = list[str](), ""
         self._written = self._paths_written = -OFTEN
 
@@ -239,7 +240,7 @@ class Writer:
             self._path_tables()
 
         def write() -> None:
-            if self.fields and not self.field_steps:  # a grid without any state
+            if self.fields and not self.field_steps:  # a file without any step
                 (self.folder / "fields.vtkhdf").unlink(missing_ok=True)
             write_json(self.folder / "summary.json", summary)
             write_json(self.folder / "provenance.json", self._record())
@@ -291,4 +292,8 @@ def _processor() -> str:
 
 @cache
 def _packages() -> dict[str, str]:
-    return {n: d.version for n in PACKAGES for d in metadata.distributions(name=n)}
+    versions = {}
+    for name in PACKAGES:
+        for distribution in metadata.distributions(name=name):
+            versions[name] = distribution.version
+    return versions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TypedDict
 
@@ -74,13 +75,12 @@ def row(point: Point, summary: Summary, status: str, seconds: float) -> RunRow:
         seconds: Wall time.
     """
     solver = summary.get("solver", {})
-    # Numbers by which runs are compared, named as in a study.
-    numbers = {
-        f"{owner}.{key}": values[key]
-        for section, owner, values in quantities.numbers_of(summary)
-        for key, q in quantities.TABLE[section].items()
-        if q.headline and key in values
-    }
+    # Main numbers of the run, named as in a study.
+    numbers = {}
+    for section, owner, values in quantities.numbers_of(summary):
+        for key, q in quantities.TABLE[section].items():
+            if q.headline and key in values:
+                numbers[f"{owner}.{key}"] = values[key]
     errors = {name: quantities.read(summary, name, "_error") for name in numbers}
     return {
         "name": point.name,
@@ -125,7 +125,7 @@ def _flat(row: RunRow, keys: Sequence[str], first: str) -> dict[str, object]:
 
 def write_variations(rows: Sequence[RunRow], folder: Path) -> list[RunRow]:
     """Write ``variations.json`` and ``variations.csv``; return the rows."""
-    keys = list(dict.fromkeys(key for r in rows for key in r["overrides"]))
+    keys = list(dict.fromkeys(chain.from_iterable(r["overrides"] for r in rows)))
     write_json(folder / "variations.json", rows)
     write_text(folder / "variations.csv", csv(rows, keys, "name"))
     return [*rows]

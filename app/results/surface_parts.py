@@ -28,7 +28,7 @@ from app.results.percentiles import SurfaceField
 
 # Steps from means towards point values.
 STEPS = 2
-# Pieces below this part of their facet are rounding.
+# Fraction of a facet below which a piece is rounding.
 NOTHING = 1e-12
 
 
@@ -37,36 +37,36 @@ class Pieces:
     """Triangles cut out of facets.
 
     Attributes:
-        facet: The facet that each is cut from (t,).
-        at: Barycentric coordinates of its corners in the facet (t, 3, 3).
+        facet: Facet of each piece (t,).
+        corners: Barycentric coordinates of its corners in the facet (t, 3, 3).
     """
 
     facet: Ints
-    at: Floats
+    corners: Floats
 
     @property
     def share(self) -> Floats:
         """Fraction of the area of the facet (t,)."""
-        a, b, c = np.moveaxis(self.at, 1, 0)
+        a, b, c = np.moveaxis(self.corners, 1, 0)
         return np.asarray(np.abs((a * np.cross(b, c)).sum(axis=1)))
 
     def values(self, corners: Floats) -> Floats:
         """Linear field at the corners (t, 3, ...) from its values on facets (f, 3, ...)."""
-        return np.asarray(np.einsum("tcb,tb...->tc...", self.at, corners[self.facet]))
+        return np.asarray(np.einsum("tcb,tb...->tc...", self.corners, corners[self.facet]))
 
     def beyond(self, level: Floats) -> Pieces:
         """Parts of the pieces with a positive level, given at corners of facets (f, 3)."""
         level = self.values(level)
         positive = level > 0
-        cuts = [(self.facet[rows], self.at[rows]) for rows in [positive.all(axis=1)]]
+        cuts = [(self.facet[rows], self.corners[rows]) for rows in [positive.all(axis=1)]]
         for inside in (1, 2):
             rows = np.flatnonzero(positive.sum(axis=1) == inside)
-            # The corner that is alone on its side comes first.
+            # The corner that is the only one on its side comes first.
             alone = np.argmax(positive[rows] == (inside == 1), axis=1)
             order = (alone[:, None] + np.arange(3)) % 3
             f = np.take_along_axis(level[rows], order, axis=1)
-            x = np.take_along_axis(self.at[rows], order[:, :, None], axis=1)
-            # Where the two edges from that corner cross the border.
+            x = np.take_along_axis(self.corners[rows], order[:, :, None], axis=1)
+            # Points at which the two edges from this corner cross the border.
             part = f[:, :1] / (f[:, :1] - f[:, 1:])
             p, q = (x[:, 0] + part[:, k, None] * (x[:, k + 1] - x[:, 0]) for k in (0, 1))
             if inside == 1:
@@ -108,7 +108,10 @@ def in_parts(
         names: Names of the interfaces.
         borders: Level function of each part, as in `Surface`.
     """
-    return [Surface(points, i, {} if n == ON_CUT else borders) for i, n in enumerate(names)]
+    surfaces = []
+    for i, name in enumerate(names):
+        surfaces.append(Surface(points, i, {} if name == ON_CUT else borders))
+    return surfaces
 
 
 class Surface:
@@ -140,7 +143,7 @@ class Surface:
         # Curved facets have a little more than their corners span.
         total = points.weight[self.points].sum()
         self.area = flat_area * (total / flat_area.sum()) if len(flat_area) else flat_area
-        # At each corner the face of the point that this facet belongs to.
+        # Face of the point at each corner to which the facet belongs.
         along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
         self._face_area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
@@ -158,7 +161,7 @@ class Surface:
 
     def _hats(self, pieces: Pieces) -> Floats:
         """Return the integrals of the points' shape functions over pieces (n,) [mm2]."""
-        shares = pieces.at.mean(axis=1) * (self.area[pieces.facet] * pieces.share)[:, None]
+        shares = pieces.corners.mean(axis=1) * (self.area[pieces.facet] * pieces.share)[:, None]
         sums = np.bincount(self.triangles[pieces.facet].ravel(), shares.ravel(), len(self.points))
         return np.asarray(sums, dtype=float)
 

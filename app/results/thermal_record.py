@@ -37,9 +37,10 @@ from app.results.over_time import (
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
 
-W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
-# By interface, at this rank's points: heat flux from master to slave per area (n,) [N/(mm s)], and
-# entropy production per area (n,) [N/(mm s K)].
+# One N/(mm s) in W/m2; also one N/(mm s K) in W/(m2 K).
+W_PER_M2 = 1e3
+# For each interface, at this rank's points: heat flux from master to slave per area (n,) [N/(mm
+# s)], and entropy production per area (n,) [N/(mm s K)].
 Exchanges = Mapping[str, tuple[Floats, Floats]]
 
 
@@ -162,9 +163,9 @@ class RegionTemperatures:
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 SIDES = ("first", "second")
 
-# Largest deviation of a piece of a step from the parabola [K].
+# Largest deviation of a straight piece of a step from the parabola [K].
 _STRAIGHT = 0.01
-# Largest number of pieces, whatever their deviation.
+# Largest number of such pieces in a step.
 _MOST_PIECES = 8
 TIMELESS = (
     "no times above a temperature, thermal doses or dead bone: a steady stage does not know how "
@@ -321,14 +322,14 @@ class ThermalRecord:
 
     def summary(self) -> ThermalNumbers:
         """Return the section ``thermal`` of the summary; collective."""
-        comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
-        # Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank.
-        faces = [
-            cells[region].faces(self._nodes[region].dof[rows])
-            for side in self._bone_sides
-            for region, rows in side.items()
-        ]
-        surface = np.concatenate([np.zeros((0, 3, 3)), *faces])
+        comm = self._comm
+        cells = {name: RegionCells(self._forms, name) for name in self._nodes}
+        # Surface between bone and other regions, as triangles (f, 3, 3) [mm] on every rank.
+        faces: list[Floats] = [np.zeros((0, 3, 3))]
+        for side in self._bone_sides:
+            for region, rows in side.items():
+                faces.append(cells[region].faces(self._nodes[region].dof[rows]))
+        surface = np.concatenate(faces)
         regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
         result: ThermalNumbers = {
             "regions": regions,
@@ -370,7 +371,7 @@ class ThermalRecord:
 
 # Cure
 
-# Degrees of cure by the names of the times at which all of a region has reached them.
+# Degrees of cure, by the names of the times at which a whole region has reached them.
 SET = {"time_50": 0.5, "time_90": 0.9}
 
 
@@ -470,7 +471,7 @@ def _crossing(
     """
     change = end - start
     s = np.divide(level - start, change, out=np.ones_like(start), where=change > 0)
-    # Slopes of time over degree; three times the chord at most leaves the cubic monotone.
+    # Slopes of time over degree. A cubic is monotone if they are at most three times the chord.
     a, b = (
         np.minimum(np.divide(change, rate, out=np.ones_like(start), where=rate > 0), 3.0)
         for rate in (slope_before, slope_after)

@@ -24,19 +24,20 @@ EQUILIBRIUM = "equilibrium"
 HEAT = "heat"
 CONTACT = "contact"
 PEAKS = "maxima that still change with the mesh"
-# Sources of error where coarser meshes could be compared.
+# Sources of error that a comparison with coarser meshes covers.
 BOTH = "mesh and step"
 # All sources of error that are estimated (`error_estimate.error_sources`).
 ERRORS = (BOTH, "time step", "load step")
-# Unsettled peaks that are listed.
+# Largest number of listed maxima that change with the mesh.
 MOST = 3
-# A largest pressure above the largest mean at a point by this factor depends on the mesh.
+# Factor of the largest pressure over the largest mean at a point above which it depends on the
+# mesh.
 STEEP = 1.5
 # A largest pressure below this one is shown as 0.00 [MPa].
 SHOWN = 0.005
 # Ends of the keys of percentiles.
 PERCENTILE = re.compile(r"_p\d+$")
-# Limits of the balances: forces to rounding, heat to its solver's tolerance.
+# Limits of the defects of balances: rounding of forces, tolerance of the solver of heat.
 BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 # Strain of a living cortex [1e-6], from memory.
 STRAINS = (500.0, 2500.0)
@@ -45,7 +46,7 @@ MOTION = 5.0
 
 
 Judge = Callable[[Summary], Iterable[Verdict]]
-# What other packages find in the numbers of a run.
+# Functions of other packages that return verdicts.
 _JUDGES: list[Judge] = []
 
 
@@ -214,8 +215,9 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
         q = TABLE["interfaces"][key]
         return f"{q.factor * largest[key]:.2g} {q.shown}"
 
-    keys = ("penetration_max", "penetration_sampled")
-    largest = {key: max(q.get(key, 0.0) for q in interfaces.values()) for key in keys}
+    largest = {}
+    for key in ("penetration_max", "penetration_sampled"):
+        largest[key] = max(q.get(key, 0.0) for q in interfaces.values())
     gap = TABLE["interfaces"]["gap_max"].text
     rims = [f"{gap(q['rim'])} um ({name})" for name, q in interfaces.items() if "rim" in q]
     rim = ""

@@ -31,11 +31,11 @@ from app.foundation.errors import on_root
 
 Array = npt.NDArray[Any]
 
-# VTK's number of a cell by its nodes: triangle, tetrahedron, quadratic tetrahedron.
+# VTK's type of a cell by its number of nodes: triangle, tetrahedron, quadratic tetrahedron.
 CELL_TYPES = {3: 5, 4: 10, 10: 24}
-# The place in basix's order (edges 23 13 12 03 02 01) of each node in VTK's (01 12 02 03 13 23).
+# Index in basix's order (edges 23 13 12 03 02 01) of each node in VTK's (01 12 02 03 13 23).
 QUADRATIC_NODES = (0, 1, 2, 3, 9, 6, 8, 7, 5, 4)
-# Bytes of HDF5 metadata per array: 168 kB measured for the first offsets of 50 fields.
+# HDF5 metadata per array [bytes]: 168 kB were measured for the first offsets of 50 fields.
 _METADATA = 1 << 20
 
 
@@ -80,7 +80,7 @@ class GridFile:
         self.comm, self.path, self.steps = comm, path, steps
         self._constant, self._texts = frozenset(grid.cell_data), tuple(grid.texts)
         self._names: tuple[frozenset[str], frozenset[str]] | None = None
-        # Rows of the file among those of all ranks, on rank 0.
+        # Rows of the file among the gathered rows of all ranks, on rank 0.
         keys, points = np.unique(self._gather(grid.point_keys), return_index=True)
         cells = np.argsort(self._gather(grid.cell_keys))
         self._rows = {"PointData": points, "CellData": cells}
@@ -111,11 +111,10 @@ class GridFile:
         names = frozenset(point), frozenset(cell)
         if self._names not in (None, names) or not self._constant.isdisjoint(cell):
             raise ValueError(f"{self.path}: every step writes the same fields, once: not {names}")
-        arrays = {
-            f"{kind}/{name}": (self._gather(values), self._rows[kind])
-            for kind, fields in (("PointData", point), ("CellData", cell))
-            for name, values in fields.items()
-        }
+        arrays = {}
+        for kind, fields in (("PointData", point), ("CellData", cell)):
+            for name, values in fields.items():
+                arrays[f"{kind}/{name}"] = self._gather(values), self._rows[kind]
         starts = {name: self.steps * len(rows) for name, (_, rows) in arrays.items()}
         starts |= {f"CellData/{name}": 0 for name in self._constant}
         starts |= {f"FieldData/{name}": 0 for name in self._texts}
@@ -155,7 +154,7 @@ def _create(path: Path, grid: Grid) -> None:
         for name, values in grid.cell_data.items():
             root[f"CellData/{name}"] = values
         for name, words in grid.texts.items():
-            # VTK reads no other encoding.
+            # VTK reads only this encoding.
             ascii_words = [word.encode("ascii", "replace") for word in words]
             kind = h5py.string_dtype("ascii")
             root.create_dataset(f"FieldData/{name}", data=ascii_words, dtype=kind)
@@ -225,7 +224,7 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
         data = dataset.id
     if data.shape[1:] != shape:
         raise ValueError(f"{name}: components {shape} instead of {data.shape[1:]}")
-    # Not by h5py's indexing, which takes longer than writing a small array.
+    # The low-level interface, because h5py's indexing takes longer than writing a small array.
     data.set_extent((start + len(values), *shape))
     rows = data.get_space()
     rows.select_hyperslab((start, *(0 for _ in shape)), values.shape)
@@ -242,14 +241,14 @@ def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
         except OSError as error:
             plain.truncate(end)
             raise OSError(error.errno, error.strerror, str(path)) from error
-    # No lock: a reader that has the file open must not stop the run. No cache: an error comes where
-    # the values are written. Closing cuts off the room that is left.
+    # No lock, because a reader that has the file open must not stop the run. No cache, so that an
+    # error occurs where values are written. Closing the file frees unused space.
     file = h5py.File(path, "r+", locking=False, rdcc_nbytes=0)
     try:
         yield file["VTKHDF"]
         file.flush()
     except (OSError, RuntimeError) as error:
-        # HDF5 crashes later over what it cannot write: let it end in memory.
+        # HDF5 would crash later on data that it cannot write, so this data remains in memory.
         with open(os.memfd_create(path.name), "wb") as memory:
             os.dup2(memory.fileno(), file.id.get_vfd_handle())
         code = getattr(error, "errno", None) or errno.EIO

@@ -198,8 +198,8 @@ class Scene:
     def last_reversal(self, time: float) -> float:
         """The last time before a time at which loads reverse or a stage begins."""
         k = max(math.ceil(time) - 1, 0)
-        ways = self.stages[k].ways
-        return k + (math.ceil((time - k) * ways - 1e-9) - 1) / ways
+        segments = self.stages[k].load_segments
+        return k + (math.ceil((time - k) * segments - 1e-9) - 1) / segments
 
 
 Exchanging = Callable[["Case"], Iterable[str]]

@@ -184,7 +184,11 @@ class Recorder:
     def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
         reversal = self._stage.reversal(step.time)
-        if self._stage.ways == self._stage.cycles or not step.ends_increment or not reversal:
+        if (
+            self._stage.load_segments == self._stage.cycles
+            or not step.ends_increment
+            or not reversal
+        ):
             return  # cycle tables have no valleys
         self.cycles.add(step.stage, stem, self.samples.step_numbers if self.samples else {})
         if trial is not None and reversal % 2 == 0:

@@ -225,7 +225,7 @@ def solves(case: Case) -> tuple[int, int]:
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
     scene, steps = build_scene(case), 0
     for k, stage in enumerate(scene.stages):
-        number = stage.increments * stage.ways
+        number = stage.increments * stage.load_segments
         steps += 0 if stage.duration else number * scene.rotation_substeps(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
     steps += sum(stage.other.solves(case) for stage in case.stages if stage.other)

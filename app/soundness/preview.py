@@ -103,7 +103,7 @@ def _stage(stage: Stage) -> str:
     seconds = stage.other.seconds(stage) if stage.other else stage.seconds
     time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
-    unit = "cycle" if stage.ways == stage.cycles else "way"
+    unit = "cycle" if stage.load_segments == stage.cycles else "way"
     steps += f" for each {unit}, {stage.cycles} cycles" if stage.cycles > 1 else ""
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 

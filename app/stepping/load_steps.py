@@ -150,7 +150,7 @@ class LoadStepper:
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time, up to its creep."""
-        increment, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
+        increment, end = 1.0 / (stage.increments * stage.load_segments), k + stage.loaded
         increment /= self.problem.scene.rotation_substeps(k, increment)
         if not self.progress.step:
             self.progress = LoadProgress(increment)

@@ -250,7 +250,7 @@ class Layers:
     free_strains: Sequence[float]
     joined: Sequence[bool]
 
-    def at(self, i: int, r: float) -> Floats:
+    def state_at(self, i: int, r: float) -> Floats:
         """Displacement [mm], radial and hoop stress [MPa] of layer i at r (3,)."""
         terms, free = self._terms(i, r)
         return np.asarray(terms @ self._constants()[i] - free)
@@ -258,10 +258,10 @@ class Layers:
     def gap(self, i: int) -> float:
         """Gap between layers i and i + 1 [mm]."""
         r = self.radii[i]
-        return float(self.at(i + 1, r)[0] - self.at(i, r)[0])
+        return float(self.state_at(i + 1, r)[0] - self.state_at(i, r)[0])
 
     def _terms(self, i: int, r: float) -> tuple[Floats, Floats]:
-        """Coefficients of A and B in `at` (3, 2), and what the free strain takes off (3,)."""
+        """Coefficients of A and B in `state_at` (3, 2), and what the free strain takes off (3,)."""
         λ, μ = lame(self.materials[i])
         b = 1 / r**2 if i else 0.0
         terms = [[r, b * r], [2 * (λ + μ), -2 * μ * b], [2 * (λ + μ), 2 * μ * b]]

@@ -225,7 +225,7 @@ def hot_fit_pressure(
     part = 1 / (2 * math.log(c / b)) - b * b / (c * c - b * b)
     mean = cold + (inner - cold) * part
     strains = (core[1] * (hot - free), ring[1] * (mean - free))
-    return float(-Layers(radii, (core[0], ring[0]), strains, (True,)).at(0, b)[1])
+    return float(-Layers(radii, (core[0], ring[0]), strains, (True,)).state_at(0, b)[1])
 
 
 # Conductance that depends on pressure

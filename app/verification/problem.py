@@ -428,14 +428,14 @@ def planned_runs(item: pytest.Function, row: Row, wanted: str) -> Sequence[Probl
 # Runs
 
 
-def planned_run(name: str, wanted: ProblemRun, folder: Path, *, alone: bool = False) -> PlannedRun:
+def planned_run(name: str, wanted: ProblemRun, folder: Path, *, timed: bool = False) -> PlannedRun:
     """A run as the campaigns plan it; a changed mesh is written below a folder.
 
     Raises:
         InputError: The case is wrong.
     """
     file = CONFIGS / wanted.case
-    options = (wanted.ranks, alone, wanted.share)
+    options = (wanted.ranks, timed, wanted.share)
     planned = PlannedRun.load(name, file, wanted.overrides, *options)
     if wanted.mesh:
         mesh = change(planned.case, wanted.mesh, folder / "meshes")

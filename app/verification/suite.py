@@ -125,7 +125,7 @@ class Suite:
         if not self.solve or not self.problems or self.error:
             return True
         try:
-            solve(self.problems.values(), self.options, alone=self.name == "bench")
+            solve(self.problems.values(), self.options, timed=self.name == "bench")
         except Exception as error:  # pytest would print it and go on
             self.error = error
             return True
@@ -178,7 +178,7 @@ def run(name: str, options: Options) -> bool:
     suite = _pytest(Suite(name, options, solve=not options.dry_run))
     if options.dry_run:
         problems = suite.problems.values()
-        plan(problems, options.folder, alone=name == "bench")
+        plan(problems, options.folder, timed=name == "bench")
         runs = [run for p in problems for run in p.planned if isinstance(run, PlannedRun)]
         log.info("%s", batch.plan(f"{name}: {len(suite.problems)} problems", runs, options))
         return True
@@ -194,10 +194,13 @@ def run(name: str, options: Options) -> bool:
 # Runs
 
 
-def plan(problems: Iterable[PlannedProblem], folder: Path, *, alone: bool) -> None:
-    """Plan all runs; a case that is wrong counts as a run that ended so.
+def plan(problems: Iterable[PlannedProblem], folder: Path, *, timed: bool) -> None:
+    """Plan all runs; a wrong case counts as a run that failed with this error.
 
-    ``alone``: no other run is active at the same time.
+    Args:
+        problems: The problems.
+        folder: Folder for changed meshes.
+        timed: True if times are measured, so that no other run may be active at the same time.
     """
     for problem in problems:
         problem.planned = []
@@ -206,21 +209,21 @@ def plan(problems: Iterable[PlannedProblem], folder: Path, *, alone: bool) -> No
             if len(problem.runs) > 1:
                 name = f"{name}_{k}"
             try:
-                problem.planned.append(planned_run(name, wanted, folder, alone=alone))
+                problem.planned.append(planned_run(name, wanted, folder, timed=timed))
             except InputError as error:
                 refused = SolvedRun(name, wanted, folder, error.exit_code, str(error))
                 problem.planned.append(refused)
 
 
-def solve(problems: Iterable[PlannedProblem], options: Options, *, alone: bool) -> None:
+def solve(problems: Iterable[PlannedProblem], options: Options, *, timed: bool) -> None:
     """Solve the runs of all problems; failed runs are not repeated.
 
-    Where times are measured (``alone``), problems are solved one after the other and their runs in
+    If times are measured (``timed``), problems are solved one after the other and their runs in
     turn. Disturbances of the machine then affect all runs alike.
     """
     problems = list(problems)
-    plan(problems, options.folder, alone=alone)
-    groups = [[problem] for problem in problems] if alone else [problems]
+    plan(problems, options.folder, timed=timed)
+    groups = [[problem] for problem in problems] if timed else [problems]
     results: dict[tuple[object, int], Result] = {}
     for group in groups:
         wanted = [
@@ -249,7 +252,7 @@ def solve(problems: Iterable[PlannedProblem], options: Options, *, alone: bool) 
 
 def _content(planned: PlannedRun) -> object:
     """Everything that two runs of the same content share."""
-    return planned.file, planned.overrides, planned.ranks, planned.alone, planned.share
+    return planned.file, planned.overrides, planned.ranks, planned.needs_idle_machine, planned.share
 
 
 def _solved(

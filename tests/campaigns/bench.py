@@ -68,9 +68,9 @@ class Bench:
         """The mesh sizes of the calls since the last time."""
         return [float(line.split()[0]) for line in self.taken("calls")]
 
-    def job(self, size: float, *more: str, ranks: int = 1, alone: bool = False) -> PlannedRun:
+    def job(self, size: float, *more: str, ranks: int = 1, timed: bool = False) -> PlannedRun:
         overrides = (f"mesh.size={size} mm", *more)
-        return PlannedRun.load(f"size-{size}", self.case, overrides, ranks, alone)
+        return PlannedRun.load(f"size-{size}", self.case, overrides, ranks, timed)
 
     def run(self, *jobs: PlannedRun) -> list[Result]:
         return batch.run(jobs, self.out, 2)

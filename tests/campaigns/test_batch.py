@@ -68,7 +68,7 @@ def test_batch_repeats_only_changed_runs(bench: Bench) -> None:
             bench.job(2.0, "regions.upper.poisson_ratio=0.2"),
             bench.job(2.0, ranks=2),
             bench.job(3.0),
-            PlannedRun.load("twin", bench.case, ("mesh.size=3000 um",), alone=True),
+            PlannedRun.load("twin", bench.case, ("mesh.size=3000 um",), needs_idle_machine=True),
         )
 
     results = run()
@@ -122,16 +122,21 @@ def test_batch_repeats_runs_of_another_stack(
 
 
 @pytest.mark.parametrize(
-    ("alone", "gigabytes", "together"), [(False, 3, True), (True, 3, False), (False, 5, False)]
+    ("timed", "gigabytes", "together"),
+    [(False, 3, True), (True, 3, False), (False, 5, False)],
 )
 def test_batch_jobs_share_cores_and_memory(
-    alone: bool, gigabytes: int, together: bool, bench: Bench, monkeypatch: pytest.MonkeyPatch
+    timed: bool,
+    gigabytes: int,
+    together: bool,
+    bench: Bench,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Two jobs on two cores with 8 GB, unless they are to be timed; one thread each."""
     monkeypatch.setattr(memory, "available", lambda environ: 8e9)
     monkeypatch.setattr(memory, "needed", lambda case: gigabytes * 1e9)
     bench.tell(seconds="0.2", meet="2" if together else "1")
-    bench.run(*(bench.job(s, alone=alone) for s in (1.0, 2.0)))
+    bench.run(*(bench.job(s, timed=timed) for s in (1.0, 2.0)))
     assert (bench.folder / "met").exists() == together
     # Snakemake would give each as many threads as cores.
     assert all(line.endswith(" 1") for line in bench.taken("calls"))

@@ -267,7 +267,9 @@ study:
     assert [r.label for r in runs] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
     assert [r.x for r in runs] == [None, None, 1e3, 1e4, 1, 2, 1, 2]
     assert [r.unit for r in runs] == ["", "", "MPa/mm", "MPa/mm", "", "", "", ""]
-    assert [p.ranks for p in planned] == [1, 1, 1, 1, 1, 2, 1, 1] and all(p.alone for p in planned)
+    assert [p.ranks for p in planned] == [1, 1, 1, 1, 1, 2, 1, 1] and all(
+        p.needs_idle_machine for p in planned
+    )
     laws = [p.case.interfaces["lower_upper"] for p in planned]
     assert [getattr(law, "penalty", None) for law in laws[:5]] == [1e3, 1e4, 1e3, 1e4, None]
     assert laws[0] == laws[2] and laws[1] == laws[3]

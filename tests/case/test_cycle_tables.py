@@ -84,7 +84,9 @@ def test_cycle_table_of_motion_and_load_are_written(tmp_path: Path) -> None:
     case = load(tmp_path / "case.yaml").config
     assert support.case(dump(case)) == case
     ball, law = case.motions["ball"], case.interfaces["lower_upper"]
-    assert np.degrees(ball.rotation.cycle_table.at(ROTATIONS, 0.75)) == pytest.approx([3.5, 0, -4])
+    assert np.degrees(ball.rotation.cycle_table.values_at(ROTATIONS, 0.75)) == pytest.approx(
+        [3.5, 0, -4]
+    )
     assert law.wear_coefficient == pytest.approx(1.07e-9, rel=1e-15)
     assert law.values == {"μ": 0.06} and law.form == ("contact", True)
     forces = [load for load in case.loads.values() if isinstance(load, Force)]
@@ -142,7 +144,7 @@ def test_cycle_table_first_axis_is_the_outermost() -> None:
 
 def test_cycle_table_missing_columns_are_zero() -> None:
     cycle_table = CycleTable.model_validate(["time [s], rotation y [deg]", "0, 0", "1, 90"])
-    assert cycle_table.at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])
+    assert cycle_table.values_at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])
 
 
 def test_cycle_table_factor_of_a_force() -> None:

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from app.case import explanations, keys, library
+from app.case import explanations, keys, library, quantities
 from app.command_line.parser import options_of_commands
 from app.foundation.errors import InputError
 
@@ -21,7 +21,7 @@ WORDS = {
     "sliding": "interfaces.<name>.sliding ",
     "body weight": "loads",
     "mesh size": "mesh.size",
-    "units": "Values have units",
+    "units": "Results, in summary.json",
     "density": "regions.<name>.thermal.density",
     "friction": "interfaces.<name>.friction_coefficient ",
     "roller": "supports.<name> of kind roller",
@@ -103,3 +103,27 @@ def test_explanation_of_units_lists_their_keys() -> None:
     lines = explanations.explained("units").splitlines()
     assert any(line.split()[:2] == ["MPa", "youngs_modulus,"] for line in lines)
     assert explanations.explained("unit") == explanations.explained("units")
+
+
+def test_explanation_of_units_has_those_of_results_and_of_keys() -> None:
+    results, key_units = explanations.explained("units").split("\n\n")
+    units_of_results = {line[2:16].strip() for line in results.splitlines()[1:]}
+    units_of_tables = set()
+    for numbers in quantities.TABLE.values():
+        units_of_tables |= {quantity.unit for quantity in numbers.values()}
+    assert units_of_results == units_of_tables
+    # Results on interfaces are in W/m^2; the key of their conductance is converted to mW/mm^2.
+    assert any(line.split()[:2] == ["W/m^2", "heat_flux_max"] for line in results.splitlines())
+    assert any("conductance" in line and "mW" in line for line in key_units.splitlines())
+
+
+def test_explanation_of_a_command_has_its_options_in_their_block() -> None:
+    options = options_of_commands()
+    section, *others, last = explanations.explained("mesh", options).split("\n\n")
+    assert section.startswith("mesh\n")
+    assert not any("mantle mesh --" in text for text in [section, *others])
+    heading, *lines = last.splitlines()
+    assert heading == "options of commands"
+    assert any(line.startswith("  mantle mesh --set ") for line in lines)
+    (restart,) = explanations.explained("--restart", options).split("\n\n")
+    assert restart.startswith("options of commands\n  mantle run --restart ")

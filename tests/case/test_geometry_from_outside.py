@@ -54,7 +54,7 @@ class Rising(ModulusField):
     def largest(self):
         return 2.0 * self.foot
 
-    def at(self, x, geometry):
+    def modulus_at(self, x, geometry):
         return self.foot * (1.0 + x[:, 2] / geometry.height)
 
 

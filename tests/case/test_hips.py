@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,14 @@ def test_hips_without_cement_say_in_one_line_what_a_base_lacks() -> None:
     (line,) = refused("geometry.cement_thickness=0 mm")
     assert "`regions: {cement: null}`" in line
     assert "stem_cement: null, cement_bone: null, stem_bone: {kind: contact" in line
+
+
+def test_hips_without_cement_name_the_options_that_a_base_needs() -> None:
+    (line,) = refused("geometry.cement_thickness=0 mm")
+    command = line.partition("on the command line, add `")[2].removesuffix("`")
+    words = shlex.split(command)
+    assert words[::2] == ["--set"] * 4
+    load(STANCE, ("geometry.cement_thickness=0 mm", *words[1::2]))
 
 
 def test_hips_without_cement_need_a_law() -> None:

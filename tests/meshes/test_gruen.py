@@ -30,7 +30,7 @@ def test_gruen_zones_are_numbered_as_on_a_radiograph() -> None:
         (below, 4, 4, 11, 11),
     ):
         x = np.array([(-10.0, 1.0, z), (10.0, 1.0, z), (1.0, 10.0, z), (1.0, -10.0, z)])
-        zones = ZONES.at(x)
+        zones = ZONES.zones_at(x)
         assert zones[:2, 0].tolist() == [lateral, medial]
         assert zones[2:, 1].tolist() == [anterior, posterior]
 
@@ -46,8 +46,10 @@ def test_gruen_thirds_are_of_the_length_in_the_bone() -> None:
     end = ZONES.tip + GEOMETRY.implant.tip_height
     levels = np.array([ZONES.top + 20.0, end + 1e-3, end, ZONES.tip - BELOW_TIP + 1e-3])
     x = np.column_stack([np.full(4, 10.0), np.ones(4), levels])
-    assert ZONES.at(x).tolist() == [[7, 8], [5, 10], [4, 11], [4, 11]]
-    assert ZONES.at(np.array([(10.0, 1.0, ZONES.tip - BELOW_TIP - 1e-3)])).tolist() == [[0, 0]]
+    assert ZONES.zones_at(x).tolist() == [[7, 8], [5, 10], [4, 11], [4, 11]]
+    assert ZONES.zones_at(np.array([(10.0, 1.0, ZONES.tip - BELOW_TIP - 1e-3)])).tolist() == [
+        [0, 0]
+    ]
     # A stem whose shoulder is below the cut is embedded as far as that.
     short = {"stem": Stem().model_copy(update={"length": 130.0}), "tip_z": -118.0}
     assert Zones(GEOMETRY.model_copy(update=short)).top == 12.0
@@ -75,7 +77,7 @@ def test_gruen_zones_are_robust_to_rounding() -> None:
     x = np.concatenate([x, x[:, [1, 0, 2]], x + np.array([0.0, 0.0, 1.0]), level * normal[None]])
     plug = np.array([(1.0, 1.0, ZONES.tip - GEOMETRY.plug_length)])
     for rounding in np.random.default_rng(0).uniform(-1e-12, 1e-12, (20, 3)):
-        assert np.array_equal(ZONES.at(x), ZONES.at(x + rounding))
+        assert np.array_equal(ZONES.zones_at(x), ZONES.zones_at(x + rounding))
         for points in (x, plug):
             assert np.array_equal(ZONES.is_left(points), ZONES.is_left(points + rounding))
 

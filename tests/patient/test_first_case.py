@@ -78,6 +78,8 @@ def test_first_case_refuses_a_ct_of_another_place(tmp_path: Path) -> None:
             folder / "hip", folder / "labels.nii.gz", folder / "other.nii.gz", None, None
         )
     assert "no stem" not in str(caught.value)
+    # The key `axes` belongs to the image of a modulus, not to `mantle init`.
+    assert "outside the image, such as" in str(caught.value) and "`axes`" not in str(caught.value)
     assert not (folder / "hip.yaml").exists()
 
 

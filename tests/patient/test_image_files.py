@@ -195,14 +195,14 @@ def test_images_nan_voxels_matter_only_where_needed(
     assert image.summary[1] == f"{lost} voxels are not numbers"
     assert image.dense == np.percentile(values[np.isfinite(values)], 99.9)
     inside = (PLACES @ [6.5, 2.5, 4.5, 1])[:3]
-    assert np.isfinite(image.at(inside[None])).all()
+    assert np.isfinite(image.values_at(inside[None])).all()
     for index, message in (
         (0, "are in voxels that are not numbers"),
         (-2, "are outside the image"),
     ):
         x = (PLACES @ [index + 0.5, 2, 4, 1])[:3]
         with pytest.raises(InputError, match=f"1 of 2 points {message}"):
-            image.at(np.stack([inside, x]))
+            image.values_at(np.stack([inside, x]))
 
 
 # Labels

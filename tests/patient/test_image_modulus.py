@@ -82,7 +82,7 @@ def test_image_modulus_are_linear_between_voxels() -> None:
     slope = np.array([3.0, -2.0, 0.5])
     image = Image(x @ slope, affine)
     points = rng.uniform(0, [7, 8, 6], size=(50, 3)) @ affine[:3, :3].T + affine[:3, 3]
-    assert image.at(points) == pytest.approx(points @ slope, rel=1e-12)
+    assert image.values_at(points) == pytest.approx(points @ slope, rel=1e-12)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -85,7 +85,7 @@ def test_label_surface_from_nifti(tmp_path: Path) -> None:
     affine = np.array([[0, -0.5, 0, 9], [0.4, 0, 0, 8], [0, 0, 1, 7], [0, 0, 0, 1.0]])
     path = tmp_path / "ct.nii.gz"
     nibabel.Nifti1Image(values, affine).to_filename(path)
-    assert images.read(path).at(affine[:3, 3:].T + affine[:3, 2]) == values[0, 0, 1]
+    assert images.read(path).values_at(affine[:3, 3:].T + affine[:3, 2]) == values[0, 0, 1]
     with pytest.raises(InputError, match="has no label 3000; it has -"):
         label_surface.read(path, 3000)
     whole = path.read_bytes()
@@ -116,7 +116,7 @@ def test_label_surface_from_slices_equals_nifti(tmp_path: Path) -> None:
     E = [ImageModulus.model_validate(DENSITY | {"density": str(path)}) for path in (folder, file)]
     here, there = (label_surface.read(e.density, 1200)[0] for e in E)
     assert here == pytest.approx(there, abs=1e-5)
-    here, there = (e.at(x, None) for e in E)
+    here, there = (e.modulus_at(x, None) for e in E)
     assert here == pytest.approx(there, rel=1e-5)
     (folder / "1.2.3").unlink()
     with pytest.raises(InputError, match=r"1\.25 to 2\.5 mm apart; is one missing after 1\.2\.14"):
@@ -135,11 +135,11 @@ def test_label_surface_moduli_at_points_of_the_cortex(scan: Path) -> None:
     r = low + part * (femur_bone.PERIOSTEUM.radius(angle, z) - low)
     x = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     expected = modulus(E.law, E.densities((density(z) - OFFSET) / SLOPE)["apparent"])
-    off = E.at(geometry.femur.frame.to_model(x), geometry) / expected - 1.0
+    off = E.modulus_at(geometry.femur.frame.to_model(x), geometry) / expected - 1.0
     assert np.percentile(np.abs(off), 95) < 0.03
     assert abs(off.mean()) < 0.003
     assert list(E.details(geometry))[-1].startswith("E 1.5 mm below")
-    raw = E.at(x, None) / expected - 1.0
+    raw = E.modulus_at(x, None) / expected - 1.0
     assert np.percentile(np.abs(raw), 95) > 0.1
 
 

@@ -72,7 +72,7 @@ def test_patient_bone_zones_equal_the_parametric_ones(folder: Path) -> None:
     x = np.random.default_rng(0).uniform((-15, -15, -150), (15, 15, 5), (4000, 3))
     here, there = Zones(as_own(folder)), Zones(TURNED)
     y = turned(x, math.radians(VERSION))
-    assert (here.at(x) == there.at(y)).mean() > 0.98
+    assert (here.zones_at(x) == there.zones_at(y)).mean() > 0.98
     assert here.depth(x) == pytest.approx(there.depth(y), abs=0.4)
 
 

@@ -154,25 +154,27 @@ def cooled(joined: tuple[bool, bool]) -> Layers:
 
 def test_closed_forms_heat_bonded_cylinders_cooled() -> None:
     layers = cooled((True, True))
-    inner, outer = layers.at(1, 6), layers.at(1, 10)
+    inner, outer = layers.state_at(1, 6), layers.state_at(1, 10)
     assert (inner[1], outer[1], inner[2]) == pytest.approx((5.696, 7.884, 12.534), abs=6e-4)
-    assert (layers.at(0, 6)[1], layers.at(2, 10)[1]) == pytest.approx((inner[1], outer[1]))
-    assert layers.at(2, 15)[1] == pytest.approx(0, abs=1e-10)
+    assert (layers.state_at(0, 6)[1], layers.state_at(2, 10)[1]) == pytest.approx(
+        (inner[1], outer[1])
+    )
+    assert layers.state_at(2, 15)[1] == pytest.approx(0, abs=1e-10)
     assert (layers.gap(0), layers.gap(1)) == pytest.approx((0, 0), abs=1e-15)
 
 
 def test_closed_forms_heat_unilateral_cylinders_cooled() -> None:
     layers = cooled((True, False))
-    _, radial, hoop = layers.at(1, 6)
+    _, radial, hoop = layers.state_at(1, 6)
     assert (radial, layers.gap(1), hoop) == pytest.approx((-3.929, 0.02332, 8.349), rel=2e-4)
-    assert layers.at(1, 10)[1] == pytest.approx(0, abs=1e-10)
+    assert layers.state_at(1, 10)[1] == pytest.approx(0, abs=1e-10)
 
 
 def test_closed_forms_heat_swelling_core_is_a_press_fit() -> None:
     """Lamé's interference δ is a free strain of the core of δ / (1 + ν) b."""
     layers = Layers((7, 10), (STEM, MANTLE), (0.01 / 1.3 / 7, 0), (True,))
     pressure = lame_pressure(0.01, 7, 10, STEM, MANTLE)
-    assert -layers.at(0, 7)[1] == pytest.approx(pressure, rel=1e-12)
+    assert -layers.state_at(0, 7)[1] == pytest.approx(pressure, rel=1e-12)
 
 
 def test_closed_forms_heat_hot_fit_uses_mean_temperature() -> None:
@@ -189,7 +191,7 @@ def test_closed_forms_heat_hot_fit_uses_mean_temperature() -> None:
     mean = quad(heat, b, c)[0] / (math.pi * (c * c - b * b))
     strains = (14e-6 * 43, 27.5e-6 * (mean - 37))
     even = Layers((b, c), (STEM, MANTLE), strains, (True,))
-    assert value == pytest.approx(-even.at(0, b)[1], rel=1e-9)
+    assert value == pytest.approx(-even.state_at(0, b)[1], rel=1e-9)
 
 
 def test_closed_forms_heat_heated_walls_have_one_or_three_states() -> None:

@@ -65,7 +65,7 @@ def test_problems_of_stress_are_well_posed(tmp_path: Path) -> None:
         assert f"run configs/stress/{name}.yaml" in text
     # Every override is one: what is refused at once is meant to be.
     some = [planned for planned in small if not any(run.mesh for run in planned.runs)]
-    suite.plan(some, tmp_path, alone=False)
+    suite.plan(some, tmp_path, timed=False)
     refused = [p.row for p in some if not all(isinstance(r, PlannedRun) for r in p.planned)]
     assert len(some) > 150
     assert len(refused) == 3

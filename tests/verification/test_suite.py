@@ -306,7 +306,7 @@ def test_suite_timed_problems_run_in_turn(
 
     def run(planned: Sequence[PlannedRun], folder: Path, *_: object) -> list[Result]:
         called.append([job.name for job in planned])
-        assert all(job.alone for job in planned)
+        assert all(job.needs_idle_machine for job in planned)
         summary = {"solver": {"dofs": 7}, "cpu": {"solve": 2.0, "mesh": 9.0}}
         return [Result(job, folder / job.name, 0, 1.0, summary, "") for job in planned]
 

@@ -313,7 +313,7 @@ def layer_stresses(run: Run, joined: tuple[bool, bool]) -> Comparison:
     """
     law = cooled_layers(joined)
     cells = run.region == 2
-    scale = abs(law.at(1, 6.0)[2])
+    scale = abs(law.state_at(1, 6.0)[2])
     x = run.points[run.cells[cells, :4]].mean(axis=1)
     r = np.hypot(x[:, 0], x[:, 1])
     n = x[:, :2] / r[:, None]
@@ -327,7 +327,7 @@ def layer_stresses(run: Run, joined: tuple[bool, bool]) -> Comparison:
         A, B = np.linalg.lstsq(rows, values * weights, rcond=None)[0]
         for at in (6.0, 10.0):
             computed = float(A + B / at**2)
-            reference = float(law.at(1, at)[k])
+            reference = float(law.state_at(1, at)[k])
             comparisons.append(Comparison(abs(computed - reference) / scale, computed, reference))
     return worst(comparisons)
 
@@ -361,7 +361,7 @@ def test_layers_unilateral(problem: KnownProblem) -> None:
     sides = solved.summary["interfaces"]
     problem.compare(
         layer_stresses(solved, joined),
-        relative(sides["stem_cement"]["pressure_mean"], -layers.at(1, 6.0)[1]),
+        relative(sides["stem_cement"]["pressure_mean"], -layers.state_at(1, 6.0)[1]),
         relative(sides["cement_bone"]["gap_p99"], layers.gap(1)),
     )
 

@@ -254,7 +254,7 @@ def compare_rings(
     for i, name in enumerate(("stem_cement", "cement_bone")):
         if name in solved.summary["interfaces"]:
             computed = solved.summary["interfaces"][name]["pressure_mean"]
-            p = -layers.at(i, radii[i])[1]
+            p = -layers.state_at(i, radii[i])[1]
             errors[name] = abs(computed / p - 1)
             notes.append(f"{name} {computed:.5g} MPa, exact {p:.5g}")
     problem.compare(Comparison(largest(errors).error, note="; ".join(notes)))
