@@ -345,7 +345,7 @@ class Frictional(InterfaceLaw):
 
 
 class SurfaceZone(Section):
-    """Part of a stem's surface between two heights, with its own numbers."""
+    """Part of a stem's surface between two heights, with separate numbers."""
 
     NUMBERS: ClassVar[tuple[str, ...]] = ("friction_coefficient", "gap", "interference")
 
@@ -371,7 +371,7 @@ class SurfaceZone(Section):
         return self
 
     def replaces(self, other: SurfaceZone, key: str) -> bool:
-        """True if this zone, which comes later, covers another one and has a number of its own."""
+        """True if this zone, which comes later, covers another one and has a separate number."""
         (low, high), (start, end) = self.heights, other.heights
         covers = low <= start and end <= high
         if key == "friction_coefficient":
@@ -409,7 +409,7 @@ class Unilateral(Frictional):
     pairs of height above the stem's tip and length, linear in between. It acts on the flanks of a
     stem, not on its end, and grows during the first stage. In place of `gap`."""
     zones: Annotated[dict[Name, SurfaceZone], MAPPING] | None = None
-    """Parts of a stem's surface with their own numbers, such as a coating. Where two overlap, the
+    """Parts of a stem's surface with separate numbers, such as a coating. Where two overlap, the
     later one counts."""
     gap_history: LoadHistory = None
     """Multiplier of the gap at the end of each stage, from 0. By default a clearance is constant,

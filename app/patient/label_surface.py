@@ -109,8 +109,8 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
         if second > SECOND_BONE * largest:
             raise InputError(
                 f"{path}: label {label} has two bodies, of {largest / 1e3:.0f} and"
-                f" {second / 1e3:.0f} cm3; expected one bone. Give left and right labels of their"
-                " own (Split islands to segments in 3D Slicer)"
+                f" {second / 1e3:.0f} cm3; expected one bone. Separate left and right into two"
+                " labels (Split islands to segments in 3D Slicer)"
             )
         lost = sizes.sum() - sizes.max()
         text = f"{lost:,} voxels in {count - 1} other pieces left out"

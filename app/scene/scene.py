@@ -60,7 +60,7 @@ class Interface:
         values: Constants of the law (n,) at points, by name.
         between: Boundaries of master and slave with finite sliding, meshed apart; else None.
         press_fit: True if micromotion is reported: the jump since the gap last changed.
-        zones: Parts of the surface with their own numbers: by name, a function of points (n, 3)
+        zones: Parts of the surface with separate numbers: by name, a function of points (n, 3)
             that is not positive there (n,).
     """
 
