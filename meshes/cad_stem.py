@@ -260,8 +260,9 @@ class CadStem:
         if fraction > 0:
             path_fraction = self._cut + (1 - self._cut) * fraction
             after_collar = max(0.0, fraction - self._collar_end)
-            left = (1 - min(fraction, TURN_AFTER_COLLAR * after_collar)) ** 2
-            plane = left * self._planes[0] + (1 - left) * self._planes[1]
+            turned = min(fraction, TURN_AFTER_COLLAR * after_collar)
+            part_of_cut = (1 - turned) ** 2
+            plane = part_of_cut * self._planes[0] + (1 - part_of_cut) * self._planes[1]
         else:
             path_fraction, plane = self._path_fraction(height, slope), self._plane(slope)
         origin = (

@@ -271,12 +271,14 @@ class LayeredSurfaces:
             return last
         steps = self.mesh.steps(thickness)
         # The station of the stem alone that is as high above the cut, around medial in the mean.
+        on_cut = self._medial_points(0.0)
         stations, heights = [0.0], [0.0]
         for station in np.arange(1, COLLAR_SEARCH * last + 1) / COLLAR_SEARCH:
             if heights[-1] >= thickness:
                 break
+            above_cut = (self._medial_points(station) - on_cut) @ self.normal
             stations.append(station)
-            heights.append(self._height_above_cut(station))
+            heights.append(float(above_cut.mean()))
         if heights[-1] < thickness:
             raise GeometryError("geometry.stem.collar.thickness: the collar is above the head")
         top_station = float(np.interp(thickness, heights, stations))
@@ -287,11 +289,9 @@ class LayeredSurfaces:
         self.collar = (self.cut, self.cut + steps)
         return len(self._stations) - 1 - steps
 
-    def _height_above_cut(self, station: float) -> float:
-        """Height of the stem at a station above the cut, around medial in the mean [mm]."""
-        phi = np.linspace(-0.1, 0.1, 9) % 1.0
-        x, on_cut = (self.stem.upper.points(phi, np.full(9, s)) for s in (station, 0.0))
-        return float(((x - on_cut) @ self.normal).mean())
+    def _medial_points(self, station: float) -> Floats:
+        """Points of the stem around medial at a station from the cut on (9, 3) [mm]."""
+        return self.stem.upper.points(np.linspace(-0.1, 0.1, 9) % 1.0, np.full(9, station))
 
     @property
     def normal(self) -> Floats:
