@@ -61,7 +61,8 @@ class TemperatureJumps:
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
         holds = _held_vertices(forms, facets, held)
-        self.points, entries = contact_points(facets, holds, [c.name for c in contacts], {})
+        names = [c.name for c in contacts]
+        self.points, entries = contact_points(facets, holds, names, {}, by_face=False)
         self.owned_rows, number_of_point = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
         n = len(self.owned_rows)
@@ -85,12 +86,12 @@ class TemperatureJumps:
         shares = {f.name: f.slave_share for f in scene.friction_heat}
         self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
         with forms.compiling():
-            names = ("p", "τ", "open", "per_pressure", "cap")
+            inputs = ("p", "τ", "open", "per_pressure", "cap")
             self._law = Pointwise(
                 comm,
                 n,
-                dict.fromkeys(names, 1),
-                lambda x: interface_heat.flux_and_derivatives(*(x[name] for name in names)),
+                dict.fromkeys(inputs, 1),
+                lambda x: interface_heat.flux_and_derivatives(*(x[name] for name in inputs)),
             )
         laws = np.array([c.law.conductances for c in contacts])[self.interface]
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])

@@ -23,8 +23,9 @@ Rules where things meet, for each displacement component of a vertex:
   those of the others: these are dependent corners, which are no points. `_forest` chooses them
   independently of the order in the case file.
 * A dependent corner gives its area and its jump to points of the same interface next to it. The
-  unknown of such a point is the mean jump, by area, of the point and its part of the corner. Its
-  law holds in the mean. A constant pressure is transmitted exactly, and areas sum to the area.
+  unknown of such a point is the mean jump, by area, of the point and its part of the corner; on
+  an edge, the mean is over each face alone. Its law holds in the mean. A constant pressure is
+  transmitted exactly, and areas sum to the area.
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
   reported force in that component; the normals drop it.
 * The components are along x, y, z. A vertex that a support holds along another direction has local
@@ -64,11 +65,21 @@ COSINE_DECIMALS = 1
 
 
 def contact_points(
-    facets: InterfaceFacets, holds: Holds, interfaces: Sequence[str], axes: Mapping[int, Floats]
+    facets: InterfaceFacets,
+    holds: Holds,
+    interfaces: Sequence[str],
+    axes: Mapping[int, Floats],
+    by_face: bool = True,
 ) -> tuple[ContactPoints, Entries]:
     """Contact points of all interfaces, and the displacement of each body due to their jumps.
 
-    ``interfaces`` are their names; ``axes`` (3, 3) are the local axes of vertices that have them.
+    Args:
+        facets: All facets.
+        holds: Constrained displacement components.
+        interfaces: Names of the interfaces.
+        axes: Local axes (3, 3) of vertices that have them.
+        by_face: Whether each face of a point has a separate pressure. False for a field with one
+            component, whose flux does not depend on normals.
 
     Raises:
         InputError: An interface has no point that could carry its force.
@@ -100,9 +111,10 @@ def contact_points(
     if count == len(surface.vertex):
         return points, entries
     # Imported here: interfaces that do not meet need no scipy.
-    from app.interfaces.dependent_corners import handed_area, in_means
+    from app.interfaces.dependent_corners import handed_areas, in_means
 
-    return in_means(points, entries, handed_area(facets, surface, held_projectors, interfaces))
+    handed = handed_areas(facets, surface, held_projectors, interfaces, by_face)
+    return in_means(facets, points, entries, handed, by_face)
 
 
 def _surface(

@@ -50,39 +50,81 @@ class Corners:
 
 
 @dataclass(frozen=True)
+class Dependence:
+    """Quantities at all corners (m of them) by those at the points (n of them).
+
+    Attributes:
+        values: Factors of values, the fractions of the areas of the corners (m, n).
+        forces: Factors of forces per area (3 m, 3 n).
+        pressures: Factors of the pressures of faces, as means over whole corners (3 m, 3 n).
+        jumps: Factors of the mean jumps of the points (3 m, 3 n).
+    """
+
+    values: csr_array
+    forces: csr_array
+    pressures: csr_array
+    jumps: csr_array
+
+
+@dataclass(frozen=True)
 class ContactSurface(Corners):
     """All corners: the n points, each with its area alone, then the dependent corners.
 
     Attributes:
         triangles: For each interface, its facets as rows of corners (f_i, 3).
         facets: For each interface, the numbers of these facets (f_i,).
-        shares: Weights of the points in the values of the corners (m, n); None if all are points.
-        jumps: Jumps of the corners by those of the points (3 m, 3 n); None if all are points.
+        dependence: Quantities at the corners by those at the points; None if all are points.
     """
 
     triangles: tuple[Ints, ...]
     facets: tuple[Ints, ...]
-    shares: csr_array | None = None
-    jumps: csr_array | None = None
+    dependence: Dependence | None = None
 
     def spread(self, values: Floats) -> Floats:
-        """Values at the corners (m, ...) from those at the points (n, ...)."""
-        if self.shares is None:
+        """Values at the corners (m, ...) from those at the points (n, ...), by area."""
+        if self.dependence is None:
             return values
-        flat = self.shares @ values.reshape(len(values), -1)
+        flat = self.dependence.values @ values.reshape(len(values), -1)
         return np.asarray(flat.reshape(-1, *values.shape[1:]))
+
+    def spread_forces(self, forces: Floats) -> Floats:
+        """Forces per area of the corners (m, 3) from those per area of the points (n, 3) [MPa]."""
+        if self.dependence is None:
+            return forces
+        return np.asarray((self.dependence.forces @ forces.ravel()).reshape(-1, 3))
+
+    def spread_pressures(self, pressures: Floats) -> Floats:
+        """Pressures of the faces of corners (m, 3) from those of the points (n, 3) [MPa].
+
+        All are means over the whole areas of corners and points.
+        """
+        if self.dependence is None:
+            return pressures
+        return np.asarray((self.dependence.pressures @ pressures.ravel()).reshape(-1, 3))
 
     def true_jumps(self, jumps: Floats) -> Floats:
         """Jumps at the corners (m, 3) from the mean jumps of the points (n, 3) [mm]."""
-        if self.jumps is None:
+        if self.dependence is None:
             return jumps
-        return np.asarray((self.jumps @ jumps.ravel()).reshape(-1, 3))
+        return np.asarray((self.dependence.jumps @ jumps.ravel()).reshape(-1, 3))
+
+    def mean_jumps(self, jumps: Floats) -> Floats:
+        """Mean jumps of the points (n, 3, k) from jumps at the corners (m, 3, k) [mm]."""
+        if self.dependence is None:
+            return jumps
+        # Forces do the same work in both.
+        work = self.dependence.forces.T @ (self.weight[:, None, None] * jumps).reshape(
+            -1, jumps.shape[2]
+        )
+        points = self.dependence.values.shape[1]
+        area = self.dependence.values.T @ self.weight
+        return np.asarray(work.reshape(points, 3, -1) / area[:, None, None])
 
     def spread_status(self, status: Ints) -> Ints:
         """States of the corners (m,); a dependent corner has that of its largest share."""
-        if self.shares is None:
+        if self.dependence is None:
             return status
-        return status[np.asarray(self.shares.toarray().argmax(axis=1)).ravel()]
+        return status[np.asarray(self.dependence.values.toarray().argmax(axis=1)).ravel()]
 
 
 @dataclass(frozen=True)

@@ -2,39 +2,81 @@
 
 A dependent corner gives its area and its jump to points of its interface next to it. The unknown of
 such a point is the mean jump, by area, of the point and its part of the corner.
+
+A point on an edge of its interface has several faces, each with its area and its pressure. A facet
+of a dependent corner belongs to one of them. Along the normal of this face the mean is over the
+area of the face alone, and along the normals of the other faces the corner has no part. A constant
+pressure on each face is then transmitted exactly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array, diags_array, eye_array, kron, vstack
+from scipy.sparse import bsr_array, csc_array, csr_array, eye_array, kron, vstack
 from scipy.sparse.linalg import inv
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
-from app.interfaces.corners import ROUNDING, ContactPoints, ContactSurface, Entries
+from app.interfaces.corners import (
+    ROUNDING,
+    ContactPoints,
+    ContactSurface,
+    Dependence,
+    Entries,
+)
 from app.interfaces.faces import projectors
 from app.interfaces.interface_facets import InterfaceFacets
 
+# A facet belongs to the face with the nearest normal, if the cosine between both is at least this.
+SAME_FACE = 0.5
 
-def handed_area(
+
+@dataclass(frozen=True)
+class HandedAreas:
+    """Areas that dependent corners give to points (k of them).
+
+    Attributes:
+        corner: Corner that gives the area (k,).
+        point: Point that receives it (k,).
+        facet: Facet to which the area belongs (k,).
+        normal: Unit normal of the facet at the corner (k, 3).
+        area: Area (k,) [mm2].
+    """
+
+    corner: Ints
+    point: Ints
+    facet: Ints
+    normal: Floats
+    area: Floats
+
+
+def handed_areas(
     facets: InterfaceFacets,
     surface: ContactSurface,
     held: Floats,
     names: Sequence[str],
-) -> csr_array:
-    """Areas that dependent corners give to points of their interface (m - n, n) [mm2].
+    by_face: bool,
+) -> HandedAreas:
+    """Areas that dependent corners give to points of their interface.
 
     These points are the other corners of its facets, otherwise the nearest points of the same
-    sides. A point with a prescribed component that the corner does not have is the last choice.
+    sides that have a face along the facet. A point with a prescribed component that the corner does
+    not have is the last choice.
+
+    Args:
+        facets: All facets.
+        surface: All corners, points first.
+        held: Projectors on the prescribed directions of the points (n, 3, 3).
+        names: Names of the interfaces.
+        by_face: Whether each face of a point has a separate pressure.
 
     Raises:
         InputError: There is no such point.
     """
-    n, m = len(held), len(surface.weight)
+    n = len(held)
     corners = np.concatenate(surface.triangles)
     numbers = np.concatenate(surface.facets)
     sides_of_corner = np.column_stack([surface.interface, surface.bodies])
@@ -43,11 +85,10 @@ def handed_area(
     for p in np.flatnonzero(~is_free):
         v = int(surface.vertex[p])
         at_vertex[v] = np.maximum(at_vertex.get(v, 0.0), np.abs(held[p]))
-    rows: list[int] = []
-    columns: list[int] = []
+    rows: list[tuple[int, int, int, int]] = []
     areas: list[float] = []
     for f, k in zip(*np.nonzero(corners >= n), strict=True):
-        c = int(corners[f, k])
+        c, number = int(corners[f, k]), int(numbers[f])
         held_at_corner = at_vertex.get(int(surface.vertex[c]), np.zeros((3, 3)))
 
         def takes(p: Ints, held_at_corner: Floats = held_at_corner) -> Bools:
@@ -57,43 +98,91 @@ def handed_area(
         receivers = neighbours[takes(neighbours)]
         if not len(receivers):
             candidates = np.flatnonzero((sides_of_corner[:n] == sides_of_corner[c]).all(axis=1))
+            normal = facets.normal[number, k]
+            if by_face and normal @ held_at_corner @ normal < SAME_FACE:
+                candidates = candidates[_faces_along(surface.normals[candidates], normal) >= 0]
             admissible = candidates[takes(candidates)]
             receivers_of_sides = admissible if len(admissible) else candidates
             if not len(receivers_of_sides):
                 x, y, z = surface.x[c]
                 raise InputError(
-                    f"interfaces.{names[int(surface.interface[c])]}: all its nodes lie on lines "
-                    f"where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so none can "
-                    "carry its force; use a finer mesh"
+                    f"interfaces.{names[int(surface.interface[c])]}: all nodes of a face lie on "
+                    f"lines where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, so none "
+                    "can carry its force; use a finer mesh"
                 )
             distances = np.linalg.norm(surface.x[receivers_of_sides] - surface.x[c], axis=1)
             receivers = receivers_of_sides[np.isclose(distances, distances.min(), rtol=1e-6)]
-        rows += [c - n] * len(receivers)
-        columns += receivers.tolist()
-        areas += [float(facets.area[numbers[f], k]) / len(receivers)] * len(receivers)
-    return csr_array((areas, (rows, columns)), shape=(m - n, n))
+        rows += [(c, int(p), number, int(k)) for p in receivers]
+        areas += [float(facets.area[number, k]) / len(receivers)] * len(receivers)
+    corner, point, facet, k = np.array(rows).T
+    return HandedAreas(corner, point, facet, facets.normal[facet, k], np.array(areas))
+
+
+def _faces_along(normals: Floats, normal: Floats) -> Ints:
+    """Number of the face of each point (n, 3, 3) that is along a normal (3,) or (n, 3), or -1."""
+    cosines = np.abs(np.einsum("pki,pi->pk", normals, np.broadcast_to(normal, normals[:, 0].shape)))
+    return np.where(cosines.max(axis=1) >= SAME_FACE, cosines.argmax(axis=1), -1)
+
+
+def _face_areas(facets: InterfaceFacets, surface: ContactSurface, normals: Floats) -> Floats:
+    """Areas (m, 3) of the faces of corners, with these unit normals (m, 3, 3) [mm2]."""
+    corners = np.concatenate(surface.triangles).ravel()
+    numbers = np.concatenate(surface.facets)
+    faces = _faces_along(normals[corners], facets.normal[numbers].reshape(-1, 3))
+    area = np.zeros((len(surface.weight), 3))
+    known = faces >= 0
+    np.add.at(area, (corners[known], faces[known]), facets.area[numbers].ravel()[known])
+    return area
 
 
 def in_means(
-    points: ContactPoints, entries: Entries, handed: csr_array
+    facets: InterfaceFacets,
+    points: ContactPoints,
+    entries: Entries,
+    handed: HandedAreas,
+    by_face: bool,
 ) -> tuple[ContactPoints, Entries]:
     """Return points and entries with mean jumps as unknowns.
 
     The mean jumps D of the points are those of their jumps d and of the jumps A d of the dependent
-    corners, by area: D = G d. The entries for D are those for d times G^-1. A component that
-    supports prescribe stays the jump of the point.
+    corners: D = G d. The entries for D are those for d times G^-1. A component that supports
+    prescribe stays the jump of the point.
+
+    Args:
+        facets: All facets.
+        points: Points, each with its area alone.
+        entries: Displacement of the bodies due to d.
+        handed: Areas that the points receive.
+        by_face: Whether each face of a point has a separate pressure. A field with one component
+            has the same flux on all faces.
     """
     n, surface = len(points.vertex), points.surface
-    weight = points.weight + handed.sum(axis=0)
-    A = _dependent_jumps(surface, n)
-    of_point = diags_array(points.weight / weight, format="csr")
-    mean = csr_array(of_point + csr_array(handed.multiply(1 / weight[None])).T @ A)
-    blocks = np.eye(3) - projectors(points.axes, points.held)
-    free_directions = bsr_array(
-        (blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)
-    ).tocsr()
+    normals = surface.normals if by_face else np.zeros_like(surface.normals)
+    weight = points.weight + np.bincount(handed.point, handed.area, n)
+    face = _faces_along(normals[handed.point], handed.normal)
+    own_face_area = _face_areas(facets, surface, normals)
+    face_area = own_face_area[:n].copy()
+    on_face = face >= 0
+    receivers = handed.point[on_face], face[on_face]
+    np.add.at(face_area, receivers, handed.area[on_face])
+
+    # Share of a corner in the force of a point: the pressure of a face on the area that it gives
+    # to this face, and friction by area.
+    duals = np.linalg.pinv(normals[:n]).swapaxes(1, 2)
+    tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals[:n], duals)
+    share = (handed.area / weight[handed.point])[:, None, None] * tangential[handed.point]
+    along = normals[receivers][:, :, None] * duals[receivers][:, None, :]
+    share[on_face] += (handed.area[on_face] / face_area[receivers])[:, None, None] * along
+    given = np.zeros((n, 3, 3))
+    np.add.at(given, handed.point, share)
+
+    shape = len(surface.vertex) - n, n
+    to_corners = _blocks(share, handed.corner - n, handed.point, shape)
+    A = _three(_dependent_jumps(surface, n))
     identity = eye_array(3 * n, format="csr")
-    G = identity + free_directions @ (_three(mean) - identity)
+    free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.held))
+    mean_of_others = csr_array(to_corners.T @ A - _diagonal(given.swapaxes(1, 2)))
+    G = csr_array(identity + free_directions @ mean_of_others)
     affected = np.flatnonzero(np.diff(G.indptr) != 1)
     changed = np.unique(np.concatenate([affected, G[affected].indices]))
     part = csr_array(inv(csc_array(G[changed][:, changed])))
@@ -121,11 +210,67 @@ def in_means(
             )
         )
     body, row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-    total = diags_array(1 / surface.weight[n:], format="csr")
-    shares = vstack([eye_array(n, format="csr"), total @ handed], format="csr")
-    jumps = _three(csr_array(vstack([eye_array(n, format="csr"), A], format="csr"))) @ inverse
-    surface = replace(surface, shares=csr_array(shares), jumps=csr_array(jumps))
+    # Forces of a point and of corners are per area of each.
+    own = (np.eye(3) - given) * (weight / points.weight)[:, None, None]
+    handed_forces = _diagonal(np.eye(3) / surface.weight[n:, None, None]) @ to_corners
+    handed_forces = handed_forces @ _diagonal(np.eye(3) * weight[:, None, None])
+    by_area = (handed.area / surface.weight[handed.corner], (handed.corner - n, handed.point))
+    dependence = Dependence(
+        values=csr_array(vstack([eye_array(n), csr_array(by_area, shape=shape)])),
+        forces=csr_array(vstack([_diagonal(own), handed_forces])),
+        pressures=_pressures(surface, normals, handed, face, own_face_area, face_area, weight),
+        jumps=csr_array(vstack([identity, A]) @ inverse),
+    )
+    surface = replace(surface, dependence=dependence)
     return replace(points, weight=weight, surface=surface), Entries(body, row, column, value)
+
+
+def _pressures(
+    surface: ContactSurface,
+    normals: Floats,
+    handed: HandedAreas,
+    face: Ints,
+    own_face_area: Floats,
+    face_area: Floats,
+    weight: Floats,
+) -> csr_array:
+    """Return ``Dependence.pressures``.
+
+    Args:
+        surface: All corners, points first.
+        normals: Unit normals of their faces (m, 3, 3).
+        handed: Areas that the points receive.
+        face: Face of the point that receives each area, or -1 (k,).
+        own_face_area: Areas of the faces of corners (m, 3) [mm2].
+        face_area: Areas of the faces of points with what they receive (n, 3) [mm2].
+        weight: Areas of the points with what they receive (n,) [mm2].
+    """
+    m, n = len(surface.weight), len(weight)
+    # Pressure on the area of a face from that on the area of the point.
+    to_face = np.divide(weight[:, None], face_area, where=face_area > 0, out=np.zeros((n, 3)))
+    own = to_face * own_face_area[:n] / surface.weight[:n, None]
+    face_of_corner = _faces_along(normals[handed.corner], handed.normal)
+    used = np.flatnonzero((face >= 0) & (face_of_corner >= 0))
+    corner, point = handed.corner[used], handed.point[used]
+    value = handed.area[used] / surface.weight[corner] * to_face[point, face[used]]
+    rows = np.concatenate([np.arange(3 * n), 3 * corner + face_of_corner[used]])
+    columns = np.concatenate([np.arange(3 * n), 3 * point + face[used]])
+    values = np.concatenate([own.ravel(), value])
+    return csr_array((values, (rows, columns)), shape=(3 * m, 3 * n))
+
+
+def _diagonal(blocks: Floats) -> csr_array:
+    """Return the matrix (3 n, 3 n) of blocks on the diagonal (n, 3, 3)."""
+    n = len(blocks)
+    return csr_array(bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)))
+
+
+def _blocks(blocks: Floats, row: Ints, column: Ints, shape: tuple[int, int]) -> csr_array:
+    """Return the matrix of the sums of blocks (k, 3, 3) at rows and columns of blocks."""
+    i, j = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
+    rows, columns = 3 * row[:, None, None] + i, 3 * column[:, None, None] + j
+    size = 3 * shape[0], 3 * shape[1]
+    return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=size)
 
 
 def _three(scalar: csr_array) -> csr_array:

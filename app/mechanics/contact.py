@@ -19,6 +19,7 @@ one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -445,12 +446,12 @@ class ContactInterfaces:
         In such a motion bodies slide along all their faces, touching or not. No touching point with
         friction slides. Forces and gaps do not change. An example is the rotation of a
         frictionless stem about its axis. Motions have the components of `relative_motion`. There
-        are none with finite sliding or mean jumps.
+        are none with finite sliding.
 
         Args:
             status: States of local points (n,).
         """
-        if self.finite_sliding is not None or self.points.surface.jumps is not None:
+        if self.finite_sliding is not None:
             return np.zeros((6 * self._body_count, 0))
         stick = self._touching_points(status) & self._resists_all_jumps
         return self._weakly_resisted_motions(stick, ~stick, ZERO_RESISTANCE)
@@ -460,7 +461,7 @@ class ContactInterfaces:
 
         The motions of `free_motions`, which no point resists, are not among them.
         """
-        if self.finite_sliding is not None or self.points.surface.jumps is not None:
+        if self.finite_sliding is not None:
             return np.zeros((6 * self._body_count, 0))
         touch = self._touching_points(status)
         loose = self._weakly_resisted_motions(
@@ -488,8 +489,7 @@ class ContactInterfaces:
         faces = np.einsum("pki,pkj->pij", self.local.normals, self.local.normals)
         B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
         B *= self.local.weight[:, None, None]
-        R = self.rigid_motions(self.local.x)
-        at_points = R.transpose(0, 2, 1) @ B @ R
+        at_points = self.jumps_by_motion.transpose(0, 2, 1) @ B @ self.jumps_by_motion
         local = relative_resistance(at_points, self.local.bodies, self._body_count)
         resistance = self.comm.allreduce(local)
         area = float(self.points.weight.sum())
@@ -518,7 +518,13 @@ class ContactInterfaces:
         """Jumps of local points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
         of_bodies = motions.reshape(self._body_count, 6, -1)
         master, slave = self.local.bodies.T
-        return self.rigid_motions(self.local.x) @ (of_bodies[slave] - of_bodies[master])
+        return self.jumps_by_motion @ (of_bodies[slave] - of_bodies[master])
+
+    @cached_property
+    def jumps_by_motion(self) -> Floats:
+        """Jumps of local points by motions of the slave against the master (n, 3, 6)."""
+        surface = self.points.surface
+        return surface.mean_jumps(self.rigid_motions(surface.x))[self.local.rows]
 
     def is_apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""

@@ -171,7 +171,7 @@ class BondForces:
         np.add.at(force.ravel(), e.column, -e.value * forces)
         force /= p.weight[:, None]
         force -= np.einsum("pij,pj->pi", projectors(p.axes, p.held), force)
-        at_corners, normals = p.surface.spread(force), p.surface.normals
+        at_corners, normals = p.surface.spread_forces(force), p.surface.normals
         pressures = -np.einsum("cik,ci->ck", np.linalg.pinv(normals), at_corners)
         shear = at_corners + np.einsum("ck,cki->ci", pressures, normals)
         return pressures, np.linalg.norm(shear, axis=1)

@@ -140,9 +140,10 @@ class ContactSamples:
         sign = signs[local.interface][:, None]
         self.slip, self.path = whole(sign * state.slip), whole(state.path)
         self.motion = signs[surface.interface][:, None] * motion
-        self.pressure = whole(normal_pressure(trial.law.pressures, local.normals))
+        self._pressures = surface.spread_pressures(contact.gather(trial.law.pressures))
+        self.pressure = normal_pressure(self._pressures, surface.normals)
         self.shear = whole(np.linalg.norm(state.friction, axis=1))
-        self.force = whole(-sign * state.force)
+        self.force = surface.spread_forces(contact.gather(-sign * state.force))
         resting = contact.law.frictional & (
             state.step_slip <= AT_REST * contact.gather(state.path).max(initial=0.0)
         )
@@ -178,8 +179,6 @@ class ContactSamples:
         self.by_facets = contact.gather(contact.law.local_stiffness * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
-        self._pressures = whole(trial.law.pressures)
-        self._points = len(points.x)
 
     @cached_property
     def tractions(self) -> list[dict[str, TractionSize]]:
@@ -187,7 +186,7 @@ class ContactSamples:
         return [self._tractions(i) for i in range(len(self.contacts))]
 
     def _tractions(self, i: int) -> dict[str, TractionSize]:
-        surface, n = self.surfaces[i], self._points
+        surface = self.surfaces[i]
         means = {
             name: np.repeat(v[:, None], 3, axis=1)
             for name, v in (("pressure", self.pressure), ("shear", self.shear))
@@ -196,8 +195,8 @@ class ContactSamples:
         # With finite sliding, forces per area are not means weighted by shape functions.
         if self.contacts[i].between:
             return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
-        means["pressure"][:n] = surface.of_faces(self._pressures)[:n]
-        of_points["pressure"][:n] = self._pressures[:n].sum(axis=1)
+        means["pressure"] = surface.of_faces(self._pressures)
+        of_points["pressure"] = self._pressures.sum(axis=1)
         return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
 
     @cached_property

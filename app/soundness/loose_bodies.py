@@ -86,7 +86,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     x = contact.points.x
     centre, size = contact.frame
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
-    R = contact.rigid_motions(contact.local.x)
+    R = contact.jumps_by_motion
     A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
     support_resistance = supported(problem)
@@ -335,7 +335,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     contact = trial.contact
     n = len(problem.bodies.names)
-    R = contact.rigid_motions(contact.local.x)
+    R = contact.jumps_by_motion
     unsupported = np.setdiff1d(np.arange(n), sorted(supported(problem)))
     rows = (6 * unsupported[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.local.interface])

@@ -6,13 +6,14 @@ springs. A stage of length h that starts from the work w* has the power (w - w*)
 treats w as one more unknown, so that the sum over the stages is the work of the whole step.
 
 The law of a contact point is F = P(S), S = -e/W + r (q + g), with the generalized derivative P'.
-Pressure p = |F_n| and friction work change by
+The pressure p is the sum of those of the faces: p_k = -F·m_k, with m_k the dual vectors of the
+normals that are pressed. Pressures and friction work change by
 
-.. math:: dp = m·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
+.. math:: dp_k = -m_k·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
           \qquad dS = -de/W + r\,dq
 
-with e the equilibrium of the rows of the contact points and m the direction of the pressure. S and
-s contain the multiplier by its share.
+with e the equilibrium of the rows of the contact points. S and s contain the multiplier by its
+share.
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
 from app.mechanics.contact import ContactInterfaces, TrialState
-from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import Problem
 from app.mechanics.stiffness import ROUNDING
 from app.numerics.sparse import from_triplets, owners
@@ -43,8 +43,9 @@ class ContactHeat:
     Attributes:
         nodal_heat: Matrices from friction power per area at the contact points to heat at the nodes
             of each thermal body (nodes x points) [mm2].
-        pressure_interpolation: Matrix from pressures at contact points to pressures at points of
-            finite conductance, if there are any.
+        pressure_interpolation: Matrix from the pressures of the faces of contact points to
+            pressures at points of finite conductance, if there are any.
+        value_interpolation: The same from values at contact points.
         is_rubbing: True for local contact points whose friction heats (n,).
         friction_work: Friction work per area since the time step began, in the heat [N/mm].
         expanding_regions: Regions whose expansion follows temperature. In curing regions it is a
@@ -76,19 +77,30 @@ class ContactHeat:
             for k, (i, v) in enumerate(zip(surface.interface, surface.vertex, strict=True))
         }
         self.pressure_interpolation: PETSc.Mat | None = None
+        self.value_interpolation: PETSc.Mat | None = None
         jumps = operators.jumps
         if jumps is not None:
             interface_names = [scene.thermal_contacts[i].name for i in jumps.interface]
             keys = zip(interface_names, jumps.points.vertex[jumps.owned_rows], strict=True)
             positions = np.array([index_of_point.get(key, -1) for key in keys], dtype=np.int64)
             rows = np.flatnonzero(positions >= 0)
-            row, corner, value = rows, positions[rows], np.ones(len(rows))
-            if surface.shares is not None:
-                shares = surface.shares[corner].tocoo()
-                row, corner, value = rows[shares.row], shares.col, shares.data
-            column = column_of_point[corner]
+            corner = positions[rows]
+            faces = np.repeat(rows, 3), (3 * corner[:, None] + np.arange(3)).ravel()
+            by_value = rows, corner, np.ones(len(rows))
+            by_face = *faces, np.ones(3 * len(rows))
+            if surface.dependence is not None:
+                values = surface.dependence.values[corner].tocoo()
+                by_value = rows[values.row], values.col, values.data
+                pressures = surface.dependence.pressures[faces[1]].tocoo()
+                by_face = faces[0][pressures.row], pressures.col, pressures.data
+            row, point, value = by_value
+            self.value_interpolation = from_triplets(
+                comm, len(positions), self._point_count, row, column_of_point[point], value
+            )
+            row, face, value = by_face
+            column = 3 * column_of_point[face // 3] + face % 3
             self.pressure_interpolation = from_triplets(
-                comm, len(positions), self._point_count, row, column, value
+                comm, len(positions), 3 * self._point_count, row, column, value
             )
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
@@ -114,7 +126,6 @@ class ContactHeat:
     def to_heat(self, trial: TrialState) -> None:
         """Set the pressures and the friction heat of the heat equation."""
         contact = self._contact
-        pressure = np.linalg.norm(_normal_forces(trial.law, contact.local.normals), axis=1)
         self.friction_work = np.where(
             self.is_rubbing, np.einsum("pi,pi->p", *trial.friction_and_slip()), 0.0
         )
@@ -123,7 +134,7 @@ class ContactHeat:
         )
         jumps, friction = self._operators.jumps, self._operators.friction
         if jumps is not None and self.pressure_interpolation is not None:
-            jumps.pressure = _multiply(self.pressure_interpolation, pressure)
+            jumps.pressure = _multiply(self.pressure_interpolation, trial.law.pressures.ravel())
         if friction is not None:
             friction.nodal = np.array([_multiply(H, power) for H in self.nodal_heat])
             for i, c in enumerate(self._problem.scene.contacts):
@@ -136,8 +147,8 @@ class ContactHeat:
     def report(self, seconds: float) -> None:
         """Set the friction heat reported, the mean per area over a step of so many seconds."""
         power = np.asarray(self.friction_work / seconds, dtype=np.float64)
-        if self.pressure_interpolation is not None and self._operators.jumps is not None:
-            self._operators.jumps.friction = _multiply(self.pressure_interpolation, power)
+        if self.value_interpolation is not None and self._operators.jumps is not None:
+            self._operators.jumps.friction = _multiply(self.value_interpolation, power)
 
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the friction power by long slips [N mm/s]; collective."""
@@ -152,31 +163,28 @@ class ContactHeat:
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the pressure at owned points by equilibrium and by the jump (n, 3)."""
-        force = _normal_forces(trial.law, self._contact.local.normals)
-        size = np.linalg.norm(force, axis=1)
-        direction = force / np.where(size > 0, size, 1.0)[:, None]
-        return self._rows(direction, trial)
+        """Derivatives of the pressures of owned faces by equilibrium and by the jump (n, 3, 3)."""
+        is_pressed = (trial.law.pressures != 0)[:, :, None]
+        duals = np.linalg.pinv(is_pressed * self._contact.local.normals).swapaxes(1, 2)
+        return self._rows(-duals, trial)
 
     def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the friction power by equilibrium and by the jump (n, 3)."""
+        """Derivatives of the friction power by equilibrium and by the jump (n, 1, 3)."""
         contact = self._contact
         force, slip = trial.friction_and_slip()
         spring_slip = force / contact.law.stiffness[:, None]
-        by_equilibrium, by_jump = self._rows(slip - spring_slip, trial)
-        scale = np.where(self.is_rubbing, 1 / self._stage_length, 0.0)[:, None]
+        by_equilibrium, by_jump = self._rows((slip - spring_slip)[:, None], trial)
+        scale = np.where(self.is_rubbing, 1 / self._stage_length, 0.0)[:, None, None]
         share = contact.law.multiplier_share / contact.local.weight[:, None, None]
         by_spring_slip = np.einsum("pi,pij->pj", spring_slip, share)
-        return scale * (by_equilibrium - by_spring_slip), scale * (by_jump + force)
+        by_equilibrium -= by_spring_slip[:, None]
+        return scale * by_equilibrium, scale * (by_jump + force[:, None])
 
     def _rows(self, directions: Floats, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the force along directions (n, 3) by equilibrium and by the jump."""
-        by_force, by_jump = (
-            np.asarray(np.einsum("pi,pij->pj", directions, derivative))
-            for derivative in (trial.law.by_multiplier, trial.law.by_jump)
-        )
+        """Derivatives of the force along directions (n, k, 3), by equilibrium and by the jump."""
+        by_force = directions @ trial.law.by_multiplier
         share = self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
-        return -np.einsum("pi,pij->pj", by_force, share), by_jump
+        return -by_force @ share, directions @ trial.law.by_jump
 
 
 def _friction_heat_matrices(
@@ -209,11 +217,6 @@ def _friction_heat_matrices(
         values = (points.weight * share)[owned]
         heats.append(from_triplets(*sizes, dof[owned] - start, column_of_point[owned], values))
     return heats
-
-
-def _normal_forces(law: PointForces, normals: Floats) -> Floats:
-    """Normal part of the forces of contact points (n, 3), which separates slave and master."""
-    return -np.asarray(np.einsum("pk,pki->pi", law.pressures, normals))
 
 
 def _multiply(A: PETSc.Mat, values: Floats) -> Floats:

@@ -232,14 +232,16 @@ class CoupledSystem(ContactSystem):
         ]
 
     def _point_rows(self, rows: tuple[Floats, Floats]) -> list[PETSc.Mat]:
-        """Derivatives of scalars of the contact points as matrices (points x components)."""
-        n = len(self.contact.local)
+        """Derivatives of k scalars of each contact point (n, k, 3) as matrices (3 n columns)."""
         start = self.contact.coupling.D.getOwnershipRange()[0]
-        i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
-        return [
-            from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())
-            for values in rows
-        ]
+        matrices = []
+        for values in rows:
+            n, k, _ = values.shape
+            row = np.repeat(np.arange(n * k), 3)
+            component = start + 3 * np.arange(n)[:, None, None] + np.arange(3)
+            column = np.broadcast_to(component, values.shape).ravel()
+            matrices.append(from_triplets(self.comm, n * k, 3 * n, row, column, values.ravel()))
+        return matrices
 
 
 def _copy(source: list[list[PETSc.Mat]], target: list[list[PETSc.Mat]]) -> None:

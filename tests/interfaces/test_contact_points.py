@@ -177,8 +177,9 @@ def check_mean_jumps(points: ContactPoints, entries: Entries, bodies: int) -> No
     The jump of a point is the mean of its corner and its part of the dependent ones.
     """
     surface, n = points.surface, len(points.x)
+    of = surface.dependence
     every = surface.true_jumps(np.zeros((n, 3)))
-    true = np.eye(3 * n) if surface.jumps is None else surface.jumps.toarray()
+    true = np.eye(3 * n) if of is None else of.jumps.toarray()
     assert len(every) == len(surface.x)
     for c in range(len(surface.x)):
         B = moves(entries, int(surface.dof[c]), bodies, n).reshape(bodies, 3, 3 * n)
@@ -186,12 +187,11 @@ def check_mean_jumps(points: ContactPoints, entries: Entries, bodies: int) -> No
         free = ~points.held[points.vertex == surface.vertex[c]].any(axis=0)
         jump = true[3 * c : 3 * c + 3]
         np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-12)
-    if surface.shares is not None:
-        S = np.kron(surface.shares.toarray(), np.eye(3))
-        area = np.repeat(surface.weight, 3)
-        mean = (S.T * area) @ true / np.repeat(points.weight, 3)[:, None]
+    if of is not None:  # forces on points do the same work on all corners
+        areas = np.repeat(surface.weight, 3), np.repeat(points.weight, 3)
+        work = (of.forces.toarray().T * areas[0]) @ true / areas[1][:, None]
         free = ~points.held.ravel()
-        np.testing.assert_allclose(mean[free], np.eye(3 * n)[free], atol=1e-12)
+        np.testing.assert_allclose(work[free], np.eye(3 * n)[free], atol=1e-12)
 
 
 def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:

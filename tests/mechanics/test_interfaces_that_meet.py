@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from itertools import product
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,89 +20,21 @@ from meshes import write_msh
 from meshes.data import MeshData, interface_facets
 from tests import support
 from tests.cases.blocks import box
-
-MODULUS = 700.0  # MPa
-POISSON = 0.25
-PRESSURE = 3.0  # MPa
-
-
-# Blocks of a box 4 x 3 x 4 mm by the centres of cells.
-T = {
-    "left": lambda x: (x[:, 2] < 2) & (x[:, 0] < 2),
-    "right": lambda x: (x[:, 2] < 2) & (x[:, 0] > 2),
-    "top": lambda x: x[:, 2] > 2,
-}
-LYING_T = {
-    "upper": lambda x: (x[:, 0] > 2) & (x[:, 2] > 2),
-    "lower": lambda x: (x[:, 0] > 2) & (x[:, 2] < 2),
-    "side": lambda x: x[:, 0] < 2,
-}
-CROSS = {
-    "a": lambda x: (x[:, 0] < 2) & (x[:, 2] < 2),
-    "b": lambda x: (x[:, 0] > 2) & (x[:, 2] < 2),
-    "c": lambda x: (x[:, 0] < 2) & (x[:, 2] > 2),
-    "d": lambda x: (x[:, 0] > 2) & (x[:, 2] > 2),
-}
-EIGHT = {
-    f"b{i}{j}{k}": lambda x, at=(i, j, k): ((x > [2, 1.5, 2]) == np.array(at, bool)).all(axis=1)
-    for i, j, k in product((0, 1), repeat=3)
-}
-THREE_UNDER_ONE = {
-    "one": lambda x: (x[:, 2] < 2) & (x[:, 0] < 1),
-    "two": lambda x: (x[:, 2] < 2) & (x[:, 0] > 1) & (x[:, 0] < 3),
-    "three": lambda x: (x[:, 2] < 2) & (x[:, 0] > 3),
-    "top": lambda x: x[:, 2] > 2,
-}
-
-
-def pairs(data: MeshData) -> list[tuple[str, str]]:
-    """Regions that share facets."""
-    cell, _, behind = data.between
-    names = {tag: name for name, tag in data.regions.items()}
-    both = np.sort(np.column_stack([data.cell_tags[cell], data.cell_tags[behind]]), axis=1)
-    return [(names[a], names[b]) for a, b in np.unique(both, axis=0).tolist()]
-
-
-def scene(
-    folder: Path,
-    blocks: dict[str, Any],
-    *laws: dict[str, Any],
-    cells: Sequence[int] = (4, 3, 4),
-    size: Sequence[float] = (4.0, 3.0, 4.0),
-    turn: int = 0,
-    order: int = 1,
-) -> dict[str, Any]:
-    """Blocks in a smooth box under pressure; interfaces take the laws in turn.
-
-    The order of the interfaces is turned by some places.
-    """
-    data = box(blocks, size, cells)
-    write_msh(data, folder / "blocks.msh")
-    every = pairs(data)
-    every = every[turn:] + every[:turn]
-    sides = {f"{a}_{b}": [[a], [b]] for a, b in every}
-    return {
-        "geometry": {"kind": "file", "path": str(folder / "blocks.msh"), "interfaces": sides},
-        "mesh": {"order": order, "size": "1 mm"},
-        "regions": {
-            name: {
-                "youngs_modulus": f"{MODULUS} MPa",
-                "poisson_ratio": POISSON,
-                "tissue": "other",
-            }
-            for name in blocks
-        },
-        "interfaces": {name: dict(laws[k % len(laws)]) for k, name in enumerate(sides)},
-        "supports": {
-            name: {"kind": "roller", "boundary": name, "axis": name[0]}
-            for name in ("x0", "x1", "y0", "y1", "z0")
-        },
-        "loads": {"press": {"kind": "pressure", "boundary": "z1", "pressure": f"{PRESSURE} MPa"}},
-    }
-
-
-def contact(friction: float) -> dict[str, Any]:
-    return {"kind": "contact", "friction_coefficient": friction}
+from tests.cases.meeting_blocks import (
+    CORNER,
+    CROSS,
+    EDGE,
+    EIGHT,
+    LYING_T,
+    MODULUS,
+    POISSON,
+    PRESSURE,
+    STRONG,
+    THREE_UNDER_ONE,
+    T,
+    contact,
+    scene,
+)
 
 
 def check_uniform(solved: support.Solved, data: MeshData) -> None:
@@ -170,17 +102,48 @@ def test_interfaces_that_meet_transmit_uniform_pressure(
     check_uniform(support.solve(case), data)
 
 
+@pytest.mark.parametrize(
+    ("order", "linear"), [(1, "condensed"), (1, "direct"), (1, "multigrid"), (2, "condensed")]
+)
+@pytest.mark.parametrize("skewed", [False, True])
+@pytest.mark.parametrize("layout", ["edge", "corner"])
+@pytest.mark.parametrize("cells", [(4, 3, 2), (8, 6, 4), (2, 3, 8)])
+def test_interfaces_that_meet_transmit_a_pressure_on_each_face(
+    cells: Sequence[int], layout: str, skewed: bool, order: int, linear: str, tmp_path: Path
+) -> None:
+    """Faces of an edge have different pressures if they are at a right angle, else the same."""
+    blocks = EDGE if layout == "edge" else CORNER
+    text = scene(tmp_path, blocks, contact(0.0), cells=cells, order=order)
+    data = box(blocks, (4.0, 3.0, 4.0), cells)
+    sideways = POISSON / (1 - POISSON) * PRESSURE
+    if skewed:
+        x, y, z = data.points.T
+        y = y + 0.2 * np.interp(y, [0, 1, 2, 3], [0, 1, 0, 0]) * (z - 2)
+        data = replace(data, points=np.column_stack([x, y, z]))
+        write_msh(data, tmp_path / "blocks.msh")
+        text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
+        text["loads"] = {
+            name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}
+            for name in ("x1", "y1", "z1")
+        }
+        sideways = PRESSURE
+    text["solver"] = {"linear": linear}
+    s = support.solve(support.case(text)).last
+    for i, contact_ in enumerate(s.contacts):
+        surface, mean = s.surfaces[i], s.tractions[i]["pressure"].mean
+        normals = s.all_corners.normals
+        wanted = np.where(np.abs(normals[:, :, 2]) > 0.5, PRESSURE, sideways)
+        # On the floor a support carries the part of the pressure that is along its axis.
+        has_area = (surface._face_area > 0) & (s.x[:, 2] > 0)[:, None]
+        assert has_area.any()
+        np.testing.assert_allclose(mean[has_area], wanted[has_area], rtol=1e-7)
+        numbers = s.numbers[contact_.name]
+        assert numbers["motion_max"] < 1e-9
+        if not skewed:
+            assert numbers["pressure_max"] <= PRESSURE * (1 + 1e-7)
+
+
 BONDED = {"kind": "bonded"}
-# Strong enough to hold any pressure of these tests.
-STRONG = {
-    "kind": "cohesive",
-    "friction_coefficient": 0.2,
-    "stiffness": "5e4 MPa/mm",
-    "tensile_strength": "8 MPa",
-    "shear_strength": "8 MPa",
-    "tensile_energy": "0.3 N/mm",
-    "shear_energy": "0.3 N/mm",
-}
 
 
 @pytest.mark.parametrize("layout", ["T", "cross"])
