@@ -114,7 +114,7 @@ def contact_points(
     from app.interfaces.dependent_corners import handed_areas, in_means
 
     handed = handed_areas(facets, surface, held_projectors, interfaces, by_face)
-    return in_means(facets, points, entries, handed, by_face)
+    return in_means(facets, points, entries, handed, interfaces, by_face)
 
 
 def _surface(

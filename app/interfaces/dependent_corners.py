@@ -32,6 +32,9 @@ from app.interfaces.interface_facets import InterfaceFacets
 
 # A facet belongs to the face with the nearest normal, if the cosine between both is at least this.
 SAME_FACE = 0.5
+# Largest entry of the inverse of the matrix of mean jumps. One above 100 was not seen, except of
+# singular matrices, whose inverses have 1e14 by rounding.
+LARGEST_INVERSE = 1e6
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,7 @@ def in_means(
     points: ContactPoints,
     entries: Entries,
     handed: HandedAreas,
+    names: Sequence[str],
     by_face: bool,
 ) -> tuple[ContactPoints, Entries]:
     """Return points and entries with mean jumps as unknowns.
@@ -153,8 +157,12 @@ def in_means(
         points: Points, each with its area alone.
         entries: Displacement of the bodies due to d.
         handed: Areas that the points receive.
+        names: Names of the interfaces.
         by_face: Whether each face of a point has a separate pressure. A field with one component
             has the same flux on all faces.
+
+    Raises:
+        InputError: The mean jumps do not determine the jumps.
     """
     n, surface = len(points.vertex), points.surface
     normals = surface.normals if by_face else np.zeros_like(surface.normals)
@@ -183,16 +191,7 @@ def in_means(
     free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.held))
     mean_of_others = csr_array(to_corners.T @ A - _diagonal(given.swapaxes(1, 2)))
     G = csr_array(identity + free_directions @ mean_of_others)
-    affected = np.flatnonzero(np.diff(G.indptr) != 1)
-    changed = np.unique(np.concatenate([affected, G[affected].indices]))
-    part = csr_array(inv(csc_array(G[changed][:, changed])))
-    local = part.tocoo()
-    unchanged = np.setdiff1d(np.arange(3 * n), changed)
-    row = np.concatenate([unchanged, changed[local.row]])
-    column = np.concatenate([unchanged, changed[local.col]])
-    value = np.concatenate([np.ones(len(unchanged)), local.data])
-    keep = np.abs(value) > ROUNDING
-    inverse = csr_array((value[keep], (row[keep], column[keep])), shape=(3 * n, 3 * n))
+    inverse = _inverse(G, surface, names)
     parts = []
     for b in np.unique(entries.body):
         of_body = entries.body == b
@@ -223,6 +222,36 @@ def in_means(
     )
     surface = replace(surface, dependence=dependence)
     return replace(points, weight=weight, surface=surface), Entries(body, row, column, value)
+
+
+def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr_array:
+    """Return the inverse of the matrix of mean jumps (3 n, 3 n), which has mostly unit rows.
+
+    Raises:
+        InputError: The matrix is singular.
+    """
+    affected = np.flatnonzero(np.diff(G.indptr) != 1)
+    changed = np.unique(np.concatenate([affected, G[affected].indices]))
+    part = csc_array(G[changed][:, changed])
+    try:
+        local = csr_array(inv(part)).tocoo()
+    except RuntimeError:  # exactly singular
+        local = None
+    if local is None or not np.abs(local.data).max(initial=0.0) < LARGEST_INVERSE:
+        direction = np.linalg.svd(part.toarray())[2][-1]
+        p = int(changed[np.abs(direction).argmax()] // 3)
+        x, y, z = surface.x[p]
+        raise InputError(
+            f"interfaces.{names[int(surface.interface[p])]}: too few of its nodes near "
+            f"({x:.4g}, {y:.4g}, {z:.4g}) mm are beside the lines where interfaces meet, so its "
+            "pressure there is not determined; use a finer mesh"
+        )
+    unchanged = np.setdiff1d(np.arange(G.shape[0]), changed)
+    row = np.concatenate([unchanged, changed[local.row]])
+    column = np.concatenate([unchanged, changed[local.col]])
+    value = np.concatenate([np.ones(len(unchanged)), local.data])
+    keep = np.abs(value) > ROUNDING
+    return csr_array((value[keep], (row[keep], column[keep])), shape=G.shape)
 
 
 def _pressures(

@@ -103,11 +103,17 @@ class _Place:
 
 
 class BondForces:
-    """Tractions of bonded interfaces, and failure indices of bonds with known strength."""
+    """Tractions of bonded interfaces, and failure indices of bonds with known strength.
+
+    Raises:
+        InputError: The mesh does not determine the tractions of a bond.
+    """
 
     def __init__(self, problem: Problem, stresses: Stresses, borders: Borders | None) -> None:
         self._problem, self._stresses, self._borders = problem, stresses, borders
         self._at_full: dict[Load, Floats] = {}
+        if self._bonds:
+            _ = self._place  # a mesh that is too coarse is refused before it is solved
 
     def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
         """Return failure indices of bonds by mean tractions; collective.

@@ -42,6 +42,8 @@ INGROWTH = {"40um": 0.040, "150um": 0.150}
 # Fraction of the longest path of sliding. A point at its friction limit sticks if it slides less
 # than this in a step, so that rounding does not decide while loads are constant.
 AT_REST = 1e-9
+# Fraction of the force over the augmentation: a face that is open by less is closed.
+CLOSED = 1e-6
 # Fraction of the largest pressure above which the effect of facets on it is reported.
 DECIDED = 0.2
 
@@ -53,6 +55,34 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
     """
     size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
     return np.where(pressures.sum(axis=1) < 0, -size, size)
+
+
+def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
+    """Return pressures of faces (n, 3) and friction (n, 3) of local points [MPa].
+
+    Where a point sticks on an edge with all faces closed, pressures and friction are not unique:
+    friction on one face can carry the pressure of another. These have the least friction.
+    """
+    contact, law, normals = trial.contact, trial.law, trial.contact.local.normals
+    pressures, friction = law.pressures.copy(), contact.state.friction.copy()
+    opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, normals)
+    is_face = np.arange(3) < contact.local.faces[:, None]
+    rounding = CLOSED * np.linalg.norm(law.force, axis=1) / contact.law.stiffness
+    is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
+    has_edge = (contact.local.faces > 1) & (law.status == STICK)
+    rows = np.flatnonzero(has_edge & contact.law.has_contact & is_closed)
+    on_faces = -np.einsum("pki,pi->pk", _duals(normals[rows]), law.force[rows])
+    pressed = (on_faces >= 0).all(axis=1)
+    rows, on_faces = rows[pressed], on_faces[pressed]
+    change = on_faces - pressures[rows]
+    pressures[rows] = on_faces
+    friction[rows] += np.einsum("pk,pki->pi", change, normals[rows])
+    return pressures, friction
+
+
+def _duals(normals: Floats) -> Floats:
+    """Dual vectors of the normals of faces (n, 3, 3), zero beyond the last face."""
+    return np.asarray(np.linalg.pinv(normals).swapaxes(1, 2))
 
 
 class TractionSize(NamedTuple):
@@ -140,9 +170,10 @@ class ContactSamples:
         sign = signs[local.interface][:, None]
         self.slip, self.path = whole(sign * state.slip), whole(state.path)
         self.motion = signs[surface.interface][:, None] * motion
-        self._pressures = surface.spread_pressures(contact.gather(trial.law.pressures))
+        pressures, friction = least_friction(trial)
+        self._pressures = surface.spread_pressures(contact.gather(pressures))
         self.pressure = normal_pressure(self._pressures, surface.normals)
-        self.shear = whole(np.linalg.norm(state.friction, axis=1))
+        self.shear = whole(np.linalg.norm(friction, axis=1))
         self.force = surface.spread_forces(contact.gather(-sign * state.force))
         resting = contact.law.frictional & (
             state.step_slip <= AT_REST * contact.gather(state.path).max(initial=0.0)

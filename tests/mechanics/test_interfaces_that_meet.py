@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import meshes
+from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
 from app.results.bond_forces import BondForces
 from app.results.stresses import Stresses
@@ -144,6 +145,51 @@ def test_interfaces_that_meet_transmit_a_pressure_on_each_face(
 
 
 BONDED = {"kind": "bonded"}
+
+
+def blocks_at_random(seed: int) -> tuple[dict[str, Any], tuple[int, int, int]]:
+    """Blocks of cells of 1 mm that are nearest to one of 2 to 5 cells, and the numbers of cells."""
+    rng = np.random.default_rng(seed)
+    nx, ny, nz = rng.integers(2, 4, size=3).tolist()
+    seeds = np.unique(rng.integers(0, [nx, ny, nz], size=(rng.integers(2, 6), 3)), axis=0)
+
+    def nearest(x: Floats) -> Ints:
+        distances = np.abs(np.floor(x)[:, None] - seeds).sum(axis=2)
+        return np.asarray(distances.argmin(axis=1))
+
+    blocks = {f"b{k}": lambda x, k=k: nearest(x) == k for k in range(len(seeds))}
+    return blocks, (nx, ny, nz)
+
+
+@pytest.mark.parametrize("linear", ["condensed", "direct", "multigrid"])
+@pytest.mark.parametrize("seed", range(16))
+def test_interfaces_that_meet_blocks_at_random_have_uniform_pressure_or_are_refused(
+    seed: int, linear: str, tmp_path: Path
+) -> None:
+    """Blocks of few cells under the same pressure on all sides; with friction if seeds are odd."""
+    blocks, cells = blocks_at_random(seed)
+    if len(blocks) == 1:
+        pytest.skip("one block has no interface")
+    friction = 0.6 * (seed % 2)
+    text = scene(tmp_path, blocks, contact(friction), cells=cells, size=[float(n) for n in cells])
+    text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
+    text["loads"] = {
+        name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}
+        for name in ("x1", "y1", "z1")
+    }
+    text["solver"] = {"linear": linear}
+    case = support.case(text)
+    try:
+        support.assemble(case)
+    except InputError as refused:
+        assert "use a finer mesh" in str(refused)
+        return
+    for numbers in support.solve(case).last.numbers.values():
+        assert numbers["pressure_mean"] == pytest.approx(PRESSURE, rel=1e-6)
+        assert numbers["pressure_max"] == pytest.approx(PRESSURE, rel=1e-6)
+        assert numbers["motion_max"] < 1e-8
+        if friction:
+            assert numbers["shear_max"] < 1e-6 * PRESSURE
 
 
 @pytest.mark.parametrize("layout", ["T", "cross"])
