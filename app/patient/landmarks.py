@@ -147,7 +147,7 @@ class Frame:
         angle = math.degrees(math.acos(-float(self.axes[2] @ self.neck)))
         low, high = USUAL_NECKS
         if not low <= angle <= high:
-            text = f"the neck-shaft angle is {angle:.0f} deg; expected {low:g} to {high:g} deg"
+            text = f"the neck-shaft angle is {angle:.1f} deg; expected {low:g} to {high:g} deg"
             notes.append(f"{text}. Is the bone stretched along an axis?")
         low, high = (ratio * self.radius for ratio in USUAL_LENGTHS)
         if self.version is not None and not low <= self.length <= high:

@@ -410,7 +410,7 @@ def test_welding_refuses_loose_corners_with_their_distance(tmp_path: Path) -> No
     [
         ([1.6, 1.6, 1.6], r"the head's radius is 36\.3 mm; expected 18 to 30"),
         ([0.7, 0.7, 0.7], r"the head's radius is 15\.9 mm; expected 18 to 30"),
-        ([1, 1, 1.25], r"neck-shaft angle is 14\d deg; expected 110 to 140 deg. Is the bone"),
+        ([1, 1, 1.25], r"neck-shaft angle is 14\d\.\d deg; expected 110 to 140 deg. Is the bone"),
         ([1, 1, 1], ""),
     ],
 )
