@@ -63,7 +63,9 @@ QUADRATIC_FACTOR = 100.0
 ABSOLUTE_TOLERANCE = 0.3
 # Tolerance of the linear solver that suffices for the last iteration, over that of Newton.
 LAST_TOLERANCE = 0.2
-# Newton stalls if the residual has not fallen to this part of itself in a number of iterations.
+# Newton stalls if neither the residual nor the number of points that change state has fallen to this
+# part of itself in a number of iterations. While fewer and fewer points change, the residual may
+# stay before it falls (stance with cells of 4 mm: six iterations).
 STALLED_RATIO = 0.5
 # The number of iterations, by line search.
 STALLED_ITERATIONS = {"bt": 4}
@@ -399,11 +401,13 @@ class Solver:
             snes.getKSP().setTolerances(atol=ABSOLUTE_TOLERANCE * min(limits))
         if self._adapts_tolerance:
             snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
-        residuals, window = (
-            self.residuals,
-            STALLED_ITERATIONS.get(self._line_search, STALLED_FULL_STEPS),
+        residuals, changes = self.residuals, self.changes
+        window = STALLED_ITERATIONS.get(self._line_search, STALLED_FULL_STEPS)
+        has_stalled = (
+            iteration >= window
+            and residuals[-1] > STALLED_RATIO * residuals[-1 - window]
+            and changes[-1] >= STALLED_RATIO * changes[-1 - window]
         )
-        has_stalled = iteration >= window and residuals[-1] > STALLED_RATIO * residuals[-1 - window]
         # Full steps from the same states lead to the same states again.
         period = self.active.period() if self._line_search == "basic" and not has_stalled else 0
         has_stalled |= (
