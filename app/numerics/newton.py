@@ -63,9 +63,9 @@ QUADRATIC_FACTOR = 100.0
 ABSOLUTE_TOLERANCE = 0.3
 # Tolerance of the linear solver that suffices for the last iteration, over that of Newton.
 LAST_TOLERANCE = 0.2
-# Newton stalls if neither the residual nor the number of points that change state has fallen to this
-# part of itself in a number of iterations. While fewer and fewer points change, the residual may
-# stay before it falls (stance with cells of 4 mm: six iterations).
+# Newton stalls if neither the residual nor the number of points that change state has fallen to
+# this part of itself in a number of iterations. While fewer and fewer points change, the residual
+# may stay before it falls (stance with cells of 4 mm: six iterations).
 STALLED_RATIO = 0.5
 # The number of iterations, by line search.
 STALLED_ITERATIONS = {"bt": 4}
@@ -401,19 +401,21 @@ class Solver:
             snes.getKSP().setTolerances(atol=ABSOLUTE_TOLERANCE * min(limits))
         if self._adapts_tolerance:
             snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
+        return REASONS.DIVERGED_LINE_SEARCH if self._has_stalled(iteration) else REASONS.ITERATING
+
+    def _has_stalled(self, iteration: int) -> bool:
+        """Return True if more iterations like the last ones do not help."""
         residuals, changes = self.residuals, self.changes
         window = STALLED_ITERATIONS.get(self._line_search, STALLED_FULL_STEPS)
-        has_stalled = (
-            iteration >= window
-            and residuals[-1] > STALLED_RATIO * residuals[-1 - window]
-            and changes[-1] >= STALLED_RATIO * changes[-1 - window]
-        )
+        if iteration >= window:
+            stays = residuals[-1] > STALLED_RATIO * residuals[-1 - window]
+            if stays and changes[-1] >= STALLED_RATIO * changes[-1 - window]:
+                return True
+        if self._line_search != "basic":
+            return False
         # Full steps from the same states lead to the same states again.
-        period = self.active.period() if self._line_search == "basic" and not has_stalled else 0
-        has_stalled |= (
-            period > 0 and abs(residuals[-1] / residuals[-1 - period] - 1) < SAME_RESIDUAL
-        )
-        return REASONS.DIVERGED_LINE_SEARCH if has_stalled else REASONS.ITERATING
+        period = self.active.period()
+        return period > 0 and abs(residuals[-1] / residuals[-1 - period] - 1) < SAME_RESIDUAL
 
     @property
     def _adapts_tolerance(self) -> bool:

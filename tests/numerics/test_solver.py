@@ -66,6 +66,26 @@ def test_newton_linear_tolerances_follow_changes_of_state(tagged: TaggedMesh) ->
     assert tolerance(1e-6, 1e-7, 0) == pytest.approx(0.2e-3)
 
 
+@pytest.mark.parametrize(
+    ("residuals", "changes", "stalled"),
+    [
+        ([1.0, 0.9, 0.8, 0.7, 0.6], [0, 9, 9, 9, 9], True),
+        ([1.0, 0.9, 0.8, 0.7, 0.4], [0, 9, 9, 9, 9], False),
+        # No point changes its state, and the residual stays.
+        ([1.0, 1.0, 1.0, 1.0, 1.0], [0, 0, 0, 0, 0], True),
+        # The border between states moves on; then it stays, too.
+        ([9.0, 1.0, 0.9, 0.8, 0.7, 0.6], [0, 1094, 540, 454, 387, 338], False),
+        ([9.0, 1.0, 0.9, 0.8, 0.7, 0.6], [0, 400, 400, 400, 400, 338], True),
+    ],
+)
+def test_newton_has_stalled_if_neither_residual_nor_changes_of_state_fall(
+    residuals: list[float], changes: list[int], stalled: bool, tagged: TaggedMesh
+) -> None:
+    _, solver = support.assemble(support.case(BLOCK), tagged)
+    solver.residuals, solver.changes = residuals, changes
+    assert solver._has_stalled(len(residuals) - 1) == stalled
+
+
 def test_newton_keeps_a_given_linear_tolerance(tagged: TaggedMesh) -> None:
     _, solver = support.assemble(support.case(BLOCK, "solver.petsc.ksp_rtol=0.003"), tagged)
     assert solve(solver).converged
