@@ -352,6 +352,10 @@ def _range(b: Keyword, line_number: int, line: str) -> Ints:
     limits = [b.number(line_number, word, int) for word in b.fields(line.rstrip(", "))]
     if not 1 <= len(limits) <= 3 or (len(limits) == 3 and limits[2] < 1):
         raise ValueError(f"{b.place}: line {line_number}: is not a range; expected from, to, step")
+    if len(limits) > 1 and limits[1] < limits[0]:
+        raise ValueError(
+            f"{b.place}: line {line_number}: the range ends below its first number {limits[0]}"
+        )
     if len(limits) > 1 and limits[1] - limits[0] > LONGEST_RANGE:
         raise ValueError(
             f"{b.place}: line {line_number}: the range has more than {LONGEST_RANGE:,} numbers"

@@ -50,7 +50,8 @@ class Structure:
     @property
     def side(self) -> str | None:
         """Side by the name; None: the name has no side."""
-        words = re.split(r"[^a-z]+", self.name.lower())
+        separated = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", self.name)  # LeftFemur
+        words = re.split(r"[^a-z]+", separated.lower())
         sides = {side for side in SIDES if side in words or (side[0] in words and len(words) > 1)}
         return sides.pop() if len(sides) == 1 else None
 

@@ -320,6 +320,10 @@ def test_inp_encodings(encoding: str, tmp_path: Path) -> None:
         ),
         (deck(more="*ELSET, ELSET=x\ny\n*ELSET, ELSET=y\nx\n"), "contains itself"),
         (deck(more="*ELSET, ELSET=x\nbonn\n"), "the file has no set bonn"),
+        (
+            deck(more="*ELSET, ELSET=x, GENERATE\n4, 1\n*SOLID SECTION, ELSET=x\n1.0\n"),
+            "line 29: the range ends below its first number 4",
+        ),
         (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "takes numbers from another file"),
         (deck().replace("*NODE", "*NODE, SYSTEM=P"), "SYSTEM=P is not read; expected R, C or S"),
         (f"*SYSTEM\n0, 0, 0, 1, x\n{deck()}", "*SYSTEM in line 1: line 2: 'x' is not a number"),

@@ -48,6 +48,23 @@ LAYERS: dict[str, tuple[list[Any], list[tuple[str, int | None, int | None]], boo
 }
 
 
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("LeftFemur", "left"),
+        ("Femur R", "right"),
+        ("femur_left", "left"),
+        ("FEMUR-RIGHT", "right"),
+        ("FemurL", "left"),
+        ("femur", None),
+        ("RightAndLeft", None),
+        ("Larger femur", None),
+    ],
+)
+def test_label_image_side_follows_from_the_name(name: str, side: str | None) -> None:
+    assert segmentation.Structure(Path("image.nii"), 1, name, "test").side == side
+
+
 @pytest.mark.parametrize("name", LAYERS)
 def test_label_image_segments_that_overlap_are_whole(name: str, tmp_path: Path) -> None:
     """As 3D Slicer writes them: in layers, with labels that repeat, or a layer each."""
