@@ -60,9 +60,9 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
     version = round(neck + ANGLE, 2)
     azimuth = f"{version} deg"
     femur = load(case("base", parametric(version, -101.0))).config.geometry
-    placed = femur.placement
+    placement = femur.placement
     half = float(femur_stem.body(femur.implant).section(LENGTH - 101.0)[0])
-    tip = round(placed.top + placed.slopes[0] * half - LENGTH, 3)
+    tip = round(placement.top + placement.slopes[0] * half - LENGTH, 3)
     cases = [
         case("parametric", parametric(version, tip)),
         case("shape", patient(bone, azimuth)),

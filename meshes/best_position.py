@@ -122,7 +122,7 @@ def best(
     stem: StemSurface,
     start: Position,
     limits: Limits,
-    wanted: Thickness,
+    mantle_thickness: Thickness,
 ) -> Position:
     """The position, of the depth of the start, with the largest least excess of room.
 
@@ -131,7 +131,8 @@ def best(
         stem: The stem.
         start: Position at which the search begins.
         limits: Largest changes of it.
-        wanted: Thickness of the mantle that is asked for, at angles and levels of the stem.
+        mantle_thickness: Thickness of the mantle that is asked for, at angles and levels of the
+            stem.
     """
     points = None if stem.points is None else stem.points[:, ::LINE_STRIDE]
     coarse = replace(
@@ -153,13 +154,13 @@ def best(
         )
 
     def excess_at(u: Floats, points: Floats | None = None) -> tuple[Floats, Floats]:
-        return _excess(canal, coarse, changed(u), wanted, points)
+        return _excess(canal, coarse, changed(u), mantle_thickness, points)
 
     def objective(excess: Floats, u: Floats) -> float:
         return float(min(excess.min(), COUNTED_RESERVE) - ROOM_PER_CHANGE * np.abs(u).sum())
 
     def objective_of_all_lines(u: Floats) -> float:
-        return objective(_excess(canal, stem, changed(u), wanted)[0], u)
+        return objective(_excess(canal, stem, changed(u), mantle_thickness)[0], u)
 
     def searched_from(u: Floats) -> Floats:
         """Changes of the best position near a start."""
@@ -193,19 +194,21 @@ def _excess(
     canal: WidestCanal,
     stem: StemSurface,
     stem_position: Position,
-    wanted: Thickness,
+    mantle_thickness: Thickness,
     points: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Excess of room of points of a stem (n,), by default of all in cement; points (n, 3) [mm]."""
-    placed = canal.cut.put(stem.implant, stem_position, False)
-    x = stem.cemented(placed, canal.cut) if points is None else points
-    return canal.room(placed.to_model(x)) - wanted(np.arctan2(x[:, 1], x[:, 0]), x[:, 2]), x
+    placement = canal.cut.put(stem.implant, stem_position, False)
+    x = stem.cemented(placement, canal.cut) if points is None else points
+    return canal.room(placement.to_model(x)) - mantle_thickness(
+        np.arctan2(x[:, 1], x[:, 0]), x[:, 2]
+    ), x
 
 
-def wanted_thickness(geometry: HipKeys, placed: Placement) -> Thickness:
+def wanted_thickness(geometry: HipKeys, placement: Placement) -> Thickness:
     """Thickness of the mantle that a geometry asks for; without cement `UNCEMENTED`."""
     thickness = geometry.cement_thickness or UNCEMENTED
-    return femur_stem.thickness(thickness, geometry.implant.tip_z, placed.top)
+    return femur_stem.thickness(thickness, geometry.implant.tip_z, placement.top)
 
 
 def searched(
@@ -229,8 +232,8 @@ def searched(
     if path:
         # A damaged file is replaced.
         with suppress(OSError, ValueError, TypeError, KeyError):
-            known = json.loads(path.read_text(encoding="utf-8"))
-            return _with_numbers(insertion, *map(float, known["numbers"])), str(known["gain"])
+            saved = json.loads(path.read_text(encoding="utf-8"))
+            return _with_numbers(insertion, *map(float, saved["numbers"])), str(saved["gain"])
     numbers, gain = _search(geometry, insertion)
     if path:
         with suppress(OSError):
@@ -265,45 +268,48 @@ def _search(geometry: SearchedHip, insertion: SearchedInsertion) -> tuple[list[f
     assert limits is not None  # the position is to be searched
     canal, neck = room.canal(geometry), geometry.femur.neck
     cut, implant, mirrored = canal.cut, geometry.implant, geometry.femur.mirrored
-    given_placement = cut.put(implant, start, mirrored)
-    stem = StemSurface.of(implant, given_placement)
-    wanted = wanted_thickness(geometry, given_placement)
-    best_found = best(canal, stem, start, Limits.of(limits), wanted)
+    start_placement = cut.put(implant, start, mirrored)
+    stem = StemSurface.of(implant, start_placement)
+    mantle_thickness = wanted_thickness(geometry, start_placement)
+    best_position = best(canal, stem, start, Limits.of(limits), mantle_thickness)
     reference_azimuth = neck if insertion.version.relative_to == "neck" else 0.0
     rounded = Position(
         start.depth,
-        _rounded_angle(best_found.varus),
-        _rounded_angle(best_found.flexion),
-        _rounded_angle(best_found.version - reference_azimuth) + reference_azimuth,
-        round(best_found.medial, LENGTH_DIGITS),
-        round(best_found.anterior, LENGTH_DIGITS),
+        _rounded_angle(best_position.varus),
+        _rounded_angle(best_position.flexion),
+        _rounded_angle(best_position.version - reference_azimuth) + reference_azimuth,
+        round(best_position.medial, LENGTH_DIGITS),
+        round(best_position.anterior, LENGTH_DIGITS),
     )
     # Rounding may cost more than the search gained.
-    excess_given, excess_rounded = (
-        _excess(canal, stem, candidate, wanted)[0].min() for candidate in (start, rounded)
+    excess_at_start, excess_rounded = (
+        _excess(canal, stem, candidate, mantle_thickness)[0].min() for candidate in (start, rounded)
     )
-    if excess_rounded <= excess_given:
+    if excess_rounded <= excess_at_start:
         rounded = start
     varus, flexion, angle = rounded.varus, rounded.flexion, rounded.version - reference_azimuth
     medial, anterior = rounded.medial, rounded.anterior
-    placed = cut.put(implant, rounded, mirrored)
-    after, before = room.fit(canal, stem, placed), room.fit(canal, stem, given_placement)
+    placement = cut.put(implant, rounded, mirrored)
+    fit_after, fit_before = room.fit(canal, stem, placement), room.fit(canal, stem, start_placement)
     position_text = (
         f"varus {math.degrees(varus):.1f}, flexion {math.degrees(flexion):.1f},"
         f" version {math.degrees(angle):.1f} deg from the {insertion.version.relative_to},"
         f" offsets {medial:.1f} mm medial, {anterior:.1f} mm anterior"
     )
-    if after.least < geometry.least_room:
-        shortfall = f"leaves {after.least:.2f} mm"
-        if after.least < 0:
-            shortfall = f"cuts {-after.least:.2f} mm into the cortex"
+    if fit_after.least < geometry.least_room:
+        shortfall = f"leaves {fit_after.least:.2f} mm"
+        if fit_after.least < 0:
+            shortfall = f"cuts {-fit_after.least:.2f} mm into the cortex"
         raise GeometryError(
             "geometry.insertion: no position within the limits of the search leaves"
             f" {geometry.least_room:g} mm around the stem; the best ({position_text}) {shortfall}"
-            f" {after.side} at {placed.where(after.place)}; ream the canal, use a smaller or"
-            " shorter stem, or widen insertion.best"
+            f" {fit_after.side} at {placement.where(fit_after.place)}; ream the canal, use a"
+            " smaller or shorter stem, or widen insertion.best"
         )
-    gain = f"{after.words(placed)}, {after.least - before.least:.2f} mm more than as given"
+    gain = (
+        f"{fit_after.words(placement)},"
+        f" {fit_after.least - fit_before.least:.2f} mm more than as given"
+    )
     return [varus, flexion, angle, medial, anterior], f"{position_text}: room {gain}"
 
 

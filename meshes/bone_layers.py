@@ -94,7 +94,7 @@ class TableLayers:
         self.notes = list[str]()
         self._bone, self._sections = bone, sections
         # The shaft's axis, in the stem's axes.
-        foot, axis = sections.placed.to_stem(np.zeros(3)), sections.placed.rotation[2]
+        foot, axis = sections.placement.to_stem(np.zeros(3)), sections.placement.rotation[2]
         self._foot, self._tilt = foot, axis[:2] / axis[2]
 
     def _centre(self, zeta: Floats) -> Floats:
@@ -116,7 +116,7 @@ class TableLayers:
         self, radius: Callable[[Floats, Floats], Floats], theta: Floats, zeta: Floats
     ) -> Floats:
         """Radii, about the centres of sections, at which lines leave a surface (n,) [mm]."""
-        to_model = self._sections.placed.to_model
+        to_model = self._sections.placement.to_model
         centre = to_model(self._section_points(theta, zeta, np.zeros(len(theta))))
         direction = to_model(self._section_points(theta, zeta, np.ones(len(theta)))) - centre
 
@@ -139,7 +139,7 @@ class TableLayers:
 
     def depth(self, x: Floats, zeta: Floats) -> Floats:
         """Depth of points (n, 3) within the endosteum (n,) [mm]."""
-        return self._depth_inside(self._bone.endosteum, self._sections.placed.to_model(x))
+        return self._depth_inside(self._bone.endosteum, self._sections.placement.to_model(x))
 
     def core(self, start: Floats, theta: Floats, zeta: Floats) -> Floats:
         """Points between the outline at the plug and a part of the canal (n, 3) [mm]."""
@@ -156,8 +156,8 @@ class TableLayers:
 
     def check(self, start: Floats, end: Floats) -> None:
         """Raise GeometryError where lines meet a surface of bone more than once."""
-        placed = self._sections.placed
-        start, direction = placed.to_model(start), (end - start) @ placed.rotation.T
+        placement = self._sections.placement
+        start, direction = placement.to_model(start), (end - start) @ placement.rotation.T
         surfaces = {"periosteum": self._bone.periosteum, "endosteum": self._bone.endosteum}
         for name, radius in surfaces.items():
             inside = np.array(
@@ -169,7 +169,7 @@ class TableLayers:
             crossings = ((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0)
             crossing_lines = np.flatnonzero(crossings > 1)
             if len(crossing_lines):
-                x = placed.where(start[crossing_lines[0]])
+                x = placement.where(start[crossing_lines[0]])
                 raise GeometryError(
                     f"geometry: a line across the bone from {x} meets the {name} more than once;"
                     " move or rotate the stem, or smooth the surface there"

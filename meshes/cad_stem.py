@@ -210,7 +210,7 @@ class CadStem:
         self,
         shape: Mapping[str, Floats],
         ends: tuple[float, float],
-        placed: Placement,
+        placement: Placement,
         mesh: StepKeys,
         collar_thickness: float = 0.0,
     ) -> None:
@@ -218,12 +218,12 @@ class CadStem:
 
         The thickness of a collar is in mm; 0: there is none.
         """
-        (self._low, high), self._placed = ends, placed
+        (self._low, high), self._placement = ends, placement
         self._high = (
-            self._low + float(shape["shoulder"]) - TIP_MARGIN if high < placed.top else np.inf
+            self._low + float(shape["shoulder"]) - TIP_MARGIN if high < placement.top else np.inf
         )
         mirror, shift = (
-            [1.0, -1.0 if placed.mirrored else 1.0, 1.0],
+            [1.0, -1.0 if placement.mirrored else 1.0, 1.0],
             np.array([0.0, 0.0, self._low]),
         )
         self._x, self._coarse = shape["x"] * mirror + shift, shape["coarse"] * mirror + shift
@@ -234,11 +234,11 @@ class CadStem:
         bend = end - (1 - NECK_SHARE) * end[0] / neck_axis[0] * neck_axis
         self._path = np.array([[0.0, 0.0, high], bend, end - NECK_INSET * neck_axis])
         medial = unit(np.array([1.0, 0.0, 0.0]) - neck_axis[0] * neck_axis)
-        steepest, self._lean = placed.slopes
+        steepest, self._lean = placement.slopes
         self._planes = np.stack([self._plane(steepest), [medial, np.cross(neck_axis, medial)]])
-        self._cut = self._path_fraction(placed.top, steepest)
+        self._cut = self._path_fraction(placement.top, steepest)
         rise = collar_thickness * np.sqrt(1.0 + steepest**2 * (1.0 + self._lean**2))
-        collar_top = self._path_fraction(placed.top + rise, steepest)
+        collar_top = self._path_fraction(placement.top + rise, steepest)
         self._collar_end = min(LONGEST_COLLAR, (collar_top - self._cut) / (1 - self._cut))
         length = np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()
         self.ends = (mesh.steps((1 - self._cut) * length),)
@@ -280,7 +280,7 @@ class CadStem:
         try:
             return outline(self._x, origin, plane)
         except ValueError:
-            where = self._placed.where(self._placed.to_model(origin))
+            where = self._placement.where(self._placement.to_model(origin))
             raise GeometryError(
                 f"geometry.stem: around {where}, rays from the stem's axis meet its surface more"
                 " than once. Is there a collar, or does the neck leave the body below the neck"
@@ -342,7 +342,9 @@ class CadStem:
 
     def points(self, phi: Floats, s: Floats) -> Floats:
         """Points at stations from the cut on (n, 3) [mm]."""
-        top, slope = (np.full(len(phi), v) for v in (self._placed.top, self._placed.slopes[0]))
+        top, slope = (
+            np.full(len(phi), v) for v in (self._placement.top, self._placement.slopes[0])
+        )
         return self._points_on_outlines(phi, top, slope, np.asarray(s) / self.ends[-1])
 
     def depth(self, thickness: Thickness, x: Floats) -> Floats:
@@ -351,7 +353,7 @@ class CadStem:
         Below the tip, and above a shoulder that is below the cut, the surface continues unchanged.
         """
         x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP_MARGIN)], axis=1)
-        wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        mantle_thickness = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         distances = distance(x, self._coarse)
         is_above = x[:, 2] > self._high
         if is_above.any():
@@ -367,4 +369,4 @@ class CadStem:
                 outside > 0, cKDTree(shoulder_outline).query(plane_points)[0], 0.0
             )
             distances[is_above] = np.minimum(distances[is_above], edge_distances)
-        return np.asarray(wanted - distances)
+        return np.asarray(mantle_thickness - distances)

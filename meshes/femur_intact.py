@@ -56,7 +56,7 @@ class Intact(LayeredSurfaces):
     _geometry: IntactHipKeys
 
     def _divide_above_cut(self, implant: Implant) -> None:
-        geometry, placed = self._geometry, self._placed
+        geometry, placement = self._geometry, self._placement
         sine, cosine = math.sin(implant.neck_angle), -math.cos(implant.neck_angle)
         self._radius = geometry.head_radius
         self._axis = np.array([sine, 0.0, cosine])
@@ -66,11 +66,11 @@ class Intact(LayeredSurfaces):
         # The neck's cone meets the sphere at this distance from its centre.
         ring = NECK_RATIO[1] * self._radius
         self._sphere_distance = math.sqrt(self._radius**2 - ring**2)
-        steepest = placed.slopes[0]
+        steepest = placement.slopes[0]
         normal = np.array([steepest, 0.0, 1.0]) / math.hypot(steepest, 1.0)
         rise = float(self._axis @ normal)
         ring_dip = NECK_RATIO[0] * self._radius * math.sqrt(max(0.0, 1.0 - rise**2))
-        cut_distance = float(normal @ (self._centre - [0.0, 0.0, placed.top])) / rise
+        cut_distance = float(normal @ (self._centre - [0.0, 0.0, placement.top])) / rise
         # From the head's centre back to where a ring is clear of the cut.
         self._ring_distance = max(
             self._sphere_distance, cut_distance - (CUT_CLEARANCE + ring_dip) / rise

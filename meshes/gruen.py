@@ -39,13 +39,13 @@ class Zones:
 
     def __init__(self, geometry: HipKeys) -> None:
         self._geometry, self._local = geometry, geometry.placement.to_stem
-        placed, implant = geometry.placement, geometry.implant
-        self._normal = placed.normal @ placed.rotation
-        self._level = self._normal[2] * placed.top
+        placement, implant = geometry.placement, geometry.implant
+        self._normal = placement.normal @ placement.rotation
+        self._level = self._normal[2] * placement.top
         self.tip = implant.tip_z
         self._end = self.tip + implant.tip_height
-        self.top = min(placed.top, implant.shoulder)
-        self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, placed.top)
+        self.top = min(placement.top, implant.shoulder)
+        self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, placement.top)
 
     def zones_at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""

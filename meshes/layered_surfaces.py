@@ -72,32 +72,34 @@ class StemWithMantle:
     """
 
     def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
-        implant, placed = geometry.implant, geometry.placement
-        self._implant, self._placed, self._mesh = implant, placed, mesh
+        implant, placement = geometry.implant, geometry.placement
+        self._implant, self._placement, self._mesh = implant, placement, mesh
         self.plug, self.is_cemented = implant.plug, geometry.is_cemented
-        edge_height = femur_stem.edge(implant, placed.slopes[0])
+        edge_height = femur_stem.edge(implant, placement.slopes[0])
         self.shoulder = (
-            edge_height if edge_height < placed.top - LEAST_SHOULDER_DEPTH else placed.top
+            edge_height if edge_height < placement.top - LEAST_SHOULDER_DEPTH else placement.top
         )
         self.is_cad = implant.cad is not None
         height = 0.0 if self.is_cad else implant.tip_height
         self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
         if implant.cad is not None:
             levels = implant.tip_z, self.shoulder
-            body: Any = CadStem(implant.cad, levels, placed, mesh, implant.collar_thickness)
+            body: Any = CadStem(implant.cad, levels, placement, mesh, implant.collar_thickness)
         else:
-            body = replace(femur_stem.body(implant), lean=placed.slopes[1])
-        self.middle = 0.25 * implant.tip_z + 0.75 * placed.top
+            body = replace(femur_stem.body(implant), lean=placement.slopes[1])
+        self.middle = 0.25 * implant.tip_z + 0.75 * placement.top
         self.around = mesh.lines_around(body.section(self.middle))
         self.body = body.divided(self.middle, self.around)
-        self._thickness = femur_stem.thickness(geometry.cement_thickness, implant.tip_z, placed.top)
+        self._thickness = femur_stem.thickness(
+            geometry.cement_thickness, implant.tip_z, placement.top
+        )
 
     @cached_property
     def upper(self) -> Upper | CadStem:
         """The stem above the neck cut, or above its shoulder."""
         if self.is_cad:
             return self.body
-        levels = self.shoulder, self._placed.top, self._placed.slopes[0]
+        levels = self.shoulder, self._placement.top, self._placement.slopes[0]
         return femur_stem.upper(self._implant, self.body, self._mesh, *levels)
 
     def outline(self, phi: Floats, sections: Sections, zeta: Floats) -> Floats:
@@ -167,7 +169,7 @@ class LayeredSurfaces:
     mirrored = range(0)
 
     def __init__(self, geometry: HipKeys, mesh: MeshKeys) -> None:
-        self.mesh, self._placed = mesh, geometry.placement
+        self.mesh, self._placement = mesh, geometry.placement
         self._geometry = geometry
         self.notes = list[str]()
         self.stem = StemWithMantle(geometry, mesh)
@@ -178,8 +180,8 @@ class LayeredSurfaces:
         through = mesh.cells_through(geometry.cement_thickness)
         self.through: tuple[int, ...] = through if self.stem.is_cemented else through[1:]
         self.cement = mesh.along_cement(geometry.cement_thickness)
-        zeta = self._station_heights(geometry.implant, self._placed.along(geometry.level))
-        self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
+        zeta = self._station_heights(geometry.implant, self._placement.along(geometry.level))
+        self.sections = Sections(self._placement, self.stem.shoulder, self.stem.plug, zeta)
         self.bone: BoneLayers = geometry.femur.layers(geometry, self.sections, self.stem)
         self._refuse()
         self._divide_above_cut(geometry.implant)
@@ -197,7 +199,7 @@ class LayeredSurfaces:
     def _station_heights(self, implant: Implant, distal: float) -> Floats:
         """Heights of the stations from a distal level to the cut (n,) [mm]; where parts begin."""
         mesh, tip, plug = self.mesh, self.stem.tip, self.stem.plug
-        top, height = self._placed.top, implant.tip_height
+        top, height = self._placement.top, implant.tip_height
         distances_below = _distances(mesh, plug - distal, "below")
         flank = tip.low + height
         distances_above = _distances(mesh, top - flank, "stem")
@@ -296,7 +298,7 @@ class LayeredSurfaces:
     @property
     def normal(self) -> Floats:
         """Unit normal of the neck cut in the stem's axes (3,)."""
-        return self._placed.normal @ self._placed.rotation
+        return self._placement.normal @ self._placement.rotation
 
     @property
     def spans(self) -> Ints:
@@ -316,7 +318,7 @@ class LayeredSurfaces:
 
     def to_model(self, x: Floats) -> Floats:
         """Points in the stem's axes (n, 3) in those of the model [mm]."""
-        return self._placed.to_model(x)
+        return self._placement.to_model(x)
 
     def outline(self) -> Floats:
         """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
@@ -410,10 +412,10 @@ class LayeredSurfaces:
 
     def _side(self, x: Floats, zeta: float) -> str:
         """Side of the stem's axis on which a point (3,) of a section is, and its place."""
-        x = self._placed.to_model(x)
-        offset = x - self._placed.to_model([0.0, 0.0, zeta])
+        x = self._placement.to_model(x)
+        offset = x - self._placement.to_model([0.0, 0.0, zeta])
         side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
-        return f"{side} at {self._placed.where(x)}"
+        return f"{side} at {self._placement.where(x)}"
 
     def _refuse(self) -> None:
         """Raise GeometryError where the stem has no room for cement, or leaves too little bone."""

@@ -52,13 +52,13 @@ class Sections:
     """The sections of a mesh, in the stem's axes.
 
     Attributes:
-        placed: Where the stem is in the bone.
+        placement: Neck cut and stem in the axes of the model.
         shoulder: Height at the axis of the section at the stem's shoulder, or of the cut [mm].
         plug: Height of the end of the cement plug [mm].
         zeta: Heights at the axis of the sections up to the cut (n,) [mm].
     """
 
-    placed: Placement
+    placement: Placement
     shoulder: float
     plug: float
     zeta: Floats
@@ -66,11 +66,11 @@ class Sections:
     def slope(self, zeta: Floats) -> Floats:
         """Slope of the sections at heights on the axis."""
         t = np.clip((zeta - self.shoulder + TURN_LENGTH) / TURN_LENGTH, 0.0, 1.0)
-        return np.asarray(self.placed.slopes[0] * t * t * (2 - t))
+        return np.asarray(self.placement.slopes[0] * t * t * (2 - t))
 
     def rise(self, x: Floats) -> Floats:
         """Distance by which a slope of 1 lowers points (..., 2 or 3) [mm]."""
-        return np.asarray(x[..., 0] + self.placed.slopes[1] * x[..., 1])
+        return np.asarray(x[..., 0] + self.placement.slopes[1] * x[..., 1])
 
     def in_plane(self, xy: Floats, zeta: Floats) -> Floats:
         """Points of sections over places (..., 2) of the plane z = 0 (..., 3) [mm]."""

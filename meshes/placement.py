@@ -258,11 +258,11 @@ class CutPlane:
         offset = position.medial * self.direction + position.anterior * anterior
         foot = np.r_[offset, (self.level - float(self.normal[:2] @ offset)) / self.normal[2]]
         rotation = _rotation(position)
-        placed = Placement(self.normal, rotation, foot, self.level / self.normal[2], mirrored)
+        placement = Placement(self.normal, rotation, foot, self.level / self.normal[2], mirrored)
         if position.depth is None:
-            return placed
-        edge = femur_stem.edge(implant, placed.slopes[0])
-        return replace(placed, top=edge + position.depth)
+            return placement
+        edge = femur_stem.edge(implant, placement.slopes[0])
+        return replace(placement, top=edge + position.depth)
 
 
 def _rotation(position: Position) -> Floats:
@@ -315,10 +315,10 @@ def head_in_words(geometry: PlacedStem) -> str:
     The offset is the distance of the head's centre from the shaft's axis, the leg length its height
     along it. Version is the azimuth of the neck about it.
     """
-    placed, implant, femur = geometry.placement, geometry.implant, geometry.femur
-    head, intact = placed.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
+    placement, implant, femur = geometry.placement, geometry.implant, geometry.femur
+    head, intact = placement.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
     offset, before = math.hypot(*head[:2]), math.hypot(*intact[:2])
-    version = math.degrees(math.atan2(placed.rotation[1, 0], placed.rotation[0, 0]))
+    version = math.degrees(math.atan2(placement.rotation[1, 0], placement.rotation[0, 0]))
     changes = offset - before, head[2] - intact[2], version - math.degrees(femur.neck)
     wider, longer, turned = (round(float(change), 1) + 0.0 for change in changes)  # no "-0.0"
     return (

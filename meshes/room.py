@@ -85,12 +85,12 @@ def canal(geometry: HipKeys) -> WidestCanal:
         GeometryError: The shaft's axis leaves the bone, or a surface crosses itself.
     """
     cut, implant, femur = CutPlane.of(geometry), geometry.implant, geometry.femur
-    placed = cut.put(implant, Position(0.0, 0.0, 0.0, femur.neck, 0.0, 0.0), femur.mirrored)
-    end = placed.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW_TIP
-    low = placed.along(max(float(end), femur.lowest + END_MARGIN))
-    count = int((placed.top - low) / CANAL_STEP) + 1
-    zeta = np.asarray(np.linspace(low, placed.top, count), dtype=float)
-    sections = Sections(placed, placed.top, implant.plug, zeta)
+    placement = cut.put(implant, Position(0.0, 0.0, 0.0, femur.neck, 0.0, 0.0), femur.mirrored)
+    end = placement.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW_TIP
+    low = placement.along(max(float(end), femur.lowest + END_MARGIN))
+    count = int((placement.top - low) / CANAL_STEP) + 1
+    zeta = np.asarray(np.linspace(low, placement.top, count), dtype=float)
+    sections = Sections(placement, placement.top, implant.plug, zeta)
     layers = femur.layers(geometry, sections, None)
     theta, levels = np.meshgrid(2 * np.pi * np.arange(CANAL_AROUND) / CANAL_AROUND, zeta)
     angles, heights = theta.ravel(), levels.ravel()
@@ -98,7 +98,7 @@ def canal(geometry: HipKeys) -> WidestCanal:
     if not geometry.is_cemented:
         ends = layers.ends(angles, heights)
         points = ends - LEAST_CORTEX * femur_stem.unit(ends - points)
-    points = placed.to_model(points)
+    points = placement.to_model(points)
     return canal_of(cut, points.reshape(len(zeta), CANAL_AROUND, 3))
 
 
@@ -156,7 +156,7 @@ class StemSurface:
     points: Floats | None = None
 
     @classmethod
-    def of(cls, implant: Implant, placed: Placement, around: int = STEM_AROUND) -> StemSurface:
+    def of(cls, implant: Implant, placement: Placement, around: int = STEM_AROUND) -> StemSurface:
         """The surface of a stem; of a file in sections of this placement."""
         low = implant.tip_z + implant.tip_height
         turns = np.arange(around) / around
@@ -165,11 +165,11 @@ class StemSurface:
             start, end = (body.point(turns, np.full(around, z), 0.0) for z in (low, low + 1.0))
             return cls(implant, start, end - start)
         steps = _Steps()
-        shoulder = _shoulder(implant, placed)
-        stem = CadStem(implant.cad, (implant.tip_z, shoulder), placed, steps)
-        count = int((placed.top - low) / STEM_STEP) + 1
-        zeta = np.asarray(np.linspace(low, placed.top, count), dtype=float)
-        sections = Sections(placed, shoulder, implant.plug, zeta)
+        shoulder = _shoulder(implant, placement)
+        stem = CadStem(implant.cad, (implant.tip_z, shoulder), placement, steps)
+        count = int((placement.top - low) / STEM_STEP) + 1
+        zeta = np.asarray(np.linspace(low, placement.top, count), dtype=float)
+        sections = Sections(placement, shoulder, implant.plug, zeta)
         phi, levels = (v.ravel() for v in np.meshgrid(turns, zeta))
         body_points = stem.point(phi, levels, sections.slope(levels))
         stations = np.linspace(0.0, stem.ends[-1], NECK_SECTIONS)[1:]
@@ -177,7 +177,7 @@ class StemSurface:
         points = np.concatenate([body_points, stem.points(phi, levels)]).reshape(-1, around, 3)
         return cls(implant, points[0], np.zeros((around, 3)), points)
 
-    def placed_points(self, placed: Placement) -> Floats:
+    def placed_points(self, placement: Placement) -> Floats:
         """Points in sections from the end of its flanks to the end of its neck (n, m, 3) [mm].
 
         The turn to the neck is not rounded.
@@ -187,10 +187,10 @@ class StemSurface:
         """
         if self.points is not None:
             return self.points
-        implant, slopes = self.implant, placed.slopes
-        shoulder = _shoulder(implant, placed)
+        implant, slopes = self.implant, placement.slopes
+        shoulder = _shoulder(implant, placement)
         body = replace(femur_stem.body(implant), lean=slopes[1])
-        upper = femur_stem.upper(implant, body, _Steps(), shoulder, placed.top, slopes[0])
+        upper = femur_stem.upper(implant, body, _Steps(), shoulder, placement.top, slopes[0])
         height, slope = upper.planes[1]
         rise = np.array([slope, slope * slopes[1], 1.0])
         length = (height - self.start @ rise) / (self.direction @ rise)
@@ -202,10 +202,10 @@ class StemSurface:
         blend = flanks[-1] + fraction * (first - flanks[-1])
         return np.concatenate([flanks, blend, first + fraction * (last - first)])
 
-    def cemented(self, placed: Placement, cut: CutPlane) -> Floats:
+    def cemented(self, placement: Placement, cut: CutPlane) -> Floats:
         """Points below the cut, and points where lines along the stem meet it (n, 3) [mm]."""
-        points = self.placed_points(placed)
-        height = placed.to_model(points) @ cut.normal - cut.level
+        points = self.placed_points(placement)
+        height = placement.to_model(points) @ cut.normal - cut.level
         is_below = height < 0
         row, column = np.nonzero(is_below[:-1] & ~is_below[1:])
         fraction = height[row, column] / (height[row, column] - height[row + 1, column])
@@ -213,10 +213,10 @@ class StemSurface:
         return np.concatenate([points[is_below], low + fraction[:, None] * (high - low)])
 
 
-def _shoulder(implant: Implant, placed: Placement) -> float:
+def _shoulder(implant: Implant, placement: Placement) -> float:
     """Height at the axis of the section at the shoulder, or of the cut, as meshed [mm]."""
-    edge = femur_stem.edge(implant, placed.slopes[0])
-    return edge if edge < placed.top - LEAST_SHOULDER_DEPTH else placed.top
+    edge = femur_stem.edge(implant, placement.slopes[0])
+    return edge if edge < placement.top - LEAST_SHOULDER_DEPTH else placement.top
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,27 +233,27 @@ class Fit:
     place: Floats
     side: str
 
-    def words(self, placed: Placement) -> str:
+    def words(self, placement: Placement) -> str:
         """The least room with its place."""
-        where = f"{self.side} at {placed.where(self.place)}"
+        where = f"{self.side} at {placement.where(self.place)}"
         if self.least < 0:
             return f"none: the stem cuts {-self.least:.2f} mm into the cortex {where}"
         return f"at least {self.least:.2f} mm, {where}"
 
 
-def fit(canal: WidestCanal, stem: StemSurface, placed: Placement) -> Fit:
+def fit(canal: WidestCanal, stem: StemSurface, placement: Placement) -> Fit:
     """The fit of a stem.
 
     Raises:
         GeometryError: No part of the stem is below the cut.
     """
-    points = stem.cemented(placed, canal.cut)
+    points = stem.cemented(placement, canal.cut)
     if not len(points):
         raise GeometryError("geometry.insertion.depth: the stem is above the neck cut")
-    x = placed.to_model(points)
+    x = placement.to_model(points)
     room = canal.room(x)
     worst = int(room.argmin())
-    offset = placed.rotation[:, :2] @ points[worst, :2]
+    offset = placement.rotation[:, :2] @ points[worst, :2]
     side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
     return Fit(float(room[worst]), x[worst], side)
 
@@ -264,6 +264,6 @@ def room_in_words(geometry: HipKeys) -> str:
     Raises:
         GeometryError: The shaft's axis leaves the bone, or the stem is above the neck cut.
     """
-    placed = geometry.placement
-    stem = StemSurface.of(geometry.implant, placed)
-    return fit(canal(geometry), stem, placed).words(placed)
+    placement = geometry.placement
+    stem = StemSurface.of(geometry.implant, placement)
+    return fit(canal(geometry), stem, placement).words(placement)

@@ -40,12 +40,12 @@ class Substructures:
         entries: Entries of the factors of all ranks.
 
     Args:
-        kept: Nodes of K that are kept, sorted, the same on all ranks.
+        kept_nodes: Nodes of K that are kept, sorted, the same on all ranks.
     """
 
-    def __init__(self, matrices: Matrices, kept: Ints) -> None:
+    def __init__(self, matrices: Matrices, kept_nodes: Ints) -> None:
         self.comm = matrices[0].comm.tompi4py()
-        self._threads, self._kept_nodes = usable_cores(self.comm), kept
+        self._threads, self._kept_nodes = usable_cores(self.comm), kept_nodes
         self._pattern: tuple[Ints, ...] | None = None
         self.renew(matrices)
 
@@ -257,11 +257,11 @@ def unknowns_of(nodes: Ints) -> Ints:
     return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
-def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Ints:
+def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept_nodes: Ints) -> Ints:
     """Nodes between the interiors of all ranks, sorted; collective.
 
     ``k`` are owned rows of K, ``starts`` the first nodes of the ranks and the number of all nodes,
-    ``kept`` the nodes that are kept.
+    ``kept_nodes`` the nodes that are kept.
     """
     if comm.size == 1:
         return np.zeros(0, dtype=np.int64)
@@ -271,7 +271,7 @@ def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Int
     rows = first_node + np.repeat(np.arange(k.shape[0]) // 3, np.diff(k.indptr))[crossing]
     pairs = np.unique(np.stack([rows, columns[crossing]], axis=1), axis=0)
     # Both ranks have each pair.
-    pairs = pairs[(pairs[:, 0] < pairs[:, 1]) & ~np.isin(pairs, kept).any(axis=1)]
+    pairs = pairs[(pairs[:, 0] < pairs[:, 1]) & ~np.isin(pairs, kept_nodes).any(axis=1)]
     pairs = np.concatenate(comm.allgather(pairs))
     ranks = np.searchsorted(starts, pairs, side="right") - 1
     covers: list[Ints] = [np.zeros(0, dtype=np.int64)]

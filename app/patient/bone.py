@@ -193,13 +193,13 @@ class PatientBone:
         moved_points = x - np.maximum(depth - present_depth, 0.0)[:, None] * normal
         return np.asarray(moved_points @ self.frame.axes + self.frame.origin)
 
-    def trochanter_lost(self, placed: Placement) -> float:
+    def trochanter_lost(self, placement: Placement) -> float:
         """Height of the greater trochanter's tip above the cut, along its normal [mm]."""
-        x = self.surface.points - placed.foot
-        return float((x[(x[:, 0] < 0) & (x[:, 2] > 0)] @ placed.normal).max(initial=0.0))
+        x = self.surface.points - placement.foot
+        return float((x[(x[:, 0] < 0) & (x[:, 2] > 0)] @ placement.normal).max(initial=0.0))
 
     def projected(
-        self, places: Mapping[str, Any], placed: Placement
+        self, places: Mapping[str, Any], placement: Placement
     ) -> tuple[dict[str, Floats], list[str]]:
         """Project points of the parametric femur onto this bone below the cut.
 
@@ -218,7 +218,7 @@ class PatientBone:
             -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * height_ratio), 0].min()) / TROCHANTER_REACH
         )
         candidates = self.surface.corners.mean(axis=1)
-        candidates = candidates[(candidates - placed.foot) @ placed.normal < -BELOW_CUT]
+        candidates = candidates[(candidates - placement.foot) @ placement.normal < -BELOW_CUT]
         projections: dict[str, Floats] = {}
         distances = []
         for name, (px, py, pz) in places.items():

@@ -153,7 +153,7 @@ class Patient(OperatedHip):
             fail(text, at=("stem", field))
         try:
             self.search()
-            placed = self.placement
+            placement = self.placement
         except (GeometryError, InputError) as error:
             files = {
                 "bone": (self.bone.path, self.bone.image),
@@ -165,7 +165,7 @@ class Patient(OperatedHip):
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split(".")))
         lowest_z = float(self.femur.surface.points[:, 2].min())
-        plug_z = float(placed.to_model([0.0, 0.0, implant.plug])[2])
+        plug_z = float(placement.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
         if level is None:
             if plug_z < lowest_z + 5.0:
@@ -183,7 +183,7 @@ class Patient(OperatedHip):
             text = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
             fail(f"{text} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
         least_length = max(INSIDE * implant.length, SHORTEST_INSIDE)
-        length_inside = implant.length + placed.top
+        length_inside = implant.length + placement.top
         if length_inside < least_length:
             text = f"leaves {length_inside:.0f} mm of the stem below the cut"
             fail(f"{text}; expected at least {least_length:.0f} mm", at=("insertion", "depth"))
@@ -283,8 +283,8 @@ class Patient(OperatedHip):
     @property
     def skin(self) -> Floats:
         """Points of the bone's surface between the cuts (n, 3) (mm)."""
-        x, placed = self.femur.surface.points, self.placement
-        return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.level)]
+        x, placement = self.femur.surface.points, self.placement
+        return x[((x - placement.foot) @ placement.normal < 0) & (x[:, 2] > self.level)]
 
     def in_file(self, x: Floats, depth: float) -> Floats:
         """Points (n, 3) in the axes of the bone's file, moved to a least depth in the bone."""

@@ -105,15 +105,15 @@ class MeasuredLayers:
             GeometryError: The stem's axis leaves the bone, or a surface crosses itself.
         """
         self.notes = list[str]()
-        self._sections, self._placed = sections, sections.placed
+        self._sections, self._placement = sections, sections.placement
         self._size, self._implant = size, implant
-        outer = _in_stem(self._placed, bone)
+        outer = _in_stem(self._placement, bone)
         if canal is not None:
-            canal = _in_stem(self._placed, canal)
+            canal = _in_stem(self._placement, canal)
         self._centres = self._section_centres(outer, canal)
         lowest = sections.zeta[0] - SECTION_STEP
         zeta = np.linspace(
-            lowest, self._placed.top, int((self._placed.top - lowest) / SECTION_STEP) + 1
+            lowest, self._placement.top, int((self._placement.top - lowest) / SECTION_STEP) + 1
         )
         radii, crossings = self._rays(outer, zeta)
         is_missed = np.isnan(radii).any(axis=1)
@@ -159,7 +159,7 @@ class MeasuredLayers:
 
     def _place_on_axis(self, zeta: float) -> str:
         """A place on the stem's axis in words."""
-        return self._placed.where(self._placed.to_model([0.0, 0.0, zeta]))
+        return self._placement.where(self._placement.to_model([0.0, 0.0, zeta]))
 
     def _rays(self, surface: BoneSurface, zeta: Floats) -> tuple[Floats, Ints]:
         """Radii of a surface in sections, and the number of crossings of each ray (n, `ANGLES`)."""
@@ -207,7 +207,7 @@ class MeasuredLayers:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
             raise GeometryError(
                 f"geometry.canal.surface: is {-wall.min():.1f} mm outside the bone at"
-                f" {self._placed.where(self._grid_points(bone)[first + i, j])};"
+                f" {self._placement.where(self._grid_points(bone)[first + i, j])};"
                 " expected a canal inside"
                 " the bone, in the same axes"
             )
@@ -215,7 +215,7 @@ class MeasuredLayers:
         share = np.clip((zeta[last + 1 :, None] - zeta[last]) / THINNING_LENGTH, 0.0, 1.0)
         thin_wall = THIN_CORTEX * self._obliquity()[last + 1 :]
         radii_above = bone[last + 1 :] - (wall[-1] + share * (thin_wall - wall[-1]))
-        canal_top = self._placed.to_model([0.0, 0.0, zeta[last]])[2]
+        canal_top = self._placement.to_model([0.0, 0.0, zeta[last]])[2]
         self.notes.append(
             f"canal: measured up to z = {canal_top:.0f} mm; above, the cortex"
             f" thins to {THIN_CORTEX:g} mm"
@@ -248,13 +248,13 @@ class MeasuredLayers:
         Notes report the removed and the remaining bone.
         """
         bone, zeta = self._bone.radii, self._bone.zeta
-        largest = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX_LEFT, bone - canal))
-        wanted = canal
+        largest_radii = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX_LEFT, bone - canal))
+        target_radii = canal
         if reaming.ream == "by":
-            wanted = canal + reaming.ream_by
+            target_radii = canal + reaming.ream_by
         elif reaming.ream == "broach":
-            wanted = np.maximum(canal, self._broached_radii(stem)) if stem else largest
-        reamed = np.minimum(wanted, largest)
+            target_radii = np.maximum(canal, self._broached_radii(stem)) if stem else largest_radii
+        reamed = np.minimum(target_radii, largest_radii)
         if stem is None:
             return reamed
         # Below the plug the reamed canal goes over to the patient's.
@@ -263,7 +263,7 @@ class MeasuredLayers:
         loft = canal + (reamed[plug_row] - canal[plug_row]) * (
             1 - self._sections.below_plug(zeta)[:, None]
         )
-        reamed = np.where(is_below_plug, np.minimum(loft, largest), reamed)
+        reamed = np.where(is_below_plug, np.minimum(loft, largest_radii), reamed)
         is_beside_stem = (zeta > self._sections.plug)[:, None]
         thicknesses = {
             "most bone removed by reaming": reamed - canal,
@@ -272,7 +272,7 @@ class MeasuredLayers:
         for title, thickness in thicknesses.items():
             thickness = np.where(is_beside_stem, thickness, -np.inf)
             i, j = np.unravel_index(thickness.argmax(), thickness.shape)
-            where = self._placed.where(self._grid_points(reamed)[i, j])
+            where = self._placement.where(self._grid_points(reamed)[i, j])
             self.notes.append(f"{title}: {abs(thickness[i, j]):.1f} mm at {where}")
         return reamed
 
@@ -296,7 +296,7 @@ class MeasuredLayers:
     def _grid_points(self, radii: Floats) -> Floats:
         """Points of the model at radii of the grid (n, `ANGLES`, 3) [mm]."""
         zeta = np.broadcast_to(self._bone.zeta[:, None], radii.shape)
-        return self._placed.to_model(
+        return self._placement.to_model(
             self._section_points(np.broadcast_to(THETA, radii.shape), zeta, radii)
         )
 
@@ -338,9 +338,9 @@ class MeasuredLayers:
         """Accept all lines. Crossings of rays were counted when the bone was measured."""
 
 
-def _in_stem(placed: Placement, surface: BoneSurface) -> BoneSurface:
+def _in_stem(placement: Placement, surface: BoneSurface) -> BoneSurface:
     """Return a surface of the model in the stem's axes."""
-    return replace(surface, points=placed.to_stem(surface.points))
+    return replace(surface, points=placement.to_stem(surface.points))
 
 
 def _with_limited_slopes(radii: Floats) -> Floats:

@@ -102,9 +102,9 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
     """
     numbers, femur, insertion = PackedArrays(), geometry.femur, geometry.insertion
     canal, start = room.canal(geometry), position(geometry)
-    placed = geometry.placement
-    edge = femur_stem.edge(geometry.implant, placed.slopes[0])
-    start = replace(start, depth=float(placed.top) - edge)
+    placement = geometry.placement
+    edge = femur_stem.edge(geometry.implant, placement.slopes[0])
+    start = replace(start, depth=float(placement.top) - edge)
     relative = insertion.version.relative_to if insertion else "neck"
     points, triangles = _thinned(*femur.drawn)
     shown = points[:, 2] > canal.points[..., 2].min() - BELOW

@@ -254,11 +254,17 @@ def planning(runs: Sequence[ProblemRun]) -> NoReturn:
 
 @dataclass
 class KnownProblem:
-    """The argument ``problem`` of a test: it states, solves and compares."""
+    """The argument ``problem`` of a test: it states, solves and compares.
+
+    Attributes:
+        row: Row of the problem in the table of its suite.
+        runner: Function that solves the runs.
+        tier: The chosen tier, one of `TIERS`.
+    """
 
     row: Row
     runner: Runner
-    wanted: str = "default"
+    tier: str = "default"
     _asked: bool = field(default=False, init=False)
 
     def expects(
@@ -287,7 +293,7 @@ class KnownProblem:
 
     def rungs(self, sizes: Sequence[float], finest: str = "long") -> Sequence[float]:
         """Sizes from coarse to fine for a fitted order; the last from a tier on alone."""
-        self.row.sizes = sizes if within(finest, self.wanted) else sizes[:-1]
+        self.row.sizes = sizes if within(finest, self.tier) else sizes[:-1]
         return self.row.sizes
 
     def solve(self, case: str, *overrides: str, mesh: str = "") -> Run:
@@ -398,9 +404,9 @@ def tier_of(item: pytest.Function) -> str:
     return marks[0] if marks else "default"
 
 
-def within(tier: str, wanted: str) -> bool:
-    """Return True if the wanted tier includes a tier."""
-    return TIERS.index(tier) <= TIERS.index(wanted)
+def within(tier: str, chosen_tier: str) -> bool:
+    """Return True if the chosen tier includes a tier."""
+    return TIERS.index(tier) <= TIERS.index(chosen_tier)
 
 
 def row_of(item: pytest.Function, suite: str) -> Row:
@@ -413,9 +419,9 @@ def row_of(item: pytest.Function, suite: str) -> Row:
     return Row(name, group, tier_of(item))
 
 
-def planned_runs(item: pytest.Function, row: Row, wanted: str) -> Sequence[ProblemRun]:
+def planned_runs(item: pytest.Function, row: Row, tier: str) -> Sequence[ProblemRun]:
     """The runs that a problem asks for in a tier; its row gets what is expected."""
-    problem = KnownProblem(row, planning, wanted)
+    problem = KnownProblem(row, planning, tier)
     parameters = item.callspec.params if hasattr(item, "callspec") else {}
     try:
         with suppress(Missed):  # of a problem without runs
@@ -428,18 +434,20 @@ def planned_runs(item: pytest.Function, row: Row, wanted: str) -> Sequence[Probl
 # Runs
 
 
-def planned_run(name: str, wanted: ProblemRun, folder: Path, *, timed: bool = False) -> PlannedRun:
+def planned_run(
+    name: str, problem_run: ProblemRun, folder: Path, *, timed: bool = False
+) -> PlannedRun:
     """A run as the campaigns plan it; a changed mesh is written below a folder.
 
     Raises:
         InputError: The case is wrong.
     """
-    file = CONFIGS / wanted.case
-    options = (wanted.ranks, timed, wanted.share)
-    planned = PlannedRun.load(name, file, wanted.overrides, *options)
-    if wanted.mesh:
-        mesh = change(planned.case, wanted.mesh, folder / "meshes")
-        planned = PlannedRun.load(name, file, (*mesh, *wanted.overrides), *options)
+    file = CONFIGS / problem_run.case
+    options = (problem_run.ranks, timed, problem_run.share)
+    planned = PlannedRun.load(name, file, problem_run.overrides, *options)
+    if problem_run.mesh:
+        mesh = change(planned.case, problem_run.mesh, folder / "meshes")
+        planned = PlannedRun.load(name, file, (*mesh, *problem_run.overrides), *options)
     return planned
 
 
@@ -453,13 +461,13 @@ def solve_here(name: str, folder: Path) -> Runner:
 
     form_cache.guard()  # other tests compile at the same time
 
-    def solved(wanted: ProblemRun, folder: Path) -> SolvedRun:
+    def solved(problem_run: ProblemRun, folder: Path) -> SolvedRun:
         message = ""
         code = 0
-        kept = logging.FileHandler(folder.with_name(f"{folder.name}.log"), encoding="utf-8")
-        log.addHandler(kept)
+        log_handler = logging.FileHandler(folder.with_name(f"{folder.name}.log"), encoding="utf-8")
+        log.addHandler(log_handler)
         try:
-            planned = planned_run(name, wanted, folder.parent)
+            planned = planned_run(name, problem_run, folder.parent)
             case = load(planned.file, planned.overrides)
             finished_runs.prepare(case, folder)
             with ranks.mpi_settings():
@@ -468,11 +476,11 @@ def solve_here(name: str, folder: Path) -> Runner:
             message = str(error)
             code = error.exit_code
         finally:
-            log.removeHandler(kept)
-            kept.close()
-        return SolvedRun(name, wanted, folder, code, message)
+            log.removeHandler(log_handler)
+            log_handler.close()
+        return SolvedRun(name, problem_run, folder, code, message)
 
-    return lambda runs: [solved(wanted, folder / str(k)) for k, wanted in enumerate(runs)]
+    return lambda runs: [solved(problem_run, folder / str(k)) for k, problem_run in enumerate(runs)]
 
 
 def solution(seconds: Mapping[str, float], apart: Sequence[str] = APART) -> float:

@@ -147,16 +147,18 @@ def _pytest(suite: Suite) -> Suite:
     arguments += ["-c", os.devnull, "--rootdir", str(PROBLEMS), "--import-mode", "importlib"]
     for plugin in UNUSED:
         arguments += ["-p", f"no:{plugin}"]
-    ours = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}
-    with mock.patch.dict(os.environ, ours):
+    pytest_settings = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}
+    with mock.patch.dict(os.environ, pytest_settings):
         pytest.main(arguments, plugins=[suite])
     if suite.error:
         raise suite.error
     if not suite.problems:
         names = [row.name for row in suite.allowed]
-        few = names if len(names) <= MOST_NAMES else dict.fromkeys(r.group for r in suite.allowed)
+        shown_names = (
+            names if len(names) <= MOST_NAMES else dict.fromkeys(r.group for r in suite.allowed)
+        )
         text = f"-k {suite.options.pattern}: no problem of this tier has this in its name; allowed"
-        raise InputError(f"{text}: {', '.join(few)}")
+        raise InputError(f"{text}: {', '.join(shown_names)}")
     return suite
 
 
@@ -204,15 +206,15 @@ def plan(problems: Iterable[PlannedProblem], folder: Path, *, timed: bool) -> No
     """
     for problem in problems:
         problem.planned = []
-        for k, wanted in enumerate(problem.runs, start=1):
+        for k, problem_run in enumerate(problem.runs, start=1):
             name = problem.row.name
             if len(problem.runs) > 1:
                 name = f"{name}_{k}"
             try:
-                problem.planned.append(planned_run(name, wanted, folder, timed=timed))
+                problem.planned.append(planned_run(name, problem_run, folder, timed=timed))
             except InputError as error:
-                refused = SolvedRun(name, wanted, folder, error.exit_code, str(error))
-                problem.planned.append(refused)
+                refused_run = SolvedRun(name, problem_run, folder, error.exit_code, str(error))
+                problem.planned.append(refused_run)
 
 
 def solve(problems: Iterable[PlannedProblem], options: Options, *, timed: bool) -> None:
@@ -226,22 +228,26 @@ def solve(problems: Iterable[PlannedProblem], options: Options, *, timed: bool) 
     groups = [[problem] for problem in problems] if timed else [problems]
     results: dict[tuple[object, int], Result] = {}
     for group in groups:
-        wanted = [
+        runs_and_times = [
             (planned, run.times)
             for problem in group
             for planned, run in zip(problem.planned, problem.runs, strict=True)
             if isinstance(planned, PlannedRun)
         ]
-        for k in range(max((times for _, times in wanted), default=0)):
+        for k in range(max((times for _, times in runs_and_times), default=0)):
             folder = options.folder / f"again-{k}" if k else options.folder
-            due = {
+            due_runs = {
                 _content(planned): planned
-                for planned, times in wanted
+                for planned, times in runs_and_times
                 if times > k and (_content(planned), k) not in results
             }
-            if due:
-                ended = batch.run(list(due.values()), folder, options.cores, options.slurm)
-                results |= {(key, k): result for key, result in zip(due, ended, strict=True)}
+            if due_runs:
+                new_results = batch.run(
+                    list(due_runs.values()), folder, options.cores, options.slurm
+                )
+                results |= {
+                    (key, k): result for key, result in zip(due_runs, new_results, strict=True)
+                }
     for problem in problems:
         problem.results = [
             planned if isinstance(planned, SolvedRun) else _solved(results, planned, run, k)
@@ -317,13 +323,13 @@ def _line(row: Row) -> Sequence[object]:
 def _summed(name: str, rows: Sequence[Row]) -> Sequence[object]:
     counts = Counter(row.outcome for row in rows)
     judged = [row for row in rows if row.comparison]
-    last: Sequence[object] = ("", "", "")
+    worst_columns: Sequence[object] = ("", "", "")
     if judged:
         worst = max(judged, key=lambda row: row.ratio)
         assert worst.comparison
-        last = (f"{worst.comparison.error:.1e}", f"{worst.tolerance:.1e}", worst.name)
+        worst_columns = (f"{worst.comparison.error:.1e}", f"{worst.tolerance:.1e}", worst.name)
     seconds = f"{sum(row.seconds for row in rows):.1f}"
-    return (name, len(rows), *(counts[x] or "" for x in OUTCOMES), seconds, *last)
+    return (name, len(rows), *(counts[x] or "" for x in OUTCOMES), seconds, *worst_columns)
 
 
 def verdict(rows: Sequence[Row]) -> str:

@@ -183,9 +183,9 @@ COLLAR = (
 def test_cad_stem_has_a_collar_on_the_cut(name: str, tmp_path: Path) -> None:
     """Its sections in the collar are parallel to the cut, so that the plate is even."""
     known = load(case(cad_stems.write(name, tmp_path)), COLLAR).config
-    data, placed = meshes._make(known.geometry, known.mesh), known.geometry.placement
+    data, placement = meshes._make(known.geometry, known.mesh), known.geometry.placement
     x = data.points[np.unique(data.cells[data.cell_tags == data.regions["collar"], :4])]
-    height = (x - placed.foot) @ placed.normal
+    height = (x - placement.foot) @ placement.normal
     on_cut, top = height < 1.5, height >= 1.5
     assert height[on_cut] == pytest.approx(0.0, abs=1e-5)
     assert height[top] == pytest.approx(3.0, abs=0.02)

@@ -41,13 +41,13 @@ def meshed(cement: str, order: int = 1, angle: float = 90.0) -> MeshData:
 @pytest.mark.parametrize("cement", ["0 mm", "4 mm"])
 def test_collar_lies_on_the_cut(cement: str, order: int) -> None:
     data, geometry = meshed(cement, order), with_collar(cement_thickness=cement)
-    placed = geometry.placement
+    placement = geometry.placement
     facets, _, under = interface_facets(data, "collar_bone")
-    height = (data.points[facets] - placed.foot) @ placed.normal
+    height = (data.points[facets] - placement.foot) @ placement.normal
     assert np.abs(height).max() < 1e-5
     x = data.points[np.unique(data.cells[data.cell_tags == data.regions["collar"], :4])]
-    height = (x - placed.foot) @ placed.normal
-    outside = np.hypot(*(x - placed.foot)[:, :2].T) > 20.0
+    height = (x - placement.foot) @ placement.normal
+    outside = np.hypot(*(x - placement.foot)[:, :2].T) > 20.0
     assert height.min() > -1e-5
     assert height[outside].max() == pytest.approx(THICKNESS, abs=1e-5)
     below = {name for name, tag in data.regions.items() if tag in data.cell_tags[under]}

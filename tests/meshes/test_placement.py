@@ -14,10 +14,10 @@ from tests.meshes.canals import CUT, IMPLANT, START
 def test_placement_flexion_moves_the_tip_to_posterior() -> None:
     """The tip of a straight stem is its distance from the cut times the sine behind the axis."""
     angle = math.radians(3.0)
-    placed = CUT.put(IMPLANT, replace(START, flexion=angle), False)
-    tip = placed.to_model([0.0, 0.0, IMPLANT.tip_z])
-    below = placed.top - IMPLANT.tip_z
+    placement = CUT.put(IMPLANT, replace(START, flexion=angle), False)
+    tip = placement.to_model([0.0, 0.0, IMPLANT.tip_z])
+    below = placement.top - IMPLANT.tip_z
     assert tip == pytest.approx(
-        placed.foot - below * np.array([0.0, math.sin(angle), math.cos(angle)])
+        placement.foot - below * np.array([0.0, math.sin(angle), math.cos(angle)])
     )
-    assert placed.rotation.T @ placed.rotation == pytest.approx(np.eye(3), abs=1e-14)
+    assert placement.rotation.T @ placement.rotation == pytest.approx(np.eye(3), abs=1e-14)

@@ -45,9 +45,9 @@ def test_room_is_the_thickness_of_the_meshed_cement() -> None:
 
 def test_room_of_a_stem_above_the_cut_is_refused() -> None:
     canal = room.canal_of(CUT, tube((0.0, 0.0), (0.0, 0.0)))
-    placed = CUT.put(IMPLANT, replace(START, depth=-400.0), False)
+    placement = CUT.put(IMPLANT, replace(START, depth=-400.0), False)
     with pytest.raises(GeometryError, match="above the neck cut"):
-        room.fit(canal, rod(5.0), placed)
+        room.fit(canal, rod(5.0), placement)
 
 
 def test_room_without_cement_is_the_cortex_left_above_the_least() -> None:

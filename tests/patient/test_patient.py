@@ -132,11 +132,11 @@ def test_patient_right_femur_is_mirrored_with_its_stem(folder: Path) -> None:
 
 def test_patient_muscles_are_on_the_bone_below_the_cut(folder: Path) -> None:
     geometry = patient(folder)
-    placed = geometry.placement
+    placement = geometry.placement
     for name in MUSCLES:
         x = np.array(geometry.points[name])
         assert np.linalg.norm(geometry.femur.surface.corners.mean(axis=1) - x, axis=1).min() < 1e-9
-        assert (x - placed.foot) @ placed.normal < -7.9
+        assert (x - placement.foot) @ placement.normal < -7.9
     assert "vastus_medialis" in geometry.details["muscles moved (mm)"]
 
 
@@ -293,16 +293,16 @@ def random_patient(
 
 def _own(geometry: Patient) -> Floats:
     """Points of the parametric stem, in its axes (n, 3) [mm]."""
-    placed, implant = geometry.placement, geometry.implant
+    placement, implant = geometry.placement, geometry.implant
     z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
-    slope, lean = placed.slopes
+    slope, lean = placement.slopes
     body = replace(femur_stem.body(implant), lean=lean)
     x = body.point(phi.ravel(), z.ravel(), 0.0)
-    edge = min(femur_stem.edge(implant, slope), placed.top)
-    if edge < placed.top:  # metal is on the body up to there, and then on the way to the neck
+    edge = min(femur_stem.edge(implant, slope), placement.top)
+    if edge < placement.top:  # metal is on the body up to there, and then on the way to the neck
         x = x[x @ [slope, slope * lean, 1.0] < edge]
-        upper = femur_stem.upper(implant, body, options(), edge, placed.top, slope)
-        z, phi = np.meshgrid(np.linspace(edge, placed.top, 20), np.arange(48) / 48)
+        upper = femur_stem.upper(implant, body, options(), edge, placement.top, slope)
+        z, phi = np.meshgrid(np.linspace(edge, placement.top, 20), np.arange(48) / 48)
         x = np.concatenate([x, upper.point(phi.ravel(), z.ravel())])
     return x
 
@@ -312,17 +312,17 @@ def distance(geometry: Patient) -> float:
 
     Points of both: no sections, no rays. It is near 0 where a stem leaves the bone.
     """
-    placed, corners = geometry.placement, geometry.femur.surface.corners
+    placement, corners = geometry.placement, geometry.femur.surface.corners
     if isinstance(geometry.stem, StemFile):
         tip = [0.0, 0.0, geometry.implant.tip_z]
         x = np.add(geometry.stem.shape["x"].mean(axis=1), tip)
     else:
         x = _own(geometry)
-    x = placed.to_model(x)
-    x = x[(x - placed.foot) @ placed.normal < 0]
+    x = placement.to_model(x)
+    x = x[(x - placement.foot) @ placement.normal < 0]
     parts = [(i / 4, j / 4, 1 - (i + j) / 4) for i in range(5) for j in range(5 - i)]
     y = (parts @ corners[corners[:, 0, 2] > x[:, 2].min() - 10]).reshape(-1, 3)
-    below = cKDTree(y[(y - placed.foot) @ placed.normal < 0])
+    below = cKDTree(y[(y - placement.foot) @ placement.normal < 0])
     return float(below.query(x, distance_upper_bound=10.0)[0].min())
 
 

@@ -87,10 +87,10 @@ def expected(geometry: OperatedHip, numbers: dict[str, float]) -> list[float]:
         numbers["depth"], **angles, medial=numbers["medial"], anterior=numbers["anterior"]
     )
     canal = room.canal(geometry)
-    placed = canal.cut.put(geometry.implant, at, geometry.femur.mirrored)
-    fit = room.fit(canal, room.StemSurface.of(geometry.implant, placed), placed)
+    placement = canal.cut.put(geometry.implant, at, geometry.femur.mirrored)
+    fit = room.fit(canal, room.StemSurface.of(geometry.implant, placement), placement)
     implant = geometry.implant
-    return [fit.least, *placed.to_model([implant.head_offset, 0.0, implant.head_height])]
+    return [fit.least, *placement.to_model([implant.head_offset, 0.0, implant.head_height])]
 
 
 TRY = """
@@ -210,9 +210,9 @@ def test_placement_page_numbers_equal_those_of_check(
     for text, least in (given, best):
         keys = ruamel.yaml.YAML(typ="safe").load(text)["geometry"]["insertion"]
         case = geometry.model_dump(mode="json", exclude_none=True) | {"insertion": keys}
-        placed = Femur.model_validate(case)
-        stem = room.StemSurface.of(placed.implant, placed.placement)
-        fit = room.fit(room.canal(placed), stem, placed.placement)
+        hip = Femur.model_validate(case)
+        stem = room.StemSurface.of(hip.implant, hip.placement)
+        fit = room.fit(room.canal(hip), stem, hip.placement)
         assert fit.least == pytest.approx(least, abs=0.01)
 
 

@@ -29,7 +29,7 @@ def goal(problem: KnownProblem, quantity: str, most: float) -> None:
 
 def rungs_of(problem: KnownProblem, rungs: Sequence[str]) -> list[str]:
     """The rungs that are solved in a tier."""
-    return [rung for rung in rungs if rung != LONG or within("long", problem.wanted)]
+    return [rung for rung in rungs if rung != LONG or within("long", problem.tier)]
 
 
 # Goals

@@ -216,7 +216,7 @@ def test_oval_fit(problem: KnownProblem, cells: str) -> None:
 def test_oval_pressure(problem: KnownProblem, cells: str, tolerance: float) -> None:
     """Pressure at the contact points."""
     problem.expects("its pressure [MPa], relative in L2", tolerance=tolerance, source=MICHELL)
-    sizes = SIZES[2:] if problem.wanted == "long" else SIZES[2:3]
+    sizes = SIZES[2:] if problem.tier == "long" else SIZES[2:3]
     runs = problem.solve_each("verification/oval_fit.yaml", oval_changes(cells, sizes))
 
     def pressure(run: Run) -> Comparison:
