@@ -1,4 +1,4 @@
-"""Can this case be solved, and why was it not?
+"""Checks that a case can be solved, and explanations of failed solves.
 
-It imports everything from `heat` and `mechanics` down. Begin with `well_posedness`.
+The package imports everything from `heat` and `mechanics` down. Begin with `well_posedness`.
 """

@@ -28,14 +28,14 @@ from meshes.pieces import Parts, Piece
 
 # Contact without friction barely resists a motion if its mean slope against it is below this [deg].
 SLOPE = 3.0
-# The same for slopes of changing sign, as part of the angle between flat facets.
+# The same limit for slopes that cancel in the mean, as a part of the angle between facets.
 FACETS = 0.4
 
 
 def law_between(
     case: Case, parts: Parts, pieces: tuple[int, int]
 ) -> tuple[str, InterfaceLaw | None]:
-    """Interface between two pieces and its law; no name where there is none."""
+    """Name of the interface between two pieces, empty if there is none, and its law."""
     a, b = (parts.pieces[k].region for k in pieces)
     for name, (first_side, second_side) in case.geometry.interface_sides.items():
         if (a in first_side and b in second_side) or (a in second_side and b in first_side):
@@ -154,7 +154,10 @@ class BodiesOnMesh:
         return rigid_modes((x - self._origin) / self._size)
 
     def _left_by_supports(self) -> Iterator[tuple[int, Floats]]:
-        """Stages with changed supports, with the motions they leave free (6 n, k), orthonormal."""
+        """Stages in which supports change, and the motions that they leave free (6 n, k).
+
+        The motions are orthonormal.
+        """
         previous_supports, n = None, len(self._groups)
         for k, stage in enumerate(self._case.stages):
             active_supports = [s for s in self._case.supports.values() if holds(s, stage.name)]
@@ -183,9 +186,12 @@ class BodiesOnMesh:
     def _resistance(
         self, shears: Mapping[str, float] | None, absent: Sequence[str] = ()
     ) -> tuple[Floats, Floats]:
-        """Resistance of contact, and of each body where all is bonded (6 n, 6 n) [mm2].
+        """Resistance of contact, and of each body with bonded surroundings (6 n, 6 n) [mm2].
 
-        All interfaces resist sliding, or those of ``shears``; ``absent`` ones are open.
+        Args:
+            shears: Friction coefficients by interface; without friction an interface does not
+                resist sliding. None: all interfaces resist sliding.
+            absent: Interfaces that are open and resist nothing.
         """
         n = 6 * len(self._groups)
         K, M = np.zeros((n, n)), np.zeros((n, n))
@@ -208,7 +214,7 @@ class BodiesOnMesh:
     def _free_motions(
         left_by_supports: Floats, K: Floats, M: Floats, below: float
     ) -> tuple[Floats, Floats]:
-        """Motions (6 n, k) that contact resists less than a part of bonded contact; parts (k,)."""
+        """Motions with less than a part of the bonded resistance (6 n, k), and their parts (k,)."""
         if not left_by_supports.shape[1]:
             return left_by_supports, np.zeros(0)
         scale = max(float(np.trace(M)), 1.0) / len(M)
@@ -223,7 +229,7 @@ class BodiesOnMesh:
     def _weakly_held_motions(
         self, left_by_supports: Floats, frictions: Mapping[str, float]
     ) -> tuple[Floats, float]:
-        """Motions (6 n, k) that only smooth contact resists, and its steepest slope [degrees]."""
+        """Motions that only the slope of smooth contact resists (6 n, k); largest slope [deg]."""
         smooth = [(t, a, b) for t, name, a, b in self._touches if frictions.get(name) == 0]
         bend = FACETS * max((t.bend for t, _, _ in smooth), default=0.0)
         K, M = self._resistance(frictions)

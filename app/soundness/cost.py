@@ -25,13 +25,13 @@ NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
 # Cost of a run on one core (measured): seconds per unknown of the mechanics, without the solver.
 PRICE = 6e-5
-# Time of a later load step as part of the first.
+# Time of a later load step over that of the first.
 LATER = 0.05
 # Seconds of a solve of contact by a Krylov method per unknown of displacement.
 KRYLOV = 1e-4
-# A later solve over the first.
+# Time of a later Krylov solve over that of the first.
 LATER_KRYLOV = 0.45
-# Part of the time of a Krylov method, which is that of several Newton steps, without contact.
+# Time of a Krylov solve without contact over that with contact, which takes several Newton steps.
 LINEAR = 0.25
 # Operations per second of sparse factors.
 FACTORS = 48e9
@@ -39,7 +39,7 @@ FACTORS = 48e9
 SINGLE = 86e9
 # Bytes per second of back-substitutions.
 BYTES = 10e9
-# Newton iterations from rest, and of a later solve.
+# Newton iterations of the first solve, from rest, and of a later one.
 FROM_REST = 12
 ITERATIONS = 5.5
 # Seconds of setting up the matrices of condensed bodies, per unknown.
@@ -48,27 +48,27 @@ CONDENSED_ASSEMBLY = 1.5e-5
 TIME_STEP = 0.05
 # Seconds of a time step per temperature.
 HEAT = 3e-5
-# Time steps of a stage.
+# Time steps of a stage with heat.
 HEAT_STEPS = 35
 # Time steps of a stage in which cement sets.
 SETTING_STEPS = 95
 # Solves of a stage that creeps.
 CREEP = 150
-# Factor of a run with errors.
+# Time of a run with estimated errors over that of one without.
 WITH_ERRORS = 1.25
-# Factor of a run with heat and errors.
+# The same ratio with heat.
 WITH_HEAT_ERRORS = 2.5
-# Seconds of start and page.
+# Seconds of the start of the program and of the report page.
 START = 2.6
 # Seconds of meshing per cell.
 MESHING = 1e-4
 # Seconds of compiling the forms of the mechanics, which are cached.
 MECHANICAL_FORMS = 5.0
-# Seconds of compiling in addition with fibres.
+# Seconds of compiling that fibres add.
 FIBRE_FORMS = 10.0
 # Seconds of compiling the forms of heat.
 HEAT_FORMS = 2.0
-# Seconds of a phase per unknown, the first time; `phases`.
+# Seconds per unknown of three phases of a first run (`phases`).
 ASSEMBLE = 3e-5
 FACTORIZE = 3e-5
 OUTPUT = 2e-5
@@ -78,13 +78,21 @@ BASE = 0.4
 CONDENSED = 2e-6
 # Memory per unknown of a Krylov method [GB].
 MULTIGRID = 5e-6
-# Assumed size where it is not known.
+# Assumed number of unknowns if it is not known before meshing.
 UNKNOWN_SIZE = 3e4
 
 
 @dataclass(frozen=True)
 class _Size:
-    """Numbers of cells, of nodes that move, of temperatures, and of the jumps of either."""
+    """Size of a mesh.
+
+    Attributes:
+        cells: Number of cells.
+        nodes: Number of displacement nodes.
+        jumps: Number of interface nodes with a jump of displacement.
+        temperatures: Number of temperatures.
+        steps: Number of temperature jumps.
+    """
 
     cells: float
     nodes: float
@@ -100,7 +108,7 @@ class _Size:
 def _size(
     case: Case, cells: float, nodes: float, corners: float, interface_nodes: Mapping[str, float]
 ) -> _Size:
-    """Size of a mesh with nodes of displacements, corners of cells, and corners by interface."""
+    """Size of a mesh with given numbers of displacement nodes, cell corners and interface nodes."""
     laws, deforms, conducts = case.interfaces.items(), solid(case), case.conducts
     jumps = deforms * sum(interface_nodes[name] for name, law in laws if law.can_part)
     conducting = {name for name, law in laws if law.conductance is not None} - case.faces.keys()
@@ -109,7 +117,7 @@ def _size(
 
 
 def _estimated(case: Case) -> _Size:
-    """Size from the parameters alone; no cells where it is unknown before meshing."""
+    """Size from the parameters alone; without cells if it is unknown before meshing."""
     count = case.geometry.estimate_cells(case.mesh)
     if not count:
         return _Size(0.0, UNKNOWN_SIZE / 3, 0.0, 0.0, 0.0)
@@ -123,7 +131,12 @@ def _estimated(case: Case) -> _Size:
 
 
 def estimated_size(case: Case, available: float = math.inf) -> str:
-    """Cells, unknowns, solver and memory of what is available [byte], from the parameters alone."""
+    """Describe cells, unknowns, memory and time as estimated from the parameters alone.
+
+    Args:
+        case: The case.
+        available: Available memory [byte], by which the solver is chosen.
+    """
     size = _estimated(case)
     if not size.cells:
         return "size\n  not known before meshing; --mesh counts the cells"
@@ -131,7 +144,7 @@ def estimated_size(case: Case, available: float = math.inf) -> str:
 
 
 def unknowns(case: Case) -> float:
-    """Estimated unknowns of a case; 0 where they are unknown before meshing."""
+    """Estimated number of unknowns of a case; 0 if it is not known before meshing."""
     size = _estimated(case)
     return size.unknowns if size.cells else 0.0
 
@@ -173,7 +186,7 @@ def compiling(case: Case) -> float:
 
 
 def _solution(case: Case, size: _Size, runs: int = 1) -> float:
-    """Time of the solver alone in runs that share matrices [s]."""
+    """Time of the solution alone in runs that share matrices [s]."""
     loads, moments = (runs * number for number in solves(case))
     choice, condensed = _choice(case, size, runs)
     mechanical = PRICE * 3 * (size.nodes + size.jumps)
@@ -185,10 +198,10 @@ def _solution(case: Case, size: _Size, runs: int = 1) -> float:
 
 
 def condensed_seconds(choice: SolverChoice) -> float:
-    """Time of all solves of contact with bodies condensed onto the jumps, on one core [s].
+    """Time of all contact solves with bodies condensed onto the jumps, on one core [s].
 
-    Operations of the factors are estimated within a sixth in hips of 24,000 to 153,000 unknowns,
-    within a third at 850,000; entries within a tenth.
+    In hips of 24,000 to 153,000 unknowns the operations of the factors are estimated to within a
+    sixth, at 850,000 unknowns to within a third. Their entries are estimated to within a tenth.
     """
     n, m = choice.size, choice.jumps
     operations = 15 * n**2.05 + 1.1 * m**2.91 - m**3 / 3
@@ -201,7 +214,7 @@ def condensed_seconds(choice: SolverChoice) -> float:
 
 
 def krylov_seconds(choice: SolverChoice) -> float:
-    """Time of all solves by a Krylov method on one core [s]."""
+    """Time of all solves with a Krylov method on one core [s]."""
     seconds_per_iteration = KRYLOV if choice.jumps else LINEAR * KRYLOV
     later = LATER_KRYLOV * (choice.solves - 1)
     return seconds_per_iteration * choice.size * (1 + later)
@@ -210,7 +223,7 @@ def krylov_seconds(choice: SolverChoice) -> float:
 def _choice(
     case: Case, size: _Size, runs: int, available: float = math.inf
 ) -> tuple[SolverChoice, bool]:
-    """The choice of the linear solver of mechanics, and whether bodies are condensed."""
+    """Choice of the linear solver of mechanics; True if it condenses the bodies."""
     number, sets = runs * max(1, sum(solves(case))), build_scene(case).stiffens
     sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
     choice = SolverChoice(*sizes, number, sets, available)
@@ -219,7 +232,7 @@ def _choice(
 
 
 def solves(case: Case) -> tuple[int, int]:
-    """Load steps that are solved, and time steps, estimated."""
+    """Estimated numbers of solved load steps and of time steps."""
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
@@ -235,7 +248,7 @@ def solves(case: Case) -> tuple[int, int]:
 
 
 def contact_solves(case: Case) -> int:
-    """Solves of contact, estimated; 0 where heat is solved together with it."""
+    """Estimated number of contact solves; 0 if heat and mechanics are one system."""
     return 0 if build_scene(case).coupled else sum(solves(case))
 
 
@@ -253,7 +266,13 @@ def solid(case: Case) -> bool:
 
 
 def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
-    """Cells, unknowns, solver and memory of a mesh, and notes of the mesher."""
+    """Describe cells, unknowns, memory and time on a mesh, with the notes of the mesher.
+
+    Args:
+        case: The case.
+        data: Its mesh.
+        available: Available memory [byte], by which the solver is chosen.
+    """
     rigid = [data.regions[n] for n, r in case.regions.items() if r.moves_rigidly]
     elastic = data.cells[~np.isin(data.cell_tags, rigid), :4]
     nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
@@ -270,7 +289,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
 
 
 def gigabytes(case: Case, available: float = math.inf) -> float:
-    """Estimated memory of a run [GB]; 0 where its mesh is not known yet."""
+    """Estimated memory of a run [GB]; 0 if its size is not known before meshing."""
     size = _estimated(case)
     choice, condensed = _choice(case, size, max(1, len(case.variations)), available)
     return _gigabytes(choice, condensed, size) if size.cells else 0.0

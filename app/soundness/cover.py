@@ -17,15 +17,16 @@ from app.scene.bodies import cell_tags, touched_nodes
 from app.scene.scene import Interface
 from app.system.layout import point_text
 
-# A point is beyond the rim of a surface by more than this part of an edge.
+# A point is beyond the rim of a surface if its distance exceeds this part of an edge.
 OFF = 0.25
-# Angle by which an elastic body may tip that no motion turns [rad]: forces of contact do not turn
-# with its surface, and are off by as much of the load (measured: 150 N for 155.5 N, 500 N on it).
+# Largest tilt of an elastic body without a prescribed motion [rad]. Contact forces do not rotate
+# with its surface. Their error is about the load times the tilt (measured: 150 N instead of 155.5 N
+# under a load of 500 N).
 TIPPED = 0.01
 
 
 class Cover:
-    """Surfaces with finite sliding, as they are meshed; made collectively.
+    """Surfaces with finite sliding on their mesh; made collectively.
 
     Raises:
         InputError: Bodies overlap by more than a facet.

@@ -11,11 +11,11 @@ from app.case.summary import Summary
 from app.foundation.verdict import Verdict, note
 from app.laws.materials import Material
 
-# Strains beyond small-strain elasticity of any material.
+# Strain above which small-strain elasticity holds for no material.
 STRAIN = 0.05
 
 Doubt = Callable[[Case, Summary], Iterable[Verdict]]
-# What other packages doubt of the numbers of a case.
+# Functions of other packages that return notes on the numbers of a case.
 _DOUBTERS: list[Doubt] = []
 
 
@@ -26,7 +26,7 @@ def doubter(function: Doubt) -> Doubt:
 
 
 def doubts(case: Case, numbers: Summary) -> list[Verdict]:
-    """Return notes on results: strains that are not small, laws beyond their stresses."""
+    """Return notes on results: strains that are not small, stresses beyond the range of a law."""
     notes = [verdict for doubt in _DOUBTERS for verdict in doubt(case, numbers)]
     for name, q in numbers["regions"].items():
         creep = case.regions[name].creep

@@ -1,9 +1,9 @@
 """Explanation of failed solves in terms of the model, and critical friction coefficients.
 
-A contact point alone may have several equilibria. A is the tangential block of its stiffness, and w
-its coupling row: the normal force that a slip takes. The critical friction coefficient is the least
-value of t·At / |w·t| over unit vectors t of the tangent plane (derived in `docs/theory.md`). In two
-dimensions it is Klarbring's k_T / |w|.
+A single contact point may have several equilibria. Let A be the tangential block of its stiffness,
+and w its coupling row, the change of the normal force by slip. The critical friction coefficient is
+the least value of t·At / |w·t| over unit vectors t of the tangent plane (derived in
+`docs/theory.md`). In two dimensions it is Klarbring's k_T / |w|.
 
 Take t = (cos θ, sin θ) in axes along and across w, and τ = tan θ. With [[a, b], [b, c]], the
 symmetric part of A, the function is (a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)). It is stationary where
@@ -34,14 +34,14 @@ from app.system.layout import point_text
 
 
 def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
-    """Friction coefficient at which each point stops having one equilibrium for every load.
+    """Friction coefficient from which on a point may have several equilibria or none.
 
     Args:
-        stiffness: Stiffness that a jump meets at each point, positive definite (n, 3, 3).
+        stiffness: Stiffness against a jump of each point, positive definite (n, 3, 3).
         normals: Unit normals (n, 3).
 
     Returns:
-        Critical coefficients (n,); infinite where slip takes no normal force.
+        Critical coefficients (n,); infinite where slip does not change the normal force.
     """
     n = normals
     row = np.einsum("pi,pij->pj", n, stiffness)
@@ -60,7 +60,7 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     companion[:, 1, 0] = companion[:, 2, 1] = 1
     companion[:, 0, 2] = -2 * b / c
     companion[:, 1, 2] = -(2 * c - a) / c
-    # The real part of a complex root is just one more direction, of no smaller value.
+    # The real part of a complex root is another direction, and its value is no smaller.
     τ = np.linalg.eigvals(companion).real
     value = (a[:, None] + 2 * b[:, None] * τ + c[:, None] * τ**2) / np.sqrt(1 + τ**2)
     critical[coupled] = value.min(axis=1) / size
@@ -68,15 +68,15 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
 
 
 def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
-    """Least critical coefficient of the faces of each local point, all else held (n,).
+    """Least critical coefficient of the faces of each local point with all others fixed (n,).
 
-    The estimate is local and on the safe side: the stiffness of a point is that of a body that is
-    fixed around it. The stiffness of a point in bodies that give way would be exact, but takes a
-    solve for each point. On the shipped cases, coarsened, the least coefficient is then 20 to 85 %
-    larger. Friction below it is necessary for uniqueness, not sufficient.
+    The estimate is local and on the safe side: it fixes the bodies around a point. The exact
+    stiffness, of a point in bodies that deform, takes a solve for each point. With it the least
+    coefficient is 20 to 85 % larger on coarsened shipped cases. Friction below the critical
+    coefficient is necessary for uniqueness, not sufficient.
     """
     stiffness = contact.coupling.local_stiffness()
-    # A point does not move where supports hold it: nothing couples there, and it is stiff.
+    # A point cannot move in directions that supports hold: they are stiff and uncoupled.
     free_projector = np.eye(3) - contact.local.projector
     stiffness = free_projector @ stiffness @ free_projector
     stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.local.projector
@@ -127,14 +127,14 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
 
 # States of a contact point, by status.
 STATES = ("open", "stick", "slip")
-# Changing points that a message lists.
+# Largest number of changing points in a message.
 SHOWN = 3
-# Relative difference of residuals that scale.
+# Largest relative difference of residuals that count as proportional to the load.
 SAME = 1e-9
-# Residual over the forces below which a failed state far away is one in balance.
+# Residual over the forces below which a failed state with large jumps counts as in balance.
 BALANCED = 2e-2
-# Remedies: in general; of a failure from rest without gaps; of a cohesive interface that breaks; of
-# displacements that are not small.
+# Remedies: in general; for a failure from rest without gaps; for a cohesive interface that breaks;
+# for displacements that are not small.
 SMALLER = "use more increments, a finer mesh at the interface, or a smaller load"
 AT_REST = (
     "check the supports and the direction of the loads, or refine the mesh at the interface; "
@@ -154,7 +154,7 @@ class Explanation:
     Attributes:
         outcome: The failed solve.
         cause: Its cause, without the stage.
-        others: Verdicts on friction and on places of the largest residual and oscillating points.
+        others: Verdicts on friction, on the largest residual, and on points that change state.
         free: True if nothing holds a body: smaller steps fail too.
     """
 
@@ -164,7 +164,13 @@ class Explanation:
     free: bool = False
 
     def error(self, stage: str, reach: float, steps: Sequence[float]) -> ConvergenceError:
-        """Return the error: a solve failed at a part of a stage, after steps (parts of it)."""
+        """Return the error of the failed solve.
+
+        Args:
+            stage: Name of the stage.
+            reach: Part of the stage at which the solve failed.
+            steps: Lengths of the failed steps, as parts of the stage.
+        """
         place = f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it"
         residuals = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         return ConvergenceError(
@@ -178,12 +184,12 @@ class Explanation:
 
 
 def bare_verdict(what: str, where: str = "") -> Verdict:
-    """Return a circumstance of a failure."""
+    """Return a plain verdict: a circumstance of a failure."""
     return Verdict(what, where, severity=Severity.PLAIN)
 
 
 def is_proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
-    """Return True if half the load on half of the failed state halves the residual; collective."""
+    """Return True if the residual is halved by half the load and half the state; collective."""
     full_residual, half = solver.residual(solver.failed_state), solver.failed_state.copy()
     half.scale(0.5)
     set_load(reach / 2)
@@ -196,13 +202,13 @@ def is_proportional(solver: Solver, set_load: Callable[[float], None], reach: fl
 def explain(
     problem: Problem, solver: Solver, outcome: NewtonResult, scales: bool = False
 ) -> Explanation:
-    """Explain the failure of the last solve, which from rest ``scales``; collective.
+    """Explain the failure of the last solve; collective.
 
     Args:
         problem: The problem.
         solver: Its solver, with the state that failed.
         outcome: The outcome of the solve.
-        scales: True if the same happens under any part of the load.
+        scales: True if the solve began at rest and fails alike under any part of the load.
     """
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
@@ -214,7 +220,7 @@ def explain(
     damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first))
     breaks = bool(contact.law.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
     loose_texts: list[str] = []
-    # A body whose bond breaks in this step is not free.
+    # A body whose cohesive interface breaks in this step is not free.
     if not breaks:
         loose_texts = pulled_off = loose_bodies.pulled_off(problem, contact)
         if not scales and not contact.finite_sliding:
@@ -224,7 +230,7 @@ def explain(
             loose_texts = loose_bodies.free_bodies(problem, trial)
             loose_texts = loose_texts or loose_bodies.free_bodies(
                 problem, first
-            )  # remedies may end anywhere
+            )  # remedies may end in any state
     far_text = None
     has_run_away = solver.system.runs_away(solver.blocks(solver.failed_state))
     if not loose_texts and has_run_away and outcome.residuals[-1] < BALANCED:
@@ -264,7 +270,7 @@ def _residuals(outcome: NewtonResult) -> str:
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
     """Number of remedies with the best of them, and the smallest halved step, in words.
 
-    The log has every remedy when it is tried.
+    The log reports each remedy when it is tried.
     """
     text = "plain Newton only"
     if tried:

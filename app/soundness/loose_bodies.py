@@ -27,47 +27,49 @@ from app.numerics.rigid_motions import (
 )
 from forms.contact import OPEN
 
-if TYPE_CHECKING:  # dolfinx, which checks of a case do without
+if TYPE_CHECKING:  # they import dolfinx, which the check of a case does not need
     from app.mechanics.contact import ContactInterfaces, TrialState
     from app.mechanics.problem import Problem
 
 # A motion is free if its resistance is below this part of the largest.
 FREE = 1e-10
-# Supports hold a body if they hold more than this part of each direction.
+# Supports hold a body if their least resistance to translation exceeds this part.
 HELD = 1e-3
 # A body slides if this part of its touching area bears this part of the friction limit.
 SLIDES = 0.95
 ALL_OF_IT = 1 - 1e-6
 # Jumps of a free body run away beyond this part of the size of the interfaces.
 RUNAWAY = 0.05
-# And beyond this motion in units of load / (modulus of the softer side x size): 5 for a stem wedged
-# by friction, 70 for a frictionless taper of 1.5 degrees, 600 for a straight frictionless stem.
+# They must also exceed this motion in units of load / (modulus of the softer side x size). It is 5
+# for a stem wedged by friction, 70 for a frictionless taper of 1.5 degrees, and 600 for a straight
+# frictionless stem.
 LOOSE = 200.0
-# Part of that size beyond which displacements are not small, whatever resists them.
+# Displacements are not small beyond this part of the size of the interfaces, whatever resists them.
 NOT_SMALL = 0.2
-# Motion of an interface over the largest prescribed displacement that a lever may cause.
+# Largest motion of an interface by a lever, over the largest prescribed displacement.
 LEVER = 10.0
 # Root of the compliance of springs between rigid bodies: with it a taper of 1 degree and 100 points
 # bears 99 % of a push.
 SPRING = 0.02
-# Loads are in balance along a motion if their work in it is less than this part of what it would be
-# if all of them acted along it: such a rest is within the tolerance of the solvers.
+# Loads are in balance along a motion if their work is less than this part of its upper bound, for
+# which all loads act along the motion. Such a remainder is within the tolerance of the solvers.
 BALANCED = 1e-8
-# Springs do not bear a direction if more than this part of a load along it is left.
+# Springs do not bear a direction if more than this part of a load along it remains.
 UNBORNE = 0.1
-# Most iterations to find the springs that are pressed.
+# Largest number of iterations for the set of compressed springs.
 MOST = 20
-# Times that the springs are loaded, each time by what is left: with one, a body sinks into springs
-# under a large load and leaves another one, on which a small load presses.
+# Number of loadings of the springs, each by the load that remains. With one loading, a body under a
+# large load sinks into its springs and loses contact with another one under a small load.
 LOADINGS = 2
-# Only facets hold a motion that contact resists by less than this part of what the spread of
-# normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists).
+# Facets alone hold a motion if contact resists it less than this part of the resistance by randomly
+# spread normals (0.01 for a smooth stem that rotates, 0.8 to 100 where its taper resists).
 SPREAD = 0.25
-# And that is more than this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
+# Such a motion counts if its square exceeds this part of the squared jumps (0.003 in a push, 0.15
+# in a rotation).
 PART = 0.05
 # Bodies are apart by more than this part of the size of the interfaces.
 GAP = 1e-8
-# Contact holds nothing by a pressure below this part of stiffness per area x size.
+# A pressure below this part of (stiffness per area x size) counts as zero.
 UNPRESSED = 1e-10
 # Subject of verdicts on contact.
 CONTACT = "contact"
@@ -78,9 +80,9 @@ HOLD = "hold the body (a support, friction, an elastic foundation)"
 def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> list[str]:
     """Free rigid motions of bodies, resisted by no support and no closed contact; collective.
 
-    The resistance of the contacts is the generalized Jacobian at each point, projected onto the
-    relative rigid motions of the two bodies; its null space beyond the supports is what is free.
-    With ``moved``, motions of `free_motions` are left out: nothing moves bodies along them.
+    The resistance of contact is the generalized Jacobian at each point, projected onto the relative
+    rigid motions of the two bodies. Motions are free if neither contact nor a support resists them.
+    With ``moved``, motions of `free_motions` are left out: no load moves bodies along them.
     """
     contact, names = trial.contact, problem.bodies.names
     x = contact.points.x
@@ -90,7 +92,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     A = _gathered(problem, contact.local.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
     support_resistance = supported(problem)
-    # A body with a given motion is free if nothing is in its way, see `pulled_off`.
+    # A body with a prescribed motion counts as held here, but not in `pulled_off`.
     support_resistance |= {body: np.eye(6) for body in turning(problem)}
     for body, part in support_resistance.items():
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * part
@@ -104,7 +106,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 
 
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
-    """Bodies that loads push along a motion that nothing resists, however little; collective."""
+    """Bodies that loads, however small, push along an unresisted motion; collective."""
     contact = trial.contact
     motions = contact.free_motions(trial.law.status)
     motion = motions @ (motions.T @ _on_bodies(problem))
@@ -127,19 +129,19 @@ def _owned_nodes(problem: Problem) -> Floats:
 
 def _frictions(problem: Problem) -> Floats:
     """Friction coefficients of the interfaces that may hold a body (i,)."""
-    # A ball is not wedged by the rim of its cup, which it clears.
+    # A ball clears the rim of its cup, so the rim cannot wedge it.
     return np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
 
 
 def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     """Sentences on bodies that the loads move along a rigid motion; collective.
 
-    Contact resists by friction and where the motion closes a face. Where normals are in doubt, so
-    is the axis of a free motion, and contact may bear what the loads do along it.
+    Contact resists by friction and where the motion closes a face. If normals are uncertain, so is
+    the axis of a free motion. Contact may then bear the loads along it.
 
     Args:
         problem: The problem, at the time of the loads.
-        motion: The part of the loads that nothing bears, as a motion of all bodies (6 n,).
+        motion: The part of the loads that is not borne, as a motion of all bodies (6 n,).
         pressures: Forces on the faces of local points, positive in compression (p, 3) [N].
     """
     contact, names = problem.contact, problem.bodies.names
@@ -163,7 +165,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
 
 
 def _gathered(problem: Problem, resistance: Floats) -> Floats:
-    """Resistance to the motions of all n bodies (6 n, 6 n), from that of local points (p, 6, 6)."""
+    """Resistance of all n bodies (6 n, 6 n), summed over local points (p, 6, 6); collective."""
     assert problem.contact is not None
     bodies, n = problem.contact.local.bodies, len(problem.bodies.names)
     return np.asarray(problem.comm.allreduce(relative_resistance(resistance, bodies, n)))
@@ -172,7 +174,7 @@ def _gathered(problem: Problem, resistance: Floats) -> Floats:
 def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
     """Bodies held by friction alone in the last converged state, near its limit; collective.
 
-    Pulled further they may come off. That is no proof: smaller steps are tried all the same.
+    Under a larger load they may come off. This is no proof, so smaller steps are still tried.
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
@@ -207,8 +209,8 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
 
     The state has converged, but must not be used: displacements are not small.
 
-    A body is loose only if a rigid motion of it is free: springs, bending arms and soft layers may
-    move far too, and resist.
+    A body is loose only if one of its rigid motions is free. Springs, bending arms and soft layers
+    may move as far, but resist.
     """
     contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
@@ -272,10 +274,11 @@ def left_free(problem: Problem, trial: TrialState) -> list[Verdict]:
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """Describe bodies that the loads pull off all other bodies; collective.
 
-    Rigid bodies press on springs at the contact points. Part of the loads is not borne by the
-    springs. As a motion, this part opens or slides along all points (a cone and its polar, Moreau).
-    Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it. A
-    taper that is pulled has no pressures: nothing bears its load, however small it is.
+    Rigid bodies press on springs at the contact points. The springs leave a part of the loads.
+    As a motion, this part opens all points or slides along them (a cone and its polar, Moreau).
+    Springs give way, so single facets cannot bear this part by wedging. Friction due to the
+    pressures may hold it. A taper that is pulled has no pressures: nothing bears its load, however
+    small it is.
     """
     local, n, comm = contact.local, len(problem.bodies.names), problem.comm
     resistance = np.zeros((n, 6, n, 6))
@@ -289,11 +292,11 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     jumps = contact.relative_motion(unresisted)
     openings = local.normals @ jumps
     frictions = _frictions(problem)
-    # Motions are as large as they move the mean point: a narrow interface resists rolling.
+    # Motions are scaled by their mean square jump: a narrow interface resists rolling.
     gram = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
     metric = gram / max(comm.allreduce(len(local)), 1) + 1e-9 * np.eye(len(loads))
     scale = np.linalg.inv(np.linalg.cholesky(metric)).T
-    # What slides without friction may hide behind bodies that friction holds: these stick then.
+    # Bodies that friction holds may hide a frictionless slide. The second pass lets them stick.
     mixed = frictions.min() == 0 < frictions.max()
     may_stick = frictions[local.interface] > 0
     for stick in [np.zeros_like(may_stick), may_stick][: 1 + mixed]:
@@ -301,7 +304,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         springs = np.zeros_like(metric)
         pressures, shear = np.zeros((2, len(local), 3))
         for _ in range(LOADINGS):
-            for _ in range(MOST):  # Newton's method: the springs that are pressed
+            for _ in range(MOST):  # Newton's method for compressed springs
                 closing = openings @ remaining_loads < SPRING**2 * pressures
                 sticking = closing.any(axis=1) & stick
                 rows = np.vstack([openings[closing], jumps[sticking].reshape(-1, len(loads))])
@@ -321,12 +324,12 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
 
 
 def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
-    """Return an error on a body that smooth contact frees and only its mesh holds; collective.
+    """Return an error on a body in smooth contact that only its mesh holds; collective.
 
     The stiffness of contact in relative rigid motions of the bodies is divided by the stiffness
-    from the spread of facet normals in the same motions. Where the quotient is small, only the mesh
-    resists.
-    A slope common to all normals of an interface is no spread: a taper, however slight.
+    from the spread of facet normals in the same motions. If the quotient is small, only the mesh
+    resists. A slope common to all normals of an interface does not count as spread, so a taper
+    resists, however slight.
     """
     smooth = [
         c.law.can_open and c.law.friction == 0 and not c.between for c in problem.scene.contacts
@@ -342,14 +345,14 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
         return None
-    # Where all facets agree there is only rounding to compare with.
+    # If all facets have the same normals, the spread is rounding alone.
     N += np.finfo(float).eps * np.trace(A) * np.eye(len(rows))
     scale = np.linalg.inv(np.linalg.cholesky(N))
     values, vectors = np.linalg.eigh(scale @ A @ scale.T)
     is_weak = values < SPREAD
     if not is_weak.any():
         return None
-    # The part of the jumps in the span of such motions, by least squares.
+    # Part of the jumps in the span of such motions, by least squares.
     soft = np.zeros((6 * n, int(is_weak.sum())))
     soft[rows] = scale.T @ vectors[:, is_weak]
     parts = soft.reshape(n, 6, -1)
@@ -374,11 +377,11 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
 def _against_spread(
     problem: Problem, trial: TrialState, R: Floats, smooth: Bools
 ) -> tuple[Floats, Floats]:
-    """Resistance of contact to rigid motions R (p, 3, 6), and that of the spread of normals."""
+    """Resistance to rigid motions R (p, 3, 6): of contact, and of the spread of normals."""
     contact, points = trial.contact, trial.contact.points
     r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.local.weight)
     B = trial.law.resisted
-    # Friction holds a touching point, though no stiffness shows it while it slips.
+    # Friction holds a touching point, although its stiffness is zero while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
     spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
     spread = spread[contact.local.rows]
@@ -386,7 +389,7 @@ def _against_spread(
         _gathered(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ at_points @ R))
         for at_points in (S, spread)
     )
-    # Normals that are off at random agree in the mean, the more of them the better.
+    # Random errors of normals cancel in the mean, so the mean counts once for each point.
     touching = np.einsum(
         "pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.local.normals
     )
@@ -402,7 +405,7 @@ def _against_spread(
 
 def supported(problem: Problem) -> dict[int, Floats]:
     """Resistance of active supports and foundations to rigid motions, by body (6, 6)."""
-    from app.mechanics.stiffness import support_resistance  # brings dolfinx
+    from app.mechanics.stiffness import support_resistance  # imports dolfinx
 
     assert problem.contact is not None
     return support_resistance(problem.body_forms, problem.stiffness, *problem.contact.frame)

@@ -23,8 +23,8 @@ BASE = 3e8
 PER_UNKNOWN = 4e3
 # Least memory per cell [byte].
 PER_CELL = 3e2
-# Address space that libraries reserve without using it (measured: 0.5 GB); without it some of them
-# wait for ever.
+# Address space that libraries reserve but do not use (measured: 0.5 GB) [byte]. Without it some of
+# them hang.
 UNUSED = 6e8
 # Messages of libraries out of memory: C++, the system, CHOLMOD, MUMPS by PETSc.
 MEMORY_ERRORS = (
@@ -36,7 +36,7 @@ MEMORY_ERRORS = (
 )
 # PETSc's code of an error without memory.
 OUT_OF_MEMORY = 55
-# Part of the memory that a process may have from which on it is used up.
+# Part of the limit of a process from which on its memory counts as used up.
 NEARLY = 0.9
 # Bytes of a gigabyte.
 GIGABYTE = 1e9
@@ -44,22 +44,22 @@ GIGABYTE = 1e9
 OWN_GROUPS = Path("/proc/self/cgroup")
 # The root of the limits of control groups.
 GROUPS = Path("/sys/fs/cgroup")
-# Largest cells [mm]: a geometry that needs larger ones is itself wrong.
+# Largest cells that are suggested [mm]: a geometry that needs larger ones is wrong.
 ABSURD = 1e4
 
 
 def needed(case: Case) -> float:
-    """Least memory of a run [byte], estimated; 0 where its mesh is not known yet."""
+    """Estimated least memory of a run [byte]; 0 if its size is not known before meshing."""
     cells = case.geometry.estimate_cells(case.mesh)
     return BASE + PER_UNKNOWN * cost.unknowns(case) + PER_CELL * cells if cells else 0.0
 
 
 def available(environ: Mapping[str, str] = os.environ) -> float:
-    """Memory available to a run [byte]: installed, or as limited."""
+    """Memory available to a run on its machines [byte]: installed memory, or a lower limit."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     limits.append(_addresses() - UNUSED)
     for file in _group_limits():
-        with suppress(OSError, ValueError):  # there is none, or "max"
+        with suppress(OSError, ValueError):  # no such file, or the text "max"
             limits.append(float(file.read_text()))
     names = ("SLURM_NNODES", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
     slurm_values = (environ.get(name, "") for name in names)
@@ -68,7 +68,7 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
 
 
 def _addresses() -> float:
-    """Limit of the addresses of a process [byte], infinite without one."""
+    """Limit of the address space of a process [byte]; infinite if there is none."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     return math.inf if limit == resource.RLIM_INFINITY else float(limit)
 
@@ -76,7 +76,7 @@ def _addresses() -> float:
 def _group_limits() -> Iterator[Path]:
     """Files that may limit the control groups of this process, and the groups above them.
 
-    In a container the path may be that outside of it. The group of the container is then the root.
+    In a container the path may be the one on the host. The group of the container is then the root.
     """
     with suppress(OSError):
         for line in OWN_GROUPS.read_text().splitlines():
@@ -90,7 +90,7 @@ def _group_limits() -> Iterator[Path]:
 
 
 def explain(error: BaseException) -> EnvironmentProblem | None:
-    """Error that explains a lack of memory; None for any other error."""
+    """Return an error that explains a lack of memory; None for any other error."""
     chain: list[BaseException] = []
     link: BaseException | None = error
     while link is not None and link not in chain:  # an error of PETSc may name itself as its cause
@@ -128,10 +128,10 @@ def _limits() -> str:
 
 
 def check(file: CaseFile, case: Case) -> None:
-    """Refuse a case that needs more memory than there is.
+    """Refuse a case that needs more memory than is available.
 
     Raises:
-        InputError: With the estimate, the available memory, and a size that would work.
+        InputError: The case does not fit; the error names a size that does, if any.
         EnvironmentProblem: No case fits.
     """
     memory = available()
@@ -158,7 +158,7 @@ def check(file: CaseFile, case: Case) -> None:
 
 
 def _finest(case: Case, memory: float) -> str:
-    """Key of the mesh that makes a case too large: lines or steps that have fitting defaults."""
+    """Key of the mesh that makes a case too large: one whose default would fit, else `size`."""
     for key in ("around", "along"):
         mesh = case.mesh.model_copy(update={key: None})
         given = getattr(case.mesh, key) is not None
@@ -168,17 +168,17 @@ def _finest(case: Case, memory: float) -> str:
 
 
 def _fitting(case: Case, key: str, memory: float) -> str:
-    """Value of a key of the mesh with which a case fits into a memory [byte]; empty if none."""
+    """Value of a mesh key with which a case fits into a memory [byte]; empty if there is none."""
     factor, coarser = 1.0, case
     while needed(coarser) > memory:
         factor *= 1.02
         mesh = case.mesh.coarser(factor)
-        if key != "size":  # that one is in proportion everywhere
+        if key != "size":  # `size` changes all lengths of the mesh in proportion
             mesh = case.mesh.model_copy(update={key: getattr(mesh, key)})
         coarser = case.model_copy(update={"mesh": mesh})
     if isinstance(getattr(case.mesh, key), int):
         return f"{getattr(coarser.mesh, key)} lines"
-    # Two digits, a few tenths too large at most.
+    # Rounded up to two digits.
     length = factor * getattr(case.mesh, key)
     digit = 10.0 ** (math.floor(math.log10(length)) - 1)
     larger = float(f"{digit * math.ceil(length / digit):.2g}")

@@ -1,6 +1,6 @@
 """Output of ``mantle check``: the parts of a case as read, and allowed but doubtful input.
 
-Doubtful are wrong units, nothing that acts, elements that lock.
+Input is doubtful if a unit looks wrong, if nothing acts, or if elements lock.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CheckedCase:
     notes: tuple[Verdict, ...]
 
     def __str__(self) -> str:
-        """All of it."""
+        """Description, size and notes."""
         return "\n".join([self.description, self.size, *map(str, self.notes)])
 
 
@@ -115,7 +115,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     from_file = getattr(model, "from_file", ())
     for key, value in written.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
-            continue  # nothing to print, or it is in the line above
+            continue  # empty, or printed in the line above
         part = getattr(model, key)
         if isinstance(part, Section):
             kind = f" {value['kind']}" if "kind" in value else ""
@@ -197,8 +197,8 @@ USUAL = {
     "thermal_expansion": (1e-8, 1e-3),
 }
 MODULI = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
-# Young's moduli by the name of a region, else of all from gel to diamond [MPa]: wide enough for any
-# such material, too narrow for a factor of a thousand.
+# Young's moduli by the name of a region, else from gel to diamond [MPa]. The ranges hold any such
+# material, but no value that is wrong by a factor of a thousand.
 STIFFNESS = {
     "cancellous": (5.0, 2e4),
     "cortical": (1e3, 1e5),
@@ -208,7 +208,7 @@ STIFFNESS = {
     "metal": (5e3, 1e6),
     "": (1e-3, 1.5e6),
 }
-# Forces on a hip from that of a finger to that of a fall [N].
+# Forces on a hip, from the press of a finger to a fall [N].
 HIP_FORCES = (20.0, 5e4)
 # Friction coefficient above which a note asks for its unit: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
@@ -217,7 +217,7 @@ MOST_PROUD = 15.0
 
 
 Warn = Callable[[Case], Iterable[Verdict]]
-# What other packages note on the input of a case.
+# Functions of other packages that return notes on the input of a case.
 _WARNERS: list[Warn] = []
 
 
@@ -228,12 +228,12 @@ def warner(function: Warn) -> Warn:
 
 
 def from_memory(place: str, source: str | None) -> list[Verdict]:
-    """A note on values that are from memory."""
+    """A note on values that were written without the original source."""
     return [note(str(source), place)] if MEMORY in str(source) else []
 
 
 def warnings(case: Case) -> list[Verdict]:
-    """Return notes on allowed but doubtful input, for `mantle check` and the log."""
+    """Return notes on allowed but doubtful input for `mantle check` and the log."""
     notes = case.geometry.former_keys
     acts = [
         *(law.has_gap for law in case.interfaces.values()),
@@ -320,7 +320,7 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
 
 
 def _open_conductances(case: Case) -> Iterable[Verdict]:
-    """A note on interfaces that can open, where heat flows as if they were closed."""
+    """A note on interfaces that can open, but conduct heat as if they were closed."""
     if not (case.conducts and solid(case)):
         return
     names = [
@@ -336,7 +336,7 @@ def _open_conductances(case: Case) -> Iterable[Verdict]:
 def _proud(case: Case) -> Iterable[Verdict]:
     """A note on a stem that stands far out of the bone."""
     out = case.geometry.proud
-    if out > MOST_PROUD and case.of_tissue("bone"):  # not in a pot of a test bench
+    if out > MOST_PROUD and case.of_tissue("bone"):  # a pot on a test bench has none
         text = (
             f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most "
             f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.insertion.depth wrong?"
@@ -345,7 +345,7 @@ def _proud(case: Case) -> Iterable[Verdict]:
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[Verdict]:
-    """Notes on values of a part of a case that are beyond the limits of their keys."""
+    """Notes on values of a part of a case that are outside the limits of their keys."""
     for key, (low, high) in limits.items():
         value = getattr(part, key, None)
         values = [v for _, v in value] if isinstance(value, tuple) else [value]

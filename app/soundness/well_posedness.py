@@ -1,6 +1,6 @@
 """Well-posedness of a case on its mesh, and doubtful sizes.
 
-Certain errors are raised before anything is solved; doubts are notes. All are verdicts.
+Errors are raised before anything is solved. Doubts are notes. Both are verdicts.
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ if TYPE_CHECKING:
 SMALL = 0.05
 # Interferences beyond this part of the thickness of the bodies are impossible.
 TOO_MUCH = 0.25
-# Prescribed displacements beyond this part of the model are not small; they may slide a body.
+# Prescribed displacements beyond this part of the size of the model are not small.
 FAR = 0.5
 # A piece is slender if it is thinner than this part of its length.
 SLENDER = 0.2
 # Bars and plates of linear cells of edge l and thickness h are too stiff by this factor times
 # (l / h)^2 (measured with 1 to 5 cells through them: 2.2 to 3.0).
 BENDING = 2.3
-# Excess of stiffness from which on it is noted.
+# Relative excess of stiffness above which it is noted.
 TOO_STIFF = 0.1
 # Remedy for numbers far from any usual one.
 WRONG_UNIT = "is the unit wrong?"
-# Part of an interface's points that supports have to hold on both sides to be noted.
+# An interface is noted if supports hold both sides at more than this part of its points.
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 SIZES = (1.0, 3000.0)
-# Two prescribed displacements differ if they do by this part of the larger.
+# Two prescribed displacements differ if their difference exceeds this part of the larger one.
 SAME = 1e-9
 # An axis this close to a cell, in parts of its size, touches it.
 CLOSE = 1e-6
@@ -76,7 +76,7 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
     """Return notes on a case on its mesh.
 
     Raises:
-        InputError: It cannot be solved: with all the reasons.
+        InputError: The case cannot be solved. The error lists all reasons.
     """
     notes = [note(text) for text in parts.data.notes.get("messages", ())]
     notes += [*_cracks(case, parts), *_size(case, parts)]
@@ -95,14 +95,14 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
     driven, idle = _motions(case, parts)
     errors = [*driven, *bodies.unheld(), *torn, *tight]
     if errors:
-        # A crack is often why.
+        # The reason is often a crack in the mesh.
         raise InputError([*errors, *notes])
     notes += [*bodies.loosely_held(), *split, *_clamped(case, parts), *open_gaps]
     notes += [*_meeting(case, parts), *_far_gaps(case, parts), *_too_stiff(case, parts)]
     return [*notes, *_strained(case, parts), *idle]
 
 
-# What contradicts itself
+# Contradictions
 
 
 def _gap_values(case: Case, name: str, x: Floats) -> Floats:
@@ -169,9 +169,9 @@ def _contradictions_in(
 
 
 def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
-    """Errors on supports of regions that move as a whole, notes on loads of those that stay.
+    """Errors on supports of rotating regions, notes on loads of regions that are held.
 
-    It is also an error if the rotation of a rigid region with finite sliding is not prescribed.
+    The rotation of a rigid region with finite sliding must be prescribed, too.
     A computed rotation would use the contact points from before the sliding.
     """
     errors: list[Verdict] = []
@@ -294,7 +294,7 @@ def _misplaced(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
 
 
 def _followers(case: Case, parts: Parts) -> list[Verdict]:
-    """Nodes of slaves with finite sliding that something else moves too."""
+    """Nodes of slaves with finite sliding that a support or another interface moves, too."""
 
     def nodes(boundary: str) -> NDArray[np.int64]:
         return np.concatenate([np.zeros(0, int), *parts.boundaries.get(boundary, {}).values()])
@@ -386,7 +386,7 @@ def _meeting(case: Case, parts: Parts) -> list[Verdict]:
     return [note(text)]
 
 
-# What is out of proportion
+# Proportions
 
 
 def _side_spans(case: Case, parts: Parts, name: str) -> tuple[float, float]:
@@ -438,7 +438,7 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
 
 
 def _far_gaps(case: Case, parts: Parts) -> list[Verdict]:
-    """Prescribed displacements that are not small."""
+    """Notes on prescribed displacements that are not small."""
     notes = []
     model_size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     for name, s in case.supports.items():
@@ -476,7 +476,7 @@ def _strained(case: Case, parts: Parts) -> list[Verdict]:
     return notes
 
 
-# What is wrong with the mesh
+# Faults of the mesh
 
 
 def _cracks(case: Case, parts: Parts) -> list[Verdict]:

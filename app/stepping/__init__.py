@@ -1,4 +1,4 @@
-"""Through stages, load steps and time, with heat and mechanics as one system if they interact.
+"""Stages, load steps and time steps; heat and mechanics are one system if they interact.
 
-It imports everything from `soundness` down. Begin with `stages`.
+The package imports everything from `soundness` down. Begin with `stages`.
 """

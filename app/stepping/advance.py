@@ -1,7 +1,7 @@
 """The loop over steps: try one, cut it back or let the next one grow, commit, save.
 
-Loads, steps of given energy, heat and creep are steppers. Other packages may add steppers. Each has
-a control that chooses the lengths of its steps.
+There are steppers of loads, of given fracture energy, of heat and of creep. Other packages may add
+steppers. The control of a stepper chooses the lengths of its steps.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ class Step:
     """A step along a path: of loads, of time, or of cycles.
 
     Attributes:
-        begin: Place at which it begins.
-        end: Place at which it ends.
+        begin: Position on the path at which it begins.
+        end: Position at which it ends.
         length: Length. Equal steps have exactly equal lengths, unlike ``end - begin``.
         ends_increment: True if it ends an increment of its stage.
     """
@@ -31,7 +31,7 @@ class Step:
 
 
 class Control(Protocol):
-    """Choice of the lengths of steps."""
+    """Control of the lengths of steps."""
 
     @property
     def finished(self) -> bool:
@@ -52,13 +52,13 @@ class Stepper(Protocol):
     """Solution of steps along a path."""
 
     def try_step(self, step: Step) -> float:
-        """Solve a step, not yet committed; return its error, infinite if not solved; collective."""
+        """Solve a step without commit; return its error, infinite if not solved; collective."""
 
     def refuse(self, step: Step) -> None:
         """Go back to the beginning of a step that was not accepted; collective.
 
         Raises:
-            ConvergenceError: It may not be shorter.
+            ConvergenceError: The step may not be shorter.
         """
 
     def commit(self, step: Step, started: float) -> None:
@@ -94,7 +94,7 @@ class Progress:
     Attributes:
         step: Length of the next step, as a part of the path; 0 if no path has been begun.
         done: Completed part of the path.
-        cuts: Number of halvings of the step minus the number of its increases since.
+        cuts: Number of halvings of the step less the number of later increases.
     """
 
     step: float = 0.0
@@ -118,10 +118,10 @@ class Progress:
 
 @dataclass(frozen=True)
 class Growth:
-    """Next length over that of a step, from its error over the tolerance.
+    """Factor from the length of a step to that of the next, by its error over the tolerance.
 
     Attributes:
-        safety: Share of the tolerance that steps aim at, for errors of second order.
+        safety: Part of the tolerance that steps aim at, for errors of second order.
         smallest: Least factor.
         largest: Largest factor.
         after_failure: Factor after a step that was not solved.

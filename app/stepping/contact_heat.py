@@ -1,7 +1,7 @@
 r"""Contact in the heat equation: pressures, friction power, and their derivatives.
 
-Friction heats by its dissipation (`TrialState.friction_and_slip`). Per area it is the work w = F_T
-· s since the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty
+Friction heats by its dissipation (`TrialState.friction_and_slip`): the work w = F_T · s per area
+since the time step began. The slip s = Δq + (F - F_T)/r excludes the stretch of penalty
 springs. A stage of length h that starts from the work w* has the power (w - w*)/h. The integrator
 treats w as one more unknown, so that the sum over the stages is the work of the whole step.
 
@@ -12,8 +12,8 @@ normals that are pressed. Pressures and friction work change by
 .. math:: dp_k = -m_k·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
           \qquad dS = -de/W + r\,dq
 
-with e the equilibrium of the rows of the contact points. S and s contain the multiplier by its
-share.
+with e the equilibrium in the rows of the contact points. S and s contain the share of the
+multiplier.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class ContactHeat:
             of each thermal body (nodes x points) [mm2].
         pressure_interpolation: Matrix from the pressures of the faces of contact points to
             pressures at points of finite conductance, if there are any.
-        value_interpolation: The same from values at contact points.
+        value_interpolation: The same for values at contact points.
         is_rubbing: True for local contact points whose friction heats (n,).
-        friction_work: Friction work per area since the time step began, in the heat [N/mm].
-        expanding_regions: Regions whose expansion follows temperature. In curing regions it is a
-            part of the stress history.
+        friction_work: Friction work per area since the time step began, as heat [N/mm].
+        expanding_regions: Regions whose expansion follows temperature. The expansion of curing
+            regions is a part of the stress history.
     """
 
     def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
@@ -145,7 +145,7 @@ class ContactHeat:
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(local_power)
 
     def report(self, seconds: float) -> None:
-        """Set the friction heat reported, the mean per area over a step of so many seconds."""
+        """Set the reported friction heat: its mean per area over a step of given length [s]."""
         power = np.asarray(self.friction_work / seconds, dtype=np.float64)
         if self.value_interpolation is not None and self._operators.jumps is not None:
             self._operators.jumps.friction = _multiply(self.value_interpolation, power)
@@ -154,7 +154,7 @@ class ContactHeat:
         """Rounding error of the friction power by long slips [N mm/s]; collective."""
         contact, law = self._contact, self._contact.law
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
-        # Forces follow from equilibrium, in which bodies may have moved far.
+        # Rounding of equilibrium grows with the displacements of the bodies.
         local_stiffness = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
         stiffness = local_stiffness + law.stiffness * contact.local.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
@@ -163,13 +163,13 @@ class ContactHeat:
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the pressures of owned faces by equilibrium and by the jump (n, 3, 3)."""
+        """Derivatives of the pressures of owned faces: by equilibrium, by the jump (n, 3, 3)."""
         is_pressed = (trial.law.pressures != 0)[:, :, None]
         duals = np.linalg.pinv(is_pressed * self._contact.local.normals).swapaxes(1, 2)
         return self._rows(-duals, trial)
 
     def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the friction power by equilibrium and by the jump (n, 1, 3)."""
+        """Derivatives of the friction power: by equilibrium, by the jump (n, 1, 3)."""
         contact = self._contact
         force, slip = trial.friction_and_slip()
         spring_slip = force / contact.law.stiffness[:, None]
@@ -181,7 +181,7 @@ class ContactHeat:
         return scale * by_equilibrium, scale * (by_jump + force[:, None])
 
     def _rows(self, directions: Floats, trial: TrialState) -> tuple[Floats, Floats]:
-        """Derivatives of the force along directions (n, k, 3), by equilibrium and by the jump."""
+        """Derivatives of the force along directions (n, k, 3): by equilibrium, by the jump."""
         by_force = directions @ trial.law.by_multiplier
         share = self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
         return -by_force @ share, directions @ trial.law.by_jump
@@ -194,7 +194,7 @@ def _friction_heat_matrices(
     operators: HeatOperators,
     column_of_point: Ints,
 ) -> list[PETSc.Mat]:
-    """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
+    """Matrices from friction power per area at contact points to nodal heat by body [mm2]."""
     points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
     vertices, first = np.unique(facets.vertices, return_index=True)

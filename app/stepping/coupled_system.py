@@ -1,8 +1,8 @@
-"""Heat and mechanics in one system, where heat depends on contact: pressure or friction.
+"""Heat and mechanics in one system, for heat that depends on contact pressure or friction.
 
 The system has the blocks of both. The residual of heat depends on the pressures p and the friction
 power of the trial state. The residual of mechanics depends on temperatures T: the forces of thermal
-expansion are G T. They act in the rows of the contact points too, where equilibrium is
+expansion are G T. They also act in the rows of the contact points. Equilibrium there is
 e = C^T u + D q - f_q - G_q T. Pressures and friction power change with e and q
 (`stepping.contact_heat`). The products of these derivatives with C^T, D and G are the coupling
 blocks.
@@ -41,8 +41,8 @@ class CoupledSystem(ContactSystem):
         committed: Converged displacement and jumps, kept up to date.
     """
 
-    # Watts and newtons in one norm: a step that lowers it may be cut to nothing at a kink of the
-    # contact law, where full steps converge.
+    # The norm would mix watts and newtons. At a kink of the contact law a line search by it may cut
+    # steps to nothing, where full steps converge.
     newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
 
     def __init__(
@@ -61,7 +61,7 @@ class CoupledSystem(ContactSystem):
         self._by_motion, corrections = self._derivatives_by_motion(
             problem.trial(*zeros[self._heat_blocks :]), zeros
         )
-        # With expansion pressures depend directly on temperatures too.
+        # With expansion, pressures also depend on temperatures directly.
         self._thermal_blocks = [
             [matrix_sum(pair) for pair in zip(row, correction, strict=True)]
             for row, correction in zip(heat.matrices(), corrections, strict=False)
@@ -73,9 +73,12 @@ class CoupledSystem(ContactSystem):
         self._stage = k, stage, start
 
     def begin(self, seconds: float, h: float, work: Floats) -> None:
-        """Prepare a solve that takes h, infinite for a steady state, up to its end [s].
+        """Prepare a solve.
 
-        ``work`` is the initial friction work per area (n,) [N/mm].
+        Args:
+            seconds: Time at its end [s].
+            h: Its length [s]; infinite for a steady state.
+            work: Initial friction work per area (n,) [N/mm].
         """
         k, stage, start = self._stage
         part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
@@ -94,7 +97,7 @@ class CoupledSystem(ContactSystem):
 
     @property
     def version(self) -> int:
-        """Number of changes of the matrices of both."""
+        """Number of changes of the matrices of heat and mechanics."""
         return self._heat.version + super().version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
@@ -119,14 +122,14 @@ class CoupledSystem(ContactSystem):
         super().impose(x[self._heat_blocks :])
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
-        """Residual heat at the current contact, forces at the current temperatures."""
+        """Set the residuals: heat for the current contact, forces for the current temperatures."""
         self.exchange.to_mechanics(x[: self._heat_blocks])
         super().residual(x[self._heat_blocks :], f[self._heat_blocks :])
         self.exchange.to_heat(self.trial)
         self._heat.residual(x[: self._heat_blocks], f[: self._heat_blocks])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
-        """All blocks, at the state of the last residual."""
+        """Assemble all blocks at the state of the last residual."""
         super().jacobian(x[self._heat_blocks :])
         trial = self.trial
         self.exchange.to_heat(trial)
@@ -158,7 +161,7 @@ class CoupledSystem(ContactSystem):
         return [heat, *super().measure(x[self._heat_blocks :], f[self._heat_blocks :])]
 
     def _assemble_thermal_forces(self) -> list[list[PETSc.Mat]]:
-        """Minus the forces of temperatures and their jumps on displacement and jumps."""
+        """Minus the thermal forces by temperatures and their jumps, in rows of the mechanics."""
         operators = self._heat.operators
         by_body = operators.jumps.moves if operators.jumps else {}
         of_region = operators.bodies.of_region.items()
@@ -177,14 +180,14 @@ class CoupledSystem(ContactSystem):
         return blocks
 
     def _derivatives_by_heat(self) -> list[list[PETSc.Mat]]:
-        """Rows of displacement and jumps, columns of the heat."""
+        """Blocks in rows of displacement and jumps and in columns of the heat."""
         if self._thermal_forces is None:
             return []
         by_u, by_q = self._thermal_forces
         return [by_u, [self.equilibrium_factors.matMult(A) for A in by_q]]
 
     def _assemble_friction_heat(self) -> list[PETSc.Mat]:
-        """Minus the heat by friction power, in the rows of temperature and of jumps."""
+        """Minus the heat by friction power, in rows of temperatures and of their jumps."""
         operators, heats = self._heat.operators, self.exchange.nodal_heat
         scaling = self._heat.vectors()
         nodes = [matrix_sum(heats)]
@@ -201,7 +204,7 @@ class CoupledSystem(ContactSystem):
     def _derivatives_by_motion(
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
-        """Rows of the heat: columns of the mechanics, and additions to the columns of the heat."""
+        """Blocks in rows of the heat: columns of the mechanics; additions to those of the heat."""
         power = self._point_rows(self.exchange.power_rows(trial))
         rows = [
             [friction_heat.matMult(derivative) for derivative in power]

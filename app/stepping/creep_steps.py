@@ -1,9 +1,9 @@
-"""Creep of a stage under constant loads: steps in cycles or seconds, as long as their error allows.
+"""Creep in a stage under constant loads, in steps of cycles or seconds with error control.
 
-The stiffness stays elastic, since creep is a free strain. A step iterates between the stress that
-creep relaxes, the forces that follow from it and the displacements, until they agree. Each step is
-solved whole and in two halves. The difference of both is the error of the step. Twice the
-relaxation of the halves less that of the whole is of second order (Richardson); it is kept.
+Creep is a free strain, so the stiffness stays elastic. A step iterates until the stress that creep
+relaxes, its forces and the displacements agree. Each step is solved whole and in two halves. The
+difference is the error of the step. The committed relaxation is twice that of the halves less that
+of the whole step, which is of second order (Richardson).
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from app.soundness.failure import explain
 from app.stepping.advance import Growth, Step, advance
 from app.stepping.load_steps import LoadStepper
 
-# The most solves of a step. Mostly three suffice: Anderson's acceleration saves 8 % of them
-# (measured).
+# Largest number of solves of a step. Mostly three suffice. Anderson's acceleration saves 8 % of
+# them (measured).
 MAX_SOLVES = 40
-# Part of the tolerance of a step by which strains may still change at its end.
+# Strains have settled if they change by less than this part of the tolerance of a step.
 SETTLED = 0.02
-# Part of a step by which the last one may be longer than the one before.
+# Part by which the last step may exceed the length of a step.
 LENGTHENING = 0.001
 GROWTH = Growth(safety=0.8, smallest=0.2, largest=10.0, after_failure=0.2)
 
@@ -54,7 +54,7 @@ class CreepStepper:
     load_stepper: LoadStepper
 
     def __post_init__(self) -> None:
-        """Begin before the first stage."""
+        """Set the state before the first stage."""
         self.done = self.length = 0.0
         self._problem, self._solver = self.load_stepper.problem, self.load_stepper.solver
         stress_history, creep = self._problem.stress_history, self._problem.creep
@@ -63,10 +63,10 @@ class CreepStepper:
         self._results: list[NewtonResult] = []
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
-        """Apply the loads, then creep; in equal steps if the stage is not adaptive.
+        """Apply the loads, then take creep steps; they are equal if the stage is not adaptive.
 
         Raises:
-            ConvergenceError: A step fails however short it is.
+            ConvergenceError: A step fails even if it is short.
         """
         if not self.length:
             self.load_stepper.run_stage(k, stage, checkpoint_point)
@@ -93,7 +93,7 @@ class CreepStepper:
         return self._stress_history.trial(self._problem.displacements())
 
     def _largest_creep_strain(self, taken: Floats) -> float:
-        """Largest creep strain that relaxes a stress (n, 6) [MPa]; collective."""
+        """Largest creep strain, from the stress that it relaxes (n, 6) [MPa]; collective."""
         largest = float(self._creep.equivalent_strain(taken).max(initial=0.0))
         return float(self._problem.comm.allreduce(largest, MPI.MAX))
 
@@ -137,10 +137,10 @@ class CreepStepper:
         return error
 
     def _settle(self, h: float, scale: float) -> Floats:
-        """Solve a step from the committed state; returns the stress that creep takes; collective.
+        """Solve a step from the committed state; return the stress that creep relaxes; collective.
 
         Raises:
-            _FailedError: As `_solve`; strains have not settled, relative to a scale.
+            _FailedError: `_solve` failed, or strains have not settled, relative to a scale.
         """
         taken = self._creep.stress_relaxation(self._stress(), h)
         for _ in range(MAX_SOLVES):
@@ -151,7 +151,7 @@ class CreepStepper:
         raise _FailedError
 
     def _solve(self, taken: Floats, h: float) -> None:
-        """Solve for a stress that creep takes in a step (n, 6) [MPa]; collective.
+        """Solve for a stress that creep relaxes in a step (n, 6) [MPa]; collective.
 
         Raises:
             _FailedError: Newton's method has not converged.
@@ -166,7 +166,7 @@ class CreepStepper:
 
 
 class CreepSteps:
-    """Steps of creep through a stage, and their control by the error."""
+    """Creep steps through a stage, and their control by the error."""
 
     def __init__(self, stepper: CreepStepper, k: int, stage: Stage) -> None:
         self._stepper, self._k, self._stage = stepper, k, stage
