@@ -1,11 +1,11 @@
 """Auxiliary runs without run directories: for the errors of a run, and to choose its mesh.
 
-``output.error``: companions (`results.error_estimate`) of a run, solved by models that share its
-meshes and matrices.
+For ``output.error`` the companions of a run (`results.error_estimate`) are solved by models that
+share its meshes and matrices.
 
-``output.accuracy``: the mesh and order for an accuracy that is asked for. Cheap runs of both orders
-have their errors estimated. On cells of size h the error of a number is taken as
-:math:`e(h_0) (h / h_0)^p`, with the order p of its class (`case.quantities`).
+For ``output.accuracy`` the mesh and order are chosen. The errors of cheap runs of both orders are
+estimated. On cells of size h the error of a number is taken as :math:`e(h_0) (h / h_0)^p`, with the
+order p of its class (`case.quantities`).
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
-# Ratio of the mesh sizes that are considered.
+# Ratio of successive mesh sizes that are considered.
 FINER = 1.1
-# Factor on the least memory of a run: its largest memory use.
+# Largest memory use of a run over the estimate of its least memory.
 MEMORY = 1.5
-# Factor on the estimated time of a run: its longest time.
+# Longest time of a run over the estimated time.
 TIME = 2.0
-# Part of the largest number of the same unit that a smaller one counts as.
+# A number counts as at least this part of the largest number of the same unit.
 NEGLIGIBLE = 0.1
 
 
 def add_errors(
     summary: Summary, case: Case, companions: Sequence[Companion], model: Model
 ) -> EstimatedErrors:
-    """Solve the companions of a run and put errors beside the numbers of its summary; collective.
+    """Solve the companions of a run and add errors to the numbers of its summary; collective.
 
     A companion that cannot be solved is left out.
 
@@ -96,12 +96,16 @@ def numbers_with_errors(
 def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) -> tuple[Case, str]:
     """The case on the mesh that is accurate enough in the least time, and why; collective.
 
-    ``solve`` returns the numbers of a case with their errors. Cheap runs begin at twice the mesh
-    size, as far as that can be meshed. The run may take ``longest`` [s].
+    Cheap runs begin at twice the mesh size, if so coarse a mesh is possible.
+
+    Args:
+        case: The case.
+        solve: Returns the numbers of a case with their errors.
+        longest: Longest time of the run [s], if there is a limit.
     """
     target = case.output.accuracy or 0.0
     start = max(case.mesh.size, min(2 * case.mesh.size, case.geometry.coarsest_size / 2))
-    # By error, time, words and case.
+    # Error, time, reason and case of each choice.
     choices: list[tuple[float, float, str, Case]] = []
     for order in (2, 1):
         size = start
@@ -129,13 +133,13 @@ def _coarsest_within(
     """Refine a case until it meets a target, as far as memory and time allow.
 
     Args:
-        target: Relative error wanted.
+        target: Relative error that is asked for.
         cheap: The case on the mesh that was solved.
         errors: Errors of its numbers with their orders.
         longest: Longest time [s], if there is a limit.
 
     Returns:
-        The largest error expected, the case, and the limit that was met, in words.
+        The largest expected error, the case, and the limit that stopped refinement, in words.
     """
     coarsest = cheap
     while True:
@@ -165,7 +169,7 @@ def _on_mesh(case: Case, size: float, order: int) -> Case:
 
 
 def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
-    """Relative error, name and orders of each number that counts: the headlines of interfaces."""
+    """Relative error, name and orders of each headline number of the interfaces."""
     largest = largest_of_units(summary)
     errors: list[tuple[float, str, Orders]] = []
     for interface, numbers in summary["interfaces"].items():
@@ -181,7 +185,7 @@ def relative_errors(summary: Summary) -> list[tuple[float, str, Orders]]:
 
 
 def reached_text(chosen: str, summary: Summary) -> str:
-    """A sentence on what was asked for, chosen and reached."""
+    """A sentence on the accuracy that was asked for, the chosen mesh, and the accuracy reached."""
     errors = relative_errors(summary)
     if not errors:
         return f"accuracy: {chosen}; the reached accuracy is unknown"

@@ -1,8 +1,8 @@
 """A case as an input file of CalculiX: mesh, materials, contact, supports, forces, steps.
 
-Nodes are those of the displacement, once for each body, so that bonded interfaces need no ties.
-Forces are the load vectors that mantle solves with. Contact is of facets (SURFACE TO SURFACE): a
-penalty at their integration points, and a stick slope.
+The deck has a displacement node once for each body. Bonded interfaces need no ties. Forces are the
+load vectors of mantle. Contact is SURFACE TO SURFACE: a penalty at the integration points of the
+facets, with a stick slope.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import distribute
 
-# Pressure per penetration that stands for exact contact [MPa/mm].
+# Pressure per penetration, in place of exact contact [MPa/mm].
 STIFF = 1e4
-# Shear per slip of a point that sticks, relative to the pressure per penetration.
+# Shear per slip of a sticking point over the pressure per penetration.
 STICK = 0.1
 # Relative range of Young's modulus that one material of the deck covers.
 ALIKE = 0.02
-# Nodes of a C3D10 by those of basix.
+# Number in basix of each node of a C3D10.
 ORDER = [0, 1, 2, 3, 9, 6, 8, 7, 5, 4]
-# Number of the face opposite each corner.
+# Number in CalculiX of the face opposite each corner.
 FACE = np.array([3, 4, 2, 1])
 
 
@@ -120,7 +120,7 @@ class _Deck:
         self.cells = self.cells.reshape(keys.shape)[:, ORDER[: keys.shape[1]]] + 1
 
     def _keys(self, dofs: Ints, tags: Ints) -> Ints:
-        """One number for node and body, of dofs (n, k) in cells with tags (n,)."""
+        """One number for each pair of node and body; dofs (n, k) in cells with tags (n,)."""
         return dofs.astype(np.int64) * len(self.bodies.names) + self.bodies.of_tag[tags][:, None]
 
     def lines(self) -> Iterator[str]:
@@ -193,7 +193,7 @@ class _Deck:
     def _supports(self, stage: int) -> Iterator[str]:
         """Lines on the components that supports hold in a stage.
 
-        Where several supports hold a component, the last one gives its displacement.
+        If several supports hold a component, the last one gives its displacement.
         """
         prescribed: dict[tuple[int, int], float] = {}
         for s in self.scene.supports:
@@ -212,7 +212,7 @@ class _Deck:
 
 
 def _real(*values: float) -> str:
-    """Numbers: CalculiX reads the first 20 characters of each."""
+    """Numbers as text, of which CalculiX reads 20 characters each."""
     return ", ".join(f"{value:.12e}" for value in values)
 
 

@@ -1,7 +1,7 @@
 """Checkpoints of a run: writing, reading, and the choice of one for a restart.
 
-A checkpoint is the ``npz`` of numpy: arrays with checksums, and a header in JSON. Rows of arrays
-are those of all ranks in the order of their keys, so that any number of ranks reads them.
+A checkpoint is an ``npz`` file of numpy: arrays with checksums, and a header in JSON. An array has
+the rows of all ranks in the order of their keys. Any number of ranks can read it.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ log = logging.getLogger("mantle")
 
 # Version of the file layout.
 FORMAT = 9
-# Stands for rows in the header, which is an array of its name.
+# Key in the header, in place of rows, with the names of their arrays.
 ROWS = "@rows"
-# Number of checkpoints kept.
+# Number of checkpoints that stay on disk.
 KEPT = 2
 # Number of differences listed in a message.
 MOST_LISTED = 12
@@ -53,7 +53,7 @@ class Header(TypedDict):
 
     Attributes:
         mantle: Version of the program.
-        case: Data of the case that its states depend on.
+        case: Data of the case on which its states depend.
         mesh: Digest of the mesh.
         ranks: Number of ranks that wrote it.
         stage: Number of the stage, from 0.
@@ -146,7 +146,7 @@ def read(path: Path) -> Checkpoint:
         raise DamagedError(f"the file is damaged ({error})") from error
 
 
-# Which one
+# Choice for a restart
 
 
 def find(
@@ -154,8 +154,8 @@ def find(
 ) -> Checkpoint | None:
     """Checkpoint to restart from, or None; collective.
 
-    ``requested`` is a file, or ``auto``: the newest readable one in the run directory. ``force``
-    accepts one of another configuration.
+    ``requested`` is a file, or ``auto``: the newest readable one in the run directory. With
+    ``force`` a checkpoint of another configuration is accepted.
 
     Raises:
         InputError: It is the checkpoint of another case, or the file cannot be read.
@@ -205,12 +205,12 @@ def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
 
 
 def described(case: Case) -> dict[str, object]:
-    """All data of a case that its states depend on."""
+    """All data of a case on which its states depend."""
     data = plain(case)
     data.pop("title", None)
     output = data.get("output", {})
     data["output"] = {key: output.get(key, {}) for key in ("probes", "paths")}
-    data["geometry"].pop("path", None)  # the mesh has a digest, wherever it lies
+    data["geometry"].pop("path", None)  # the digest identifies the mesh, not its path
     return dict(json.loads(json.dumps(data)))
 
 
@@ -228,7 +228,7 @@ def _leaves(data: object, key: str = "") -> Iterator[tuple[str, object]]:
 
 
 class CheckpointWriter:
-    """Write checkpoints when they are due, and restore one."""
+    """Writer of periodic checkpoints, which also restores one."""
 
     def __init__(
         self, case: Case, model: Model, recorder: Recorder, folder: Path, saved: Checkpoint | None
@@ -241,10 +241,10 @@ class CheckpointWriter:
         self._saved, self._when = 0, clock.monotonic()
 
     def resume(self) -> int:
-        """Restore the checkpoint, if there is one; returns its stage; collective.
+        """Restore the checkpoint, if there is one; return its stage; collective.
 
         Raises:
-            InputError: It is of another mesh, or of other unknowns.
+            InputError: The checkpoint has another mesh or other unknowns.
         """
         saved = self._restored_from
         if saved is None:
@@ -286,7 +286,7 @@ class CheckpointWriter:
             ) from error
 
     def _current_state(self, k: int) -> tuple[Header, object]:
-        """Header and state of the step last recorded, in stage k."""
+        """Header and state of the last recorded step, in stage k."""
         header: Header = {
             "mantle": __version__,
             "case": described(self._case),
@@ -306,14 +306,14 @@ class CheckpointWriter:
         steps, minutes = self._options.steps, self._options.minutes
         due = bool(steps and self._recorder.step_count - self._saved >= steps)
         if minutes and not due:
-            # By one clock: all ranks save, or none does.
+            # All ranks use one clock, so that all save or none.
             waited = clock.monotonic() - self._when
             due = bool(self._comm.bcast(waited >= 60 * minutes))
         if due:
             self.save()
 
     def save(self) -> Path | None:
-        """Save the state last remembered, unless it is saved; returns its file; collective."""
+        """Save the last remembered state unless it is saved; return its file; collective."""
         if self._last_mark is None:
             return None
         header, state = self._last_mark
@@ -333,7 +333,7 @@ class CheckpointWriter:
 
 
 def _delete_older(folder: Path, newest: Path) -> None:
-    """Delete all but the newest checkpoints; later ones than `newest` are of an earlier try."""
+    """Delete all but the newest checkpoints. Those later than `newest` are of an earlier run."""
     all_checkpoints = folders.saved(folder)
     place = all_checkpoints.index(newest)
     for path in [*all_checkpoints[:place], *all_checkpoints[place + KEPT :]]:

@@ -1,4 +1,4 @@
-"""Before a run: its folder, and results already finished by this program and stack."""
+"""Folder of a run, and the check for finished results of this program and its libraries."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from app.system import folders, identity
 def finished(folder: Path, case: Case) -> bool:
     """Return True if a run directory is complete, of this case, and written by this program.
 
-    The case has no variations; a mesh file newer than the results counts as another case.
+    The case has no variations. A mesh file newer than the results counts as another case.
     """
     try:
         done_at = (folder / "DONE").stat().st_mtime
@@ -33,7 +33,7 @@ def finished(folder: Path, case: Case) -> bool:
 
 
 def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, Summary]:
-    """Summaries of the finished ones among some runs, by folder."""
+    """Summaries of those runs that are finished, by folder."""
     return {
         folder: folders.read_json(folder / "summary.json")
         for folder, run in runs.items()
@@ -42,14 +42,14 @@ def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, Summary]:
 
 
 def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str = "") -> bool:
-    """Make the folder of a run, before anything is started; return True if it is finished already.
+    """Make the folder of a run before it starts; return True if the run is finished already.
 
-    ``force`` replaces results, also those of this very case; ``restart`` is a checkpoint to restart
+    ``force`` replaces results, even those of the same case. ``restart`` is a checkpoint to restart
     from, ``auto`` or "".
 
     Raises:
         InputError: The case does not fit this machine, or the folder cannot be used.
-        UnusableError: All results are there, but not to be used.
+        UnusableError: The run is finished, but its results must not be used.
     """
     if restart not in ("", "auto") and case.config.variations:
         raise InputError(

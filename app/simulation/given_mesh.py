@@ -1,4 +1,4 @@
-"""A case on a dolfinx mesh that a script hands over: both are written beside the results."""
+"""A case on a dolfinx mesh of a script: both are written next to the results."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def case_on(mesh: TaggedMesh, case: Mapping[str, object], folder: Path) -> Loade
 
     Args:
         mesh: The mesh with its names.
-        case: Sections of a case file. `geometry` may have the interfaces alone.
+        case: Sections of a case file. `geometry` may contain nothing but interfaces.
         folder: Folder of the results.
 
     Raises:
-        InputError: The case is wrong, or has another geometry.
+        InputError: The case is wrong, or its `geometry` has other keys.
     """
     geometry = case.get("geometry", {})
     if not isinstance(geometry, Mapping) or geometry.keys() - {"interfaces"}:

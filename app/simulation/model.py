@@ -1,4 +1,4 @@
-"""A case ready to be solved: mesh, mechanics, heat, and published numbers of its states."""
+"""A case ready to be solved: mesh, mechanics, heat, and the numbers of its states."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ from meshes.pieces import Parts
 
 log = logging.getLogger("mantle")
 
-# Unknowns from which a start from a cheaper model pays. Between 18 000 and 40 000 it takes as long
-# as none where that converges (within 10 %), and half as long where it does not: 7 iterations, not
-# 25.
+# Number of unknowns from which on a start from a cheaper model pays. Between 18,000 and 40,000 it
+# changes the time by less than 10 % if a run converges without it. Else it halves the time: 7
+# iterations, not 25.
 LARGE = 20_000
 # Mesh size of a coarser model over that of the run.
 COARSER = 2.0
@@ -67,9 +67,9 @@ class Mechanical:
     """Mechanics of a model, or of successive models that differ in loads and laws alone.
 
     Attributes:
-        neighbours: States of earlier models, as warm starts.
-        zones: Zones of a hip, if it is one; the interfaces' parts in `surfaces`.
-        stem: The motion of its implant.
+        neighbours: States of earlier models, as starts of a solve.
+        zones: Zones of a hip, with the parts of interfaces in `surfaces`; None for other models.
+        stem: Motion of the implant.
     """
 
     saved = ("problem", "solver")
@@ -97,7 +97,7 @@ class Mechanical:
         self._balance: Balance | None = None
 
     def begin(self) -> None:
-        """Begin another case, whose problem and solver are at rest; collective."""
+        """Begin another case with problem and solver at rest; collective."""
         self.neighbours.begin()
 
     def restored(self) -> None:
@@ -154,12 +154,12 @@ class Model:
         self._runs = runs
         self.case, self._timing = case, timing
         self.options, self.stop = options, stop
-        # Shared by all models that follow one another.
+        # Shared by all successive models.
         self._other_models: list[Model] = reuse._other_models if reuse is not None else []
         timing.about |= cost.phases(case)
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
-            # Before matrices of bodies that nothing holds are factorized.
+            # Checked first, because matrices of unheld bodies cannot be factorized.
             parts = self.parts if judged else None
             self.notes = on_root(comm, lambda: parts and well_posedness.judge(case, parts)) or []
         with timing.phase("assemble"):
@@ -259,15 +259,16 @@ class Model:
         checkpoint_point: Callable[[int], None] = _nothing,
         resume: Callable[[], int] = lambda: 0,
     ) -> Effort:
-        """Solve all stages; returns a summary of the effort; collective.
+        """Solve all stages; return the counts of steps and iterations; collective.
 
         Args:
             on_step: Called after each step of the mechanics.
-            on_heat: After each step of the heat, the mechanics having followed.
-            on_trouble: With the remedy tried when a step fails.
-            on_stage: Before each stage.
-            checkpoint_point: With the number of the stage, wherever `saved_parts` may be saved.
-            resume: First: may restore a state, and returns its stage.
+            on_heat: Called after each step of the heat and of its mechanics.
+            on_trouble: Called with the next remedy when a step fails.
+            on_stage: Called before each stage.
+            checkpoint_point: Called with the number of the stage wherever `saved_parts` may be
+                saved.
+            resume: Called first. It may restore a state, and returns the stage to begin with.
 
         Raises:
             ConvergenceError: As `Steppers.run`.
@@ -290,7 +291,7 @@ class Model:
         return self._steppers.run(stages, on_stage, checkpoint_point, resume())
 
     def saved_parts(self) -> dict[str, object]:
-        """All state that later steps depend on, in the order in which it is restored."""
+        """All state on which later steps depend, in the order in which it is restored."""
         parts: dict[str, object] = {
             **self.records,
             "mechanical_path": self.mechanical_path,
@@ -311,7 +312,7 @@ class Model:
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
     def separate_model(self, case: Case, purpose: str) -> Model:
-        """A model of another case that shares nothing with this one, timed as ``purpose``."""
+        """A model of another case that shares nothing with this one; its time is ``purpose``."""
         comm, timing = self.tagged.mesh.comm, self._timing.of(purpose)
         return Model(case, comm, self.options, timing, self.stop, judged=False)
 
@@ -327,7 +328,7 @@ class Model:
         comm = self.tagged.mesh.comm
         return Model(case, comm, self.options, timing, self.stop, self, judged=False)
 
-    # Published numbers of the state last committed
+    # Published numbers of the last committed state
 
     def numbers(self, samples: ContactSamples | None) -> Summary:
         """All published numbers; collective."""
@@ -368,7 +369,7 @@ class Model:
         return loose_bodies.left_free(path.problem, path.problem.trial(*path.solver.u_and_q()))
 
     def _add_places(self, numbers: Summary, samples: ContactSamples | None) -> None:
-        """Add numbers of some geometries: mantle, layers, Gruen zones; collective."""
+        """Add numbers that some geometries have: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         if "mantle" in notes:
             numbers["mantle"] = notes["mantle"]
@@ -381,7 +382,7 @@ class Model:
             numbers["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
 
     def relative(self, case: Case) -> Summary:
-        """Solve a companion case; returns its numbers; collective."""
+        """Solve a companion case; return its numbers; collective."""
         other_model = self._other_model(case, Timing("estimating errors"))
         last_trial: TrialState | None = None
         m = other_model.mechanical_path
@@ -398,7 +399,7 @@ class Model:
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:
-    """The case on a coarser mesh, else at first order; None unless its mechanics is large."""
+    """The case on a coarser mesh, else at first order; None if the case is small."""
     if unknowns < LARGE:
         return None
     mesh, solver = case.mesh, case.solver
@@ -413,7 +414,7 @@ def cheaper(case: Case, unknowns: int) -> Case | None:
 
 
 def _stiffness(case: Case) -> tuple[object, ...]:
-    """All data of a case that the stiffness of the bonded model and its solver depend on."""
+    """All data of a case on which the stiffness of the bonded model and its solver depend."""
     solver = case.solver.model_copy(update={"augmentation_factor": 1.0, "tolerance": 0.0})
     stages = [stage.name for stage in case.stages]
     motions = [(m.region, m.boundary, m.about, m.translation) for m in case.motions.values()]
@@ -422,7 +423,7 @@ def _stiffness(case: Case) -> tuple[object, ...]:
 
 
 def _matrices(case: Case) -> tuple[object, ...]:
-    """All data of a case that its matrices and compiled forms depend on."""
+    """All data of a case on which its matrices and compiled forms depend."""
     loads = [(name, load.place) for name, load in case.loads.items()]
     contacts = [name for name, law in case.interfaces.items() if law.can_part]
     return *_stiffness(case), loads, contacts

@@ -63,14 +63,14 @@ OnAccepted = Callable[[AcceptedStep], None]
 
 
 class Recorder:
-    """Write converged steps as log lines, table rows, fields and summary; made on all ranks.
+    """Recorder of converged steps as log lines, table rows, fields and summary; on all ranks.
 
-    ``begin`` is the start of the run, by `time.perf_counter`.
+    ``begin`` is the start of the run by `time.perf_counter`.
 
     Attributes:
         samples: Contact points after the last step, if there are any.
-        step_count: Steps recorded: rows in history.csv.
-        time: Time at the end of the last one.
+        step_count: Number of recorded steps, which is that of rows in history.csv.
+        time: Time at the end of the last step.
     """
 
     saved = (
@@ -128,7 +128,7 @@ class Recorder:
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
-        # Until the mechanics have been solved the balance is at rest, without given temperatures.
+        # Before the first solve of the mechanics the balance is at rest, without temperatures.
         m = self._model.mechanical_path
         if self.mechanical_row and m and self.balance:
             u, q = m.solver.u_and_q()
@@ -145,13 +145,13 @@ class Recorder:
             self.fields_at = 0
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
-        """Add the wall seconds before a restart, as `seconds` gave them."""
+        """Add the wall time before a restart, by phase as in `seconds` [s]."""
         self._begin -= seconds["total"]
         for phase in [p for p in seconds if p != "total"]:
             self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds[phase]
 
     def stage(self, stage: Stage) -> None:
-        """Begin a stage, whose first line will have a header."""
+        """Begin a stage: its first log line gets a header."""
         self._stage = stage
         columns = text.HEAT if stage.takes_time else text.STEP
         self._header = text.line(columns, columns)
@@ -176,13 +176,13 @@ class Recorder:
             for record in self._model.records.values():
                 self.mechanical_row |= record.step_record()
             self._turn(step, {q.key: stem_motion[q.key] for q in columns}, trial)
-            # The steps of heat, which come more often, have the rows of stages that take time.
+            # In stages that take time, rows are written at the more frequent steps of heat.
             if not self._stage.takes_time:
                 self._row(step)
                 self._line(step)
 
     def _turn(self, step: LoadStep, stem: Numbers, trial: TrialState | None) -> None:
-        """Keep the numbers at peaks and valleys of a stage with cycles."""
+        """Store the numbers at peaks and valleys of a stage with cycles."""
         reversal = self._stage.reversal(step.time)
         if (
             self._stage.load_segments == self._stage.cycles
@@ -214,7 +214,7 @@ class Recorder:
         self._log(text.step_line(step, fractions, deepest, wall, time_left))
 
     def _log(self, line: str) -> None:
-        """Log a line of a step, the first one of a stage below the header."""
+        """Log the line of a step, and before the first one of a stage the header."""
         if self._header:
             log.info("%s", self._header)
             self._header = ""
@@ -268,19 +268,19 @@ class Recorder:
         return float(s.weight[s.status == status].sum() / s.weight.sum()) if s else 0.0
 
     def _fields(self) -> None:
-        self.fields_at = self.step_count  # a step that does not fit the disk is not tried again
+        self.fields_at = self.step_count  # if the disk is full, the step is not written again
         row = self._model.thermal.row() if self._model.thermal else {}
         seconds = row.get("seconds [s]")
         self.writer.write_fields(self.step_count, self.time, seconds, self.samples)
 
     def flush(self) -> None:
-        """Write pending fields of the last step, and fields of the last step alone."""
+        """Write pending fields of the last step, and the fields that are written once."""
         if self.fields_at < self.step_count:
             self._fields()
         self.writer.last_fields()
 
     def summary(self, status: str, total: Effort | None) -> Summary:
-        """The summary of the state last committed; collective."""
+        """The summary of the last committed state; collective."""
         model, counted = self._model, total or self.total
         m = model.mechanical_path
         contact = m and m.problem.contact
@@ -289,7 +289,7 @@ class Recorder:
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
         balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
         numbers: Summary = {"interfaces": {}, "regions": {}, "probes": {}}
-        if self.step_count:  # at rest all would be zero
+        if self.step_count:  # at rest all numbers are zero
             numbers = model.numbers(self.samples)
             cycles = self.cycles.summary()
             if cycles:
@@ -332,10 +332,10 @@ class Recorder:
         return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
     def close(self, status: str, verdicts: Sequence[Verdict]) -> None:
-        """Leave the last converged state, and why, on disk, as far as it allows; collective."""
+        """Write the last converged state and the verdicts, if the disk allows; collective."""
         m = self._model.mechanical_path
         if m:
-            # The loads of the step that failed are not this state's.
+            # The problem still has the loads of the failed step.
             m.problem.set_time(self.time)
 
         def finish() -> None:

@@ -44,7 +44,7 @@ from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
-# Writing results is announced if the run has taken so many seconds.
+# The log announces that results are written if the run took longer [s].
 LONG = 10.0
 
 
@@ -58,10 +58,10 @@ class Setup:
         restart: A checkpoint to restart from, ``auto`` or "".
         force: True to accept a checkpoint of another configuration.
         begin: Start of the run, by `time.perf_counter`.
-        started: The same, by the clock.
-        model: The model of the last run, for reuse.
-        noted: Notes already logged.
-        chosen: Mesh and order chosen for an accuracy, in words; empty unless one is asked for.
+        started: Date and time at the start (UTC).
+        model: Model of the last run, for reuse.
+        noted: Notes that were logged.
+        chosen: Mesh and order for the requested accuracy, in words; empty without a request.
     """
 
     comm: MPI.Comm
@@ -103,7 +103,7 @@ def run(
         The ranks of the run.
 
     Raises:
-        MantleError: With the last converged state on disk where there is one.
+        MantleError: The run failed. The last converged state, if any, is on disk.
     """
     comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
     expected = ranks.world_size()
@@ -114,7 +114,7 @@ def run(
         )
     lifetime.begin_run(comm)
     signalled = stopping.signals() if signals else str
-    if signals:  # the process is ours: a host's functions and options are left as they are
+    if signals:  # not in a host's process, whose handlers and options stay as they are
         form_cache.guard()
     time_limit = str if walltime is None else stopping.WallTime(begin, walltime)
     setup = Setup(
@@ -148,11 +148,11 @@ def run(
 def _solve_variations(setup: Setup, output: Path) -> None:
     """Solve the variations of the case, each in a folder below ``output``; collective.
 
-    Finished ones are not solved again, unless ``--force`` asks for it.
+    Finished variations are not solved again, except with ``--force``.
 
     Raises:
-        ConvergenceError: Some did not converge; the others are done.
-        UnusableError: All did, but the numbers of some are not to be used.
+        ConvergenceError: Some variations did not converge; the others are done.
+        UnusableError: All converged, but the numbers of some must not be used.
         StoppedError: A signal stopped the run; earlier variations are done.
     """
     comm = setup.comm
@@ -202,7 +202,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
 
 
 def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> Summary:
-    """Solve a variation; returns its summary, empty if it does not converge; collective."""
+    """Solve a variation; return its summary, empty if it does not converge; collective."""
     on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
     on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
     try:
@@ -277,7 +277,7 @@ class _CaseRun:
 
     @contextmanager
     def _last_state_kept(self) -> Iterator[None]:
-        """Write the last converged state to disk where a solve fails or is stopped; collective."""
+        """Write the last converged state to disk if a solve fails or is stopped; collective."""
         try:
             yield
         except (ConvergenceError, StoppedError) as failure:
@@ -294,11 +294,11 @@ class _CaseRun:
             raise StoppedError([*failure.verdicts, *lines]) from failure
 
     def run(self) -> Summary:
-        """Solve all stages and write the results; returns the summary; collective.
+        """Solve all stages and write the results; return the summary; collective.
 
         Raises:
-            ConvergenceError: With the last converged state on disk, if there is one.
-            StoppedError: The same, and with a checkpoint.
+            ConvergenceError: A solve failed. The last converged state, if any, is on disk.
+            StoppedError: A signal stopped the run. That state and a checkpoint are on disk.
         """
         setup, case, model = self._setup, self._case, self._model
         with self._last_state_kept():
@@ -347,6 +347,6 @@ class _CaseRun:
 
 
 def _unknowns(sizes: Mapping[str, int]) -> str:
-    """Number of unknowns, with that of each kind in brackets."""
+    """Number of unknowns, with the number of each kind in brackets."""
     kinds = ", ".join(f"{count(number)} {name}" for name, number in sizes.items())
     return f"{several(sum(sizes.values()), 'unknown')} ({kinds})"

@@ -1,7 +1,7 @@
-"""Influence of a shaft that is continued below a scan on the numbers of a run.
+"""Influence of the shaft below a scan, where it is continued, on the numbers of a run.
 
 Two companions of the run on a coarser mesh differ in the level at which the shaft is held. The
-difference of their numbers says how much depends on bone that was not scanned.
+difference of their numbers shows how much they depend on bone that was not scanned.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ NEGLIGIBLE = 0.1
 def measured(case: Case, model: Model) -> ShaftInfluence | None:
     """Return the changes of main numbers by a longer continued shaft; collective.
 
-    None: Nothing is continued, the companions are not solved, the scan has no longer shaft, or the
-    run has no main numbers.
+    The result is None if no shaft is continued, a companion is not solved, the scan has no longer
+    shaft, or the run has no main numbers.
     """
     geometry = case.geometry
     end, longer = geometry.continued_below, geometry.longer(LONGER)
@@ -56,7 +56,7 @@ def measured(case: Case, model: Model) -> ShaftInfluence | None:
 
 
 def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], str]:
-    """Return main numbers of both companions by their names, and the largest change, in words."""
+    """Return main numbers of both companions by name, and the largest change in words."""
     largest = largest_of_units(first)
     numbers_of_second = {(section, name): numbers for section, name, numbers in numbers_of(second)}
     changes = dict[str, list[float]]()

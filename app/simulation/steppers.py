@@ -1,4 +1,4 @@
-"""Steppers of stages that another package steps through (`case.run_options.StageKind`)."""
+"""Steppers that other packages add for their stages (`case.run_options.StageKind`)."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ if TYPE_CHECKING:
     from app.stepping.load_steps import LoadStepper
     from app.stepping.stages import StageStepper
 
-# Makes the stepper of a `simulation.model.Model`, which imports this module; collective. The
-# attribute ``saved`` of the stepper names its saved state.
+# Function that makes the stepper for a `simulation.model.Model`; collective. The model imports this
+# module, so its type is not named. The attribute ``saved`` of the stepper names its saved state.
 StepperMaker = Callable[[Any, "LoadStepper"], "StageStepper"]
-# By key of the stages.
+# These functions by key of the stages.
 MAKERS: dict[str, StepperMaker] = {}
 
 
 def add_stepper(key: str, make: StepperMaker) -> None:
-    """Register what makes the stepper of stages with a key.
+    """Register the function that makes the stepper for stages with a key.
 
     Raises:
-        ValueError: They have one.
+        ValueError: The key has a stepper.
     """
     if key in MAKERS:
         raise ValueError(f"stages with '{key}' have a stepper already")

@@ -23,8 +23,8 @@ class ThermalModel:
     Attributes:
         record: Reported temperatures.
         cure: Reported degrees of cure, if anything cures.
-        flows: Heat per time at the end of the last step: into the model by condition, and through
-            interfaces of finite conductance from the first side to the second [mW].
+        flows: Heat per time at the end of the last step [mW]: into the model by condition, and
+            through interfaces of finite conductance from the first side to the second.
     """
 
     saved = ("heating", "record", "settled", "cure", "balance", "flows")
@@ -47,7 +47,7 @@ class ThermalModel:
             },
         )
         self._first_contact = InitialJump(operators)
-        # Once a steady state has been reached the first instants are over.
+        # True after a steady state: first instants are not checked any more.
         self.settled = False
         self.record.start(self._reported(0.0))
         self.cure: CureRecord | None = None
@@ -85,11 +85,11 @@ class ThermalModel:
         heat = operators.stored(x)
         rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
         if accepted.dt == 0.0:
-            # A model of one temperature lets nothing through but rounding.
+            # In a model of uniform temperature, flows are rounding alone.
             self.balance.steady(accepted.flows, heat, 1e2 * rounding)
             return
         moved_heat = self.record.moved_heat(self._capacities)
-        # Nor does one that waits for its first heat, such as that of friction.
+        # The same holds before the first heat, for example of friction.
         smallest_heat = NOTHING * rounding * accepted.dt
         self.balance.update(
             accepted.dt, accepted.heats, accepted.flows, heat, moved_heat, smallest_heat

@@ -1,7 +1,8 @@
 r"""Steps of given fracture energy: the load is an unknown, so that brittle interfaces do not jump.
 
-While an interface breaks, the load may have to fall, and the motion too (snap-back). The dissipated
-energy always grows. With residual R, state x and part s of the path of loads, a step solves
+While an interface breaks, the load may have to fall, and the displacement too (snap-back). The
+dissipated energy always grows. With residual R, state x and part s of the path of loads a step
+solves
 
 .. math:: R(x, s) = 0, \qquad \sum_p W_p w_p(x) = E
 
@@ -34,23 +35,23 @@ from app.numerics.system import MatrixFree, Measure
 
 # Newton iterations of a step.
 ITERATIONS = 25
-# Part of the energy at which it counts as spent.
+# Relative tolerance of the energy of a step.
 ENERGY_TOLERANCE = 1e-6
-# Step of the part of the path for the derivative.
+# Difference in the part of the path for the derivative by the load.
 PATH_STEP = 1e-4
 # Relative tolerance of the linear solver.
 LINEAR_TOLERANCE = 1e-9
-# Number of times that a failed step is halved.
+# Largest number of halvings of a failed step.
 HALVINGS = 6
-# Bisections of the start.
+# Largest number of bisections for the start of a step.
 BISECTIONS = 40
 
 
 def dissipated_energy(problem: Problem, u: PETSc.Vec, q: PETSc.Vec | None) -> tuple[float, Floats]:
-    """Energy that damage dissipates in a step to a state; collective.
+    """Energy that damage dissipates from the committed state to a state; collective.
 
     Returns:
-        The energy [N mm], and its derivative by owned jumps (3 n,) [N].
+        The energy [N mm], and its derivative with respect to owned jumps (3 n,) [N].
     """
     contact = problem.contact
     if contact is None or q is None or not contact.law.internal_variables:
@@ -68,9 +69,9 @@ def start_beyond_onset(
     path: tuple[float, float],
     set_load: Callable[[float], None],
 ) -> float | None:
-    """Start for a step of given energy: set the solver to a state beyond the onset of damage.
+    """Set the solver to a state just beyond the onset of damage, for a step of given energy.
 
-    It is on the line from the last converged state to that of a load step with frozen damage.
+    The state is on the line from the last converged state to that of a step with frozen damage.
 
     Args:
         problem: The mechanical problem.
@@ -80,7 +81,7 @@ def start_beyond_onset(
         set_load: Sets the problem to a part of the path.
 
     Returns:
-        Part of the path of that state, or None if there is no more damage; collective.
+        Part of the path of that state, or None if no damage is possible; collective.
     """
     contact, start = problem.contact, solver.x.copy()
     if contact is None or not contact.law.freeze(True):
@@ -114,9 +115,9 @@ def start_beyond_onset(
 
 
 class EnergyControl(MatrixFree):
-    """Displacement and jumps of a system, and the part of the path of loads as last unknown.
+    """System of displacement, jumps and, as last unknown, the part of the path of loads.
 
-    The inverse of the given system, with one more row and column, is its inverse.
+    Its inverse is that of the given system, bordered by one row and one column.
 
     Args:
         problem: The mechanical problem.
@@ -125,7 +126,7 @@ class EnergyControl(MatrixFree):
     """
 
     prefix = "mantle_energy_"
-    # A step that lowers the residual may be cut to nothing where damage begins.
+    # Where damage begins, a line search by the residual may cut steps to nothing.
     newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
 
     def __init__(self, problem: Problem, solver: Solver, set_load: Callable[[float], None]) -> None:
@@ -136,8 +137,8 @@ class EnergyControl(MatrixFree):
         blocks = self.blocks().values()
         local, every = (sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True))
         self.operator = python_mat(self, (local, every), self.comm)
-        # State of the last residual with the supports of its load; residual by load, and energy
-        # by jumps there; solution for that residual.
+        # State of the last residual, with supports at its load. Derivatives in that state: of the
+        # residual by the load, of the energy by the jumps. Solution for the residual by the load.
         self._state = solver.vector()
         self._residual_by_load = solver.vector()
         self._energy_by_jump: Floats = np.zeros(0)
@@ -146,16 +147,16 @@ class EnergyControl(MatrixFree):
         self._solver = Solver(self, *limits, "", {}, solver.timing, solver.stop)
 
     def solve(self, energy: float, part: float) -> tuple[NewtonResult, float]:
-        """Solve for the state that has spent an energy [N mm] since the last one; collective.
+        """Solve for the state that dissipates an energy from the last state; collective.
 
         Without convergence the given solver keeps its state.
 
         Args:
-            energy: Energy of the step.
-            part: Part of the path of loads at the state of the given solver, to begin with.
+            energy: Energy of the step [N mm].
+            part: Part of the path of loads at the state of the given solver.
 
         Returns:
-            The outcome, and the part of the path at its end.
+            The outcome, and the part of the path at the end of the step.
         """
         solver_of_system, solver = self._solver_of_system, self._solver
         self._energy = energy
@@ -199,9 +200,9 @@ class EnergyControl(MatrixFree):
         """Leave the supports to `residual`: their values depend on the load."""
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
-        """Residual of a state with the supports of its load, and energy beyond the given one.
+        """Residual of a state at its load, and its energy less the given one.
 
-        Loads are linear along the path to its end, and are continued so beyond it.
+        Beyond the end of the path the residual is linear in the load.
         """
         solver_of_system = self._solver_of_system
         part = self._part_of_path(x[-1])
@@ -231,7 +232,7 @@ class EnergyControl(MatrixFree):
         """Sizes of the residuals of the given system, and of the energy [N mm]."""
         solver_of_system = self._solver_of_system
         parts = solver_of_system.system.measure(solver_of_system.blocks(self._state), f[:-1])
-        # The energy has converged at ENOUGH, for any tolerance of forces.
+        # The energy has converged at `ENERGY_TOLERANCE`, for any tolerance of forces.
         scale = self._energy * ENERGY_TOLERANCE / solver_of_system.tolerance
         return [*parts, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
 
@@ -258,7 +259,7 @@ class EnergyControl(MatrixFree):
         """Do nothing: the solver of the given system renews its inverse."""
 
     def setUp(self, pc: PETSc.PC) -> None:
-        """Set the Jacobian at the state of the last residual; solve for the load."""
+        """Set the Jacobian at the state of the last residual; solve for a unit of the load."""
         solver_of_system = self._solver_of_system
         solver_of_system.linear.update(solver_of_system.blocks(self._state))
         ksp = solver_of_system.snes.getKSP()
@@ -269,7 +270,7 @@ class EnergyControl(MatrixFree):
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Apply the inverse of the Jacobian to r, into z.
 
-        If no energy is spent there is no such step: it is not a number, and the loop ends.
+        If no energy is dissipated, there is no such step: the result is NaN, and the loop ends.
         """
         *forces, energy = r.getNestSubVecs()
         *change, load = z.getNestSubVecs()

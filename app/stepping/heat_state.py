@@ -1,4 +1,4 @@
-"""Heat in time: its state, a time step of it, and the heat that enters during the step.
+"""State of the heat, its time steps, and the heat that enters during a step.
 
 `numerics.integrator` makes the time steps. Each stage of a step is one solve of the system of heat.
 If heat depends on contact, heat and mechanics are solved together (`stepping.coupled_system`).
@@ -38,8 +38,8 @@ class HeatStep:
     Attributes:
         seconds: Time at its end, since the start of the run [s].
         dt: Length [s]; 0 for a steady state.
-        heats: Heat that entered the model by condition, as integrated [N mm].
-        flows: Heat that enters at its end by condition [N mm/s].
+        heats: Heat that enters the model during the step, by condition [N mm].
+        flows: Heat per time that enters at its end, by condition [N mm/s].
         outcome: Outcome of its last stage.
     """
 
@@ -124,7 +124,7 @@ class HeatState:
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """Solve a stage; with mechanics the state also has the work of friction."""
+        """Solve a stage; None if it fails. With mechanics, states end with the friction work."""
         n, parts, coupled = len(self.vectors()), len(self.state), self.coupled
         if not self.step.begin(start[:n], start[n:parts], h, seconds):
             return None
@@ -142,15 +142,15 @@ class HeatState:
         return [*self._state(self.vectors()), *work]
 
     def _with_work(self, state: State) -> State:
-        """Return a state with a last part for the work of friction, if mechanics is coupled."""
+        """Return a state, with zero friction work as last part if mechanics is coupled."""
         coupled = self.coupled
         return [*state, *([coupled.exchange.zero_work()] if coupled is not None else [])]
 
     def start(self, longest: float) -> float:
-        """Find the rate of change at the start of a stage; return a first step for it [s].
+        """Set the rate of change at the start of a stage; return its first step [s].
 
-        With mechanics in the system the rate is left unknown: slips in a very short step would be
-        lost to rounding.
+        If mechanics is coupled, the rate is not computed: it takes a very short step, whose slips
+        are below rounding.
         """
         first = FIRST_STEP * longest
         if self.coupled is None:
@@ -219,7 +219,7 @@ class HeatState:
         return tuple(sorted({*times, *curing}))
 
     def begins_at_event(self, accepted: HeatStep) -> bool:
-        """Return True if a step begins at the event that ended the step before."""
+        """Return True if a step begins at an event, at which the step before ended."""
         begin = accepted.seconds - accepted.dt
         return bool(np.isclose(self.events, begin, rtol=SAME_TIME, atol=0.0).any())
 

@@ -1,7 +1,7 @@
 """Time steps of heat through a stage: equal, chosen by their error, or one to a steady state.
 
-Mechanics that heat does not depend on are solved after it; mechanics that it does depend on are
-part of each of its solves (`stepping.heated_mechanics`).
+If heat depends on the mechanics, each solve contains both. Else the mechanics are solved after the
+heat (`stepping.heated_mechanics`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class HeatStepper:
     """Time stepping of heat with error control.
 
     Args:
-        mechanical_path: The mechanics solved with it, if any.
+        mechanical_path: Mechanics that are solved with or after the heat, if any.
         on_heat: Called after each committed step, once the mechanics have followed.
     """
 
@@ -50,7 +50,7 @@ class HeatStepper:
         return self.heating.total
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
-        """Run a stage that takes time, or find a steady state."""
+        """Run a stage that takes time, or solve for its steady state."""
         if not self.under_way:
             self.stage_start, self.steps_done = self.heating.seconds, 0
         if self.mechanical_path is not None:
@@ -61,7 +61,7 @@ class HeatStepper:
         self.under_way = False
 
     def _control_of(self, stage: Stage) -> Control:
-        """Lengths of the steps of a stage: one to a steady state, by their error, or equal."""
+        """Control of the steps of a stage: one to a steady state, by their error, or equal."""
         if stage.steady:
             return GivenSteps([Step(0.0, 1.0, math.inf, ends_increment=True)], self.steps_done)
         first = 0.0
@@ -87,7 +87,7 @@ class HeatStepper:
     # Steps
 
     def try_step(self, step: Step) -> float:
-        """Solve a step of time, or for a steady state; return its error; collective."""
+        """Solve a time step or for a steady state; return its error; collective."""
         if self._stage.steady:
             self._steady_step = self.heating.solve_steady()
             return math.inf if self._steady_step is None else 0.0
@@ -100,7 +100,7 @@ class HeatStepper:
         """Count a step that was not accepted.
 
         Raises:
-            ConvergenceError: It may not be shorter.
+            ConvergenceError: The step may not be shorter.
         """
         stage = self._stage
         if stage.steady:
@@ -152,9 +152,9 @@ class StepsByError:
 
     Args:
         heating: The heat.
-        controller: Chooses the lengths; it is saved.
+        controller: Controller of the lengths, which is saved.
         begin: Time at which the stage begins [s].
-        first: First step to try [s], 0 if the stage goes on after a restart.
+        first: First step to try [s]; 0 if the stage continues after a restart.
     """
 
     def __init__(

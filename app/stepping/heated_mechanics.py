@@ -1,6 +1,6 @@
-"""Mechanics with heat: solved after it, or in one system with it.
+"""Mechanics with heat: solved after the heat, or in one system with it.
 
-Heat is a load of the mechanics: temperatures, degrees of cure and the free strain of cement.
+The heat loads the mechanics by temperatures, degrees of cure and the free strain of cement.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper
 
-# Rounding error of a complete fraction of a step.
+# Rounding error of a number of steps.
 ROUNDING = 1e-9
 
 
@@ -45,9 +45,9 @@ class ThermalState:
 class HeatedMechanics:
     """Mechanics with heat as a load.
 
-    It is solved along the straight line between two states of the heat. The steps are
-    ``time.mechanical_step`` long: a change of temperature, or the adiabatic temperature rise of a
-    change of cure.
+    Between two states of the heat the load changes linearly. A step is at most
+    ``time.mechanical_step``: a change of temperature, or the adiabatic temperature rise by a change
+    of cure.
     """
 
     saved: tuple[str, ...] = ("strains", "previous")
@@ -59,7 +59,7 @@ class HeatedMechanics:
         self._limit = heating.options.mechanical_step
         self._curing = operators.cure.nodes if operators.cure else []
         self._temperatures = [fem.Function(operators.forms.space) for _ in operators.bodies.names]
-        # Free strain so far, and what the mechanics see.
+        # Degrees of cure; free strain so far; free strain applied to the mechanics.
         self._degrees, self.strains, self._applied_strains = (
             [fem.Function(operators.forms.space) for _ in self._curing] for _ in range(3)
         )
@@ -87,7 +87,7 @@ class HeatedMechanics:
             problem.stress_history.begin_at(problem.displacements())
 
     def _current_state(self) -> ThermalState:
-        """State of the heat, with the free strain of the step that led to it; collective."""
+        """State of the heat; adds the free strain since the last state; collective."""
         degrees = list(self._heating.degrees().values())
         T = self._heating.temperatures()
         for b, f in enumerate(self._temperatures):
@@ -115,17 +115,17 @@ class HeatedMechanics:
         return self._last
 
     def _largest_change(self, now: ThermalState) -> float:
-        """Largest change since the last solve [K], of cure by the heat it releases; collective."""
+        """Largest change since the last solve [K]; cure counts by its heat; collective."""
         before = self.previous
         pairs = zip(before.temperatures, now.temperatures, strict=True)
-        # A rank may be without cells, and then it has no values.
+        # A rank without cells has no values.
         sizes = [float(np.abs(a - b).max(initial=0.0)) for a, b in pairs]
         for c, a, b in zip(self._curing, before.degrees, now.degrees, strict=True):
             sizes.append(c.adiabatic_rise * float(np.abs(a - b).max(initial=0.0)))
         return float(self._operators.comm.allreduce(max(sizes), MPI.MAX))
 
     def _advance(self, now: ThermalState, begin: float, end: float) -> None:
-        """Solve from the thermal state and the time of the last solve to others."""
+        """Solve from the thermal state of the last solve to another one, between two times."""
         before = self.previous
         steps = max(math.ceil(self._largest_change(now) / self._limit - ROUNDING), 1)
         self.previous = now
@@ -137,9 +137,9 @@ class HeatedMechanics:
         self._load_stepper.run_path(self._stage, 1.0 / steps, set_load, begin, end)
 
     def _apply(self, a: ThermalState, b: ThermalState, s: float) -> None:
-        """Load the mechanics with a state between two others: a at s = 0, b at s = 1.
+        """Load the mechanics with a state between a, at s = 0, and b, at s = 1.
 
-        Free strain grows from gelation on, temperature and cure all the way.
+        Temperature and cure are linear in s. Free strain is linear from gelation on.
         """
         problem, scene = self._load_stepper.problem, self._operators.scene
         for f, x, y in zip(
@@ -165,10 +165,10 @@ class HeatedMechanics:
 
 
 class SolvedAfterHeat(HeatedMechanics):
-    """Mechanics that heat does not depend on.
+    """Mechanics with heat that does not depend on contact.
 
-    They are solved at the ends of the increments of a stage and after each large change of
-    temperature.
+    They are solved at the ends of the increments of a stage, and after each large change of
+    temperature or cure.
     """
 
     saved = (*HeatedMechanics.saved, "time")
@@ -190,7 +190,7 @@ class SolvedAfterHeat(HeatedMechanics):
 
 
 class SolvedWithHeat(HeatedMechanics):
-    """Mechanics that heat depends on: in one system with it."""
+    """Mechanics in one system with heat that depends on contact."""
 
     saved = (*HeatedMechanics.saved, "stage_start", "committed_at")
 
@@ -217,7 +217,7 @@ class SolvedWithHeat(HeatedMechanics):
         self._system.exchange.report((heating.seconds - self.committed_at) or np.inf)
         self.committed_at = heating.seconds
         if self._load_stepper.problem.stress_history:
-            # Within the step stiffness and free strain were those before it: an error of order 1.
+            # The step used the stiffness and free strain of its start, an error of first order.
             self._advance(now, time, time)
         else:
             self.previous = now

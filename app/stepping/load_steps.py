@@ -33,11 +33,11 @@ from app.stepping.energy_control import (
     start_beyond_onset,
 )
 
-# Newton iterations up to which a step is easy, and the next one longer.
+# Largest number of Newton iterations of an easy step, after which the next one is longer.
 EASY_ITERATIONS = 8
 # Length of the next step over that of an easy one.
 STEP_GROWTH = 2.0
-# Times that surfaces with finite sliding are paired anew in a step; mostly none or one.
+# Largest number of new pairings of surfaces with finite sliding in a step; mostly none or one.
 MAX_PAIRINGS = 10
 
 
@@ -64,7 +64,7 @@ class LoadStep:
 
 @dataclass
 class Effort:
-    """Numbers of steps and iterations of a run so far."""
+    """Counts of steps and iterations of a run so far."""
 
     steps: int = 0
     newton_iterations: int = 0
@@ -94,8 +94,8 @@ class LoadProgress(Progress):
     """Progress along a path of loads.
 
     Attributes:
-        energy: Fracture energy of the next step where the load follows it, 0 where it is given.
-        reached: Largest part of the path that has been reached.
+        energy: Fracture energy of the next step [N mm]; 0 if its loads are given.
+        reached: Largest part of the path so far.
         handed_over_at: Last part of the path at which no step of given energy converged.
     """
 
@@ -133,7 +133,7 @@ class LoadStepper:
         self.progress, self._cover = LoadProgress(), Cover(self.problem)
 
     def solve(self) -> NewtonResult:
-        """Solve, until points with finite sliding are paired with the surface that they touch."""
+        """Solve until points with finite sliding are paired with the facets that they touch."""
         problem, (u, q) = self.problem, self.solver.u_and_q()
         if problem.contact:
             problem.contact.approach(problem.f, u, q)
@@ -149,7 +149,7 @@ class LoadStepper:
         return replace(outcome, converged=False)
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
-        """Take load steps through a stage that takes no time, up to its creep."""
+        """Take load steps through a stage without time, except its creep."""
         increment, end = 1.0 / (stage.increments * stage.load_segments), k + stage.loaded
         increment /= self.problem.scene.rotation_substeps(k, increment)
         if not self.progress.step:
@@ -176,7 +176,7 @@ class LoadStepper:
         Args:
             stage: The stage, which limits cut-backs.
             increment: Largest step, as a part of the path.
-            set_load: Sets the problem to a point of the path, 0 to 1.
+            set_load: Sets the problem to a part of the path, 0 to 1.
             begin: Time at the start of the path.
             end: Time at its end.
             progress: Progress so far; kept up to date.
@@ -201,8 +201,12 @@ class LoadStepper:
     ) -> None:
         """Commit the state of the solver and report the step; collective.
 
-        The step ends at ``time``, and an increment if ``ends_increment``; it ``started`` at a wall
-        time.
+        Args:
+            stage: Stage of the step.
+            time: Time at its end.
+            outcome: Outcome of its solve.
+            started: Wall time at which it began [s].
+            ends_increment: True if it ends an increment of the stage.
 
         Raises:
             ConvergenceError: A body runs away or tips.
@@ -236,7 +240,7 @@ class LoadStepper:
 
 @dataclass(frozen=True)
 class LoadPath:
-    """A path of loads; arguments of `LoadStepper.run_path`."""
+    """A path of loads; attributes as arguments of `LoadStepper.run_path`."""
 
     stage: Stage
     increment: float
@@ -270,7 +274,7 @@ class GivenLoads:
 
     @property
     def finished(self) -> bool:
-        """Return True if the path is done, or steps of given energy go on."""
+        """Return True if the path is done, or steps of given energy take over."""
         return self.progress.done >= 1.0 or self.progress.energy > 0.0
 
     def propose(self) -> Step:
@@ -278,7 +282,7 @@ class GivenLoads:
         return self.progress.next(self._path.increment)
 
     def judge(self, step: Step, error: float) -> bool:
-        """Accept a step that was solved, in a number of iterations; lengthen the next one."""
+        """Accept a solved step; lengthen the next one if it took few iterations."""
         if math.isinf(error):
             return False
         p, increment = self.progress, self._path.increment
@@ -315,7 +319,7 @@ class GivenLoads:
         return float(self._outcome.iterations)
 
     def refuse(self, step: Step) -> None:
-        """Go on by energy if an interface breaks; else without prediction, or with half a step.
+        """Choose the next attempt: by energy if an interface breaks, not predicted, or halved.
 
         Raises:
             ConvergenceError: The step cannot or may not be halved.
@@ -325,7 +329,7 @@ class GivenLoads:
         self._stepper.total.rejected += 1
         self.start.copy(solver.x)
         if stage.fracture_step is not None:
-            solver.augmentation = 1.0  # a smaller step may not need that of this step
+            solver.augmentation = 1.0  # a smaller step may not need the larger augmentation
             path_of_step = step.begin, step.end
             self.energy_start = start_beyond_onset(
                 problem, solver, stage.fracture_step, path_of_step, set_load
@@ -336,13 +340,13 @@ class GivenLoads:
                 return
             self.start.copy(solver.x)
         self._uses_predictors = False
-        # From rest, without gaps, smaller steps fail alike.
+        # From rest and without gaps, smaller steps fail in the same way.
         fails_alike = not self.start.norm() and is_proportional(solver, set_load, step.end)
         explanation = explain(problem, solver, self._outcome, fails_alike)
         if self._predicted:
             self._stepper.on_trouble(f"{explanation.cause.what}; repeating without extrapolation")
             return
-        # If a body is free, halving hardly helps: once only.
+        # If a body is free, halving hardly helps: it is tried once.
         allowed_cuts = min(1, stage.max_cut_backs) if explanation.free else stage.max_cut_backs
         if fails_alike or not stage.adaptive or p.cuts >= allowed_cuts:
             time = self._path.time(step.end) - int(self._path.begin)
@@ -367,7 +371,7 @@ class GivenLoads:
 class GivenEnergy:
     """Steps of given fracture energy, and their control: halved on failure, doubled after each one.
 
-    They hand back to steps of given loads where a step is a long one, or nothing more can break.
+    Steps of given loads take over after an increment in one step, or if nothing more breaks.
     """
 
     def __init__(
@@ -380,14 +384,14 @@ class GivenEnergy:
         self.begin(start, None)
 
     def begin(self, start: PETSc.Vec, energy_start: float | None) -> None:
-        """Begin at a committed state, or at the solver's state at a part of the path."""
+        """Begin at a committed state, or at a state of the solver beyond the onset of damage."""
         self._start, self._energy_start = start, energy_start
 
     # Control
 
     @property
     def finished(self) -> bool:
-        """Return True if steps of given loads go on, or the path is done."""
+        """Return True if the path is done, or steps of given loads take over."""
         return self.progress.energy == 0.0 or self.progress.done >= 1.0
 
     def propose(self) -> Step:
@@ -413,10 +417,10 @@ class GivenEnergy:
         return 0.0 if self._outcome.converged else math.inf
 
     def refuse(self, step: Step) -> None:
-        """Halve the energy; or hand back to steps of given loads; collective.
+        """Halve the energy, or continue with steps of given loads; collective.
 
         Raises:
-            ConvergenceError: These have handed over from the same place.
+            ConvergenceError: Steps of given loads have already failed at this part of the path.
         """
         p, stage = self.progress, self._path.stage
         self._start.copy(self._solver.x)

@@ -1,7 +1,7 @@
 """A scene on a mesh, ready to be solved, and the loop over its stages.
 
 `assemble` makes the discrete problem, its solver and the heat of a scene; `Analysis.run` solves all
-stages. A run of a case and a script in Python both go this way.
+stages. Runs of a case and Python scripts both use them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class StageStepper(Protocol):
     """Stepper of a stage."""
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
-        """Step through stage k, which may have been begun before a restart; collective."""
+        """Step through stage k, or the rest of it after a restart; collective."""
 
 
 def _nothing(*_: Any) -> None:
@@ -66,7 +66,7 @@ class Steppers:
         checkpoint_point: Callable[[int], None] = _nothing,
         first: int = 0,
     ) -> Effort:
-        """Solve stages, from one in which the steppers have been restored; collective.
+        """Solve stages, from the first or a restored one on; collective.
 
         Args:
             stages: All stages.
@@ -139,7 +139,7 @@ class Analysis:
 
         Args:
             on_step: Called after each step of the mechanics, with its contact.
-            on_heat: Called after each step of the heat, once the mechanics have followed.
+            on_heat: Called after each step of the heat and of its mechanics.
             on_trouble: Called with the remedy tried when a step fails.
             predictors: Predictors in addition to extrapolation.
         """
@@ -180,9 +180,8 @@ class SolverSettings:
         linear: Linear solver: auto, direct, multigrid or condensed.
         petsc: Raw PETSc options.
         augmentation_factor: Augmentation over the local stiffness per area at a point.
-        solves: Number of solves with contact foreseen, by which `auto` chooses; 0: it does not
-            condense.
-        memory: Memory of a rank, by which `auto` chooses [byte].
+        solves: Expected number of contact solves, by which `auto` chooses; 0: it does not condense.
+        memory: Memory of a rank [byte], by which `auto` chooses.
         stop: Returns the name of a pending stop signal, or "".
     """
 
@@ -211,8 +210,8 @@ def assemble(
         tagged: Mesh with its names (`TaggedMesh.from_tags`).
         settings: Settings of the solvers.
         timing: Seconds by phase.
-        reuse: Analysis whose mechanics differs in loads and laws alone. Its problem and solver
-            begin anew.
+        reuse: Analysis whose mechanics differs in loads and laws alone. Its problem and solver are
+            reset and used.
         same_stiffness: Problem with the same constant stiffness, whose inverse is shared.
 
     Raises:
