@@ -141,16 +141,16 @@ class EstimatedErrors(TypedDict):
     Attributes:
         companions: Companion runs that were solved, in words.
         failed: Companion runs that failed, in words.
-        within: Share of such numbers whose true value is within their error [-].
-        of: Sources of error: ``mesh and step``, ``time step`` or ``load step``.
+        share_within_error: Share of such numbers whose true error is below the estimate [-].
+        sources: Sources of error: ``mesh and step``, ``time step`` or ``load step``.
         unsettled: Peaks that still change, by full name: pairs of mesh size [mm] and value, the
             finest mesh first.
     """
 
     companions: list[str]
     failed: list[str]
-    within: float
-    of: str
+    share_within_error: float
+    sources: str
     unsettled: dict[str, list[list[float]]]
 
 

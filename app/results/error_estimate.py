@@ -4,23 +4,24 @@ A companion on the mesh of size 2 h gives the error of a number X on the mesh of
 
 .. math:: e = \max(a\, |X_h - X_{2h}|,\; b\, m\, |X_h|),
 
-m the median of :math:`|X_h - X_{2h}| / |X_h|` over all numbers of mechanics, or all doses and
-times: two meshes may agree by chance. For temperatures the second term is instead a factor on the
-change to the mesh of 3 h, if there is one. The factors of each class were fitted to six hips and to
-scenes of heat, and tested on others (docs/verification.md). Orders of
-convergence alone would give a; they leave the truth outside too often, as contact begins and ends
-inside cells. A companion of another coarsening is taken as if errors fell with the order in
-`case.quantities`.
+m is the median of :math:`|X_h - X_{2h}| / |X_h|` over the numbers of a group (`LIKE`). The second
+term is needed because two meshes may agree by chance. For temperatures it is instead a factor on
+the change to the mesh of 3 h, if there is one.
 
-A number that is zero has no part in medians. It is zero if it is rounding compared with the largest
-number of its unit. It is zero too if it is small compared with that and changes by more than its
-size.
+The factors of each class were fitted to six hips and to scenes of heat, and tested on others
+(docs/verification.md). The order of convergence alone would give a. The true error then exceeds the
+estimate too often, because contact begins and ends inside cells. The change to a companion of
+another size is scaled to 2 h by the order in `case.quantities`.
 
-With friction the solution depends on the load path. The error of n load steps is then taken as C /
-n, as for an implicit Euler method. The companion takes half the steps, which is cheaper; two on a
-mesh of 3 h take half of them and all, and their difference gives C. If the run takes one step, they
-take one and two. In transient stages half the steps means a tolerance with which the error of the
-time steps is twice as large.
+Numbers that are zero do not enter medians. A number is zero if it is rounding compared with the
+largest number of its unit. It is also zero if it is small compared with that number and changes by
+at least its size.
+
+With friction the solution depends on the load path. The error of n load steps is then taken as
+C / n, as for an implicit Euler method. The companion of 2 h takes half the steps, which is cheaper.
+Two companions of 3 h take half of the steps and all of them, and their difference gives C. If the
+run takes one step, they take one and two. In transient stages, half the steps means a tolerance for
+which the error of the time steps is twice as large.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ from app.case.quantities import (
 from app.case.summary import Numbers, Summary
 from app.foundation.arrays import Floats
 
-# Mesh sizes over that of the run, of the companion for the error of the mesh and of those for the
-# error of the step.
+# Mesh size over that of the run: of the companion for the error of the mesh, and of the companions
+# for the error of the step.
 COARSER = (2.0, 3.0)
 # Power of the error of all time steps with which the tolerance of one step scales.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
@@ -56,7 +57,7 @@ TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 UNSETTLED = 0.1
 # A number is rounding below this part of the largest number of its unit.
 ROUNDING = 1e-6
-# Below this part it is zero if it changes from mesh to mesh by more than its size.
+# Below this part it is zero if it changes from mesh to mesh by at least its size.
 SMALL = 0.01
 # A mesh must be coarser than this to be compared.
 LEAST = 1.25
@@ -74,8 +75,8 @@ FACTORS = {
 TWO_MESHES = {HEAT: (1.75, 1.25)}
 # Classes that share their median change.
 LIKE = {SLIP: MOTION, TRACTION: MOTION, STRESS: MOTION}
-# Part of the numbers of a hip whose truth lies within ±, at first and at second order.
-WITHIN = (0.92, 0.91)
+# Share of the numbers of a hip whose true error is below the estimate, at first and second order.
+SHARE_WITHIN_ERROR = (0.92, 0.91)
 # Sections in which two meshes may agree by chance.
 CHANCE = {"interfaces", "regions", "stem", "femur", "cure"}
 CHANCE |= {"thermal.regions", "thermal.interfaces"}

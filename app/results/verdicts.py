@@ -285,18 +285,18 @@ def _mesh_and_step(summary: Summary) -> Verdict:
                     zero.append(quantities.in_words(f"{name}.{key}")[0])
                 else:
                     shares[quantities.in_words(f"{name}.{key}")[0]] = error / abs(q[key])
-    share, text = sorted(shares, key=shares.__getitem__), "± is the estimated error"
-    if share:
-        of_them = (share[len(share) // 2], share[-1])
-        half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in of_them)
+    by_error, text = sorted(shares, key=shares.__getitem__), "± is the estimated error"
+    if by_error:
+        median_and_worst = (by_error[len(by_error) // 2], by_error[-1])
+        half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in median_and_worst)
         text = f"half of the percentiles have errors below ± {half} %"
-        text += f", the largest has ± {worst} % ({share[-1]})"
-        within = estimated.get("within")
-        if within:
-            text += f". For about {100 * within:.0f} % of such numbers the true error is smaller"
+        text += f", the largest has ± {worst} % ({by_error[-1]})"
+        share = estimated.get("share_within_error")
+        if share:
+            text += f". For about {100 * share:.0f} % of such numbers the true error is smaller"
     if zero:
         text += f". Not counted, because close to zero: {', '.join(zero)}"
-    source = estimated.get("of", BOTH)
+    source = estimated.get("sources", BOTH)
     if source != BOTH:
         text += "; the error of the mesh is not estimated"
     return Verdict(text, source, severity=Severity.PLAIN)

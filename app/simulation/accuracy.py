@@ -71,8 +71,8 @@ def add_errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(companion) for companion, _ in solved],
-        "within": error_estimate.WITHIN[case.mesh.order - 1],
-        "of": error_estimate.error_sources([companion for companion, _ in solved]),
+        "share_within_error": error_estimate.SHARE_WITHIN_ERROR[case.mesh.order - 1],
+        "sources": error_estimate.error_sources([companion for companion, _ in solved]),
         "failed": failed,
         "unsettled": error_estimate.estimate(summary, case, solved),
     }

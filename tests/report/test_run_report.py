@@ -155,7 +155,7 @@ def test_run_report_errors_are_in_the_verdicts(done: Path, tmp_path: Path) -> No
 
     assert "stem_cement" not in html[: html.index("Numbers")]
 
-    numbers["error"] = error | {"companions": ["mesh 4 mm, 0.5 times"], "of": "load step"}
+    numbers["error"] = error | {"companions": ["mesh 4 mm, 0.5 times"], "sources": "load step"}
     verdicts.record(numbers, [])
     html = shown(changed(done, tmp_path / "steps", numbers))
     assert "load step: half" in html and "the error of the mesh is not estimated" in html

@@ -103,7 +103,11 @@ def test_verdicts_on_rim_and_tip() -> None:
 
 def test_verdicts_on_errors_exclude_maxima() -> None:
     unsettled = {"stem_cement.pressure_max": [[4.0, 9.0], [8.0, 6.1], [12.0, 4.25]]}
-    error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}
+    error = {
+        "companions": ["mesh 8 mm", "mesh 12 mm"],
+        "unsettled": unsettled,
+        "share_within_error": 0.9,
+    }
     lines = judged(summary(error=error))
     words = (
         "half of the percentiles have errors below ± 5 %, the largest has ± 5 % (stem-cement "
@@ -129,7 +133,7 @@ def test_verdicts_name_the_three_worst_maxima() -> None:
 
 def test_verdicts_on_errors_of_steps_alone() -> None:
     """The mesh of a file has no coarser one."""
-    error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
+    error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "sources": "load step"}
     lines = judged(summary(error=error))
     assert "mesh and step" not in lines and verdicts.PEAKS not in lines
     assert lines["load step"][0].endswith("; the error of the mesh is not estimated")
@@ -156,7 +160,9 @@ def test_verdicts_are_read_as_recorded() -> None:
 
 
 def test_verdicts_name_failed_companions() -> None:
-    numbers = summary(error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "within": 0.9})
+    numbers = summary(
+        error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "share_within_error": 0.9}
+    )
     words = "these coarser runs failed and are left out of the estimate: mesh 12 mm"
     assert Verdict(words, "error", severity=Severity.WARNING) in verdicts.of_numbers(numbers)
 
