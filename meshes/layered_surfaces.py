@@ -434,29 +434,29 @@ class LayeredSurfaces:
         if not cortex_taken.max() > UNREPORTED_CORTEX:
             self.bone.check(lines.start, lines.end)
             return
-        worst = int(np.where(cortex_taken > UNREPORTED_CORTEX, -cortex_left, -np.inf).argmax())
-        where = self._side(lines.start[worst], zeta[worst])
-        if cortex_left[worst] >= LEAST_CORTEX:
+        thinnest = int(np.where(cortex_taken > UNREPORTED_CORTEX, -cortex_left, -np.inf).argmax())
+        where = self._side(lines.start[thinnest], zeta[thinnest])
+        if cortex_left[thinnest] >= LEAST_CORTEX:
             self.bone.check(lines.start, lines.end)
             self.notes.append(
                 f"the stem takes up to {cortex_taken.max():.1f} mm of the cortex;"
                 " the thinnest cortex left"
-                f" beside it is {cortex_left[worst]:.1f} mm, {where}"
+                f" beside it is {cortex_left[thinnest]:.1f} mm, {where}"
             )
             return
-        text = f"leaves {cortex_left[worst]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
-        if cortex_left[worst] <= 0:
-            text = f"is {_rounded_up(-cortex_left[worst]):.2g} mm outside the bone"
+        text = f"leaves {cortex_left[thinnest]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
+        if cortex_left[thinnest] <= 0:
+            text = f"is {_rounded_up(-cortex_left[thinnest]):.2g} mm outside the bone"
         key, _ = self._geometry.more_room
         raise GeometryError(f"{key}: the stem {text} {where}; use a smaller stem, or move it")
 
     def _refuse_narrow(self) -> None:
         """Raise GeometryError where the stem has no room for cement."""
         lines, zeta = self._along_stem()
-        inside = self.bone.depth(lines.start, zeta)
-        room = np.where(inside > 0, lines.endosteum * lines.length, inside)
-        worst = int(np.nanargmin(room))  # no number where the axis is outside of the bone
-        least_room = room[worst]
+        canal_depth = self.bone.depth(lines.start, zeta)
+        room = np.where(canal_depth > 0, lines.endosteum * lines.length, canal_depth)
+        narrowest = int(np.nanargmin(room))  # no number where the axis is outside of the bone
+        least_room = room[narrowest]
         if least_room >= LEAST_MANTLE:
             self.bone.check(lines.start, lines.end)
             return
@@ -467,7 +467,7 @@ class LayeredSurfaces:
         if least_room < 0:
             text = f"cuts {_rounded_up(-least_room):.2g} mm into the cortex"
         key, remedy = self._geometry.more_room
-        where = self._side(lines.start[worst], zeta[worst])
+        where = self._side(lines.start[narrowest], zeta[narrowest])
         needed = f"{missing_room:.2g} mm more are needed there"
         raise GeometryError(f"{key}: the stem {text} {where}; {remedy}; {needed}")
 

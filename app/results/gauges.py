@@ -78,8 +78,10 @@ class ProbedMechanics:
     def __init__(self, case: Case, problem: Problem) -> None:
         self._problem = problem
         points = {n: p for n, p in case.output.probes.items() if isinstance(p, Probe)}
-        placed = {name: (p.at, p.region) for name, p in points.items()}
-        self._points = Probes(problem.tagged, problem.space, problem.bodies.of_region, placed)
+        points_and_regions = {name: (p.at, p.region) for name, p in points.items()}
+        self._points = Probes(
+            problem.tagged, problem.space, problem.bodies.of_region, points_and_regions
+        )
         surfaces: dict[str, _Surface] = {}
         self._gauges: dict[str, _Gauge] = {}
         for name, probe in case.output.probes.items():

@@ -312,7 +312,7 @@ class Model:
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
     def separate_model(self, case: Case, purpose: str) -> Model:
-        """A model of another case that shares nothing with this one; its time is ``purpose``."""
+        """A model of another case that shares nothing with this one; timed as ``purpose``."""
         comm, timing = self.tagged.mesh.comm, self._timing.of(purpose)
         return Model(case, comm, self.options, timing, self.stop, judged=False)
 

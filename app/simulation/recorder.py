@@ -274,7 +274,7 @@ class Recorder:
         self.writer.write_fields(self.step_count, self.time, seconds, self.samples)
 
     def flush(self) -> None:
-        """Write pending fields of the last step, and the fields that are written once."""
+        """Write pending fields of the last step, also to a separate file."""
         if self.fields_at < self.step_count:
             self._fields()
         self.writer.last_fields()

@@ -186,7 +186,7 @@ class BodiesOnMesh:
     def _resistance(
         self, shears: Mapping[str, float] | None, absent: Sequence[str] = ()
     ) -> tuple[Floats, Floats]:
-        """Resistance of contact, and of each body with bonded surroundings (6 n, 6 n) [mm2].
+        """Resistance of contact, and of each body bonded to its surroundings (6 n, 6 n) [mm2].
 
         Args:
             shears: Friction coefficients by interface; without friction an interface does not

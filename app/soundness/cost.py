@@ -187,13 +187,13 @@ def compiling(case: Case) -> float:
 
 def _solution(case: Case, size: _Size, runs: int = 1) -> float:
     """Time of the solution alone in runs that share matrices [s]."""
-    loads, moments = (runs * number for number in solves(case))
+    load_steps, time_steps = (runs * number for number in solves(case))
     choice, condensed = _choice(case, size, runs)
     mechanical = PRICE * 3 * (size.nodes + size.jumps)
-    loading = mechanical * (1.0 + LATER * max(0, loads + moments - 1))
+    loading = mechanical * (1.0 + LATER * max(0, load_steps + time_steps - 1))
     loading += condensed_seconds(choice) if condensed else krylov_seconds(choice)
-    heating = moments * (TIME_STEP + HEAT * (size.temperatures + size.steps))
-    errors = WITH_HEAT_ERRORS if moments else WITH_ERRORS
+    heating = time_steps * (TIME_STEP + HEAT * (size.temperatures + size.steps))
+    errors = WITH_HEAT_ERRORS if time_steps else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)
 
 
@@ -224,18 +224,18 @@ def _choice(
     case: Case, size: _Size, runs: int, available: float = math.inf
 ) -> tuple[SolverChoice, bool]:
     """Choice of the linear solver of mechanics; True if it condenses the bodies."""
-    number, sets = runs * max(1, sum(solves(case))), build_scene(case).stiffens
+    number, changes_stiffness = runs * max(1, sum(solves(case))), build_scene(case).stiffens
     sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
-    choice = SolverChoice(*sizes, number, sets, available)
-    may = bool(size.jumps and contact_solves(case))
-    return choice, may and choice.condenses(case.solver.linear)
+    choice = SolverChoice(*sizes, number, changes_stiffness, available)
+    can_condense = bool(size.jumps and contact_solves(case))
+    return choice, can_condense and choice.condenses(case.solver.linear)
 
 
 def solves(case: Case) -> tuple[int, int]:
     """Estimated numbers of solved load steps and of time steps."""
     timed = sum(1 for stage in case.stages if stage.duration)
-    sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
-    moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
+    cures = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
+    time_steps = HEAT_STEPS * timed + SETTING_STEPS * (cures and timed > 0)
     scene, steps = build_scene(case), 0
     for k, stage in enumerate(scene.stages):
         number = stage.increments * stage.load_segments
@@ -244,7 +244,7 @@ def solves(case: Case) -> tuple[int, int]:
     steps += sum(stage.other.solves(case) for stage in case.stages if stage.other)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the others are proportional to the first
-    return steps, moments
+    return steps, time_steps
 
 
 def contact_solves(case: Case) -> int:

@@ -274,8 +274,8 @@ def left_free(problem: Problem, trial: TrialState) -> list[Verdict]:
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """Describe bodies that the loads pull off all other bodies; collective.
 
-    Rigid bodies press on springs at the contact points. The springs leave a part of the loads.
-    As a motion, this part opens all points or slides along them (a cone and its polar, Moreau).
+    Rigid bodies press on springs at the contact points. The part of the loads that the springs do
+    not bear is a motion. It opens all points or slides along them (a cone and its polar, Moreau).
     Springs give way, so single facets cannot bear this part by wedging. Friction due to the
     pressures may hold it. A taper that is pulled has no pressures: nothing bears its load, however
     small it is.

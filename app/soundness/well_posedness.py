@@ -90,16 +90,16 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
     if all(region.only_conducts for region in case.regions.values()):
         return notes
     bodies = BodiesOnMesh(case, parts)
-    torn, split = _contradictions(case, parts)
-    tight, open_gaps = _gaps(case, parts)
-    driven, idle = _motions(case, parts)
-    errors = [*driven, *bodies.unheld(), *torn, *tight]
+    contradiction_errors, contradiction_notes = _contradictions(case, parts)
+    gap_errors, gap_notes = _gaps(case, parts)
+    motion_errors, motion_notes = _motions(case, parts)
+    errors = [*motion_errors, *bodies.unheld(), *contradiction_errors, *gap_errors]
     if errors:
         # The reason is often a crack in the mesh.
         raise InputError([*errors, *notes])
-    notes += [*bodies.loosely_held(), *split, *_clamped(case, parts), *open_gaps]
+    notes += [*bodies.loosely_held(), *contradiction_notes, *_clamped(case, parts), *gap_notes]
     notes += [*_meeting(case, parts), *_far_gaps(case, parts), *_too_stiff(case, parts)]
-    return [*notes, *_strained(case, parts), *idle]
+    return [*notes, *_strained(case, parts), *motion_notes]
 
 
 # Contradictions
@@ -120,9 +120,9 @@ def _contradictions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdi
     errors: list[Verdict] = []
     notes: list[Verdict] = []
     for group in bodies_of(case, parts):
-        torn, split = _contradictions_in(case, parts, group)
-        errors += torn
-        notes += split
+        errors_of_body, notes_of_body = _contradictions_in(case, parts, group)
+        errors += errors_of_body
+        notes += notes_of_body
     return errors, notes
 
 
@@ -282,14 +282,14 @@ def _misplaced(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
     if not len(x):
         return [Verdict("has no facet on this mesh", f"{key}.boundary", "expected another surface")]
     try:
-        placed = gauge_points(x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)
+        gauge_position = gauge_points(x, gauge.at, gauge.towards, gauge.direction, gauge.diameter)
     except GaugeFault as fault:
         return [Verdict(str(fault), f"{key}.{fault.key}", fault.cure)]
-    if placed.distance <= gauge.diameter:
+    if gauge_position.distance <= gauge.diameter:
         return []
-    text = f"is {placed.distance:.3g} mm from {gauge.boundary}"
+    text = f"is {gauge_position.distance:.3g} mm from {gauge.boundary}"
     cure = f"expected at most a diameter, {gauge.diameter:g} mm; the nearest point is "
-    cure += f"{point_text(placed.centre)}. `towards` finds a point in a direction"
+    cure += f"{point_text(gauge_position.centre)}. `towards` finds a point in a direction"
     return [Verdict(text, f"{key}.at", cure)]
 
 
@@ -461,8 +461,8 @@ def _strained(case: Case, parts: Parts) -> list[Verdict]:
     for name, load in case.loads.items():
         boundary = next(iter(load.boundaries), "")
         area = areas.get(boundary, 0.0)
-        under = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
-        softest = min((m for r in under if (m := modulus(case.regions[r]))), default=0.0)
+        loaded_regions = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
+        softest = min((m for r in loaded_regions if (m := modulus(case.regions[r]))), default=0.0)
         if not area or not softest:
             continue
         stress = math.hypot(*(load.resultant or ())) / area + abs(load.normal_pressure or 0.0)

@@ -315,13 +315,13 @@ class KnownProblem:
         self._asked = True
         results = self.runner(runs)
         self.row.results = results
-        failed = [r for r in results if r.exit_code not in SOLVED]
-        if failed:
-            first = failed[0]
-            explained = first is results[0] and first.exit_code in REFUSALS
-            if explained and self.row.refusal in Reason.within(first.message):
-                raise Refused(first.message)
-            lines = [f"{r.name}: exit code {r.exit_code}: {r.message}" for r in failed]
+        failed_runs = [r for r in results if r.exit_code not in SOLVED]
+        if failed_runs:
+            first_failed = failed_runs[0]
+            is_refusal = first_failed is results[0] and first_failed.exit_code in REFUSALS
+            if is_refusal and self.row.refusal in Reason.within(first_failed.message):
+                raise Refused(first_failed.message)
+            lines = [f"{r.name}: exit code {r.exit_code}: {r.message}" for r in failed_runs]
             raise Unsolved("\n".join(lines))
         if self.row.tolerance is None:
             raise Missed("converged, though there is no answer")
@@ -354,11 +354,11 @@ class KnownProblem:
         assert row.tolerance is not None
         error = row.comparison.error
         text = f"{row.name}: error {error:.3g}, tolerance {row.tolerance:g}; {row.comparison.note}"
-        right = error <= row.tolerance  # False for NaN
+        passes = error <= row.tolerance  # False for NaN
         if row.order is not None:
             text += f"; order {row.fitted}, expected {row.order:g}"
-            right &= row.fitted is not None and abs(row.fitted - row.order) <= ORDER_TOLERANCE
-        if not right:
+            passes &= row.fitted is not None and abs(row.fitted - row.order) <= ORDER_TOLERANCE
+        if not passes:
             raise Missed(text)
 
 
