@@ -27,7 +27,7 @@ from app.interfaces.corners import (
     Dependence,
     Entries,
 )
-from app.interfaces.faces import projectors
+from app.interfaces.faces import dual_vectors, projectors
 from app.interfaces.interface_facets import InterfaceFacets
 
 # A facet belongs to the face with the nearest normal, if the cosine between both is at least this.
@@ -44,14 +44,12 @@ class HandedAreas:
     Attributes:
         corner: Corner that gives the area (k,).
         point: Point that receives it (k,).
-        facet: Facet to which the area belongs (k,).
-        normal: Unit normal of the facet at the corner (k, 3).
+        normal: Unit normal at the corner of the facet to which the area belongs (k, 3).
         area: Area (k,) [mm2].
     """
 
     corner: Ints
     point: Ints
-    facet: Ints
     normal: Floats
     area: Floats
 
@@ -118,7 +116,7 @@ def handed_areas(
         rows += [(c, int(p), number, int(k)) for p in receivers]
         areas += [float(facets.area[number, k]) / len(receivers)] * len(receivers)
     corner, point, facet, k = np.array(rows).T
-    return HandedAreas(corner, point, facet, facets.normal[facet, k], np.array(areas))
+    return HandedAreas(corner, point, facets.normal[facet, k], np.array(areas))
 
 
 def _faces_along(normals: Floats, normal: Floats) -> Ints:
@@ -176,7 +174,7 @@ def in_means(
 
     # Share of a corner in the force of a point: the pressure of a face on the area that it gives
     # to this face, and friction by area.
-    duals = np.linalg.pinv(normals[:n]).swapaxes(1, 2)
+    duals = dual_vectors(normals[:n])
     tangential = np.eye(3) - np.einsum("pki,pkj->pij", normals[:n], duals)
     share = (handed.area / weight[handed.point])[:, None, None] * tangential[handed.point]
     along = normals[receivers][:, :, None] * duals[receivers][:, None, :]

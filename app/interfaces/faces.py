@@ -163,6 +163,14 @@ def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
             normals[p, : len(distinct)], faces[p] = distinct, len(distinct)
 
 
+def dual_vectors(normals: Floats) -> Floats:
+    """Dual vectors of the normals of faces (n, k, 3), zero where a normal is zero.
+
+    Their products with a vector are its components along the normals.
+    """
+    return np.asarray(np.linalg.pinv(normals).swapaxes(1, 2), dtype=np.float64)
+
+
 def projectors(axes: Floats, which: Bools | Floats) -> Floats:
     """Sums (n, 3, 3) of projectors on axes, which are columns (n, 3, 3), by weights (n, 3)."""
     return np.asarray(np.einsum("nic,nc,njc->nij", axes, which, axes))

@@ -18,6 +18,7 @@ from ufl import as_ufl
 from ufl.core.expr import Expr
 
 from app.foundation.arrays import Bools, Floats, Ints
+from app.interfaces.faces import dual_vectors
 from app.laws import interface_laws
 from app.laws.interface_laws import DEFAULT_AUGMENTATION, AtPoint, InterfaceLaw
 from app.mechanics.contact_state import ContactState, LocalPoints
@@ -484,7 +485,7 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
     note = _note(law, f"{law.form} {len(faces)}")
     compiled = Pointwise(comm, len(normals), sizes, build, note)
     constant = {f: normals[:, k] for k, f in enumerate(faces)}
-    dual = np.asarray(np.linalg.pinv(normals).transpose(0, 2, 1), dtype=np.float64)
+    dual = dual_vectors(normals)
     constant |= {d: dual[:, k] for k, d in enumerate(duals)}
     compiled.set(**constant)
     return compiled

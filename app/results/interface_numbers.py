@@ -24,6 +24,7 @@ import numpy as np
 from app.case.quantities import TABLE, computed
 from app.case.summary import Numbers
 from app.foundation.arrays import Floats, Ints
+from app.interfaces.faces import dual_vectors
 from app.interfaces.interface_facets import InterfaceFacets
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
@@ -71,18 +72,13 @@ def least_friction(trial: TrialState) -> tuple[Floats, Floats]:
     is_closed = np.where(is_face, np.abs(opening) <= rounding[:, None], True).all(axis=1)
     has_edge = (contact.local.faces > 1) & (law.status == STICK)
     rows = np.flatnonzero(has_edge & contact.law.has_contact & is_closed)
-    on_faces = -np.einsum("pki,pi->pk", _duals(normals[rows]), law.force[rows])
+    on_faces = -np.einsum("pki,pi->pk", dual_vectors(normals[rows]), law.force[rows])
     pressed = (on_faces >= 0).all(axis=1)
     rows, on_faces = rows[pressed], on_faces[pressed]
     change = on_faces - pressures[rows]
     pressures[rows] = on_faces
     friction[rows] += np.einsum("pk,pki->pi", change, normals[rows])
     return pressures, friction
-
-
-def _duals(normals: Floats) -> Floats:
-    """Dual vectors of the normals of faces (n, 3, 3), zero beyond the last face."""
-    return np.asarray(np.linalg.pinv(normals).swapaxes(1, 2))
 
 
 class TractionSize(NamedTuple):

@@ -462,7 +462,8 @@ def _strained(case: Case, parts: Parts) -> list[Verdict]:
         boundary = next(iter(load.boundaries), "")
         area = areas.get(boundary, 0.0)
         loaded_regions = {parts.pieces[p].region for p in parts.boundaries.get(boundary, {})}
-        softest = min((m for r in loaded_regions if (m := modulus(case.regions[r]))), default=0.0)
+        moduli = [modulus(case.regions[region]) for region in loaded_regions]
+        softest = min((m for m in moduli if m), default=0.0)
         if not area or not softest:
             continue
         stress = math.hypot(*(load.resultant or ())) / area + abs(load.normal_pressure or 0.0)

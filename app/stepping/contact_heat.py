@@ -28,6 +28,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
+from app.interfaces.faces import dual_vectors
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.stiffness import ROUNDING
@@ -85,14 +86,15 @@ class ContactHeat:
             positions = np.array([index_of_point.get(key, -1) for key in keys], dtype=np.int64)
             rows = np.flatnonzero(positions >= 0)
             corner = positions[rows]
-            faces = np.repeat(rows, 3), (3 * corner[:, None] + np.arange(3)).ravel()
+            row_of_face = np.repeat(rows, 3)
+            face = (3 * corner[:, None] + np.arange(3)).ravel()
             by_value = rows, corner, np.ones(len(rows))
-            by_face = *faces, np.ones(3 * len(rows))
+            by_face = row_of_face, face, np.ones(len(face))
             if surface.dependence is not None:
                 values = surface.dependence.values[corner].tocoo()
                 by_value = rows[values.row], values.col, values.data
-                pressures = surface.dependence.pressures[faces[1]].tocoo()
-                by_face = faces[0][pressures.row], pressures.col, pressures.data
+                pressures = surface.dependence.pressures[face].tocoo()
+                by_face = row_of_face[pressures.row], pressures.col, pressures.data
             row, point, value = by_value
             self.value_interpolation = from_triplets(
                 comm, len(positions), self._point_count, row, column_of_point[point], value
@@ -165,8 +167,7 @@ class ContactHeat:
     def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the pressures of owned faces: by equilibrium, by the jump (n, 3, 3)."""
         is_pressed = (trial.law.pressures != 0)[:, :, None]
-        duals = np.linalg.pinv(is_pressed * self._contact.local.normals).swapaxes(1, 2)
-        return self._rows(-duals, trial)
+        return self._rows(-dual_vectors(is_pressed * self._contact.local.normals), trial)
 
     def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the friction power: by equilibrium, by the jump (n, 1, 3)."""

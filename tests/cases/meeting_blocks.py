@@ -93,6 +93,15 @@ def scene(
     }
 
 
+def press_on_all_sides(text: dict[str, Any]) -> None:
+    """Press a scene with the same pressure on all sides, three of which are on rollers."""
+    text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
+    text["loads"] = {
+        name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}
+        for name in ("x1", "y1", "z1")
+    }
+
+
 def contact(friction: float) -> dict[str, Any]:
     return {"kind": "contact", "friction_coefficient": friction}
 

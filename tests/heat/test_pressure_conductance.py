@@ -16,11 +16,14 @@ from tests.cases.meeting_blocks import (
     PRESSURE,
     STRONG,
     contact,
+    press_on_all_sides,
     scene,
 )
 
-OPEN, PER_PRESSURE = 50.0, 400.0  # W/(m2 K), W/(m2 K MPa)
-HOT, COLD = 80.0, 20.0  # degC
+OPEN = 50.0  # W/(m2 K)
+PER_PRESSURE = 400.0  # W/(m2 K MPa)
+HOT = 80.0  # degC
+COLD = 20.0  # degC
 
 
 def heated(text: dict[str, Any], hot: str, cold: str) -> dict[str, Any]:
@@ -59,11 +62,7 @@ def test_pressure_conductance_of_a_pressure_on_all_faces_of_an_edge(
 ) -> None:
     """The flux is that of a plane interface with the same pressure, also where interfaces meet."""
     text = scene(tmp_path, EDGE if layout == "edge" else CORNER, contact(0.0), cells=cells)
-    text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
-    text["loads"] = {
-        name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}
-        for name in ("x1", "y1", "z1")
-    }
+    press_on_all_sides(text)
     found = flows(heated(text, "y0", "y1"), tmp_path)
     # The foot exchanges heat with the rest over the areas of its faces, and with the side.
     areas = {"foot_rest": 12.0, "foot_side": 8.0, "side_rest": 8.0}
