@@ -34,6 +34,7 @@ from tests.cases.meeting_blocks import (
     THREE_UNDER_ONE,
     T,
     contact,
+    press_on_all_sides,
     scene,
 )
 
@@ -122,11 +123,7 @@ def test_interfaces_that_meet_transmit_a_pressure_on_each_face(
         y = y + 0.2 * np.interp(y, [0, 1, 2, 3], [0, 1, 0, 0]) * (z - 2)
         data = replace(data, points=np.column_stack([x, y, z]))
         write_msh(data, tmp_path / "blocks.msh")
-        text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
-        text["loads"] = {
-            name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}
-            for name in ("x1", "y1", "z1")
-        }
+        press_on_all_sides(text)
         sideways = PRESSURE
     text["solver"] = {"linear": linear}
     s = support.solve(support.case(text)).last
@@ -172,11 +169,7 @@ def test_interfaces_that_meet_blocks_at_random_have_uniform_pressure_or_are_refu
         pytest.skip("one block has no interface")
     friction = 0.6 * (seed % 2)
     text = scene(tmp_path, blocks, contact(friction), cells=cells, size=[float(n) for n in cells])
-    text["supports"] = {name: text["supports"][name] for name in ("x0", "y0", "z0")}
-    text["loads"] = {
-        name: {"kind": "pressure", "boundary": name, "pressure": f"{PRESSURE} MPa"}
-        for name in ("x1", "y1", "z1")
-    }
+    press_on_all_sides(text)
     text["solver"] = {"linear": linear}
     case = support.case(text)
     try:
