@@ -138,19 +138,21 @@ def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
         with contextlib.suppress(GeometryError):
             _checked(mesher, other_geometry, keys)
             return f"Set {key}: {length:g} mm; all elements are good then."
-    tried = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
-    tried_ranges = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
+    tried_sizes = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
+    tried_ranges = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried_sizes.items()]
     tried_text = f"elements are also inverted or nearly flat with {' and '.join(tried_ranges)}"
     return f"Change {geometry.shape_keys}: {tried_text}."
 
 
-def _check_parts(data: MeshData, connected: Collection[str], apart: Collection[str] = ()) -> None:
+def _check_parts(
+    data: MeshData, connected: Collection[str], separate_interfaces: Collection[str] = ()
+) -> None:
     """Require every region, boundary and interface.
 
     Args:
         data: The mesh.
         connected: Regions that must be one body.
-        apart: Interfaces whose sides share no facet.
+        separate_interfaces: Interfaces whose sides share no facet.
     """
     missing = [
         *(f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()),
@@ -158,17 +160,21 @@ def _check_parts(data: MeshData, connected: Collection[str], apart: Collection[s
         *(
             f"interface {name} (no facet between {' and '.join('/'.join(s) for s in sides)})"
             for name, sides in data.interfaces.items()
-            if name not in apart and not len(interface_facets(data, name)[0])
+            if name not in separate_interfaces and not len(interface_facets(data, name)[0])
         ),
     ]
     if missing:
-        doubled = len(coincident(data.points))
-        hint = f"; {doubled} pairs of nodes have the same place: merge them" if doubled else ""
-        text = "the mesh has no " + ", no ".join(missing) + hint
-        raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
+        pair_count = len(coincident(data.points))
+        hint = ""
+        if pair_count:
+            hint = f"; {pair_count} pairs of nodes have the same place: merge them"
+        message = "the mesh has no " + ", no ".join(missing) + hint
+        raise GeometryError(f"{message} [{Reason.MISSING_PART}]")
     component = components(data.neighbours, data.cell_tags)
-    pieces = {n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in connected}
-    broken = ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
+    piece_counts = {
+        n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in connected
+    }
+    broken = ", ".join(f"{name} ({n})" for name, n in piece_counts.items() if n > 1)
     if broken:
         raise GeometryError(
             f"regions in several pieces: {broken}; a region must be one body; "
@@ -176,14 +182,14 @@ def _check_parts(data: MeshData, connected: Collection[str], apart: Collection[s
         )
 
 
-def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> None:
+def _check_interfaces(data: MeshData, regions_of_bodies: Collection[Collection[str]]) -> None:
     """Require an interface wherever two bodies meet: they would be tied without one.
 
-    Regions in one collection of ``joined`` are one body.
+    Regions in one collection of ``regions_of_bodies`` are one body.
     """
     allowed = {frozenset(p) for sides in data.interfaces.values() for p in product(*sides)}
-    allowed |= {frozenset(pair) for body in joined for pair in combinations(body, 2)}
-    messages, names = [], []
+    allowed |= {frozenset(pair) for body in regions_of_bodies for pair in combinations(body, 2)}
+    messages, undeclared_pairs = [], []
     for a, b, facets in _touching_regions(data):
         if {a, b} in allowed:
             continue
@@ -194,10 +200,10 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
             f"{a} meets {b} where no interface is declared, on {area:.3g} mm2 about "
             f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
         )
-        names.append((a, b))
+        undeclared_pairs.append((a, b))
     if messages:
-        sides = ", ".join(f"{a}_{b}: [{a}, {b}]" for a, b in names)
-        laws = ", ".join(f"{a}_{b}: {{kind: bonded}}" for a, b in names)
+        sides = ", ".join(f"{a}_{b}: [{a}, {b}]" for a, b in undeclared_pairs)
+        laws = ", ".join(f"{a}_{b}: {{kind: bonded}}" for a, b in undeclared_pairs)
         raise GeometryError(
             f"{'; '.join(messages)}: separate the bodies, or declare interfaces between them, "
             "such as\n"

@@ -232,13 +232,15 @@ def searched(
     if path:
         # A damaged file is replaced.
         with suppress(OSError, ValueError, TypeError, KeyError):
-            saved = json.loads(path.read_text(encoding="utf-8"))
-            return _with_numbers(insertion, *map(float, saved["numbers"])), str(saved["gain"])
+            saved_search = json.loads(path.read_text(encoding="utf-8"))
+            return _with_numbers(insertion, *map(float, saved_search["numbers"])), str(
+                saved_search["gain"]
+            )
     numbers, gain = _search(geometry, insertion)
     if path:
         with suppress(OSError):
-            text = json.dumps({"numbers": numbers, "gain": gain})
-            files.write_bytes(path, text.encode(), 0o600)
+            content_text = json.dumps({"numbers": numbers, "gain": gain})
+            files.write_bytes(path, content_text.encode(), 0o600)
     return _with_numbers(insertion, *numbers), gain
 
 
@@ -339,6 +341,10 @@ def _largest_least(excess: Floats, slopes: Floats, u: Floats, trust: float) -> F
         ]
     )
     constraint_limits = np.concatenate([excess, -u, u])
-    low, high = np.maximum(-trust, -1.0 - u), np.minimum(trust, 1.0 - u)
-    bounds = [*zip(low, high, strict=True), *[(0.0, None)] * k, (None, COUNTED_RESERVE)]
+    lower_bounds, upper_bounds = np.maximum(-trust, -1.0 - u), np.minimum(trust, 1.0 - u)
+    bounds = [
+        *zip(lower_bounds, upper_bounds, strict=True),
+        *[(0.0, None)] * k,
+        (None, COUNTED_RESERVE),
+    ]
     return np.asarray(linprog(cost, constraint_matrix, constraint_limits, bounds=bounds).x[:k])

@@ -41,18 +41,25 @@ def build(geometry: StackKeys, mesh: MeshKeys) -> MeshData:
     return assemble(points, cells, block, regions, geometry.interface_sides, masks, facets)
 
 
-def _stack(gmsh: ModuleType, lx: float, ly: float, planes: Floats) -> None:
+def _stack(gmsh: ModuleType, width: float, depth: float, planes: Floats) -> None:
     """Volumes 1, 2, ... from the bottom, sharing their common faces."""
     geo = gmsh.model.geo
     corners, rims, covers = [], [], []
-    for left, right in planes:
-        ring = [(0, 0, left), (lx, 0, right), (lx, ly, right), (0, ly, left)]
+    for left_height, right_height in planes:
+        ring = [
+            (0, 0, left_height),
+            (width, 0, right_height),
+            (width, depth, right_height),
+            (0, depth, left_height),
+        ]
         points = [geo.addPoint(*map(float, xyz)) for xyz in ring]
         corners.append(points)
         rims.append([geo.addLine(points[i], points[(i + 1) % 4]) for i in range(4)])
         covers.append(geo.addPlaneSurface([geo.addCurveLoop(rims[-1])]))
     for k in range(len(planes) - 1):
-        posts = [geo.addLine(*ends) for ends in zip(corners[k], corners[k + 1], strict=True)]
+        posts = [
+            geo.addLine(*end_points) for end_points in zip(corners[k], corners[k + 1], strict=True)
+        ]
         loops = [[rims[k][i], posts[(i + 1) % 4], -rims[k + 1][i], -posts[i]] for i in range(4)]
         sides = [geo.addPlaneSurface([geo.addCurveLoop(loop)]) for loop in loops]
         geo.addVolume([geo.addSurfaceLoop([*covers[k : k + 2], *sides])], tag=k + 1)
@@ -62,9 +69,14 @@ def _stack(gmsh: ModuleType, lx: float, ly: float, planes: Floats) -> None:
 def _boundaries(x: Floats, block: Ints, regions: dict[str, int], size: Floats) -> dict[str, Bools]:
     """Masks over facets with centres x (n, 3): sides of the stack, and of each block."""
     tolerance = 1e-6 * size.max()
-    low, high = (x < tolerance).T, (x > size - tolerance).T
-    sides = {"x_min": low[0], "x_max": high[0], "y_min": low[1], "y_max": high[1]}
-    masks = {**sides, "bottom": low[2], "top": high[2]}
+    at_minimum, at_maximum = (x < tolerance).T, (x > size - tolerance).T
+    sides = {
+        "x_min": at_minimum[0],
+        "x_max": at_maximum[0],
+        "y_min": at_minimum[1],
+        "y_max": at_maximum[1],
+    }
+    masks = {**sides, "bottom": at_minimum[2], "top": at_maximum[2]}
     for name, tag in regions.items():
         masks |= {f"{name}_{side}": mask & (block == tag) for side, mask in sides.items()}
     return masks

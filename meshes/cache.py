@@ -48,8 +48,8 @@ def of_geometry(geometry: GeometryKeys) -> dict[str, Any]:
 
 def hashed(content: dict[str, Any]) -> str:
     """Hash of a content, the name of its file in a cache."""
-    text = json.dumps(content, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+    json_text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(json_text.encode()).hexdigest()[:24]
 
 
 def _without_paths(keys: dict[str, Any]) -> dict[str, Any]:
@@ -64,8 +64,8 @@ def _without_paths(keys: dict[str, Any]) -> dict[str, Any]:
 def _gmsh_version() -> str:
     """Version of gmsh, read from its text: importing it takes longer than reading a mesh."""
     spec = find_spec("gmsh")
-    text = Path(spec.origin).read_text() if spec and spec.origin else ""
-    return "".join(re.findall(r'^GMSH_API_VERSION = "(.+)"', text, re.M))
+    source = Path(spec.origin).read_text() if spec and spec.origin else ""
+    return "".join(re.findall(r'^GMSH_API_VERSION = "(.+)"', source, re.M))
 
 
 # Parts of a mesh in the cache.
@@ -76,12 +76,14 @@ NAMES = ("regions", "boundaries", "interfaces", "notes")
 def load(path: Path) -> MeshData | None:
     """Read a cached mesh; None when there is none or it is damaged (it is remade)."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
-            names = json.loads(str(stored["names"]))
-            arrays = {k: stored[k] for k in ARRAYS}
-        names["boundaries"] = {k: tuple(v) for k, v in names["boundaries"].items()}
-        names["interfaces"] = {k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()}
-        return MeshData(**arrays, **names)
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            named_parts = json.loads(str(archive["names"]))
+            arrays = {k: archive[k] for k in ARRAYS}
+        named_parts["boundaries"] = {k: tuple(v) for k, v in named_parts["boundaries"].items()}
+        named_parts["interfaces"] = {
+            k: (tuple(a), tuple(b)) for k, (a, b) in named_parts["interfaces"].items()
+        }
+        return MeshData(**arrays, **named_parts)
     except Exception:  # damaged archives fail in any way
         return None
 
@@ -101,10 +103,10 @@ def lock(path: Path) -> Iterator[None]:
 
 def store(data: MeshData, path: Path) -> None:
     """Write the mesh under another name and rename it; skipped where the folder is not writable."""
-    names = json.dumps({name: getattr(data, name) for name in NAMES})
+    named_parts = json.dumps({name: getattr(data, name) for name in NAMES})
     arrays = {name: getattr(data, name) for name in ARRAYS}
     content = io.BytesIO()
-    np.savez(content, **arrays, names=np.array(names))
+    np.savez(content, **arrays, names=np.array(named_parts))
     try:
         files.write_bytes(path, content.getvalue(), 0o600)
     except OSError as error:

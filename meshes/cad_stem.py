@@ -48,13 +48,13 @@ def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
     """
     x = x.reshape(-1, 3) - origin
     ray, r = ray_crossings(section(x, x @ np.cross(*plane)) @ np.linalg.pinv(plane), THETA)
-    near, far = np.full(RAYS, np.inf), np.zeros(RAYS)
-    np.minimum.at(near, ray, r)
-    np.maximum.at(far, ray, r)
-    if not (np.isfinite(near).all() and (far - near).max() < HIDDEN_METAL):
+    least_radii, largest_radii = np.full(RAYS, np.inf), np.zeros(RAYS)
+    np.minimum.at(least_radii, ray, r)
+    np.maximum.at(largest_radii, ray, r)
+    if not (np.isfinite(least_radii).all() and (largest_radii - least_radii).max() < HIDDEN_METAL):
         raise ValueError
-    ends = near * [np.cos(THETA), np.sin(THETA)]
-    return np.asarray(origin + ends.T @ plane)
+    exit_points = least_radii * [np.cos(THETA), np.sin(THETA)]
+    return np.asarray(origin + exit_points.T @ plane)
 
 
 def outline_length(x: Floats) -> float:
@@ -89,25 +89,27 @@ def corners(x: Floats) -> tuple[Floats, Floats]:
     arc = np.concatenate([arc - 1, arc, arc + 1])
     turned_angle = np.concatenate([turned_angle - total, turned_angle, turned_angle + total])
     grid = np.arange(2 * RAYS) / (2 * RAYS)
-    ends = [np.interp(grid + side * BEND_WINDOW, arc, turned_angle) for side in (-0.5, 0.5)]
-    density = (ends[1] - ends[0]) / (BEND_WINDOW * total)
+    window_ends = [np.interp(grid + side * BEND_WINDOW, arc, turned_angle) for side in (-0.5, 0.5)]
+    density = (window_ends[1] - window_ends[0]) / (BEND_WINDOW * total)
     is_high = density > CORNER_BEND
     if is_high.all() or not is_high.any():
         return np.zeros(0), np.zeros(0)
-    shift, n, pieces = int(np.argmin(is_high)), len(grid), []
+    shift, n, corner_spans = int(np.argmin(is_high)), len(grid), []
     density, is_high = np.roll(density, -shift), np.roll(is_high, -shift)
     firsts, lasts = np.flatnonzero(np.diff(is_high.astype(int), append=0)).reshape(-1, 2).T
     # An arc is facets: what is between them is no flat.
     is_separate = np.append(firsts[1:] - lasts[:-1] > SHORTEST_FLAT * n, True)
-    for first, last in zip(firsts[np.roll(is_separate, 1)] + 1, lasts[is_separate], strict=True):
-        half_density = 0.5 * density[first : last + 1].mean()
-        peak = first + np.flatnonzero(density[first : last + 1] >= half_density)
+    for first_index, last_index in zip(
+        firsts[np.roll(is_separate, 1)] + 1, lasts[is_separate], strict=True
+    ):
+        half_density = 0.5 * density[first_index : last_index + 1].mean()
+        peak = first_index + np.flatnonzero(density[first_index : last_index + 1] >= half_density)
         before = _outwards(density, half_density, int(peak[0]), -1)
         after = _outwards(density, half_density, int(peak[-1]), 1)
         width = (after - before) / n
         if 2 * half_density * width * total > LEAST_BEND:
-            pieces.append(((0.5 * (before + after) + shift) / n, width))
-    middles, widths = np.transpose(pieces) if pieces else np.zeros((2, 0))
+            corner_spans.append(((0.5 * (before + after) + shift) / n, width))
+    middles, widths = np.transpose(corner_spans) if corner_spans else np.zeros((2, 0))
     return np.asarray(middles % 1.0), np.asarray(widths)
 
 
@@ -146,14 +148,14 @@ class CornerLines:
         ends = cls._ends(middles, widths, sharp)
         offsets = (ends + 0.5) % 1.0 - 0.5
         nearest = int(np.argmin(np.abs(offsets))) if len(ends) else -1
-        first = nearest if len(ends) and abs(offsets[nearest]) < 0.5 / lines else -1
-        pieces = cls(middles, sharp, first, np.zeros(0), np.zeros(0))
+        first_end = nearest if len(ends) and abs(offsets[nearest]) < 0.5 / lines else -1
+        pieces = cls(middles, sharp, first_end, np.zeros(0), np.zeros(0))
         bounds, inside = pieces._bounds(ends)
         weights = np.where(inside, ARC_WEIGHT, 1.0)
         lengths = weights * np.diff(bounds)
-        whole = lines % 4 == 0 and lines >= max(LEAST_WHOLE, 2 * len(lengths))
-        shares = allotted(lengths, lines) if whole else lengths
-        return cls(middles, sharp, first, weights, shares / shares.sum())
+        is_whole = lines % 4 == 0 and lines >= max(LEAST_WHOLE, 2 * len(lengths))
+        shares = allotted(lengths, lines) if is_whole else lengths
+        return cls(middles, sharp, first_end, weights, shares / shares.sum())
 
     @staticmethod
     def _ends(middles: Floats, widths: Floats, sharp: Bools) -> Floats:
@@ -166,12 +168,12 @@ class CornerLines:
 
     def _bounds(self, ends: Floats) -> tuple[Floats, Bools]:
         """Bounds of the pieces from the first line on (m + 1,), and which are corners (m,)."""
-        corner = np.array(
+        begins_corner = np.array(
             [k for sharp in self.sharp for k in ([False] if sharp else [True, False])]
         )
         start = ends[self.first] if self.first >= 0 else 0.0
         all_ends = ends if self.first >= 0 else np.append(ends, 0.0)
-        is_after_corner = corner if self.first >= 0 else np.append(corner, False)
+        is_after_corner = begins_corner if self.first >= 0 else np.append(begins_corner, False)
         arc = (all_ends - start) % 1.0
         order = np.argsort(arc, kind="stable")
         inside = is_after_corner[order].astype(bool)
@@ -218,21 +220,21 @@ class CadStem:
 
         The thickness of a collar is in mm; 0: there is none.
         """
-        (self._low, high), self._placement = ends, placement
+        (self._low, top_level), self._placement = ends, placement
         self._high = (
-            self._low + float(shape["shoulder"]) - TIP_MARGIN if high < placement.top else np.inf
+            self._low + float(shape["shoulder"]) - TIP_MARGIN
+            if top_level < placement.top
+            else np.inf
         )
-        mirror, shift = (
-            [1.0, -1.0 if placement.mirrored else 1.0, 1.0],
-            np.array([0.0, 0.0, self._low]),
-        )
+        mirror = [1.0, -1.0 if placement.mirrored else 1.0, 1.0]
+        shift = np.array([0.0, 0.0, self._low])
         self._x, self._coarse = shape["x"] * mirror + shift, shape["coarse"] * mirror + shift
         self._cached_outline = lru_cache(maxsize=4096)(self._outline)
         self._cached_lines = lru_cache(maxsize=4096)(self._lines)
         self._corner_lines: CornerLines | None = None
         end, neck_axis = shape["end"] * mirror + shift, shape["neck"] * mirror
         bend = end - (1 - NECK_SHARE) * end[0] / neck_axis[0] * neck_axis
-        self._path = np.array([[0.0, 0.0, high], bend, end - NECK_INSET * neck_axis])
+        self._path = np.array([[0.0, 0.0, top_level], bend, end - NECK_INSET * neck_axis])
         medial = unit(np.array([1.0, 0.0, 0.0]) - neck_axis[0] * neck_axis)
         steepest, self._lean = placement.slopes
         self._planes = np.stack([self._plane(steepest), [medial, np.cross(neck_axis, medial)]])
@@ -260,8 +262,8 @@ class CadStem:
         if fraction > 0:
             path_fraction = self._cut + (1 - self._cut) * fraction
             after_collar = max(0.0, fraction - self._collar_end)
-            turned = min(fraction, TURN_AFTER_COLLAR * after_collar)
-            part_of_cut = (1 - turned) ** 2
+            rotated_part = min(fraction, TURN_AFTER_COLLAR * after_collar)
+            part_of_cut = (1 - rotated_part) ** 2
             plane = part_of_cut * self._planes[0] + (1 - part_of_cut) * self._planes[1]
         else:
             path_fraction, plane = self._path_fraction(height, slope), self._plane(slope)
@@ -280,9 +282,9 @@ class CadStem:
         try:
             return outline(self._x, origin, plane)
         except ValueError:
-            where = self._placement.where(self._placement.to_model(origin))
+            location = self._placement.where(self._placement.to_model(origin))
             raise GeometryError(
-                f"geometry.stem: around {where}, rays from the stem's axis meet its surface more"
+                f"geometry.stem: around {location}, rays from the stem's axis meet its surface more"
                 " than once. Is there a collar, or does the neck leave the body below the neck"
                 " cut? Move the stem proximally (geometry.tip_z, geometry.insertion.depth), cut"
                 " lower (geometry.resection.height), or remove the"
@@ -324,8 +326,8 @@ class CadStem:
 
     def section(self, z: float) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius of a square of the same length around [mm]."""
-        half = outline_length(self._cached_outline(z, 0.0, 0.0)) / 8
-        return half, half, 0.0
+        half_width = outline_length(self._cached_outline(z, 0.0, 0.0)) / 8
+        return half_width, half_width, 0.0
 
     def divided(self, z: float, line_count: int) -> CadStem:
         """Itself, with lines on the corners of its section at z [mm]."""
@@ -357,10 +359,8 @@ class CadStem:
         distances = distance(x, self._coarse)
         is_above = x[:, 2] > self._high
         if is_above.any():
-            shoulder_outline, plane_points = (
-                self._cached_outline(self._high, 0.0, 0.0)[:, :2],
-                x[is_above, :2],
-            )
+            shoulder_outline = self._cached_outline(self._high, 0.0, 0.0)[:, :2]
+            plane_points = x[is_above, :2]
             angles = np.arctan2(plane_points[:, 1], plane_points[:, 0])
             outside = np.hypot(*plane_points.T) - np.interp(
                 angles, THETA, np.hypot(*shoulder_outline.T), period=2 * np.pi

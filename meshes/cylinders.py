@@ -90,8 +90,8 @@ def _slice(gmsh: ModuleType, radii: Radii, length: float, sector: str, layers: i
     for radius in reversed(radii):
         disc = [(2, occ.addDisk(0, 0, 0, radius, radius))]
         if sector != "full":
-            part = [(2, occ.addRectangle(*corner, 0, reach - corner[0], reach - corner[1]))]
-            disc, _ = occ.intersect(disc, part)
+            sector_face = [(2, occ.addRectangle(*corner, 0, reach - corner[0], reach - corner[1]))]
+            disc, _ = occ.intersect(disc, sector_face)
         discs += disc
     faces, _ = occ.fragment(discs[:1], discs[1:])
     occ.extrude(faces, 0, 0, length, numElements=[layers])
@@ -103,15 +103,18 @@ def _boundaries(
 ) -> dict[str, Bools]:
     """Masks over facets with corners x (n, 3, 3): ends, planes of symmetry, the outer surface."""
     tolerance = 1e-6 * geometry.length
-    on_x, on_y, bottom = np.all(np.abs(x) < tolerance, axis=1).T
-    top = np.all(np.abs(x[..., 2] - geometry.length) < tolerance, axis=1)
+    on_x, on_y, is_bottom = np.all(np.abs(x) < tolerance, axis=1).T
+    is_top = np.all(np.abs(x[..., 2] - geometry.length) < tolerance, axis=1)
     masks: dict[str, Bools] = {}
     for name, tag in regions.items():
-        masks |= {f"{name}_bottom": bottom & (region == tag), f"{name}_top": top & (region == tag)}
-    masks |= {"bottom": bottom, "top": top}
+        masks |= {
+            f"{name}_bottom": is_bottom & (region == tag),
+            f"{name}_top": is_top & (region == tag),
+        }
+    masks |= {"bottom": is_bottom, "top": is_top}
     planes = {"symmetry_x": on_x, "symmetry_y": on_y}
-    side = ~bottom & ~top
-    masks |= {n: mask & side for n, mask in planes.items() if n in geometry.boundary_names}
+    is_side = ~is_bottom & ~is_top
+    masks |= {n: mask & is_side for n, mask in planes.items() if n in geometry.boundary_names}
     masks["bone_surface"] = np.all(
         np.abs(np.hypot(x[..., 0], x[..., 1]) - outer) < 1e-6 * outer, axis=1
     )

@@ -240,8 +240,8 @@ def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
     """Edges from the first corner of straight cells (3, k), in chunks that fit a cache."""
     x = np.ascontiguousarray(points.T)
     for start in range(0, max(len(cells), 1), CHUNK_CELLS):
-        first, *others = (x[:, nodes] for nodes in cells[start : start + CHUNK_CELLS].T)
-        yield [other - first for other in others]
+        first_node, *other_nodes = (x[:, nodes] for nodes in cells[start : start + CHUNK_CELLS].T)
+        yield [other_node - first_node for other_node in other_nodes]
 
 
 def dot(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> Floats:
@@ -284,10 +284,16 @@ def boundary_areas(data: MeshData) -> dict[str, float]:
 
 def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
     """Facets of an interface: nodes (outward from the first side), cells on either side."""
-    first, second = ([data.regions[r] for r in side] for side in data.interfaces[name])
+    first_tags, second_tags = ([data.regions[r] for r in side] for side in data.interfaces[name])
     cell, face, behind = data.between
-    between = np.isin(data.cell_tags[cell], first) & np.isin(data.cell_tags[behind], second)
-    return faces_of(data.cells, cell[between], face[between]), cell[between], behind[between]
+    is_between = np.isin(data.cell_tags[cell], first_tags) & np.isin(
+        data.cell_tags[behind], second_tags
+    )
+    return (
+        faces_of(data.cells, cell[is_between], face[is_between]),
+        cell[is_between],
+        behind[is_between],
+    )
 
 
 def boundary_facets(data: MeshData, name: str) -> Ints:

@@ -125,8 +125,8 @@ def _tags(mesh: dolfinx.mesh.Mesh, dim: int, sets: Sequence[Entities]) -> MeshTa
     """Tags of sets of entities, numbered from 1; the first set that has an entity counts."""
     sizes = [len(entities) for entities in sets]
     values = np.repeat(np.arange(1, len(sets) + 1, dtype=np.int32), sizes)
-    entities, first = np.unique(np.concatenate([NO_ENTITIES, *sets]), return_index=True)
-    return meshtags(mesh, dim, entities, values[first])
+    entities, first_rows = np.unique(np.concatenate([NO_ENTITIES, *sets]), return_index=True)
+    return meshtags(mesh, dim, entities, values[first_rows])
 
 
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
@@ -186,10 +186,10 @@ def gather(tagged: TaggedMesh) -> MeshData | None:
     mesh.topology.create_connectivity(3, 2)
     cell_of = mesh.topology.connectivity(2, 3)
     facets_of = mesh.topology.connectivity(3, 2)
-    cell_of_facet = np.array([cell_of.links(f)[0] for f in tagged_facets], dtype=np.int64)
+    cell_of_facet = np.array([cell_of.links(facet)[0] for facet in tagged_facets], dtype=np.int64)
     opposite = [
-        int(np.flatnonzero(facets_of.links(c) == f)[0])
-        for f, c in zip(tagged_facets, cell_of_facet, strict=True)
+        int(np.flatnonzero(facets_of.links(cell) == facet)[0])
+        for facet, cell in zip(tagged_facets, cell_of_facet, strict=True)
     ]
     # Facet i of dolfinx is opposite to vertex i; face f of `FACES` is opposite to vertex 3 - f.
     faces = 3 - np.array(opposite, dtype=np.int64)

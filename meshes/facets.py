@@ -16,8 +16,8 @@ def surface(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
     if x.shape[1] == 6:
         a, b = tangents(x, barycentric, ((1, 2), (2, 0), (0, 1)))
     else:
-        flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
-        a, b = np.broadcast_to(flat, (*flat.shape[:3], len(barycentric)))
+        edge_columns = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
+        a, b = np.broadcast_to(edge_columns, (*edge_columns.shape[:3], len(barycentric)))
     normal = np.moveaxis(np.ascontiguousarray(np.cross(a, b, axis=0)), 0, -1)
     size = np.linalg.norm(normal, axis=2)
     return normal / size[:, :, None], size
@@ -29,8 +29,8 @@ def nodal_normals(x: Floats, inside: Floats, barycentric: Floats) -> Floats:
     ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
     """
     normals, size = surface(x, barycentric)
-    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    outward = np.sign(np.einsum("fi,fi->f", flat, x[:, 0] - inside))
+    flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    outward = np.sign(np.einsum("fi,fi->f", flat_normals, x[:, 0] - inside))
     return normals * (outward * size.mean(axis=1) / 2)[:, None, None]
 
 

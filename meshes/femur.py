@@ -73,8 +73,8 @@ def _collar(data: MeshData, surfaces: LayeredSurfaces) -> str:
     area = facet_areas(data.points, facets)
     on_cortex = area[data.cell_tags[cells_below] == data.regions["cortical_bone"]].sum()
     angle = 360.0 * len(surfaces.spans) / surfaces.around
-    text = f"collar: rests on {area.sum():.0f} mm2 over {angle:.0f} deg around medial"
-    return f"{text}, {on_cortex:.0f} mm2 of them on cortical bone"
+    note = f"collar: rests on {area.sum():.0f} mm2 over {angle:.0f} deg around medial"
+    return f"{note}, {on_cortex:.0f} mm2 of them on cortical bone"
 
 
 def assembled(
@@ -105,12 +105,14 @@ def _patches(geometry: HipKeys, points: Floats, facets: Ints, surface: Bools) ->
     centre = points[facets[on_surface][:, :3]].mean(axis=1)
     areas = facet_areas(points, facets[on_surface])
     masks: dict[str, Bools] = {}
-    for name, place in geometry.points.items():
+    for name, insertion_point in geometry.points.items():
         if name == "head_centre":
             continue
-        order = np.argsort(np.round(((centre - place) ** 2).sum(axis=1), 6), kind="stable")
+        order = np.argsort(
+            np.round(((centre - insertion_point) ** 2).sum(axis=1), 6), kind="stable"
+        )
         total = np.cumsum(areas[order]) - 0.5 * areas[order]
-        chosen = order[: max(1, int((total <= np.pi * PATCH_RADIUS**2).sum()))]
+        nearest_facets = order[: max(1, int((total <= np.pi * PATCH_RADIUS**2).sum()))]
         masks[name] = np.zeros(len(facets), dtype=bool)
-        masks[name][on_surface[chosen]] = True
+        masks[name][on_surface[nearest_facets]] = True
     return masks

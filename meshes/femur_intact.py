@@ -92,8 +92,8 @@ class Intact(LayeredSurfaces):
         start, end, mantle, endosteum = (v[is_above] for v in vars(lines).values())
         angle, ratio = 2 * np.pi * phi[is_above], mantle / endosteum
         fraction = np.minimum((s[is_above] - self.cut) / (self.neck - self.cut), 1.0)
-        share = 1 - (1 - fraction) ** 2  # the neck is reached soon
-        share_column = share[:, None]
+        neck_share = 1 - (1 - fraction) ** 2  # the neck is reached soon
+        neck_column = neck_share[:, None]
         centre, radius, cortex = self._ring(fraction)
         directions = np.cos(angle)[:, None] * self._medial + np.sin(angle)[:, None] * [
             0.0,
@@ -101,7 +101,7 @@ class Intact(LayeredSurfaces):
             0.0,
         ]
         ring = centre + radius[:, None] * directions
-        start = (1 - share_column) * start + share_column * (
+        start = (1 - neck_column) * start + neck_column * (
             centre + CORE_SHARE * radius[:, None] * directions
         )
         inner = 1 - cortex / ((1 - CORE_SHARE) * radius)
@@ -115,12 +115,12 @@ class Intact(LayeredSurfaces):
         )
         end, endosteum = _extended(
             start,
-            (1 - share_column) * end + share_column * ring,
-            (1 - share) * endosteum + share * inner,
+            (1 - neck_column) * end + neck_column * ring,
+            (1 - neck_share) * endosteum + neck_share * inner,
             rise,
         )
         lines.start[is_above], lines.end[is_above] = start, end
-        lines.mantle[is_above] = (ratio + (MANTLE_BELOW_PLUG - ratio) * share) * endosteum
+        lines.mantle[is_above] = (ratio + (MANTLE_BELOW_PLUG - ratio) * neck_share) * endosteum
         lines.endosteum[is_above] = endosteum
         lines.endosteum[s > self.neck] = 1.0  # one cell through the shell of the head
 
@@ -144,53 +144,60 @@ class Intact(LayeredSurfaces):
         nodes, number = super().place_end_nodes(nodes, number, body)
         column_count, steps = len(body.section), self.ball - self.neck
         in_head = nodes.s > 2 * self.neck
-        j, k = nodes.rho[in_head], nodes.s[in_head] // 2 - self.neck
+        layer, section = nodes.rho[in_head], nodes.s[in_head] // 2 - self.neck
         angle = np.pi * nodes.phi[in_head] / self.around
-        share = np.interp(
-            j, [1, 2, 3], [CORE_SHARE, CORE_SHARE + (1 - CORE_SHARE) * MANTLE_BELOW_PLUG, 1.0]
+        radius_ratio = np.interp(
+            layer, [1, 2, 3], [CORE_SHARE, CORE_SHARE + (1 - CORE_SHARE) * MANTLE_BELOW_PLUG, 1.0]
         )
-        section_places = (share * [np.cos(angle), np.sin(angle)]).T.reshape(-1, column_count, 2)
+        section_places = (radius_ratio * [np.cos(angle), np.sin(angle)]).T.reshape(
+            -1, column_count, 2
+        )
         rings = self.around * len(body.rho)
         section_places[:, rings:] = body.weights @ section_places[:, : rings : len(body.rho)]
-        offsets = self._bulged(section_places.reshape(-1, 2), np.minimum(k, steps), steps)
-        in_shell = (j >= 3) | (k >= steps)
-        outward = np.maximum(j - 3, k - steps)
+        offsets = self._bulged(section_places.reshape(-1, 2), np.minimum(section, steps), steps)
+        in_shell = (layer >= 3) | (section >= steps)
+        outward = np.maximum(layer - 3, section - steps)
         radius = self._radius - CORTEX_THICKNESS[1] * (1 - outward)
         offsets[in_shell] *= (radius / np.sqrt((offsets**2).sum(axis=1)))[in_shell, None]
         x, rho = nodes.x.copy(), nodes.rho.copy()
         x[in_head] = np.round(self._centre + offsets, DIGITS)
         rho[in_head] = np.where(in_shell, -3.0, 0.0)
         # The rim of the lid is that of the shell.
-        stations, outer = (
-            number.reshape(-1, column_count),
-            np.arange(len(body.rho) - 1, rings, len(body.rho)),
-        )
+        stations = number.reshape(-1, column_count)
+        outer = np.arange(len(body.rho) - 1, rings, len(body.rho))
         stations[-1, outer - self.through[2]] = stations[-2, outer]
         return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~in_head), number[number]
 
-    def _bulged(self, flat: Floats, k: Ints, steps: int) -> Floats:
-        """Positions on sections k (n,) of the head within its cortex, from its centre (n, 3) [mm].
+    def _bulged(self, section_places: Floats, section: Ints, steps: int) -> Floats:
+        """Positions on sections (n,) of the head within its cortex, from its centre (n, 3) [mm].
 
-        Sections are even on the axis, and bulge until the last is a cap of the sphere. ``flat`` are
-        places in a section over its radius, medial and anterior (n, 2).
+        Sections are even on the axis, and bulge until the last is a cap of the sphere.
+        ``section_places`` are places in a section over its radius, medial and anterior (n, 2).
         """
-        within = self._radius - CORTEX_THICKNESS[1]
+        inner_radius = self._radius - CORTEX_THICKNESS[1]
         angles = np.linspace(math.asin(NECK_RATIO[1]), math.pi - CAP_ANGLE, steps + 1)
-        rims = -within * np.cos(angles)
-        bulge = (np.linspace(rims[0], within, steps + 1) - rims) / (within - np.abs(rims))
-        down, ahead = flat.T * within * np.sin(angles[k])
-        cap = np.sqrt(within**2 - down**2 - ahead**2)
-        up = rims[k] + bulge[k] * (cap - np.abs(rims[k]))
-        offsets = np.outer(down, self._medial) + np.outer(up, self._axis)
-        offsets[:, 1] += ahead
+        rims = -inner_radius * np.cos(angles)
+        bulge = (np.linspace(rims[0], inner_radius, steps + 1) - rims) / (
+            inner_radius - np.abs(rims)
+        )
+        medial_offset, anterior_offset = section_places.T * inner_radius * np.sin(angles[section])
+        cap_height = np.sqrt(inner_radius**2 - medial_offset**2 - anterior_offset**2)
+        height = rims[section] + bulge[section] * (cap_height - np.abs(rims[section]))
+        offsets = np.outer(medial_offset, self._medial) + np.outer(height, self._axis)
+        offsets[:, 1] += anterior_offset
         return offsets
 
     def arc(self, a: Floats, b: Floats) -> Floats:
         """Middles of edges from a to b, at their mean distance from the head's centre (n, 3)."""
         a, b = a - self._centre, b - self._centre
         middle = 0.5 * (a + b)
-        first, second, straight = (np.sqrt((v**2).sum(axis=1)) for v in (a, b, middle))
-        return np.asarray(self._centre + (0.5 * (first + second) / straight)[:, None] * middle)
+        start_distance, end_distance, middle_distance = (
+            np.sqrt((v**2).sum(axis=1)) for v in (a, b, middle)
+        )
+        return np.asarray(
+            self._centre
+            + (0.5 * (start_distance + end_distance) / middle_distance)[:, None] * middle
+        )
 
 
 def _extended(
@@ -215,9 +222,10 @@ def build(geometry: IntactHipKeys, mesh: MeshKeys) -> MeshData:
     """
     changes: dict[str, Any] = {"canal_widening": 0.0}
     if not geometry.is_cemented:
-        stem, keys = geometry.stem, [f"{end}{key}" for end in ("", "tip_") for key in SECTION_KEYS]
-        slim = stem.model_copy(update={key: SLIM_FACTOR * getattr(stem, key) for key in keys})
-        changes |= {"cement_thickness": LEAST_MANTLE, "stem": slim, "tip_void": 0.0}
+        stem = geometry.stem
+        keys = [f"{prefix}{key}" for prefix in ("", "tip_") for key in SECTION_KEYS]
+        slim_stem = stem.model_copy(update={key: SLIM_FACTOR * getattr(stem, key) for key in keys})
+        changes |= {"cement_thickness": LEAST_MANTLE, "stem": slim_stem, "tip_void": 0.0}
     surfaces = Intact(geometry.model_copy(update=changes), mesh)
     swept_mesh = swept.mesh(surfaces, bool(mesh.curved))
     facets, _ = swept_mesh.facets

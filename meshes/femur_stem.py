@@ -132,13 +132,13 @@ class Body:
         a, b, r = self.section(z)
         c, s = np.abs(np.cos(theta)), np.abs(np.sin(theta))
         with np.errstate(divide="ignore"):
-            flat = np.minimum(a / c, b / s)
+            flat_radius = np.minimum(a / c, b / s)
         # The ray meets the corner's circle, centre (a - r, b - r), when the flat point is past it.
         along = (a - r) * c + (b - r) * s
         across = (a - r) * s - (b - r) * c
         corner = along + np.sqrt(np.maximum(r**2 - across**2, 0.0))
-        rounded = (flat * c > a - r) & (flat * s > b - r)
-        return np.where(rounded, corner, flat)
+        is_rounded = (flat_radius * c > a - r) & (flat_radius * s > b - r)
+        return np.where(is_rounded, corner, flat_radius)
 
     def point(self, phi: Floats, zeta: FloatOrFloats, slope: FloatOrFloats) -> Floats:
         """Points of the outline in the planes z = zeta - slope (x + lean y) (n, 3) [mm].
@@ -190,11 +190,13 @@ class Body:
 
 def body(implant: Implant) -> Body:
     """The stem's body from its sections at the tip and at ``section_z``."""
-    low, high = implant.tip_z, implant.section_z
+    tip_level, section_level = implant.tip_z, implant.section_z
     tips = implant.tip_half_width, implant.tip_half_depth, implant.tip_corner_radius
     tops = implant.half_width, implant.half_depth, implant.corner_radius
-    slopes = [(top - tip) / (high - low) for tip, top in zip(tips, tops, strict=True)]
-    values = [tip - slope * low for tip, slope in zip(tips, slopes, strict=True)]
+    slopes = [
+        (top - tip) / (section_level - tip_level) for tip, top in zip(tips, tops, strict=True)
+    ]
+    values = [tip - slope * tip_level for tip, slope in zip(tips, slopes, strict=True)]
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
 
 
@@ -303,13 +305,13 @@ class Upper:
         )
         planes = zip(*self.planes, strict=True)
         x = self.body.point(phi, *(a + body_part[:, 0] * (b - a) for a, b in planes))
-        first, second = self.line_directions(phi)
-        before, after = self.arm * unit(first), self.arm * unit(second)
+        to_ring, along_cone = self.line_directions(phi)
+        before_ring, after_ring = self.arm * unit(to_ring), self.arm * unit(along_cone)
         if self.buried:
             offset = self.point(phi, self.planes[1][0] + self.buried) - x
-            x, first = x + offset, first - offset
-        x += loft_part * (first - before) + cone_part * (second - after)
-        return np.asarray(x + (1 - (1 - turn_part) ** 2) * before + turn_part**2 * after)
+            x, to_ring = x + offset, to_ring - offset
+        x += loft_part * (to_ring - before_ring) + cone_part * (along_cone - after_ring)
+        return np.asarray(x + (1 - (1 - turn_part) ** 2) * before_ring + turn_part**2 * after_ring)
 
     def with_fillet(self, radius: float) -> Upper:
         """Return the stem whose lines turn with at least this radius [mm].
@@ -321,11 +323,11 @@ class Upper:
         Raises:
             GeometryError: There is no room.
         """
-        first, second = self.line_directions(np.arange(72) / 72)
-        cosine = float((unit(first) * unit(second)).sum(axis=1).min())
+        to_ring, along_cone = self.line_directions(np.arange(72) / 72)
+        cosine = float((unit(to_ring) * unit(along_cone)).sum(axis=1).min())
         arm = radius * math.sqrt(2 * (1 - cosine)) / (1 + cosine)
         room = ARM_SHARE * math.sqrt(
-            min((directions**2).sum(axis=1).min() for directions in (first, second))
+            min((directions**2).sum(axis=1).min() for directions in (to_ring, along_cone))
         )
         if arm > room:
             raise GeometryError(
@@ -353,7 +355,7 @@ def upper(
     """
     sine, cosine = math.sin(implant.neck_angle), -math.cos(implant.neck_angle)
     axis = np.array([sine, 0.0, cosine])
-    head = np.array([implant.head_offset, 0.0, implant.head_height])
+    head_centre = np.array([implant.head_offset, 0.0, implant.head_height])
     length = implant.head_offset / sine
     slope = max(SHOULDER_SLOPE, cut_slope)
     shoulder = implant.shoulder
@@ -363,26 +365,26 @@ def upper(
     clearance = (
         NECK_CLEARANCE if low == top else implant.neck_fillet + buried / math.hypot(slope, 1.0)
     )
-    first, last = 0.5 * implant.neck_diameter, 0.5 * implant.trunnion_diameter
+    neck_radius, trunnion_radius = 0.5 * implant.neck_diameter, 0.5 * implant.trunnion_diameter
     normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
     # How far the lowest point of a ring is from its centre towards the section below.
-    ring_dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
+    ring_dip = neck_radius * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
     rise = float(axis @ normal)
     # The neck's axis is in the section that it leaves at this part of its length, or below.
-    neck_root = head - length * axis
-    needed = (clearance + ring_dip - float(normal @ (neck_root - [0.0, 0.0, base]))) / (
+    neck_root = head_centre - length * axis
+    least_fraction = (clearance + ring_dip - float(normal @ (neck_root - [0.0, 0.0, base]))) / (
         rise * length
     )
-    if rise <= 0 or needed > BLEND_RANGE[1]:
+    if rise <= 0 or least_fraction > BLEND_RANGE[1]:
         raise GeometryError(
             f"geometry: the neck, {implant.neck_diameter:g} mm thick towards a head"
             f" {implant.head_height - shoulder:g} mm above the shoulder, does not clear the neck"
             " cut; raise the head or cut lower"
         )
-    ring_fraction = max(BLEND_RANGE[0], needed)
+    ring_fraction = max(BLEND_RANGE[0], least_fraction)
     ring = neck_root + ring_fraction * length * axis
-    planes, centres = ((min(base, top), cut_slope), (base, slope)), np.stack([ring, head])
-    stem_above = Upper(body, planes, centres, (first, last), buried).with_fillet(
+    planes, centres = ((min(base, top), cut_slope), (base, slope)), np.stack([ring, head_centre])
+    stem_above = Upper(body, planes, centres, (neck_radius, trunnion_radius), buried).with_fillet(
         implant.neck_fillet
     )
     blend = float(np.linalg.norm(ring - [0.0, 0.0, max(base, top)]))

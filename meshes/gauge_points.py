@@ -69,8 +69,8 @@ class GaugeFault(ValueError):
         cure: Values that are allowed.
     """
 
-    def __init__(self, key: str, text: str, cure: str) -> None:
-        super().__init__(text)
+    def __init__(self, key: str, message: str, cure: str) -> None:
+        super().__init__(message)
         self.key, self.cure = key, cure
 
 
@@ -111,11 +111,11 @@ def gauge_points(
     """
     given_point = np.asarray(at, dtype=float)
     if towards is None:
-        facet, share = _nearest(x, given_point)
+        facet, barycentric = _nearest(x, given_point)
     else:
-        facet, share = _seen(x, given_point, np.asarray(towards, dtype=float))
-    centre = _places(x[facet], share)
-    normal = _normals(x[[facet]], share[None])[0]
+        facet, barycentric = _seen(x, given_point, np.asarray(towards, dtype=float))
+    centre = _places(x[facet], barycentric)
+    normal = _normals(x[[facet]], barycentric[None])[0]
     radius, angle, weight = _disc(diameter / 2)
     for _ in range(IMPROVEMENTS + 1):
         grid = _grid(direction, normal)
@@ -123,15 +123,15 @@ def gauge_points(
         plane = radius * np.cos(angle), radius * np.sin(angle)
         points = centre + np.outer(plane[0], grid) + np.outer(plane[1], across)
         hits = _projected(x, points, normal, diameter)
-        covered = hits.facet >= 0
+        is_covered = hits.facet >= 0
         normals = np.zeros((len(points), 3))
-        normals[covered] = _normals(x[hits.facet[covered]], hits.share[covered])
+        normals[is_covered] = _normals(x[hits.facet[is_covered]], hits.share[is_covered])
         slope = normals @ normal
         normals *= np.sign(slope)[:, None]
         mean = weight @ normals
-        is_allowed = covered & (np.abs(slope) >= np.cos(np.radians(MOST_BEND)))
+        is_allowed = is_covered & (np.abs(slope) >= np.cos(np.radians(MOST_BEND)))
         if not is_allowed.all():
-            raise _circle_fault(radius, covered, is_allowed, centre)
+            raise _circle_fault(radius, is_covered, is_allowed, centre)
         normal = mean / np.linalg.norm(mean)
     distance = float(np.linalg.norm(centre - given_point)) if towards is None else 0.0
     return GaugePoints(centre, normal, grid, distance, hits.facet, hits.share, weight)
@@ -149,9 +149,9 @@ def _grid(direction: Sequence[float], normal: Floats) -> Floats:
     if size < np.cos(np.radians(MOST_STEEP)):
         angle = np.degrees(np.arccos(min(size, 1.0)))
         nx, ny, nz = normal + 0.0
-        text = f"is {angle:.0f} degrees out of the surface, whose normal is "
-        text += f"[{nx:.2f}, {ny:.2f}, {nz:.2f}]"
-        raise GaugeFault("direction", text, f"expected at most {MOST_STEEP:g} degrees")
+        message = f"is {angle:.0f} degrees out of the surface, whose normal is "
+        message += f"[{nx:.2f}, {ny:.2f}, {nz:.2f}]"
+        raise GaugeFault("direction", message, f"expected at most {MOST_STEEP:g} degrees")
     return np.asarray(in_plane / size)
 
 
@@ -168,51 +168,59 @@ def _disc(largest: float) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def _circle_fault(radius: Floats, covered: Bools, is_allowed: Bools, centre: Floats) -> GaugeFault:
+def _circle_fault(
+    radius: Floats, is_covered: Bools, is_allowed: Bools, centre: Floats
+) -> GaugeFault:
     """Error on a circle that is not on the surface, with the largest that is."""
-    place = ", ".join(f"{c:.4g}" for c in centre + 0.0)
-    if covered.all():
-        text = (
-            f"the surface bends by more than {MOST_BEND:g} degrees below a circle at [{place}] mm"
+    location = ", ".join(f"{c:.4g}" for c in centre + 0.0)
+    if is_covered.all():
+        message = (
+            f"the surface bends by more than {MOST_BEND:g} degrees below a circle"
+            f" at [{location}] mm"
         )
     else:
-        missing = 100 * (1 - covered.mean())
-        text = f"{missing:.0f} % of the circle at [{place}] mm is beyond the edge of the surface"
+        missing_percent = 100 * (1 - is_covered.mean())
+        message = (
+            f"{missing_percent:.0f} % of the circle at [{location}] mm is beyond the edge"
+            " of the surface"
+        )
     rings = np.unique(radius)
     inside = rings[rings < radius[~is_allowed].min() * (1 - ROUNDING)]
     if len(inside):
         cure = f"expected at most about {2 * inside.max():.2g} mm there, or another place"
     else:
         cure = "expected another place"
-    return GaugeFault("diameter", text, cure)
+    return GaugeFault("diameter", message, cure)
 
 
-def _places(x: Floats, share: Floats) -> Floats:
+def _places(x: Floats, barycentric: Floats) -> Floats:
     """Position of a point in a facet (3 or 6, 3) [mm]."""
-    return np.asarray(_shape(share[None], len(x))[0] @ x)
+    return np.asarray(_shape(barycentric[None], len(x))[0] @ x)
 
 
-def _shape(share: Floats, nodes: int) -> Floats:
+def _shape(barycentric: Floats, nodes: int) -> Floats:
     """Shape functions (n, nodes) of facets."""
     if nodes == 3:
-        return share
+        return barycentric
     i, j = np.array(EDGES).T
-    return np.concatenate([share * (2 * share - 1), 4 * share[:, i] * share[:, j]], axis=1)
+    return np.concatenate(
+        [barycentric * (2 * barycentric - 1), 4 * barycentric[:, i] * barycentric[:, j]], axis=1
+    )
 
 
-def _tangents(x: Floats, share: Floats) -> tuple[Floats, Floats]:
+def _tangents(x: Floats, barycentric: Floats) -> tuple[Floats, Floats]:
     """Derivatives of the position with respect to the second and third coordinate (n, 3)."""
     if x.shape[1] == 3:
         return x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
     # Each facet has a separate point.
-    pairs = [tangents(x[[k]], share[[k]], EDGES)[:, :, 0, 0] for k in range(len(x))]
-    both = np.array(pairs).reshape(-1, 2, 3)
-    return both[:, 0], both[:, 1]
+    pairs = [tangents(x[[k]], barycentric[[k]], EDGES)[:, :, 0, 0] for k in range(len(x))]
+    pair_tangents = np.array(pairs).reshape(-1, 2, 3)
+    return pair_tangents[:, 0], pair_tangents[:, 1]
 
 
-def _normals(x: Floats, share: Floats) -> Floats:
+def _normals(x: Floats, barycentric: Floats) -> Floats:
     """Unit normals (n, 3) of facets (n, 3 or 6, 3) at points."""
-    normal = np.cross(*_tangents(x, share))
+    normal = np.cross(*_tangents(x, barycentric))
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
@@ -224,13 +232,16 @@ def _projected(x: Floats, points: Floats, normal: Floats, diameter: float) -> _H
     rows = np.flatnonzero(distances <= size + 1.5 * diameter)
     hits = _on_lines(x[rows], points, normal)
     facet = np.full(len(points), -1, dtype=np.int64)
-    share = np.zeros((len(points), 3))
+    barycentric = np.zeros((len(points), 3))
     height = np.full(len(points), np.inf)
-    for line, row, s, h in hits:
+    for line, row, coordinates, line_height in hits:
         # A point on the edge of two facets belongs to the first of them.
-        if abs(h) <= diameter and abs(h) < abs(height[line]) - ROUNDING * diameter:
-            facet[line], share[line], height[line] = rows[row], s, h
-    return _Hits(facet, share, height)
+        if (
+            abs(line_height) <= diameter
+            and abs(line_height) < abs(height[line]) - ROUNDING * diameter
+        ):
+            facet[line], barycentric[line], height[line] = rows[row], coordinates, line_height
+    return _Hits(facet, barycentric, height)
 
 
 def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, Floats, float]]:
@@ -240,92 +251,102 @@ def _on_lines(x: Floats, points: Floats, axis: Floats) -> list[tuple[int, int, F
         Line, facet, barycentric coordinates (3,) and height along the axis [mm] of each.
     """
     plane = np.linalg.svd(axis[None])[2][1:]
-    flat = x @ plane.T
-    wanted = points @ plane.T
-    a, b, c = flat[:, 0], flat[:, 1], flat[:, 2]
+    plane_nodes = x @ plane.T
+    plane_points = points @ plane.T
+    a, b, c = plane_nodes[:, 0], plane_nodes[:, 1], plane_nodes[:, 2]
     edge = np.stack([b - a, c - a], axis=2)
     # Facets seen from the edge have no points on a line.
     area = np.abs(np.linalg.det(edge))
     longest = np.linalg.norm(x[:, 1:3] - x[:, :1], axis=2).max(axis=1)
-    seen = np.flatnonzero(area > ROUNDING * longest**2)
-    inverse = np.linalg.inv(edge[seen])
-    inner_shares = np.einsum("fij,nfj->nfi", inverse, wanted[:, None] - a[seen])
-    shares = np.concatenate([1 - inner_shares.sum(axis=2, keepdims=True), inner_shares], axis=2)
+    visible = np.flatnonzero(area > ROUNDING * longest**2)
+    inverse = np.linalg.inv(edge[visible])
+    inner_coordinates = np.einsum("fij,nfj->nfi", inverse, plane_points[:, None] - a[visible])
+    coordinates = np.concatenate(
+        [1 - inner_coordinates.sum(axis=2, keepdims=True), inner_coordinates], axis=2
+    )
     margin = ROUNDING if x.shape[1] == 3 else OUTSIDE
-    line, facet = np.nonzero(shares.min(axis=2) >= -margin)
-    share = shares[line, facet]
-    facet = seen[facet]
+    line, facet = np.nonzero(coordinates.min(axis=2) >= -margin)
+    barycentric = coordinates[line, facet]
+    facet = visible[facet]
     if x.shape[1] == 6:
-        share = _in_curved(flat[facet], wanted[line], share)
-        inside = np.flatnonzero(share.min(axis=1) >= -ROUNDING)
-        line, facet, share = line[inside], facet[inside], share[inside]
-    share = np.maximum(share, 0.0)
-    share /= share.sum(axis=1, keepdims=True)
-    place = np.einsum("nk,nkc->nc", _shape(share, x.shape[1]), x[facet])
-    height = (place - points[line]) @ axis
+        barycentric = _in_curved(plane_nodes[facet], plane_points[line], barycentric)
+        inside = np.flatnonzero(barycentric.min(axis=1) >= -ROUNDING)
+        line, facet, barycentric = line[inside], facet[inside], barycentric[inside]
+    barycentric = np.maximum(barycentric, 0.0)
+    barycentric /= barycentric.sum(axis=1, keepdims=True)
+    position = np.einsum("nk,nkc->nc", _shape(barycentric, x.shape[1]), x[facet])
+    height = (position - points[line]) @ axis
     return [
-        (int(number), int(facet_number), s, float(h))
-        for number, facet_number, s, h in zip(line, facet, share, height, strict=True)
+        (int(line_number), int(facet_number), point_coordinates, float(point_height))
+        for line_number, facet_number, point_coordinates, point_height in zip(
+            line, facet, barycentric, height, strict=True
+        )
     ]
 
 
-def _in_curved(flat: Floats, wanted: Floats, share: Floats) -> Floats:
+def _in_curved(plane_nodes: Floats, plane_points: Floats, barycentric: Floats) -> Floats:
     """Coordinates (n, 3) in curved facets, seen in a plane (n, 6, 2), of points there (n, 2)."""
     i, j = np.array(EDGES).T
     identity = np.eye(3)
-    for _ in range(ITERATIONS if len(share) else 0):
-        residual = wanted - np.einsum("nk,nkc->nc", _shape(share, 6), flat)
-        corners = (4 * share - 1)[:, :, None] * identity
-        middles = 4 * (share[:, i, None] * identity[j] + share[:, j, None] * identity[i])
+    for _ in range(ITERATIONS if len(barycentric) else 0):
+        residual = plane_points - np.einsum("nk,nkc->nc", _shape(barycentric, 6), plane_nodes)
+        corners = (4 * barycentric - 1)[:, :, None] * identity
+        middles = 4 * (
+            barycentric[:, i, None] * identity[j] + barycentric[:, j, None] * identity[i]
+        )
         slopes = np.concatenate([corners, middles], axis=1)
         slopes = slopes[:, :, 1:] - slopes[:, :, :1]
-        jacobian = np.einsum("nkc,nkd->ncd", flat, slopes)
+        jacobian = np.einsum("nkc,nkd->ncd", plane_nodes, slopes)
         regular = np.abs(np.linalg.det(jacobian)) > 0
         step = np.zeros_like(residual)
         step[regular] = np.linalg.solve(jacobian[regular], residual[regular][:, :, None])[:, :, 0]
-        share = share + np.column_stack([-step.sum(axis=1), step])
+        barycentric = barycentric + np.column_stack([-step.sum(axis=1), step])
         # A line that misses the facet may have no solution: its iterates stay near the facet.
-        share = np.clip(share, -1.0, 2.0)
-    residual = wanted - np.einsum("nk,nkc->nc", _shape(share, 6), flat)
-    size = np.abs(flat - flat[:, :1]).max(axis=(1, 2))
+        barycentric = np.clip(barycentric, -1.0, 2.0)
+    residual = plane_points - np.einsum("nk,nkc->nc", _shape(barycentric, 6), plane_nodes)
+    size = np.abs(plane_nodes - plane_nodes[:, :1]).max(axis=(1, 2))
     missed = np.abs(residual).max(axis=1, initial=0.0) > 1e-8 * size
-    share[missed] = -1.0
-    return share
+    barycentric[missed] = -1.0
+    return barycentric
 
 
 def _nearest(x: Floats, point: Floats) -> tuple[int, Floats]:
     """Facet with the nearest point of its flat triangle to a point, and its coordinates (3,)."""
     corners = x[:, :3]
-    best = np.full(len(x), np.inf)
-    shares = np.zeros((len(x), 3))
+    least_distance = np.full(len(x), np.inf)
+    nearest_coordinates = np.zeros((len(x), 3))
     for i, j in EDGES:
         edge = corners[:, j] - corners[:, i]
         fraction = np.einsum("fc,fc->f", point - corners[:, i], edge) / (edge**2).sum(axis=1)
         fraction = np.clip(fraction, 0.0, 1.0)
-        share = np.zeros((len(x), 3))
-        share[:, i], share[:, j] = 1 - fraction, fraction
-        _take_nearer(best, shares, corners, point, share)
+        barycentric = np.zeros((len(x), 3))
+        barycentric[:, i], barycentric[:, j] = 1 - fraction, fraction
+        _take_nearer(least_distance, nearest_coordinates, corners, point, barycentric)
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(a, b)
     offset = point - corners[:, 0]
     square = (normal**2).sum(axis=1)
     second = np.einsum("fc,fc->f", np.cross(offset, b), normal) / square
     third = np.einsum("fc,fc->f", np.cross(a, offset), normal) / square
-    share = np.column_stack([1 - second - third, second, third])
-    within = share.min(axis=1) >= 0
-    share[~within] = np.eye(3)[0]
-    _take_nearer(best, shares, corners, point, share)
-    facet = int(np.argmin(np.round(best, 9)))
-    return facet, shares[facet]
+    barycentric = np.column_stack([1 - second - third, second, third])
+    is_inside = barycentric.min(axis=1) >= 0
+    barycentric[~is_inside] = np.eye(3)[0]
+    _take_nearer(least_distance, nearest_coordinates, corners, point, barycentric)
+    facet = int(np.argmin(np.round(least_distance, 9)))
+    return facet, nearest_coordinates[facet]
 
 
 def _take_nearer(
-    best: Floats, shares: Floats, corners: Floats, point: Floats, share: Floats
+    least_distance: Floats,
+    nearest_coordinates: Floats,
+    corners: Floats,
+    point: Floats,
+    barycentric: Floats,
 ) -> None:
     """Put points of flat triangles where they are nearer than the best ones so far."""
-    distance = np.linalg.norm(np.einsum("fk,fkc->fc", share, corners) - point, axis=1)
-    nearer = distance < best
-    best[nearer], shares[nearer] = distance[nearer], share[nearer]
+    distance = np.linalg.norm(np.einsum("fk,fkc->fc", barycentric, corners) - point, axis=1)
+    nearer = distance < least_distance
+    least_distance[nearer], nearest_coordinates[nearer] = distance[nearer], barycentric[nearer]
 
 
 def _seen(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:
@@ -337,12 +358,16 @@ def _seen(x: Floats, point: Floats, towards: Floats) -> tuple[int, Floats]:
     axis = towards / np.linalg.norm(towards)
     ahead = [hit for hit in _on_lines(x, point[None], axis) if hit[3] >= 0]
     if not ahead:
-        low, high = (
-            ", ".join(f"{c:.4g}" for c in end(x.reshape(-1, 3), axis=0) + 0.0)
-            for end in (np.min, np.max)
+        lowest_corner, highest_corner = (
+            ", ".join(f"{c:.4g}" for c in extreme(x.reshape(-1, 3), axis=0) + 0.0)
+            for extreme in (np.min, np.max)
         )
-        text = "the line of sight from `at` does not meet the surface"
-        raise GaugeFault("towards", text, f"the surface fills [{low}] to [{high}] mm")
-    last = max(hit[3] for hit in ahead)
-    _, facet, share, _ = next(hit for hit in ahead if hit[3] >= last - ROUNDING * (1 + last))
-    return facet, share
+        message = "the line of sight from `at` does not meet the surface"
+        raise GaugeFault(
+            "towards", message, f"the surface fills [{lowest_corner}] to [{highest_corner}] mm"
+        )
+    last_height = max(hit[3] for hit in ahead)
+    _, facet, barycentric, _ = next(
+        hit for hit in ahead if hit[3] >= last_height - ROUNDING * (1 + last_height)
+    )
+    return facet, barycentric

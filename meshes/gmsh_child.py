@@ -94,7 +94,7 @@ def session(name: str) -> Iterator[ModuleType]:
             except Exception as error:  # gmsh raises bare Exception with its last error line
                 crossing = [line.partition(":")[2] for line in captured_log() if CROSSING in line]
                 lines = [f"{name}: the mesh generator failed: {error}"]
-                lines += [f"{CROSSING_TEXT}:{text}" for text in crossing[:1]]
+                lines += [f"{CROSSING_TEXT}:{crossing_text}" for crossing_text in crossing[:1]]
                 lines += [f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:]]
                 raise GeometryError("\n".join(lines)) from error
     finally:
@@ -114,8 +114,8 @@ def grade(gmsh: ModuleType, distances: Sequence[str], size: float, far_size: flo
         tag = gmsh.model.mesh.field.add("MathEval")
         slope = f"{size}+{GROWTH}*Fabs({distance})"
         # MathEval has no minimum: min(a, b) = (a + b - |a - b|)/2
-        text = f"0.5*({slope}+{far_size}-Fabs({slope}-{far_size}))"
-        gmsh.model.mesh.field.setString(tag, "F", text)
+        expression = f"0.5*({slope}+{far_size}-Fabs({slope}-{far_size}))"
+        gmsh.model.mesh.field.setString(tag, "F", expression)
         fields.append(tag)
     smallest = gmsh.model.mesh.field.add("Min")
     gmsh.model.mesh.field.setNumbers(smallest, "FieldsList", fields)
@@ -163,13 +163,13 @@ def serve(reader: Callable[[Any], Mapping[str, ArrayLike]], seconds: int) -> Non
     answer = os.dup(1)
     os.dup2(2, 1)  # scripts print
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for limit, value in (
+    for resource_limit, value in (
         (resource.RLIMIT_AS, memory),
         (resource.RLIMIT_CPU, seconds),
         (resource.RLIMIT_FSIZE, MOST_BYTES),
         (resource.RLIMIT_CORE, 0),
     ):
-        resource.setrlimit(limit, (value, value))
+        resource.setrlimit(resource_limit, (value, value))
     try:
         arrays: dict[str, Any] = {**reader(request)}
     except GeometryError as error:
@@ -195,17 +195,21 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
             try:
                 gmsh.merge(path.name)
             except Exception as error:  # gmsh raises bare Exception
-                text = "is damaged or cut short; export it again"
-                raise GeometryError(f"{path}: {text} (gmsh: {error})") from error
-        groups: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
+                fault = "is damaged or cut short; export it again"
+                raise GeometryError(f"{path}: {fault} (gmsh: {error})") from error
+        entities_of_group: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
         for dim, tag in gmsh.model.getPhysicalGroups(2) + gmsh.model.getPhysicalGroups(3):
             entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
-            groups[dim].setdefault(gmsh.model.getPhysicalName(dim, tag), []).extend(entities)
+            entities_of_group[dim].setdefault(gmsh.model.getPhysicalName(dim, tag), []).extend(
+                entities
+            )
         listing = (
-            f"{path}: physical volumes: {_listed(groups[3])}; "
-            f"physical surfaces: {_listed(groups[2])}"
+            f"{path}: physical volumes: {_listed(entities_of_group[3])}; "
+            f"physical surfaces: {_listed(entities_of_group[2])}"
         )
-        surfaces, regions = ({n: group for n, group in groups[d].items() if n} for d in (2, 3))
+        surfaces, regions = (
+            {n: group for n, group in entities_of_group[d].items() if n} for d in (2, 3)
+        )
         if not regions:
             raise GeometryError(
                 f"{listing}; name every region (and boundary) with a physical group"
@@ -228,8 +232,8 @@ def read(request: ReadRequest) -> dict[str, ArrayLike]:
         points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
         cells = {name: elements(gmsh, tet, group, row) for name, group in sorted(regions.items())}
-        full = {mesh_files.word(name) for name, block in cells.items() if len(block)}
-        absent = [name for name in request["regions"] if name not in full]
+        filled_regions = {mesh_files.word(name) for name, block in cells.items() if len(block)}
+        absent = [name for name in request["regions"] if name not in filled_regions]
         if absent:
             raise GeometryError(
                 f"{listing}; the volumes {_listed(absent)} have no cells; mesh them, or "

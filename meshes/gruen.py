@@ -91,9 +91,9 @@ class Zones:
         cavity = femur_stem.body(geometry.implant).outside(self._thickness, theta, z)
         if geometry.is_cemented:
             # The mantle ends at the endosteum; a stem without cement takes some of the cortex.
-            cavity, end = np.minimum(cavity, canal), geometry.implant.plug
+            cavity, end_level = np.minimum(cavity, canal), geometry.implant.plug
         else:
-            end = geometry.implant.tip_z - geometry.implant.tip_void
-        below_end = z < end + ROUNDING
+            end_level = geometry.implant.tip_z - geometry.implant.tip_void
+        below_end = z < end_level + ROUNDING
         below_cut = x @ self._normal <= self._level + ROUNDING
         return np.asarray(below_cut & ((r >= cavity - ROUNDING) | below_end))

@@ -95,10 +95,10 @@ def build(geometry: FileKeys, mesh: MeshKeys) -> MeshData:
     except ValueError as error:
         raise GeometryError(f"{path}: {error}; remove overlapping and duplicate cells") from error
     if len(overlap):
-        where = "\n".join(places(points, cells, cell_tags, regions, overlap))
+        overlap_places = "\n".join(places(points, cells, cell_tags, regions, overlap))
         raise GeometryError(
             f"{path}: {len(overlap)} of {len(cells)} cells overlap their neighbours; probably a "
-            f"node is in the wrong place:\n{where}\nRepair the mesh file."
+            f"node is in the wrong place:\n{overlap_places}\nRepair the mesh file."
         )
     if cells.shape[1] == 10 and geometry.is_script:
         points = untangle(points, cells)
@@ -184,11 +184,11 @@ def _of_others(path: Path, geometry: FileKeys) -> FileMesh:
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
     notes = content.notes + mesh_files.left_out("sets of nodes without a facet", empty)
-    text = "sets of nodes that are not read, since surfaces have their names"
-    notes += mesh_files.left_out(text, hidden)
-    doubled = int((row != np.arange(len(row))).sum())
-    if doubled:
-        notes.append(f"geometry: {doubled} nodes are merged with others at their places")
+    ignored_sets = "sets of nodes that are not read, since surfaces have their names"
+    notes += mesh_files.left_out(ignored_sets, hidden)
+    merged_count = int((row != np.arange(len(row))).sum())
+    if merged_count:
+        notes.append(f"geometry: {merged_count} nodes are merged with others at their places")
     blocks = dict[str, Ints]()
     repeated = 0
     for name, rows in content.sets.items():

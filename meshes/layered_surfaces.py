@@ -359,8 +359,8 @@ class LayeredSurfaces:
         Returns:
             The nodes, and the number of the representative of each.
         """
-        x, first = nodes.x.copy(), self.mantle[0]
-        plug = (nodes.rho == 0) & (nodes.s > 2 * first) & (nodes.s <= 2 * self.tip)
+        x, mantle_start = nodes.x.copy(), self.mantle[0]
+        plug = (nodes.rho == 0) & (nodes.s > 2 * mantle_start) & (nodes.s <= 2 * self.tip)
         x[plug] = self.stem.draped(x[plug], self.heights(nodes.s[plug] / 2))
         return replace(nodes, x=x), number
 
@@ -406,8 +406,8 @@ class LayeredSurfaces:
 
     def _along_stem(self) -> tuple[Lines, Floats]:
         """Lines from the tip to the cut, and the heights of their sections (n,) [mm]."""
-        along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
-        phi, s = (v.ravel() for v in np.meshgrid(around, along))
+        stations, turns = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
+        phi, s = (v.ravel() for v in np.meshgrid(turns, stations))
         return self._lines_to_cut(phi, s), self.heights(s)
 
     def _side(self, x: Floats, zeta: float) -> str:
@@ -435,20 +435,22 @@ class LayeredSurfaces:
             self.bone.check(lines.start, lines.end)
             return
         thinnest = int(np.where(cortex_taken > UNREPORTED_CORTEX, -cortex_left, -np.inf).argmax())
-        where = self._side(lines.start[thinnest], zeta[thinnest])
+        location = self._side(lines.start[thinnest], zeta[thinnest])
         if cortex_left[thinnest] >= LEAST_CORTEX:
             self.bone.check(lines.start, lines.end)
             self.notes.append(
                 f"the stem takes up to {cortex_taken.max():.1f} mm of the cortex;"
                 " the thinnest cortex left"
-                f" beside it is {cortex_left[thinnest]:.1f} mm, {where}"
+                f" beside it is {cortex_left[thinnest]:.1f} mm, {location}"
             )
             return
-        text = f"leaves {cortex_left[thinnest]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
+        finding = (
+            f"leaves {cortex_left[thinnest]:.2g} mm of the cortex (least: {LEAST_CORTEX:g} mm)"
+        )
         if cortex_left[thinnest] <= 0:
-            text = f"is {_rounded_up(-cortex_left[thinnest]):.2g} mm outside the bone"
+            finding = f"is {_rounded_up(-cortex_left[thinnest]):.2g} mm outside the bone"
         key, _ = self._geometry.more_room
-        raise GeometryError(f"{key}: the stem {text} {where}; use a smaller stem, or move it")
+        raise GeometryError(f"{key}: the stem {finding} {location}; use a smaller stem, or move it")
 
     def _refuse_narrow(self) -> None:
         """Raise GeometryError where the stem has no room for cement."""
@@ -461,15 +463,15 @@ class LayeredSurfaces:
             self.bone.check(lines.start, lines.end)
             return
         missing_room = _rounded_up(LEAST_MANTLE - least_room)
-        text = (
+        finding = (
             f"leaves {LEAST_MANTLE - missing_room:.2g} mm for cement (least: {LEAST_MANTLE:g} mm)"
         )
         if least_room < 0:
-            text = f"cuts {_rounded_up(-least_room):.2g} mm into the cortex"
+            finding = f"cuts {_rounded_up(-least_room):.2g} mm into the cortex"
         key, remedy = self._geometry.more_room
-        where = self._side(lines.start[narrowest], zeta[narrowest])
-        needed = f"{missing_room:.2g} mm more are needed there"
-        raise GeometryError(f"{key}: the stem {text} {where}; {remedy}; {needed}")
+        location = self._side(lines.start[narrowest], zeta[narrowest])
+        missing_text = f"{missing_room:.2g} mm more are needed there"
+        raise GeometryError(f"{key}: the stem {finding} {location}; {remedy}; {missing_text}")
 
 
 @lru_cache(maxsize=2)
@@ -480,8 +482,8 @@ def cached_surfaces(geometry: HipKeys, mesh: MeshKeys, files: str) -> LayeredSur
 
 def _rounded_up(length: float) -> float:
     """Length rounded up to a tenth, below that to a hundredth: never zero [mm]."""
-    parts = 10 if length > 0.1 else 100
-    return math.ceil(parts * length) / parts
+    fractions = 10 if length > 0.1 else 100
+    return math.ceil(fractions * length) / fractions
 
 
 def _distances(mesh: MeshKeys, length: float, part: str) -> Floats:

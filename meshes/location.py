@@ -46,42 +46,44 @@ def place(points: Floats, cells: Ints, x: Floats) -> Places:
         x: The points (n, 3) [mm].
     """
     cell = np.full(len(x), -1, dtype=np.int64)
-    share = np.zeros((len(x), 4))
+    barycentric = np.zeros((len(x), 4))
     inside = np.full(len(x), -np.inf)
     if not len(cells):
-        return Places(cell, share, inside)
+        return Places(cell, barycentric, inside)
     nodes = points[cells]
-    low, high = nodes.min(axis=1), nodes.max(axis=1)
-    margin = 4 * OUTSIDE * (high - low)
-    low -= margin
-    high += margin
+    lower_corner, upper_corner = nodes.min(axis=1), nodes.max(axis=1)
+    margin = 4 * OUTSIDE * (upper_corner - lower_corner)
+    lower_corner -= margin
+    upper_corner += margin
     for k in range(len(x)):
         point = x[k]
-        near_cells = np.flatnonzero((low <= point).all(axis=1) & (point <= high).all(axis=1))
+        near_cells = np.flatnonzero(
+            (lower_corner <= point).all(axis=1) & (point <= upper_corner).all(axis=1)
+        )
         if not len(near_cells):
             continue
-        shares = _shares(nodes[near_cells], point)
-        smallest = np.round(shares.min(axis=1), DIGITS)
-        best = int(np.argmax(smallest))
-        if smallest[best] < -OUTSIDE:
+        cell_coordinates = _shares(nodes[near_cells], point)
+        smallest = np.round(cell_coordinates.min(axis=1), DIGITS)
+        best_row = int(np.argmax(smallest))
+        if smallest[best_row] < -OUTSIDE:
             continue
-        cell[k] = near_cells[best]
-        inside[k] = smallest[best]
-        clipped = np.maximum(shares[best], 0.0)
-        share[k] = clipped / clipped.sum()
-    return Places(cell, share, inside)
+        cell[k] = near_cells[best_row]
+        inside[k] = smallest[best_row]
+        clipped = np.maximum(cell_coordinates[best_row], 0.0)
+        barycentric[k] = clipped / clipped.sum()
+    return Places(cell, barycentric, inside)
 
 
 def _shares(x: Floats, point: Floats) -> Floats:
     """Barycentric coordinates (m, 4) of a point in the reference cells of cells (m, 4 or 10, 3)."""
     edges = (x[:, 1:4] - x[:, :1]).transpose(0, 2, 1)
-    others = np.linalg.solve(edges, (point - x[:, 0])[:, :, None])[:, :, 0]
-    shares = np.column_stack([1.0 - others.sum(axis=1), others])
+    other_coordinates = np.linalg.solve(edges, (point - x[:, 0])[:, :, None])[:, :, 0]
+    barycentric = np.column_stack([1.0 - other_coordinates.sum(axis=1), other_coordinates])
     if x.shape[1] == 4:
-        return shares
+        return barycentric
     # Far from a cell its quadratic map may have no inverse.
-    is_close = np.flatnonzero(shares.min(axis=1) >= -2 * OUTSIDE)
-    coordinates = shares[is_close]
+    is_close = np.flatnonzero(barycentric.min(axis=1) >= -2 * OUTSIDE)
+    coordinates = barycentric[is_close]
     for _ in range(ITERATIONS if len(is_close) else 0):
         values, slopes = shape_functions(coordinates)
         residual = point - np.einsum("ma,mai->mi", values, x[is_close])
@@ -91,8 +93,8 @@ def _shares(x: Floats, point: Floats) -> Floats:
         )
         # A point outside may have no solution: its iterates stay near the cell.
         coordinates = np.clip(coordinates, -1.0, 2.0)
-    shares[is_close] = coordinates
-    return shares
+    barycentric[is_close] = coordinates
+    return barycentric
 
 
 def shape_functions(shares: Floats) -> tuple[Floats, Floats]:

@@ -130,16 +130,18 @@ def _samples(surface: Floats) -> tuple[Floats, Ints]:
     samples = [a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3]
     triangle_of: list[Ints] = [np.arange(len(surface))] * len(samples)
     longest = np.sqrt(((surface - np.roll(surface, 1, axis=1)) ** 2).sum(axis=2)).max(axis=1)
-    parts = np.ceil(longest / (LARGE_FACTOR * np.median(longest))).astype(np.int64)
-    for divisions in np.unique(parts[parts > 1]):
+    division_counts = np.ceil(longest / (LARGE_FACTOR * np.median(longest))).astype(np.int64)
+    for divisions in np.unique(division_counts[division_counts > 1]):
         # Corners and centres of the parts of a triangle that is divided n times along each side.
         grid = [
             (i, j, 3 * divisions - i - j)
             for i in range(3 * divisions + 1)
             for j in range(3 * divisions + 1 - i)
         ]
-        barycentric = np.array([g for g in grid if len({k % 3 for k in g}) == 1]) / (3 * divisions)
-        large = np.flatnonzero(parts == divisions)
+        barycentric = np.array([triple for triple in grid if len({k % 3 for k in triple}) == 1]) / (
+            3 * divisions
+        )
+        large = np.flatnonzero(division_counts == divisions)
         samples.append((barycentric @ surface[large]).reshape(-1, 3))
         triangle_of.append(np.repeat(large, len(barycentric)))
     return np.concatenate(samples), np.concatenate(triangle_of)
@@ -157,7 +159,8 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
 
     samples, triangle_of = _samples(surface)
     _, candidates = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)))
-    best, least_distance = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+    nearest_triangle = np.zeros(len(points), dtype=np.int64)
+    least_distance = np.full(len(points), np.inf)
     weights = np.zeros((len(points), 3))
     for candidate in triangle_of[candidates].T:
         foot_weights = foot(points, surface[candidate])
@@ -165,9 +168,9 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
             np.einsum("nk,nki->ni", foot_weights, surface[candidate]) - points, axis=1
         )
         is_nearer = distances < least_distance
-        best[is_nearer], least_distance[is_nearer], weights[is_nearer] = (
+        nearest_triangle[is_nearer], least_distance[is_nearer], weights[is_nearer] = (
             candidate[is_nearer],
             distances[is_nearer],
             foot_weights[is_nearer],
         )
-    return best, weights
+    return nearest_triangle, weights

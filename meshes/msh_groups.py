@@ -31,42 +31,55 @@ def keep_apart(path: Path, gmsh: ModuleType) -> None:
 
     A file of another format, or whose elements need no change or cannot be read, stays as it is.
     """
-    raw = path.read_bytes()
-    head, begin, rest = raw.partition(b"$Elements")
-    body, end, tail = rest.partition(b"$EndElements")
-    words = head.partition(b"$MeshFormat")[2].split(maxsplit=3)
-    if not end or words[:1] != [FORMAT]:
+    file_bytes = path.read_bytes()
+    head, begin_mark, after_begin = file_bytes.partition(b"$Elements")
+    body, end_mark, tail = after_begin.partition(b"$EndElements")
+    format_words = head.partition(b"$MeshFormat")[2].split(maxsplit=3)
+    if not end_mark or format_words[:1] != [FORMAT]:
         return
-    binary = words[1] == b"1"
+    is_binary = format_words[1] == b"1"
     try:
-        if binary:
-            order = "<" if words[3][:4] == b"\1\0\0\0" else ">"
+        if is_binary:
+            order = "<" if format_words[3][:4] == b"\1\0\0\0" else ">"
             integer = np.dtype(f"{order}i4")
             elements = [*_binary(body, integer, gmsh)]
         else:
             elements = [*_text(body)]
-        kinds = {e.kind for e in elements}
+        kinds = {element.kind for element in elements}
         dimension = {kind: gmsh.model.mesh.getElementProperties(kind)[1] for kind in kinds}
     except Exception:  # gmsh raises bare Exception; it has a message for what is damaged
         return
-    groups: dict[tuple[int, int], set[int]] = {}
-    for e in elements:
-        groups.setdefault((dimension[e.kind], e.entity), set()).add(e.group)
-    if all(len(of_entity) == 1 for of_entity in groups.values()):
+    groups_of_entity: dict[tuple[int, int], set[int]] = {}
+    for element in elements:
+        groups_of_entity.setdefault((dimension[element.kind], element.entity), set()).add(
+            element.group
+        )
+    if all(len(of_entity) == 1 for of_entity in groups_of_entity.values()):
         return
-    pairs = {pair: k for k, pair in enumerate(sorted({(e.group, e.entity) for e in elements}), 1)}
-    lines = [_line(e, pairs[e.group, e.entity], binary) for e in elements]
-    if binary:
-        new = b"".join(np.array(line, dtype=integer).tobytes() for line in lines)
+    pairs = {
+        pair: k
+        for k, pair in enumerate(
+            sorted({(element.group, element.entity) for element in elements}), 1
+        )
+    }
+    lines = [
+        _line(element, pairs[element.group, element.entity], is_binary) for element in elements
+    ]
+    if is_binary:
+        new_body = b"".join(np.array(line, dtype=integer).tobytes() for line in lines)
     else:
-        new = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
-    path.write_bytes(b"%s%s\n%d\n%s\n%s%s" % (head, begin, len(elements), new, end, tail))
+        new_body = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
+    path.write_bytes(
+        b"%s%s\n%d\n%s\n%s%s" % (head, begin_mark, len(elements), new_body, end_mark, tail)
+    )
 
 
-def _line(element: _Element, entity: int, binary: bool) -> list[int]:
+def _line(element: _Element, entity: int, is_binary: bool) -> list[int]:
     """Numbers of an element in the file, in an entity; a binary one is a block of one element."""
-    first = [element.kind, 1, 2, element.number] if binary else [element.number, element.kind, 2]
-    return [*first, element.group, entity, *element.nodes]
+    leading = (
+        [element.kind, 1, 2, element.number] if is_binary else [element.number, element.kind, 2]
+    )
+    return [*leading, element.group, entity, *element.nodes]
 
 
 def _text(body: bytes) -> Iterator[_Element]:
@@ -79,8 +92,8 @@ def _text(body: bytes) -> Iterator[_Element]:
 
 def _binary(body: bytes, integer: np.dtype, gmsh: ModuleType) -> Iterator[_Element]:
     """Elements in blocks: type, number of elements, number of tags, then each element."""
-    data = body.split(b"\n", 2)[2]
-    values = np.frombuffer(data[: len(data) // 4 * 4], dtype=integer)
+    block = body.split(b"\n", 2)[2]
+    values = np.frombuffer(block[: len(block) // 4 * 4], dtype=integer)
     announced = int(body.split(b"\n", 2)[1])
     node_counts: dict[int, int] = {}
     position = 0

@@ -77,9 +77,9 @@ def on_line(
     The cells that hold them are those of a region, or of every region if it is empty.
     """
     fraction = np.linspace(0.0, 1.0, n)
-    first, last = np.array(start), np.array(end)
-    arc = fraction * np.linalg.norm(last - first)
-    return _inside(data, region, arc, first + fraction[:, None] * (last - first))
+    start_point, end_point = np.array(start), np.array(end)
+    arc = fraction * np.linalg.norm(end_point - start_point)
+    return _inside(data, region, arc, start_point + fraction[:, None] * (end_point - start_point))
 
 
 def on_circle(
@@ -95,8 +95,8 @@ def on_circle(
     The first point lies towards x from the centre, or towards y if the axis is x.
     """
     unit_axis = np.array(axis) / np.linalg.norm(axis)
-    start = np.eye(3)[0 if np.abs(unit_axis[0]) < 1 - 1e-9 else 1]
-    first_direction = start - (start @ unit_axis) * unit_axis
+    start_axis = np.eye(3)[0 if np.abs(unit_axis[0]) < 1 - 1e-9 else 1]
+    first_direction = start_axis - (start_axis @ unit_axis) * unit_axis
     first_direction /= np.linalg.norm(first_direction)
     angle = np.linspace(0.0, 2 * np.pi, n)
     x = np.outer(np.cos(angle), first_direction) + np.outer(
@@ -168,8 +168,8 @@ def on_section(data: MeshData, facets: Facets, z: float, n: int) -> PathPoints:
     twice_area = np.sum(x[:-1, 0] * x[1:, 1] - x[:-1, 1] * x[1:, 0])
     if twice_area < 0:
         curve, x = curve.reversed(), x[::-1]
-    begin = _towards_x(x) if curve.closed else 0.0
-    return curve.sampled(data, n, begin)
+    start_arc = _towards_x(x) if curve.closed else 0.0
+    return curve.sampled(data, n, start_arc)
 
 
 def _towards_x(x: Floats) -> float:
@@ -203,8 +203,8 @@ def on_side(data: MeshData, facets: Facets, local: Floats, angle: float, n: int)
 
 def _no_points() -> PathPoints:
     """A path that meets no surface."""
-    none: Ints = np.zeros(0, dtype=np.int64)
-    return PathPoints(np.zeros(0), np.zeros((0, 3)), none, np.zeros((0, 4)), none)
+    no_rows: Ints = np.zeros(0, dtype=np.int64)
+    return PathPoints(np.zeros(0), np.zeros((0, 3)), no_rows, np.zeros((0, 4)), no_rows)
 
 
 @dataclass(frozen=True)
@@ -225,16 +225,16 @@ class _Curve:
     end: Floats
     closed: bool
 
-    def shares(self, data: MeshData, segment: Ints, within: Floats) -> Floats:
+    def shares(self, data: MeshData, segment: Ints, facet_coordinates: Floats) -> Floats:
         """Coordinates (n, 4) in the cells of segments (n,) from those in their facets (n, 3)."""
         corners = data.cells[self.cells[segment], :4]
-        same = corners[:, :, None] == self.facets[segment, None, :3]
-        return np.asarray(np.einsum("nij,nj->ni", same, within))
+        is_same_node = corners[:, :, None] == self.facets[segment, None, :3]
+        return np.asarray(np.einsum("nij,nj->ni", is_same_node, facet_coordinates))
 
-    def places(self, data: MeshData, segment: Ints, within: Floats) -> Floats:
+    def places(self, data: MeshData, segment: Ints, facet_coordinates: Floats) -> Floats:
         """Positions (n, 3) [mm] of points in facets."""
         cells = data.cells[self.cells[segment]]
-        return positions(data.points, cells, self.shares(data, segment, within))
+        return positions(data.points, cells, self.shares(data, segment, facet_coordinates))
 
     def ends(self, data: MeshData) -> Floats:
         """Positions of the starts of all segments and of the last end (s + 1, 3) [mm]."""
@@ -244,34 +244,40 @@ class _Curve:
 
     def height(self, local: Floats) -> Floats:
         """Height of start and end of the curve (2,), from nodes in other axes (k, 3) [mm]."""
-        first = self.start[0] @ local[self.facets[0, :3], 2]
-        return np.array([first, self.end[-1] @ local[self.facets[-1, :3], 2]])
+        start_height = self.start[0] @ local[self.facets[0, :3], 2]
+        return np.array([start_height, self.end[-1] @ local[self.facets[-1, :3], 2]])
 
     def reversed(self) -> _Curve:
         """The same curve from its end to its start."""
-        back = slice(None, None, -1)
+        backwards = slice(None, None, -1)
         return _Curve(
-            self.facets[back], self.cells[back], self.end[back], self.start[back], self.closed
+            self.facets[backwards],
+            self.cells[backwards],
+            self.end[backwards],
+            self.start[backwards],
+            self.closed,
         )
 
-    def sampled(self, data: MeshData, n: int, begin: float = 0.0) -> PathPoints:
+    def sampled(self, data: MeshData, n: int, start_arc: float = 0.0) -> PathPoints:
         """N points at equal distances along the curve; a closed one begins at a distance [mm]."""
         corners = self.ends(data)
         length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         corner_arc = np.concatenate([[0.0], np.cumsum(length)])
         arc = np.linspace(0.0, corner_arc[-1], n)
-        curve_arc = np.mod(begin + arc, corner_arc[-1]) if begin else arc
+        curve_arc = np.mod(start_arc + arc, corner_arc[-1]) if start_arc else arc
         segment = np.clip(
             np.searchsorted(corner_arc, curve_arc, side="right") - 1, 0, len(length) - 1
         )
         fraction = ((curve_arc - corner_arc[segment]) / length[segment])[:, None]
-        within = self.start[segment] + fraction * (self.end[segment] - self.start[segment])
+        facet_coordinates = self.start[segment] + fraction * (
+            self.end[segment] - self.start[segment]
+        )
         cell = self.cells[segment]
         return PathPoints(
             arc,
-            self.places(data, segment, within),
+            self.places(data, segment, facet_coordinates),
             cell,
-            self.shares(data, segment, within),
+            self.shares(data, segment, facet_coordinates),
             data.cell_tags[cell].astype(np.int64),
         )
 
@@ -300,13 +306,13 @@ def _chain(
     """Longest chain of the segments in which a surface passes from above to below."""
     quarters = QUARTERS if facets.nodes.shape[1] == 6 else np.array([[0, 1, 2]])
     facet = np.repeat(np.arange(len(facets.nodes)), len(quarters))
-    local = np.tile(quarters, (len(facets.nodes), 1))
-    corners = facets.nodes[facet[:, None], local]
+    local_nodes = np.tile(quarters, (len(facets.nodes), 1))
+    corners = facets.nodes[facet[:, None], local_nodes]
     count = above[corners].sum(axis=1)
     is_crossed = (count == 1) | (count == 2)
-    facet, local, corners, count = (
+    facet, local_nodes, corners, count = (
         facet[is_crossed],
-        local[is_crossed],
+        local_nodes[is_crossed],
         corners[is_crossed],
         count[is_crossed],
     )
@@ -314,27 +320,35 @@ def _chain(
     lone_corner = np.argmax(above[corners] == (count == 1)[:, None], axis=1)
     rows = np.arange(len(facet))
     keys: list[Ints] = []
-    within: list[Floats] = []
+    edge_points: list[Floats] = []
     values: list[Floats] = []
-    for other in ((lone_corner + 1) % 3, (lone_corner + 2) % 3):
-        a, b = corners[rows, lone_corner], corners[rows, other]
+    for other_corner in ((lone_corner + 1) % 3, (lone_corner + 2) % 3):
+        a, b = corners[rows, lone_corner], corners[rows, other_corner]
         # From the lesser node, so that both facets of an edge compute the same point.
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        node_fraction = np.clip(level[low] / (level[low] - level[high]), 0.0, 1.0)
-        lone_point, other_point = NODES[local[rows, lone_corner]], NODES[local[rows, other]]
-        fraction = np.where(a == low, node_fraction, 1.0 - node_fraction)[:, None]
-        within.append(lone_point + fraction * (other_point - lone_point))
-        keys.append(low * len(level) + high)
+        lower_node, higher_node = np.minimum(a, b), np.maximum(a, b)
+        node_fraction = np.clip(
+            level[lower_node] / (level[lower_node] - level[higher_node]), 0.0, 1.0
+        )
+        lone_point = NODES[local_nodes[rows, lone_corner]]
+        other_point = NODES[local_nodes[rows, other_corner]]
+        fraction = np.where(a == lower_node, node_fraction, 1.0 - node_fraction)[:, None]
+        edge_points.append(lone_point + fraction * (other_point - lone_point))
+        keys.append(lower_node * len(level) + higher_node)
         if side_values is not None:
-            values.append(side_values[low] + node_fraction * (side_values[high] - side_values[low]))
-    start, end = within
+            values.append(
+                side_values[lower_node]
+                + node_fraction * (side_values[higher_node] - side_values[lower_node])
+            )
+    start, end = edge_points
     if side_values is not None:
-        first, last = values
-        is_kept = np.maximum(first, last) > 0
-        step = np.where(first == last, 1.0, last - first)
-        zero = (-first / step)[:, None]
-        cut_start = np.where((first < 0)[:, None], start + zero * (end - start), start)
-        cut_end = np.where((last < 0)[:, None], start + zero * (end - start), end)
+        start_value, end_value = values
+        is_kept = np.maximum(start_value, end_value) > 0
+        step = np.where(start_value == end_value, 1.0, end_value - start_value)
+        zero_fraction = (-start_value / step)[:, None]
+        cut_start = np.where(
+            (start_value < 0)[:, None], start + zero_fraction * (end - start), start
+        )
+        cut_end = np.where((end_value < 0)[:, None], start + zero_fraction * (end - start), end)
         start, end = cut_start[is_kept], cut_end[is_kept]
         facet, keys = facet[is_kept], [k[is_kept] for k in keys]
     x = data.points[facets.nodes[facet, :3]]
@@ -371,16 +385,21 @@ def _longest(ends: Ints, length: Floats) -> tuple[list[int], list[bool], bool]:
             segments_at.setdefault(key, []).append(k)
     unused = set(range(len(pairs)))
     # Open chains begin at a key of one segment.
-    begin = [k for k, pair in enumerate(pairs) if any(len(segments_at[key]) == 1 for key in pair)]
-    best: tuple[list[int], list[bool], bool] = ([], [], False)
+    open_ends = [
+        k for k, pair in enumerate(pairs) if any(len(segments_at[key]) == 1 for key in pair)
+    ]
+    best_chain: tuple[list[int], list[bool], bool] = ([], [], False)
     longest = 0.0
-    for first in [*begin, *range(len(pairs))]:
-        if first not in unused:
+    for first_segment in [*open_ends, *range(len(pairs))]:
+        if first_segment not in unused:
             continue
-        flip = len(segments_at[pairs[first][0]]) > 1 and len(segments_at[pairs[first][1]]) == 1
-        origin, order, flipped = pairs[first][int(flip)], [first], [flip]
-        unused.remove(first)
-        key = pairs[first][1 - int(flip)]
+        flip = (
+            len(segments_at[pairs[first_segment][0]]) > 1
+            and len(segments_at[pairs[first_segment][1]]) == 1
+        )
+        origin, order, flipped = pairs[first_segment][int(flip)], [first_segment], [flip]
+        unused.remove(first_segment)
+        key = pairs[first_segment][1 - int(flip)]
         while True:
             following = next((k for k in segments_at[key] if k in unused), None)
             if following is None:
@@ -396,5 +415,9 @@ def _longest(ends: Ints, length: Floats) -> tuple[list[int], list[bool], bool]:
             long_rows = [
                 k for k in range(len(order)) if length[order[k]] > SHORTEST_SEGMENT * total
             ]
-            best = [order[k] for k in long_rows], [flipped[k] for k in long_rows], key == origin
-    return best
+            best_chain = (
+                [order[k] for k in long_rows],
+                [flipped[k] for k in long_rows],
+                key == origin,
+            )
+    return best_chain

@@ -141,7 +141,7 @@ def parts(
     ``held`` are the boundaries with supports, ``curved`` those whose normals are wanted, ``apart``
     the two of each interface that is meshed apart: the smaller one touches the other.
     """
-    names = {tag: name for name, tag in data.regions.items()}
+    name_of_tag = {tag: name for name, tag in data.regions.items()}
     piece = components(data.neighbours, data.cell_tags)
     count = int(piece.max()) + 1
     faces = cell_faces(data.cells)
@@ -171,7 +171,8 @@ def parts(
         volume = float(volumes[in_piece].sum())
         centre = volumes[in_piece] @ middles[in_piece] / volume
         box = np.ptp(data.points[np.unique(data.cells[in_piece, :4])], axis=0)
-        region, free_fraction = names[int(data.cell_tags[in_piece][0])], float(free[k] / areas[k])
+        region = name_of_tag[int(data.cell_tags[in_piece][0])]
+        free_fraction = float(free[k] / areas[k])
         pieces.append(
             Piece(region, int(in_piece.sum()), centre, volume, float(areas[k]), box, free_fraction)
         )
@@ -191,13 +192,13 @@ def parts(
     )
 
 
-def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
+def _touches(points: Floats, facets: Ints, first_piece: Ints, second_piece: Ints) -> list[Touch]:
     middle, x = np.full((1, 3), 1 / 3), points[facets[:, OPPOSITE[: facets.shape[1]]]]
     centres = (shape_functions(middle, facets.shape[1]) @ x)[:, 0]
     normals, double_areas = (values[:, 0] for values in surface(x, middle))
     touches = []
-    for a, b in sorted({(int(a), int(b)) for a, b in zip(first, second, strict=True)}):
-        is_between = (first == a) & (second == b)
+    for a, b in sorted({(int(a), int(b)) for a, b in zip(first_piece, second_piece, strict=True)}):
+        is_between = (first_piece == a) & (second_piece == b)
         bend = _bend(facets[is_between], normals[is_between]) if facets.shape[1] == 3 else 0.0
         touches.append(
             Touch(
@@ -207,14 +208,14 @@ def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[To
     return touches
 
 
-def _facing(data: MeshData, sides: tuple[str, str], piece: Ints) -> list[Touch]:
+def _facing(data: MeshData, sides: tuple[str, str], piece_of_facet: Ints) -> list[Touch]:
     """Touch of two boundaries, on the smaller one, from the piece of each tagged facet."""
     masks = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in sides]
     smaller, larger = sorted(
         masks, key=lambda side: facet_areas(data.points, data.facets[side]).sum()
     )
-    second = np.full(smaller.sum(), piece[larger][0] if smaller.any() else 0)
-    return _touches(data.points, data.facets[smaller], piece[smaller], second)
+    other_piece = np.full(smaller.sum(), piece_of_facet[larger][0] if smaller.any() else 0)
+    return _touches(data.points, data.facets[smaller], piece_of_facet[smaller], other_piece)
 
 
 def _bend(facets: Ints, normals: Floats) -> float:
@@ -234,9 +235,9 @@ def _neighbours(facets: Ints, normals: Floats) -> tuple[Ints, Ints, Floats]:
     return first, second, np.arccos(np.clip(cosines, -1.0, 1.0))
 
 
-def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
+def _joined(cells: Ints, piece_of_cell: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
     """Pieces of one region that meet in edges or corners alone."""
-    nodes = [np.unique(cells[piece == k, :4]) for k in range(len(pieces))]
+    nodes = [np.unique(cells[piece_of_cell == k, :4]) for k in range(len(pieces))]
     return frozenset(
         (a, b)
         for a, b in combinations(range(len(pieces)), 2)
@@ -244,12 +245,12 @@ def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[in
     )
 
 
-def _nodes_on(data: MeshData, name: str, piece: Ints) -> dict[int, Ints]:
+def _nodes_on(data: MeshData, name: str, piece_of_facet: Ints) -> dict[int, Ints]:
     """Nodes of each piece on a boundary, from the piece of each tagged facet, -1 if none."""
-    on_boundary = np.isin(data.facet_tags, data.boundaries[name]) & (piece >= 0)
+    on_boundary = np.isin(data.facet_tags, data.boundaries[name]) & (piece_of_facet >= 0)
     return {
-        int(k): np.unique(data.facets[on_boundary & (piece == k)])
-        for k in np.unique(piece[on_boundary])
+        int(k): np.unique(data.facets[on_boundary & (piece_of_facet == k)])
+        for k in np.unique(piece_of_facet[on_boundary])
     }
 
 
@@ -288,15 +289,17 @@ def coincident(points: Floats) -> Ints:
     return np.concatenate(pairs)
 
 
-def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
+def _doubled(
+    data: MeshData, piece_of_cell: Ints, pieces: list[Piece]
+) -> dict[tuple[str, str], Floats]:
     """Positions where two nodes coincide, by the pair of their regions."""
     piece_of_node = np.zeros(len(data.points), dtype=np.int64)
-    piece_of_node[data.cells] = piece[:, None]
+    piece_of_node[data.cells] = piece_of_cell[:, None]
     places: dict[tuple[str, str], list[Floats]] = {}
     for a, b in coincident(data.points):
-        first, second = sorted(pieces[int(piece_of_node[k])].region for k in (a, b))
-        places.setdefault((first, second), []).append(data.points[a])
-    return {names: np.array(x) for names, x in places.items()}
+        first_region, second_region = sorted(pieces[int(piece_of_node[k])].region for k in (a, b))
+        places.setdefault((first_region, second_region), []).append(data.points[a])
+    return {region_pair: np.array(x) for region_pair, x in places.items()}
 
 
 def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
@@ -308,7 +311,7 @@ def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
     Returns:
         Area [mm2] and a point on it (3,) [mm], by the pair of regions.
     """
-    names = {tag: name for name, tag in data.regions.items()}
+    name_of_tag = {tag: region for region, tag in data.regions.items()}
     facets, cells = exterior_facets(data.cells)
     facets = facets[:, :3]
     bodies = components(data.neighbours, np.zeros(len(data.cells), dtype=np.int32))
@@ -323,16 +326,17 @@ def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
     rise = _rise(x, facets, np.asarray(normals, dtype=float))
     tolerance = COINCIDENT * float(np.linalg.norm(np.ptp(data.points, axis=0)))
     area: dict[tuple[str, str], float] = {}
-    place: dict[tuple[str, str], Floats] = {}
+    point_on_pair: dict[tuple[str, str], Floats] = {}
     for a, b in combinations(range(int(body.max()) + 1), 2):
         body_facets = [np.flatnonzero(body == k) for k in (a, b)]
         margin = max(float(rise[rows].max()) for rows in body_facets) + tolerance
-        low = np.max([x[rows].min(axis=(0, 1)) for rows in body_facets], axis=0) - margin
-        high = np.min([x[rows].max(axis=(0, 1)) for rows in body_facets], axis=0) + margin
+        box_lower = np.max([x[rows].min(axis=(0, 1)) for rows in body_facets], axis=0) - margin
+        box_upper = np.min([x[rows].max(axis=(0, 1)) for rows in body_facets], axis=0) + margin
         # Facets in the box that both bodies share.
         near_facets = [
             rows[
-                (x[rows].max(axis=1) >= low).all(axis=1) & (x[rows].min(axis=1) <= high).all(axis=1)
+                (x[rows].max(axis=1) >= box_lower).all(axis=1)
+                & (x[rows].min(axis=1) <= box_upper).all(axis=1)
             ]
             for rows in body_facets
         ]
@@ -349,27 +353,30 @@ def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
                 rise[rows_of_other],
             )
             lying_rows = np.flatnonzero(facet_below >= 0)
-            first, second = rows_of_one[lying_rows], rows_of_other[facet_below[lying_rows]]
+            lying_facets = rows_of_one[lying_rows]
+            facets_below = rows_of_other[facet_below[lying_rows]]
             tags = np.sort(
-                np.column_stack([data.cell_tags[cells[first]], data.cell_tags[cells[second]]])
+                np.column_stack(
+                    [data.cell_tags[cells[lying_facets]], data.cell_tags[cells[facets_below]]]
+                )
             )
             for tag in np.unique(tags, axis=0):
-                of_pair = first[(tags == tag).all(axis=1)]
-                lower, upper = sorted(names[int(t)] for t in tag)
+                of_pair = lying_facets[(tags == tag).all(axis=1)]
+                lower, upper = sorted(name_of_tag[int(t)] for t in tag)
                 pair_areas.setdefault((lower, upper), []).append(float(areas[of_pair].sum()))
-                place.setdefault((lower, upper), middles[of_pair[0]])
+                point_on_pair.setdefault((lower, upper), middles[of_pair[0]])
         for pair, side_areas in pair_areas.items():
             area[pair] = area.get(pair, 0.0) + max(side_areas)
-    return {pair: (area[pair], place[pair]) for pair in area}
+    return {pair: (area[pair], point_on_pair[pair]) for pair in area}
 
 
 def _rise(x: Floats, facets: Ints, normals: Floats) -> Floats:
     """Largest distance of each facet from the smooth surface through its nodes (k,) [mm]."""
-    first, second, angle = _neighbours(facets, normals)
+    first_facet, second_facet, angle = _neighbours(facets, normals)
     angle[(angle > SMOOTH_ANGLE) | (angle < 1e-6)] = 0.0
     bend = np.zeros(len(facets))
-    np.maximum.at(bend, first, angle)
-    np.maximum.at(bend, second, angle)
+    np.maximum.at(bend, first_facet, angle)
+    np.maximum.at(bend, second_facet, angle)
     length = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
     return np.asarray(length * bend / 8)
 

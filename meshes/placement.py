@@ -291,12 +291,10 @@ def position(geometry: StemInBone) -> Position:
     if insertion.version.relative_to == "neck":
         version += femur.neck
     elif not femur.has_condyles:
-        text = "is measured from the condyles, which this surface does not have"
-        raise GeometryError(f"geometry.insertion.version: {text}; set relative_to: neck")
-    tilts, offsets = (
-        (insertion.varus, insertion.flexion),
-        (insertion.medial_offset, insertion.anterior_offset),
-    )
+        reason = "is measured from the condyles, which this surface does not have"
+        raise GeometryError(f"geometry.insertion.version: {reason}; set relative_to: neck")
+    tilts = (insertion.varus, insertion.flexion)
+    offsets = (insertion.medial_offset, insertion.anterior_offset)
     return Position(geometry.shoulder_depth, *tilts, version, *offsets)
 
 
@@ -317,11 +315,13 @@ def head_in_words(geometry: PlacedStem) -> str:
     """
     placement, implant, femur = geometry.placement, geometry.implant, geometry.femur
     head, intact = placement.to_model([implant.head_offset, 0.0, implant.head_height]), femur.head
-    offset, before = math.hypot(*head[:2]), math.hypot(*intact[:2])
+    offset, intact_offset = math.hypot(*head[:2]), math.hypot(*intact[:2])
     version = math.degrees(math.atan2(placement.rotation[1, 0], placement.rotation[0, 0]))
-    changes = offset - before, head[2] - intact[2], version - math.degrees(femur.neck)
-    wider, longer, turned = (round(float(change), 1) + 0.0 for change in changes)  # no "-0.0"
+    changes = offset - intact_offset, head[2] - intact[2], version - math.degrees(femur.neck)
+    offset_change, length_change, rotation = (
+        round(float(change), 1) + 0.0 for change in changes
+    )  # no "-0.0"
     return (
-        f"offset {offset:.1f} mm ({wider:+.1f} against the intact head),"
-        f" leg length {longer:+.1f} mm, version {version:.1f} deg ({turned:+.1f})"
+        f"offset {offset:.1f} mm ({offset_change:+.1f} against the intact head),"
+        f" leg length {length_change:+.1f} mm, version {version:.1f} deg ({rotation:+.1f})"
     )

@@ -18,16 +18,16 @@ def section(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:
     is_above = height >= 0
     if triangles is None:
         triangles = np.arange(len(x)).reshape(-1, 3)
-    first, second, third = is_above[triangles].T
-    crossed = triangles[(first != second) | (second != third)]
-    after = np.roll(crossed, -1, axis=1)
-    is_crossed = is_above[crossed] != is_above[after]
-    a, b = crossed[is_crossed], after[is_crossed]
+    first_above, second_above, third_above = is_above[triangles].T
+    crossed = triangles[(first_above != second_above) | (second_above != third_above)]
+    next_crossed = np.roll(crossed, -1, axis=1)
+    is_crossed = is_above[crossed] != is_above[next_crossed]
+    a, b = crossed[is_crossed], next_crossed[is_crossed]
     fraction = (height[a] / (height[a] - height[b]))[:, None]
-    ends = ((1 - fraction) * x[a] + fraction * x[b]).reshape(-1, 2, x.shape[1])
+    end_points = ((1 - fraction) * x[a] + fraction * x[b]).reshape(-1, 2, x.shape[1])
     # The first end of each line is where the triangle's edge falls.
     starts_falling = is_above[a][::2]
-    return np.where(starts_falling[:, None, None], ends, ends[:, ::-1])
+    return np.where(starts_falling[:, None, None], end_points, end_points[:, ::-1])
 
 
 def centroid(lines: Floats) -> tuple[Floats, float]:
@@ -67,8 +67,8 @@ def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, 
     order = np.lexsort((r, j))
     counts = np.bincount(j, minlength=len(angles))
     radii = np.full(len(angles), np.nan)
-    for ray, crossings in enumerate(np.split(r[order], np.cumsum(counts)[:-1])):
+    for ray_number, crossings in enumerate(np.split(r[order], np.cumsum(counts)[:-1])):
         if len(crossings):
             is_wide = crossings[1:-1:2] - crossings[:-2:2] > bridged
-            radii[ray] = crossings[2 * int(np.argmax([*is_wide, True]))]
+            radii[ray_number] = crossings[2 * int(np.argmax([*is_wide, True]))]
     return radii, counts

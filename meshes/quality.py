@@ -92,11 +92,11 @@ def places(
     points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], rows: Ints
 ) -> list[str]:
     """A line for each of the first of some cells: its region and its centroid."""
-    names = {tag: name for name, tag in regions.items()}
+    name_of_tag = {tag: name for name, tag in regions.items()}
     x = points[cells[rows[:WORST_SHOWN], :4]].mean(axis=1)
     lines = "  {} at ({:.2f}, {:.2f}, {:.2f}) mm"
     return [
-        lines.format(names[int(tags[cell])], *centroid)
+        lines.format(name_of_tag[int(tags[cell])], *centroid)
         for cell, centroid in zip(rows, x, strict=False)
     ]
 
@@ -113,25 +113,26 @@ def check(
         PoorCellsError: Names the worst cells: region, centroid [mm] and SICN.
     """
     quality = sicn(points, cells)
-    bad = int((quality < BAD).sum())
-    if not bad:
+    bad_count = int((quality < BAD).sum())
+    if not bad_count:
         return quality
-    worst = np.argsort(quality, kind="stable")[:bad]
-    descriptions = places(points, cells, tags, regions, worst)
+    worst_cells = np.argsort(quality, kind="stable")[:bad_count]
+    descriptions = places(points, cells, tags, regions, worst_cells)
     lines = [
-        f"{place}: {quality[cell]:.4f}" for place, cell in zip(descriptions, worst, strict=False)
+        f"{location}: {quality[cell]:.4f}"
+        for location, cell in zip(descriptions, worst_cells, strict=False)
     ]
     raise PoorCellsError(
-        f"{bad} of {len(quality)} elements are inverted or nearly flat"
+        f"{bad_count} of {len(quality)} elements are inverted or nearly flat"
         f" (signed inverse condition number below {BAD}){reason}; the worst:\n" + "\n".join(lines)
     )
 
 
 def straightened(points: Floats, cells: Ints) -> Floats:
     """Points with the middle nodes of quadratic cells half-way between their vertices."""
-    first, second = np.array(EDGES).T
+    first_corner, second_corner = np.array(EDGES).T
     x = points.copy()
-    x[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
+    x[cells[:, 4:]] = 0.5 * (points[cells[:, first_corner]] + points[cells[:, second_corner]])
     return x
 
 
@@ -165,12 +166,12 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
     # It ends: a bad cell has a bent edge, and its edges get straight.
     for step in count():
         current = chord + bend * (points - chord)
-        bad = changed_cells[sicn(current, cells[changed_cells]) < least[changed_cells]]
-        if not len(bad):
+        bad_cells = changed_cells[sicn(current, cells[changed_cells]) < least[changed_cells]]
+        if not len(bad_cells):
             break
         is_moved = np.zeros(len(points), dtype=bool)
-        bends = (bend[:, 0] * size)[cells[bad, 4:]]
-        is_moved[cells[bad, 4:][bends >= spared * bends.max(axis=1, keepdims=True)]] = True
+        bends = (bend[:, 0] * size)[cells[bad_cells, 4:]]
+        is_moved[cells[bad_cells, 4:][bends >= spared * bends.max(axis=1, keepdims=True)]] = True
         bend[is_moved] *= 0.5 if step < HALVINGS * (3 if spared else 1) else 0.0
         changed_cells = np.flatnonzero(is_moved[cells[:, 4:]].any(axis=1))
     return np.asarray(current)
@@ -178,8 +179,10 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
 
 def stubby(points: Floats, cells: Ints) -> Floats:
     """SICN of cells (m,) that may be long along z: the best of those with their length reduced."""
-    parts = [sicn(points * [1.0, 1.0, part], cells) for part in (1.0, *LENGTH_FACTORS)]
-    return np.asarray(np.max(parts, axis=0))
+    scaled_quality = [
+        sicn(points * [1.0, 1.0, length_factor], cells) for length_factor in (1.0, *LENGTH_FACTORS)
+    ]
+    return np.asarray(np.max(scaled_quality, axis=0))
 
 
 def _poor(points: Floats, cells: Ints, quality: Floats) -> Ints:
@@ -210,18 +213,20 @@ def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
     if not free[cells[poor]].any():
         return x
     order = np.argsort(cells.ravel(), kind="stable")
-    start = np.searchsorted(cells.ravel()[order], np.arange(len(x) + 1))
+    cell_start = np.searchsorted(cells.ravel()[order], np.arange(len(x) + 1))
     steps: dict[int, tuple[float, float]] = {}  # of each node: the next and the last one
     while True:
-        worst: dict[int, float] = {}
+        worst_quality: dict[int, float] = {}
         for cell in _poor(x, cells, quality):
             for node in cells[cell][free[cells[cell]]]:
-                worst[int(node)] = min(worst.get(int(node), 1.0), round(quality[cell], digits))
-        moving = [k for k in worst if k not in steps or steps[k][0] >= steps[k][1]]
+                worst_quality[int(node)] = min(
+                    worst_quality.get(int(node), 1.0), round(quality[cell], digits)
+                )
+        moving = [k for k in worst_quality if k not in steps or steps[k][0] >= steps[k][1]]
         if not moving:
             return x
-        for node in sorted(moving, key=lambda k: (worst[k], k)):
-            node_cells = order[start[node] : start[node + 1]] // 4
+        for node in sorted(moving, key=lambda k: (worst_quality[k], k)):
+            node_cells = order[cell_start[node] : cell_start[node + 1]] // 4
             corners = x[cells[node_cells]]
             if node not in steps:
                 edge = float(np.sqrt(((corners - x[node]) ** 2).sum(axis=2)).max())
@@ -235,8 +240,8 @@ def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
             tried_quality = sicn(trial_corners.reshape(-1, 3), trial_cells).reshape(
                 len(trial_places), len(node_cells)
             )
-            best = int(np.round(tried_quality.min(axis=1), digits).argmax())
-            if tried_quality[best].min() > quality[node_cells].min() + GAIN:
-                x[node], quality[node_cells] = trial_places[best], tried_quality[best]
+            best_trial = int(np.round(tried_quality.min(axis=1), digits).argmax())
+            if tried_quality[best_trial].min() > quality[node_cells].min() + GAIN:
+                x[node], quality[node_cells] = trial_places[best_trial], tried_quality[best_trial]
             else:
                 steps[node] = 0.5 * step, last_step

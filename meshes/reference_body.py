@@ -125,7 +125,7 @@ def _extruded(
 ) -> None:
     """Draw the section, extrude it segment by segment, and group the volumes by region."""
     geo = gmsh.model.geo
-    n, half = len(corners), (len(corners) + 1) // 2
+    n, half_count = len(corners), (len(corners) + 1) // 2
     rings = [
         [geo.addPoint(*map(float, (ring * corner)), 0.0) for corner in corners]
         for ring in range(1, len(through) + 2)
@@ -135,12 +135,12 @@ def _extruded(
     for edge in np.ravel(edges):
         geo.mesh.setTransfiniteCurve(edge, 2)
     for k, cells in enumerate(through):
-        ends = [0, half]
+        ends = [0, half_count]
         rays = [geo.addLine(rings[k][i], rings[k + 1][i]) for i in ends]
         for ray in rays:
             geo.mesh.setTransfiniteCurve(ray, cells + 1)
         faces.append([])
-        for side, part in enumerate((slice(half), slice(half, n))):
+        for side, part in enumerate((slice(half_count), slice(half_count, n))):
             outer = [-edge for edge in edges[k + 1][part][::-1]]
             loop = [*edges[k][part], rays[1 - side], *outer, -rays[side]]
             faces[-1].append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
@@ -150,15 +150,13 @@ def _extruded(
     volumes: dict[str, list[int]] = {name: [] for name in names}
     for segment in segments:
         faces = faces[: len(segment.regions)]
-        flat = [(2, face) for layer in faces for face in layer]
+        all_faces = [(2, face) for layer in faces for face in layer]
         extruded = geo.extrude(
-            flat, 0, 0, segment.steps, numElements=[segment.steps], recombine=True
+            all_faces, 0, 0, segment.steps, numElements=[segment.steps], recombine=True
         )
         volume_rows = [k for k, (dim, _) in enumerate(extruded) if dim == 3]
-        tops, bodies = (
-            iter([extruded[k - 1][1] for k in volume_rows]),
-            iter([extruded[k][1] for k in volume_rows]),
-        )
+        tops = iter([extruded[k - 1][1] for k in volume_rows])
+        bodies = iter([extruded[k][1] for k in volume_rows])
         for name, layer in zip(segment.regions, faces, strict=True):
             volumes[name] += [next(bodies) for _ in layer]
         faces = [[next(tops) for _ in layer] for layer in faces]

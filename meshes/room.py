@@ -86,10 +86,10 @@ def canal(geometry: HipKeys) -> WidestCanal:
     """
     cut, implant, femur = CutPlane.of(geometry), geometry.implant, geometry.femur
     placement = cut.put(implant, Position(0.0, 0.0, 0.0, femur.neck, 0.0, 0.0), femur.mirrored)
-    end = placement.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW_TIP
-    low = placement.along(max(float(end), femur.lowest + END_MARGIN))
-    count = int((placement.top - low) / CANAL_STEP) + 1
-    zeta = np.asarray(np.linspace(low, placement.top, count), dtype=float)
+    tip_end = placement.to_model([0.0, 0.0, implant.tip_z])[2] - BELOW_TIP
+    lowest_level = placement.along(max(float(tip_end), femur.lowest + END_MARGIN))
+    count = int((placement.top - lowest_level) / CANAL_STEP) + 1
+    zeta = np.asarray(np.linspace(lowest_level, placement.top, count), dtype=float)
     sections = Sections(placement, placement.top, implant.plug, zeta)
     layers = femur.layers(geometry, sections, None)
     theta, levels = np.meshgrid(2 * np.pi * np.arange(CANAL_AROUND) / CANAL_AROUND, zeta)
@@ -104,11 +104,16 @@ def canal(geometry: HipKeys) -> WidestCanal:
 
 def canal_of(cut: CutPlane, points: Floats) -> WidestCanal:
     """A canal with points of its surface in sections from below (n, k, 3) [mm]."""
-    low = points.min(axis=(0, 1)) - GRID_MARGIN
-    size = np.ceil((points.max(axis=(0, 1)) + GRID_MARGIN - low) / GRID_STEP).astype(int) + 1
-    nodes = low + np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1) * GRID_STEP
+    lower_corner = points.min(axis=(0, 1)) - GRID_MARGIN
+    size = (
+        np.ceil((points.max(axis=(0, 1)) + GRID_MARGIN - lower_corner) / GRID_STEP).astype(int) + 1
+    )
+    nodes = (
+        lower_corner
+        + np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1) * GRID_STEP
+    )
     distances = np.round(_signed_distances(nodes.reshape(-1, 3), points) / DISTANCE_UNIT)
-    return WidestCanal(cut, points, low, distances.reshape(size))
+    return WidestCanal(cut, points, lower_corner, distances.reshape(size))
 
 
 def _signed_distances(x: Floats, surface: Floats) -> Floats:
@@ -197,10 +202,10 @@ class StemSurface:
         fraction = np.linspace(0.0, 1.0, BODY_SECTIONS)[:, None, None]
         flanks = self.start + fraction * (length[:, None] * self.direction)
         turns = np.arange(len(self.start)) / len(self.start)
-        first, last = upper.ring(turns, 0), upper.ring(turns, 1)
+        first_ring, last_ring = upper.ring(turns, 0), upper.ring(turns, 1)
         fraction = np.linspace(0.0, 1.0, NECK_SECTIONS)[1:, None, None]
-        blend = flanks[-1] + fraction * (first - flanks[-1])
-        return np.concatenate([flanks, blend, first + fraction * (last - first)])
+        blend = flanks[-1] + fraction * (first_ring - flanks[-1])
+        return np.concatenate([flanks, blend, first_ring + fraction * (last_ring - first_ring)])
 
     def cemented(self, placement: Placement, cut: CutPlane) -> Floats:
         """Points below the cut, and points where lines along the stem meet it (n, 3) [mm]."""
@@ -209,8 +214,10 @@ class StemSurface:
         is_below = height < 0
         row, column = np.nonzero(is_below[:-1] & ~is_below[1:])
         fraction = height[row, column] / (height[row, column] - height[row + 1, column])
-        low, high = points[row, column], points[row + 1, column]
-        return np.concatenate([points[is_below], low + fraction[:, None] * (high - low)])
+        lower_points, upper_points = points[row, column], points[row + 1, column]
+        return np.concatenate(
+            [points[is_below], lower_points + fraction[:, None] * (upper_points - lower_points)]
+        )
 
 
 def _shoulder(implant: Implant, placement: Placement) -> float:
@@ -235,10 +242,10 @@ class Fit:
 
     def words(self, placement: Placement) -> str:
         """The least room with its place."""
-        where = f"{self.side} at {placement.where(self.place)}"
+        location = f"{self.side} at {placement.where(self.place)}"
         if self.least < 0:
-            return f"none: the stem cuts {-self.least:.2f} mm into the cortex {where}"
-        return f"at least {self.least:.2f} mm, {where}"
+            return f"none: the stem cuts {-self.least:.2f} mm into the cortex {location}"
+        return f"at least {self.least:.2f} mm, {location}"
 
 
 def fit(canal: WidestCanal, stem: StemSurface, placement: Placement) -> Fit:
@@ -252,10 +259,10 @@ def fit(canal: WidestCanal, stem: StemSurface, placement: Placement) -> Fit:
         raise GeometryError("geometry.insertion.depth: the stem is above the neck cut")
     x = placement.to_model(points)
     room = canal.room(x)
-    worst = int(room.argmin())
-    offset = placement.rotation[:, :2] @ points[worst, :2]
+    narrowest = int(room.argmin())
+    offset = placement.rotation[:, :2] @ points[narrowest, :2]
     side = SIDES[round(8 * np.arctan2(offset[1], offset[0]) / (2 * np.pi)) % 8]
-    return Fit(float(room[worst]), x[worst], side)
+    return Fit(float(room[narrowest]), x[narrowest], side)
 
 
 def room_in_words(geometry: HipKeys) -> str:

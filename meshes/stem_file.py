@@ -99,10 +99,8 @@ def read(request: StemRequest) -> dict[str, FloatOrFloats]:
     x = (triangles(points, np.concatenate(faces), EDGE_PARTS) - origin) @ rotation.T
     tip_level, rounding_level = (_tip(x, share) for share in (TIP_SHARE, ROUNDING_SHARE))
     tip_level = rounding_level if rounding_level - tip_level < SHARPEST else tip_level
-    tip, rounding = (
-        np.array([0.0, 0.0, tip_level]),
-        max(rounding_level - tip_level, FLATTEST) if rounding_level > tip_level else 0.0,
-    )
+    tip = np.array([0.0, 0.0, tip_level])
+    rounding = max(rounding_level - tip_level, FLATTEST) if rounding_level > tip_level else 0.0
     x -= tip
     shoulder = x[x[..., 0] <= 0][:, 2].max()
     ends = origin + np.outer([tip[2], tip[2] + shoulder], axis)
@@ -163,12 +161,14 @@ def _level(x: Floats, z: float) -> Floats:
 
 def _tip(x: Floats, share: float) -> float:
     """Level of the lowest section that has a part of the full outline [mm]."""
-    low = float(x[..., 2].min())
-    for z in low + np.linspace(NECK_INSET, BLUNT_HEIGHT, 120):
+    lowest = float(x[..., 2].min())
+    for z in lowest + np.linspace(NECK_INSET, BLUNT_HEIGHT, 120):
         with suppress(ValueError):
-            if outline_length(_level(x, z)) > share * outline_length(_level(x, low + BLUNT_HEIGHT)):
+            if outline_length(_level(x, z)) > share * outline_length(
+                _level(x, lowest + BLUNT_HEIGHT)
+            ):
                 return float(z)
-    return low
+    return lowest
 
 
 def _highest_outline(path: str, x: Floats, shoulder: float) -> Floats:

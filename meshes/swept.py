@@ -127,9 +127,11 @@ def _with_better_diagonals(
     )
     # Two corners of a triangle in a ring are on one line; the third ends a diagonal.
     third = ((line == np.roll(line, -1, axis=1)).argmax(axis=1) + 2)[ring] % 3
-    first, pair = line[ring, third], line[ring, third - 1]
+    first_node, pair = line[ring, third], line[ring, third - 1]
     quad = np.full(len(line), around * per_line)
-    quad[ring] = np.where(first == (pair + 1) % around, pair, first) * per_line + inner_place[ring]
+    quad[ring] = (
+        np.where(first_node == (pair + 1) % around, pair, first_node) * per_line + inner_place[ring]
+    )
     turned_columns = body.columns.copy()
     turned_columns[ring, third] += np.where(ring_place[ring, third] == inner_place[ring], 1, -1)
 
@@ -142,8 +144,8 @@ def _with_better_diagonals(
     tetrahedra, worst = split(body.columns)
     if worst[:-1].min() >= POOR:
         return tetrahedra
-    better = (worst < POOR) & (split(turned_columns)[1] > worst)
-    return split(np.where(better[quad, None], turned_columns, body.columns))[0]
+    is_better = (worst < POOR) & (split(turned_columns)[1] > worst)
+    return split(np.where(is_better[quad, None], turned_columns, body.columns))[0]
 
 
 def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
@@ -164,8 +166,8 @@ def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tupl
     x, y = np.round(body.section[edge].T, DIGITS)
     round_ = -np.sign(x) * np.abs(y)
     ranks = [
-        np.argsort(np.lexsort((np.arange(column_count), y, sign * round_, sign * x)))
-        for sign in (1, -1)
+        np.argsort(np.lexsort((np.arange(column_count), y, side * round_, side * x)))
+        for side in (1, -1)
     ]
     is_mirrored = np.isin(body.slab, surfaces.mirrored)[:, None]
     order = np.argsort(
@@ -204,10 +206,8 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     merged[:, last_section + 1 :] = merged[:, last_section : last_section + 1]
     thickness = np.where(merged, 0.0, np.maximum(gap, floor))
     # Fewer cells across where they would be flat, and none where a layer has no thickness.
-    length, endosteum = (
-        lines.length.reshape(around, levels),
-        lines.endosteum.reshape(around, levels),
-    )
+    length = lines.length.reshape(around, levels)
+    endosteum = lines.endosteum.reshape(around, levels)
     widths = (endosteum * length - thickness, thickness, (1 - endosteum) * length)[
         surfaces.first - 1 :
     ]
@@ -238,10 +238,8 @@ def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     line = np.concatenate(
         [np.repeat(np.arange(around), per_line), np.full(column_count - around * per_line, -1)]
     )
-    line_of_node, column_of_node = (
-        np.tile(line, levels),
-        np.tile(np.arange(column_count) % per_line, levels),
-    )
+    line_of_node = np.tile(line, levels)
+    column_of_node = np.tile(np.arange(column_count) % per_line, levels)
     in_core = line_of_node < 0
     rho = np.where(in_core, 0.0, rho_of[column_of_node, line_of_node, station])
     nodes = Nodes(
@@ -318,10 +316,8 @@ def _with_moved_core_nodes(swept_mesh: Swept) -> Swept:
     A node on a facet or between regions stays.
     """
     nodes, cells = swept_mesh.nodes, swept_mesh.cells
-    lowest_region, highest_region = (
-        np.full(len(nodes), len(swept_mesh.names)),
-        np.full(len(nodes), -1),
-    )
+    lowest_region = np.full(len(nodes), len(swept_mesh.names))
+    highest_region = np.full(len(nodes), -1)
     np.minimum.at(lowest_region, cells, swept_mesh.region[:, None])
     np.maximum.at(highest_region, cells, swept_mesh.region[:, None])
     is_free = (nodes.rho == 0) & (lowest_region == highest_region)
@@ -360,8 +356,12 @@ def _middles(swept_mesh: Swept, a: Ints, b: Ints) -> Nodes:
     both_merged = nodes.merged[a] & nodes.merged[b]
     # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
     ends = [
-        np.where(nodes.merged[end] & ~both_merged, np.clip(nodes.rho[other], 2, 3), nodes.rho[end])
-        for end, other in ((a, b), (b, a))
+        np.where(
+            nodes.merged[this_end] & ~both_merged,
+            np.clip(nodes.rho[other_end], 2, 3),
+            nodes.rho[this_end],
+        )
+        for this_end, other_end in ((a, b), (b, a))
     ]
     is_inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0) | (np.abs(half_steps_apart) > 2)
     in_shell = is_inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3)
