@@ -129,8 +129,8 @@ class PatientBone:
         """
         edge = float(exits(self.surface.level(height), np.array([azimuth]))[0][0])
         if not edge > 0:
-            text = f"the axis of the shaft is outside the bone {height:g} mm above the trochanter"
-            raise GeometryError(f"geometry.resection.height: {text}; cut lower")
+            fault = f"the axis of the shaft is outside the bone {height:g} mm above the trochanter"
+            raise GeometryError(f"geometry.resection.height: {fault}; cut lower")
         return edge
 
     @property
@@ -297,8 +297,8 @@ def _read(
 def _continued(frame: Frame, surface: BoneSurface, canal: BoneSurface | None) -> PatientBone:
     """The bone with its shaft continued below the end of the scan."""
     size = float(frame.to_model(frame.head)[2]) / HEAD_HEIGHT
-    top = -TROCHANTER_ENDS * frame.radius
-    centre, slope = shaft.axis_of_end(surface, frame.end, top)
+    top_level = -TROCHANTER_ENDS * frame.radius
+    centre, slope = shaft.axis_of_end(surface, frame.end, top_level)
     outer, inner = (
         shaft.Narrowing(table, frame.end, size) for table in (femur_bone.OUTER, femur_bone.CANAL)
     )

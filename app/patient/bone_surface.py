@@ -93,9 +93,11 @@ def read(
         raise GeometryError(f"{path}: has no triangles")
     is_lost = ~np.isfinite(corners).all(axis=(1, 2))
     if is_lost.any():
-        text = f"{int(is_lost.sum()):,} of its {len(corners):,} triangles have corners that are not"
+        fault = (
+            f"{int(is_lost.sum()):,} of its {len(corners):,} triangles have corners that are not"
+        )
         raise GeometryError(
-            f"{path}: {text} numbers; the first is triangle {int(is_lost.argmax()) + 1:,}"
+            f"{path}: {fault} numbers; the first is triangle {int(is_lost.argmax()) + 1:,}"
         )
     if np.abs(corners).max() > DAMAGED_FROM:
         reach = f"{np.abs(corners).max():.0e}"
@@ -117,8 +119,8 @@ def read(
     corners = corners * UNITS[unit or fitting_units[0]]
     farthest = float(np.abs(corners).max())
     if farthest > FARTHEST:
-        text = f"its coordinates reach {farthest:.0e} mm, where single precision is too coarse"
-        raise GeometryError(f"{path}: {text}; move it to the origin in the program that wrote it")
+        fault = f"its coordinates reach {farthest:.0e} mm, where single precision is too coarse"
+        raise GeometryError(f"{path}: {fault}; move it to the origin in the program that wrote it")
     surface = welding.weld(corners)
     thinned = len(surface.triangles) > MOST_TRIANGLES
     if thinned:
@@ -151,23 +153,30 @@ def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> Bo
     body_of_triangle = connected(m, first_triangle, second_triangle)
     sizes = np.bincount(body_of_triangle)
     if 2 * int((edge_counts == 1).sum()) > len(edge_counts):
-        text = (
+        details = (
             f"{int((edge_counts == 1).sum()):,} of {len(edge_counts):,} edges belong"
             " to one triangle only"
         )
-        text += f", and their corners are {welding.apart(surface):.2g} mm from the next"
+        details += f", and their corners are {welding.apart(surface):.2g} mm from the next"
         remedy = "merge close vertices in the program that wrote it"
-        raise GeometryError(f"{path}: its triangles are not joined: {text}; {remedy}")
+        raise GeometryError(f"{path}: its triangles are not joined: {details}; {remedy}")
     if len(sizes) > 1 and not thinned:
         largest_bodies = np.argsort(sizes)[:-3:-1]
-        largest, second = (x[triangles[body_of_triangle == part]] for part in largest_bodies)
-        nested = _contains(largest, second) or _contains(second, largest)
-        text = ", one inside the other, like bone and canal" if nested else ""
-        text += f"; the largest have {len(largest):,} and {len(second):,} triangles, the second is"
+        largest, second_largest = (
+            x[triangles[body_of_triangle == body]] for body in largest_bodies
+        )
+        nested = _contains(largest, second_largest) or _contains(second_largest, largest)
+        details = ", one inside the other, like bone and canal" if nested else ""
+        details += (
+            f"; the largest have {len(largest):,} and {len(second_largest):,} triangles, the"
+            " second is"
+        )
         remedy = "keep the femur alone"
         if nested:
             remedy = "keep the bone, and give the canal as a separate file (geometry.canal)"
-        raise GeometryError(f"{path}: has {len(sizes)} bodies{text} at {place(second)}; {remedy}")
+        raise GeometryError(
+            f"{path}: has {len(sizes)} bodies{details} at {place(second_largest)}; {remedy}"
+        )
     open_edges = first_of_edge[edge_counts % 2 == 1] if thinned else first_of_edge[edge_counts != 2]
     edges = x[edge_ends[order[open_edges]]]
     axis = np.linalg.svd(x[:: 1 + n // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
@@ -178,8 +187,10 @@ def _checked(path: Path, surface: Welded, notes: list[str], thinned: bool) -> Bo
         fault = (
             "is open" if most_triangles == 1 else f"has edges of up to {most_triangles} triangles"
         )
-        where = f"{place(edges[is_aside])} ({int(is_aside.sum())} edges), not at an end"
-        raise GeometryError(f"{path}: {fault} at {where}; repair it in the program that wrote it")
+        spike_place = f"{place(edges[is_aside])} ({int(is_aside.sum())} edges), not at an end"
+        raise GeometryError(
+            f"{path}: {fault} at {spike_place}; repair it in the program that wrote it"
+        )
     if len(open_edges):
         notes.append(f"open at an end: {len(open_edges)} edges")
     if not thinned:
@@ -226,16 +237,18 @@ def _spikes(x: Floats, edge_ends: Ints, open_ends: Ints) -> Iterator[str]:
     spikes = (neighbour_counts > 0) & (height > SPIKE_HEIGHT) & (height > SPIKE_RATIO * width)
     spikes[open_ends.ravel()] = False
     if spikes.any():
-        worst = int(np.where(spikes, height, 0.0).argmax())
-        text = f"{int(spikes.sum()):,} corners stick out from their neighbours, the farthest by"
-        yield f"{text} {height[worst]:.0f} mm at {place(x[worst])}; is the file damaged?"
+        highest = int(np.where(spikes, height, 0.0).argmax())
+        note = f"{int(spikes.sum()):,} corners stick out from their neighbours, the farthest by"
+        yield f"{note} {height[highest]:.0f} mm at {place(x[highest])}; is the file damaged?"
 
 
 def _contains(outer: Floats, inner: Floats) -> bool:
     """Return True if the box of triangles (m, 3, 3) contains others that are as long as a canal."""
-    (low, high), (start, end) = ((x.min(axis=(0, 1)), x.max(axis=(0, 1))) for x in (outer, inner))
-    inside = (start > low).all() and (end < high).all()
-    return bool(inside and (end - start).max() > LEAST_CANAL)
+    (outer_low, outer_high), (inner_low, inner_high) = (
+        (x.min(axis=(0, 1)), x.max(axis=(0, 1))) for x in (outer, inner)
+    )
+    inside = (inner_low > outer_low).all() and (inner_high < outer_high).all()
+    return bool(inside and (inner_high - inner_low).max() > LEAST_CANAL)
 
 
 def outward(points: Floats, triangles: Ints) -> Ints:

@@ -70,16 +70,16 @@ def read(
             " the labels were made"
         ) from error
     height = frame.to_model(body.places(inner_voxels))[:, 2]
-    top = -BELOW_TROCHANTER * frame.radius
-    numbers[tuple(inner_voxels[height > top + 2.0 * WALL_THICKNESS].T)] = np.inf
+    top_level = -BELOW_TROCHANTER * frame.radius
+    numbers[tuple(inner_voxels[height > top_level + 2.0 * WALL_THICKNESS].T)] = np.inf
     if not contains_canal(frame):
         raise GeometryError(
             f"geometry.canal.ct: the scan ends {-frame.end:.0f} mm below the lesser trochanter;"
-            f" its canal needs {SHORTEST_CANAL - top:.0f} mm. Leave out canal.ct:"
+            f" its canal needs {SHORTEST_CANAL - top_level:.0f} mm. Leave out canal.ct:"
             " the canal then has the"
             " ratios of the parametric femur"
         )
-    canal_voxels = inner_voxels[height < top + 2.0 * WALL_THICKNESS]
+    canal_voxels = inner_voxels[height < top_level + 2.0 * WALL_THICKNESS]
     box = tuple(
         slice(max(a - 2, 0), b + 3)
         for a, b in zip(canal_voxels.min(0), canal_voxels.max(0), strict=True)
@@ -91,58 +91,61 @@ def read(
         _canal(numbers[box], depth[box], canal_body, threshold + change)
         for change in (-THRESHOLD_CHANGE, 0.0, THRESHOLD_CHANGE)
     ]
-    surfaces = [_part_below(frame.surface(level), top) for level in canals]
-    low, mean, high = (_cortex(bone, surface, frame.end, top) for surface in surfaces)
+    surfaces = [_part_below(frame.surface(level), top_level) for level in canals]
+    at_lower_threshold, mean_thickness, at_higher_threshold = (
+        _cortex(bone, surface, frame.end, top_level) for surface in surfaces
+    )
     return replace(
         surfaces[1],
         doubts=ct.notes,
         notes=(
-            f"CT numbers below {threshold:g} in the bone, up to z = {top:.0f} mm; cortex"
-            f" {mean:.1f} mm thick on average ({low:.1f} with {threshold - THRESHOLD_CHANGE:g},"
-            f" {high:.1f} with {threshold + THRESHOLD_CHANGE:g})",
+            f"CT numbers below {threshold:g} in the bone, up to z = {top_level:.0f} mm; cortex"
+            f" {mean_thickness:.1f} mm thick on average ({at_lower_threshold:.1f} with"
+            f" {threshold - THRESHOLD_CHANGE:g},"
+            f" {at_higher_threshold:.1f} with {threshold + THRESHOLD_CHANGE:g})",
         ),
     )
 
 
-def _canal(numbers: Floats, depth: Floats, part: LabelBody, threshold: float) -> BoneSurface:
+def _canal(numbers: Floats, depth: Floats, body: LabelBody, threshold: float) -> BoneSurface:
     """Return the surface of the largest region of numbers below a threshold, in the file's axes.
 
     Raises:
         GeometryError: No number is below the threshold.
     """
-    finite = np.isfinite(numbers)
-    weight = ndimage.gaussian_filter(finite.astype(np.float32), NOISE_FILTER / part.spacing)
+    is_finite = np.isfinite(numbers)
+    weight = ndimage.gaussian_filter(is_finite.astype(np.float32), NOISE_FILTER / body.spacing)
     filtered_sum = ndimage.gaussian_filter(
-        np.where(finite, numbers, 0.0), NOISE_FILTER / part.spacing
+        np.where(is_finite, numbers, 0.0), NOISE_FILTER / body.spacing
     )
-    filtered = np.where(finite, filtered_sum / np.maximum(weight, 1e-6), threshold + GRADIENT)
+    filtered = np.where(is_finite, filtered_sum / np.maximum(weight, 1e-6), threshold + GRADIENT)
     # The lesser of two distances [mm]: from the endosteum, and from the wall.
     level = np.minimum((threshold - filtered) / GRADIENT, depth - WALL_THICKNESS)
-    pieces, count = ndimage.label(level > 0)
-    if not count:
+    region_labels, region_count = ndimage.label(level > 0)
+    if not region_count:
         raise GeometryError(
             f"geometry.canal.threshold: no CT number inside the bone is below {threshold:g}; is the"
             " image a CT? Cortical bone has 600 HU or more, marrow -100 to 100 HU"
         )
-    largest = pieces == np.bincount(pieces.ravel())[1:].argmax() + 1
+    largest = region_labels == np.bincount(region_labels.ravel())[1:].argmax() + 1
     solid = ndimage.binary_fill_holes(largest)
     level = np.where(solid, np.maximum(level, 0.01), np.minimum(level, -0.01))
     level = np.pad(level, 1, constant_values=-1.0)
     translation = np.eye(4)
     translation[:3, 3] = -1.0
-    padded = LabelBody(level > 0, level, part.affine @ translation, ())
+    padded = LabelBody(level > 0, level, body.affine @ translation, ())
     welded = welding.weld(label_surface.surface(level, padded))
     return BoneSurface(welded.points, outward(welded.points, welded.triangles))
 
 
-def _part_below(surface: BoneSurface, top: float) -> BoneSurface:
+def _part_below(surface: BoneSurface, top_level: float) -> BoneSurface:
     """Return the part of a surface below a level, with a flat end there."""
     mirror = np.array([1.0, 1.0, -1.0])
     mirrored = BoneSurface(surface.points * mirror, surface.triangles[:, ::-1])
-    kept_triangles = shaft.clipped(mirrored, -top)[:, ::-1] * mirror
-    lines = surface.level(top)
-    middle = np.r_[centroid(lines)[0], top]
-    end_lines = np.concatenate([lines, np.full((*lines.shape[:2], 1), top)], axis=2)
+    kept_triangles = shaft.clipped(mirrored, -top_level)[:, ::-1] * mirror
+    lines = surface.level(top_level)
+    middle = np.r_[centroid(lines)[0], top_level]
+    end_lines = np.concatenate([lines, np.full((*lines.shape[:2], 1), top_level)], axis=2)
     end_triangles = np.stack(
         [np.broadcast_to(middle, end_lines[:, 0].shape), end_lines[:, 0], end_lines[:, 1]], axis=1
     )
@@ -150,9 +153,9 @@ def _part_below(surface: BoneSurface, top: float) -> BoneSurface:
     return BoneSurface(welded.points, welded.triangles)
 
 
-def _cortex(bone: BoneSurface, canal: BoneSurface, end: float, top: float) -> float:
+def _cortex(bone: BoneSurface, canal: BoneSurface, lowest_level: float, top_level: float) -> float:
     """Return the mean thickness of the cortex between two levels [mm]."""
-    levels = np.arange(top - SECTION_STEP, end, -SECTION_STEP)
+    levels = np.arange(top_level - SECTION_STEP, lowest_level, -SECTION_STEP)
     areas = np.array([[centroid(s.level(z))[1] for s in (bone, canal)] for z in levels.tolist()])
     outer, inner = np.sqrt(np.maximum(areas, 0.0) / math.pi).T
     return float((outer - inner).mean())

@@ -86,16 +86,18 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     Raises:
         InputError: The planes are not at multiples of one step.
     """
-    across, down = np.split(np.mean([f.ImageOrientationPatient for f in frames], axis=0), 2)
-    normal = np.cross(across, down)
+    row_direction, column_direction = np.split(
+        np.mean([f.ImageOrientationPatient for f in frames], axis=0), 2
+    )
+    normal = np.cross(row_direction, column_direction)
     positions = np.array([f.ImagePositionPatient for f in frames], dtype=float)
     heights = positions @ normal
     levels = np.unique(heights)
     gaps = np.diff(levels)
     gaps = gaps[gaps > dicom_series.SAME_PLACE]
     if not len(gaps):
-        text = f"has only one slice, {dicom_series.name_of(frames[0])}"
-        raise InputError(f"{path}: {text}; expected several")
+        fault = f"has only one slice, {dicom_series.name_of(frames[0])}"
+        raise InputError(f"{path}: {fault}; expected several")
     origin = positions[heights.argmin()]
     # The mean step: rounding of each gap has no effect on it.
     step = float(gaps.min())
@@ -104,12 +106,14 @@ def _planes(path: Path, frames: Sequence[Any]) -> tuple[Any, Floats]:
     plane_of_frame = np.round((heights - levels[0]) / step).astype(int)
     distances = np.linalg.norm(positions - origin - step * plane_of_frame[:, None] * normal, axis=1)
     if distances.max() > PLANE_TOLERANCE * step:
-        worst = dicom_series.name_of(frames[int(distances.argmax())])
-        text = f"its planes are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
-        raise InputError(f"{path}: {text}; {worst} is not at a multiple of one step. Resample it")
+        farthest_frame = dicom_series.name_of(frames[int(distances.argmax())])
+        fault = f"its planes are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
+        raise InputError(
+            f"{path}: {fault}; {farthest_frame} is not at a multiple of one step. Resample it"
+        )
     spacing = np.array(frames[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
-    columns = across * spacing[1], down * spacing[0], step * normal, origin
+    columns = row_direction * spacing[1], column_direction * spacing[0], step * normal, origin
     affine[:3] = np.stack(columns, axis=1)
     affine[:2] *= -1
     return plane_of_frame, affine

@@ -66,8 +66,10 @@ def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
     notes = list(left_out)
     slices = _of_one_series(path, headers, notes)
     check_equal(path, slices)
-    across, down = np.split(np.mean([s.ImageOrientationPatient for s in slices], axis=0), 2)
-    normal = np.cross(across, down)
+    row_direction, column_direction = np.split(
+        np.mean([s.ImageOrientationPatient for s in slices], axis=0), 2
+    )
+    normal = np.cross(row_direction, column_direction)
     slices.sort(key=lambda s: float(normal @ np.array(s.ImagePositionPatient, float)))
     slices, numbers = _without_copies(path, slices, notes)
     positions = np.array([s.ImagePositionPatient for s in slices], dtype=float)
@@ -79,19 +81,23 @@ def read(path: Path, headers: Sequence[Any], left_out: Sequence[str]) -> Voxels:
         positions - positions[0] - np.outer(range(len(positions)), step), axis=1
     )
     if not distances.max() < STEP_TOLERANCE * np.linalg.norm(step):
-        text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
+        message = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
         name_before_gap = name_of(slices[int(gaps.argmax())])
         raise InputError(
-            f"{text}; is one missing after {name_before_gap}? If not, resample them evenly"
+            f"{message}; is one missing after {name_before_gap}? If not, resample them evenly"
         )
     spacing = np.array(slices[0].PixelSpacing, dtype=float)
     affine = np.eye(4)
-    affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, positions[0]], axis=1)
+    affine[:3] = np.stack(
+        [row_direction * spacing[1], column_direction * spacing[0], step, positions[0]], axis=1
+    )
     affine[:2] *= -1
     modality = str(slices[0].get("Modality", "") or "no modality")
     slice_kind = "slices" if _frame(slices[0]) is None else "frames"
     series = f"{len(slices)} DICOM {slice_kind} of {_described(slices[0])} ({modality})"
-    doubts = tuple(f"{path.name}: {text}" for text in _doubts(slices, float(np.linalg.norm(step))))
+    doubts = tuple(
+        f"{path.name}: {doubt}" for doubt in _doubts(slices, float(np.linalg.norm(step)))
+    )
     return Voxels(np.stack(numbers).T, affine, series, tuple(notes), doubts)
 
 
@@ -108,8 +114,8 @@ def _doubts(slices: Sequence[Any], step: float) -> Iterator[str]:
     numbers = Counter(str(s.get("InstanceNumber") or "") for s in slices)
     repeated = sum(count for count in numbers.values() if count > 1)
     if repeated and len(numbers) > 1:
-        text = f"{repeated} of its {len(slices)} slices share their instance number with another"
-        yield f"{text}; are there two acquisitions or reconstructions in one series?"
+        doubt = f"{repeated} of its {len(slices)} slices share their instance number with another"
+        yield f"{doubt}; are there two acquisitions or reconstructions in one series?"
     if any(str(s.get("LossyImageCompression") or "") == "01" for s in slices):
         yield "its slices have lossy compression, so CT numbers differ from those of the scanner"
 
@@ -128,11 +134,11 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
     if not path.is_dir():
         return [_header_with_frames(path)], []
     headers = []
-    others = []
+    other_files = []
     for file in parts(path):
         header = _header(file)
         if header is None:
-            others.append(file.name)
+            other_files.append(file.name)
         else:
             headers.append(header)
     slice_counts = {}
@@ -144,11 +150,11 @@ def headers_of(path: Path) -> tuple[list[Any], list[str]]:
     if not headers and subfolders:
         raise InputError(f"{path}: has no slices; its folders have: {_names(subfolders)}. Give one")
     if not headers:
-        text = f"has no slices: none of its {len(others)} files is a DICOM file"
-        raise InputError(f"{path}: {text}")
-    notes = [f"its folder {text} is not read" for text in subfolders]
-    if others:
-        notes.append(f"{len(others)} other files left out: {_names(others)}")
+        message = f"has no slices: none of its {len(other_files)} files is a DICOM file"
+        raise InputError(f"{path}: {message}")
+    notes = [f"its folder {folder} is not read" for folder in subfolders]
+    if other_files:
+        notes.append(f"{len(other_files)} other files left out: {_names(other_files)}")
     return headers, notes
 
 
@@ -161,8 +167,8 @@ def _header_with_frames(path: Path) -> Any:
     header = _header(path)
     if "Rows" not in header:
         kind = header.get("SOPClassUID", "")
-        text = f"has no voxels ({getattr(kind, 'name', kind)})"
-        raise InputError(f"{path}: {text}; export its structures as a labelmap")
+        fault = f"has no voxels ({getattr(kind, 'name', kind)})"
+        raise InputError(f"{path}: {fault}; export its structures as a labelmap")
     if int(header.get("NumberOfFrames") or 1) < 2:
         raise InputError(f"{path}: is a single DICOM slice; give the folder of its series")
     return header
@@ -175,22 +181,24 @@ def frames_of(header: Any) -> list[Any]:
     count = int(header.get("NumberOfFrames") or 1)
     groups = header.get("PerFrameFunctionalGroupsSequence")
     if groups is None and count > 1 and _is_placed(header):
-        text = f"has {count} frames but only one position"
-        raise InputError(f"{header.filename}: {text}; {CONVERT}")
+        fault = f"has {count} frames but only one position"
+        raise InputError(f"{header.filename}: {fault}; {CONVERT}")
     if groups is None:
         return [header]
     if len(groups) != count:
-        text = f"has {count} frames but the positions of {len(groups)}"
-        raise InputError(f"{header.filename}: {text}; is the file damaged?")
-    shared = header.get("SharedFunctionalGroupsSequence") or [pydicom.Dataset()]
+        fault = f"has {count} frames but the positions of {len(groups)}"
+        raise InputError(f"{header.filename}: {fault}; is the file damaged?")
+    shared_groups = header.get("SharedFunctionalGroupsSequence") or [pydicom.Dataset()]
     common = {tag: header[tag] for tag in COMMON if tag in header}
     frames = []
     for number, group in enumerate(groups):
         frame = pydicom.Dataset()
         frame.update({element.tag: element for element in common.values()})
         for name, tags in GROUPS.items():
-            items = group.get(name) or shared[0].get(name) or [pydicom.Dataset()]
-            frame.update({items[0][tag].tag: items[0][tag] for tag in tags if tag in items[0]})
+            sequence = group.get(name) or shared_groups[0].get(name) or [pydicom.Dataset()]
+            frame.update(
+                {sequence[0][tag].tag: sequence[0][tag] for tag in tags if tag in sequence[0]}
+            )
         frame.filename = header.filename
         frame.frame = number
         frames.append(frame)
@@ -207,17 +215,17 @@ def _header(file: Path) -> Any:
     import pydicom
 
     with file.open("rb") as opened:
-        start = opened.read(PREAMBLE + 4)
-    if not is_dicom(start) and not start.startswith(FIRST_GROUPS):
+        first_bytes = opened.read(PREAMBLE + 4)
+    if not is_dicom(first_bytes) and not first_bytes.startswith(FIRST_GROUPS):
         return None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on values that no image needs
             # Files of old programs have no preamble.
             header = pydicom.dcmread(file, stop_before_pixels=True, force=True)
-        return header if "SOPClassUID" in header or is_dicom(start) else None
+        return header if "SOPClassUID" in header or is_dicom(first_bytes) else None
     except Exception as error:  # damaged files let pydicom fail in any way
-        if not is_dicom(start):
+        if not is_dicom(first_bytes):
             return None
         raise InputError(f"{file}: cannot be read as a DICOM slice: {error}") from None
 
@@ -255,13 +263,16 @@ def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list
         key = f"{header.get('SeriesInstanceUID', '')} {header.get('StackID', '')}"
         series.setdefault(key, []).append(header)
     if len(series) > 1:
-        each = "; ".join(
-            f"{len(members)} slices of {_described(members[0])}, such as {name_of(members[0])}"
-            for members in series.values()
+        series_list = "; ".join(
+            f"{len(slices_of_series)} slices of {_described(slices_of_series[0])}, such as"
+            f" {name_of(slices_of_series[0])}"
+            for slices_of_series in series.values()
         )
         one_file = len({header.filename for header in slices}) == 1
         remedy = CONVERT if one_file else "put one of them into a separate folder"
-        raise InputError(f"{path}: has {len(series)} series or orientations; {remedy}: {each}")
+        raise InputError(
+            f"{path}: has {len(series)} series or orientations; {remedy}: {series_list}"
+        )
     return slices
 
 
@@ -269,17 +280,17 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
     """Raise InputError with the file of a slice of another size or plane than most."""
 
     def differ(quantity: str, values: Sequence[tuple[Any, ...]]) -> None:
-        (usual, _), *others = Counter(values).most_common()
+        (usual_value, _), *others = Counter(values).most_common()
         if others:
             odd_names = [
-                name_of(s) for s, value in zip(slices, values, strict=True) if value != usual
+                name_of(s) for s, value in zip(slices, values, strict=True) if value != usual_value
             ]
-            odd_value = next(value for value in values if value != usual)
-            text = (
+            odd_value = next(value for value in values if value != usual_value)
+            fault = (
                 f"{_names(odd_names)} has {_product_text(odd_value)} {quantity}, the"
-                f" other slices {_product_text(usual)}"
+                f" other slices {_product_text(usual_value)}"
             )
-            raise InputError(f"{path}: {text}; leave it out")
+            raise InputError(f"{path}: {fault}; leave it out")
 
     differ("pixels", [(int(s.Rows), int(s.Columns)) for s in slices])
     differ("samples per pixel", [(int(s.get("SamplesPerPixel") or 1),) for s in slices])
@@ -290,7 +301,7 @@ def check_equal(path: Path, slices: Sequence[Any]) -> None:
     axes = np.array([s.ImageOrientationPatient for s in slices], dtype=float)
     is_off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > AXES_TOLERANCE
     if is_off.any():
-        odd_names = [name_of(s) for s, turned in zip(slices, is_off, strict=True) if turned]
+        odd_names = [name_of(s) for s, is_rotated in zip(slices, is_off, strict=True) if is_rotated]
         raise InputError(
             f"{path}: {_names(odd_names)} is not parallel to the other slices; leave it out"
         )
@@ -304,31 +315,34 @@ def _without_copies(
     Raises:
         InputError: Two slices at one place have different numbers.
     """
-    kept: list[Any] = []
+    kept_slices: list[Any] = []
     numbers: list[Any] = []
     copies = []
-    stored: dict[str, Any] = {}
+    pixels_of_file: dict[str, Any] = {}
     for header in slices:
-        if header.filename not in stored:
-            stored = {header.filename: pixels(header)}
-        values = _numbers(header, stored[header.filename])
-        at_same_place = kept and np.allclose(
+        if header.filename not in pixels_of_file:
+            pixels_of_file = {header.filename: pixels(header)}
+        values = _numbers(header, pixels_of_file[header.filename])
+        at_same_place = kept_slices and np.allclose(
             np.array(header.ImagePositionPatient, float),
-            np.array(kept[-1].ImagePositionPatient, float),
+            np.array(kept_slices[-1].ImagePositionPatient, float),
             rtol=0.0,
             atol=SAME_PLACE,
         )
         if not at_same_place:
-            kept.append(header)
+            kept_slices.append(header)
             numbers.append(values)
         elif np.array_equal(values, numbers[-1]):
             copies.append(name_of(header))
         else:
-            text = f"{name_of(kept[-1])} and {name_of(header)} differ, but have the same position"
-            raise InputError(f"{path}: {text}; are they two series, phases or energies? Keep one")
+            fault = (
+                f"{name_of(kept_slices[-1])} and {name_of(header)} differ, but have the same"
+                " position"
+            )
+            raise InputError(f"{path}: {fault}; are they two series, phases or energies? Keep one")
     if copies:
         notes.append(f"{len(copies)} copies of slices left out: {_names(copies)}")
-    return kept, numbers
+    return kept_slices, numbers
 
 
 def pixels(header: Any) -> Any:
@@ -340,26 +354,26 @@ def pixels(header: Any) -> Any:
     import pydicom
 
     try:
-        data = pydicom.dcmread(header.filename, force=True)
-        if "TransferSyntaxUID" not in data.file_meta:
-            data.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
-        return _stored_bits(data, data.pixel_array).reshape(
+        dataset = pydicom.dcmread(header.filename, force=True)
+        if "TransferSyntaxUID" not in dataset.file_meta:
+            dataset.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+        return _stored_bits(dataset, dataset.pixel_array).reshape(
             -1, int(header.Rows), int(header.Columns)
         )
     except Exception as error:  # damaged files let pydicom fail in any way
         raise InputError(f"{header.filename}: its pixels cannot be read: {error}") from None
 
 
-def _stored_bits(data: Any, values: Any) -> Any:
+def _stored_bits(dataset: Any, values: Any) -> Any:
     """Return pixels by their stored bits alone, without an overlay in the other bits.
 
     pydicom returns all bits of a pixel. Source: DICOM PS3.5, 8.1.1.
     """
-    allocated, stored = int(data.BitsAllocated), int(data.BitsStored)
-    spare = allocated - stored
-    if values.dtype.kind not in "iu" or not 0 < spare < allocated or allocated == 1:
+    allocated_bits, stored_bits = int(dataset.BitsAllocated), int(dataset.BitsStored)
+    spare = allocated_bits - stored_bits
+    if values.dtype.kind not in "iu" or not 0 < spare < allocated_bits or allocated_bits == 1:
         return values
-    above = allocated - 1 - int(data.get("HighBit", stored - 1))
+    above = allocated_bits - 1 - int(dataset.get("HighBit", stored_bits - 1))
     # The highest stored bit is moved to the highest one; its sign is then that of the number.
     return ((values << above) >> spare).astype(values.dtype)
 
@@ -371,12 +385,12 @@ def _numbers(header: Any, pixels: Any) -> Any:
         InputError: Its numbers are by a table.
     """
     if header.get("ModalityLUTSequence") and header.get("RescaleSlope") is None:
-        text = "gives CT numbers by a table (Modality LUT), which mantle does not support"
-        raise InputError(f"{header.filename}: {text}; {CONVERT}")
+        fault = "gives CT numbers by a table (Modality LUT), which mantle does not support"
+        raise InputError(f"{header.filename}: {fault}; {CONVERT}")
     slope, intercept = header.get("RescaleSlope"), header.get("RescaleIntercept")
     slope = np.float32(1 if slope is None else slope)
-    stored = pixels[_frame(header) or 0]
-    return slope * stored + np.float32(0 if intercept is None else intercept)
+    stored_numbers = pixels[_frame(header) or 0]
+    return slope * stored_numbers + np.float32(0 if intercept is None else intercept)
 
 
 def _is_placed(header: Any) -> bool:
@@ -398,14 +412,14 @@ def _frame(header: Any) -> int | None:
 def _names(names: Iterable[str]) -> str:
     """Return the first names of several, and the number of the others."""
     names = list(names)
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join(names[:MOST_NAMES]) + more
+    remainder = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + remainder
 
 
 def _described(header: Any) -> str:
     """Description of the series of a slice, in quotes."""
-    words = str(header.get("SeriesDescription") or header.get("SeriesInstanceUID") or "?")
-    return f"'{words}'"
+    description = str(header.get("SeriesDescription") or header.get("SeriesInstanceUID") or "?")
+    return f"'{description}'"
 
 
 def _product_text(values: Iterable[Any]) -> str:

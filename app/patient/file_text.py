@@ -21,8 +21,12 @@ def decoded(data: bytes) -> tuple[str, list[str]]:
 
     Names may be in any encoding. Decimal commas become points if no vertex has a point.
     """
-    mark = next((mark for mark in ENCODINGS if data.startswith(mark)), None)
-    text = data.decode(ENCODINGS[mark] if mark else "latin-1", errors="replace")
+    byte_order_mark = next(
+        (byte_order_mark for byte_order_mark in ENCODINGS if data.startswith(byte_order_mark)), None
+    )
+    text = data.decode(
+        ENCODINGS[byte_order_mark] if byte_order_mark else "latin-1", errors="replace"
+    )
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if not COMMA.search(text) or POINT.search(text):
         return text, []

@@ -15,12 +15,14 @@ from app.soundness.preview import warner
 def _bone(case: Case) -> Iterable[Verdict]:
     """Notes on a rare size or shape of the bone, on an open end, and on a continued shaft."""
     if isinstance(case.geometry, Patient):
-        for text in case.geometry.femur.notes:
-            yield note(text, "geometry.bone")
-        end = case.geometry.continued_below
-        if end is not None:
-            text = f"the scan ends at z = {end:.0f} mm; the bone below is not the patient's"
-            yield note(f"{text}, but continues the last sections", "geometry.bone.extend")
+        for note_text in case.geometry.femur.notes:
+            yield note(note_text, "geometry.bone")
+        end_level = case.geometry.continued_below
+        if end_level is not None:
+            note_text = (
+                f"the scan ends at z = {end_level:.0f} mm; the bone below is not the patient's"
+            )
+            yield note(f"{note_text}, but continues the last sections", "geometry.bone.extend")
 
 
 @warner

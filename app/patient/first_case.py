@@ -116,8 +116,8 @@ def _propose(folder: Path, bone: Structure, canal: Structure | None, ct: Path | 
     try:
         femur = _geometry_of({"bone": bone_keys, "canal": canal_keys}, folder).femur
     except InputError as error:
-        text = str(error)
-        raise InputError(text if str(bone.path) in text else f"{bone}: {text}") from error
+        message = str(error)
+        raise InputError(message if str(bone.path) in message else f"{bone}: {message}") from error
     if ct and not canal and ct_canal.contains_canal(femur.frame):
         canal_keys = {"ct": _relative(ct, folder), "threshold": CT_THRESHOLD} | canal_keys
         # A CT without this femur is refused here, not as a reason against each stem.
@@ -154,12 +154,12 @@ def _geometry_of(keys: dict[str, object], folder: Path) -> Patient:
     Raises:
         InputError: It is refused.
     """
-    given = {"kind": "patient"} | keys
+    keys_with_kind = {"kind": "patient"} | keys
     try:
-        return Patient.model_validate(given, context={"folder": folder})
+        return Patient.model_validate(keys_with_kind, context={"folder": folder})
     except ValidationError as error:
-        texts = [fault.text for fault in faults(error, Patient, given)]
-        raise InputError("; ".join(texts)) from error
+        messages = [fault.text for fault in faults(error, Patient, keys_with_kind)]
+        raise InputError("; ".join(messages)) from error
 
 
 def _stem(length: float, width: float, femur: PatientBone) -> dict[str, object]:
@@ -177,23 +177,24 @@ def _assumptions(bone: Structure, ct: Path | None, proposal: Proposal) -> Iterat
     femur, implant, details = geometry.femur, geometry.implant, geometry.details
     frame = femur.frame
     source = f", {bone.source}" if bone.source else ""
-    name = "" if bone.side else ", by the lesser trochanter"
-    yield f"femur: {bone}{source}; {frame.side}{name}{_against_axes(femur)}"
-    end = geometry.continued_below
+    side_source = "" if bone.side else ", by the lesser trochanter"
+    yield f"femur: {bone}{source}; {frame.side}{side_source}{_against_axes(femur)}"
+    end_level = geometry.continued_below
     scan = "the scan contains the shaft that is needed"
-    if end is not None:
+    if end_level is not None:
         scan = (
-            f"the scan ends {-end:.0f} mm below the lesser trochanter, and the shaft is continued"
+            f"the scan ends {-end_level:.0f} mm below the lesser trochanter, and the shaft is"
+            " continued"
         )
-        scan += f" for {end - geometry.level:.0f} mm below it (bone.extend)"
+        scan += f" for {end_level - geometry.level:.0f} mm below it (bone.extend)"
     neck = f"neck-shaft angle {details['neck-shaft angle']}"
     yield f"bone: head of {frame.radius:.1f} mm, {neck}; {scan}"
     yield f"canal: {_canal(geometry, ct)}"
     angle = math.degrees(geometry.resection.angle)
     cut = f"neck cut {CUT_HEIGHT:g} mm above the lesser trochanter at {angle:g} deg"
-    best = geometry.placement_details["best position"]
+    best_position = geometry.placement_details["best position"]
     stem = f"{_size(implant)} with {CEMENT_THICKNESS:g} mm of cement"
-    yield f"operation: {cut}; {stem}; best position: {best}"
+    yield f"operation: {cut}; {stem}; best position: {best_position}"
     medial = "the condyles" if femur.has_condyles else "the neck, since the scan has no condyles"
     yield f"loads: one leg, body weight 600 N; x is along {medial}; materials of `stance`"
     for doubt in femur.notes:

@@ -149,8 +149,8 @@ class Patient(OperatedHip):
             fail("needs a bone with `image` and `label`, and no second canal", at=("canal", "ct"))
         self.check_end()
         implant = self.implant
-        for field, text in implant.faults(spread(self.cement_thickness)[0]):
-            fail(text, at=("stem", field))
+        for field, message in implant.faults(spread(self.cement_thickness)[0]):
+            fail(message, at=("stem", field))
         try:
             self.search()
             placement = self.placement
@@ -159,34 +159,34 @@ class Patient(OperatedHip):
                 "bone": (self.bone.path, self.bone.image),
                 "canal": (self.canal.path, self.canal.image, self.canal.ct),
             }
-            for part, paths in files.items():
+            for part_name, paths in files.items():
                 if str(error).startswith(tuple(f"{path}:" for path in paths if path)):
-                    fail(str(error), at=(part,))
-            key, _, text = str(error).removeprefix("geometry.").partition(": ")
-            fail(text, at=tuple(key.split(".")))
+                    fail(str(error), at=(part_name,))
+            key, _, message = str(error).removeprefix("geometry.").partition(": ")
+            fail(message, at=tuple(key.split(".")))
         lowest_z = float(self.femur.surface.points[:, 2].min())
         plug_z = float(placement.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
         if level is None:
             if plug_z < lowest_z + 5.0:
-                text = (
+                message = (
                     f"puts {self.plug_end} at z = {plug_z:.0f} mm, but the bone ends"
                     f" at {lowest_z:.0f} mm"
                 )
-                missing = f"{lowest_z + 5.0 - plug_z:.0f} mm of bone are missing"
+                missing_length = f"{lowest_z + 5.0 - plug_z:.0f} mm of bone are missing"
                 remedy = "set geometry.bone.extend: true, or use a shorter stem"
-                fail(f"{text}: {missing}; {remedy}", at=("stem", "length"))
+                fail(f"{message}: {missing_length}; {remedy}", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(
                 max(plug_z - SHAFT_BELOW_PLUG, lowest_z + 3.0), 1
             )
         if not lowest_z + 2.0 < level < plug_z - 2.0:
-            text = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
-            fail(f"{text} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
+            message = f"{level:g} mm is not between the end of the surface, {lowest_z:.0f} mm, and"
+            fail(f"{message} {self.plug_end}, {plug_z:.0f} mm", at=("distal_cut_z",))
         least_length = max(INSIDE * implant.length, SHORTEST_INSIDE)
         length_inside = implant.length + placement.top
         if length_inside < least_length:
-            text = f"leaves {length_inside:.0f} mm of the stem below the cut"
-            fail(f"{text}; expected at least {least_length:.0f} mm", at=("insertion", "depth"))
+            message = f"leaves {length_inside:.0f} mm of the stem below the cut"
+            fail(f"{message}; expected at least {least_length:.0f} mm", at=("insertion", "depth"))
         return self
 
     def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
@@ -197,8 +197,8 @@ class Patient(OperatedHip):
             source = f"{canal.path.name} has the canal" if canal.path else "no CT is given (ct)"
             keys["geometry", "canal", "threshold"] = source
         if canal.ream != "by":
-            text = f"the canal is not reamed by it (ream: {canal.ream})"
-            keys["geometry", "canal", "ream_by"] = text
+            reason = f"the canal is not reamed by it (ream: {canal.ream})"
+            keys["geometry", "canal", "ream_by"] = reason
         if not canal.surface:
             keys["geometry", "canal", "unit"] = "no surface of the canal is given"
         if not self.bone.surface:
@@ -256,8 +256,8 @@ class Patient(OperatedHip):
     @property
     def more_room(self) -> tuple[str, str]:
         """Key of the stem's position, and the remedies where the stem has no room."""
-        text = "ream (canal.ream: broach), use a smaller or shorter stem, or change varus and"
-        return "geometry.insertion", f"{text} offsets (insertion: best, or mantle place)"
+        remedy = "ream (canal.ream: broach), use a smaller or shorter stem, or change varus and"
+        return "geometry.insertion", f"{remedy} offsets (insertion: best, or mantle place)"
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""
@@ -309,15 +309,19 @@ class Patient(OperatedHip):
     @property
     def _continued(self) -> dict[str, str]:
         """The continued part of the shaft, in words."""
-        end = self.continued_below
-        if end is None:
+        end_level = self.continued_below
+        if end_level is None:
             return {}
         plug_z = float(self.placement.to_model([0.0, 0.0, self.implant.plug])[2])
-        text = f"below z = {end:.0f} mm, where the scan ends: {end - self.level:.0f} mm"
-        beside_stem = (
-            f", {end - plug_z:.0f} mm of them beside stem and plug" if end > plug_z else ""
+        range_text = (
+            f"below z = {end_level:.0f} mm, where the scan ends: {end_level - self.level:.0f} mm"
         )
-        return {"continued shaft": text + beside_stem}
+        beside_stem = (
+            f", {end_level - plug_z:.0f} mm of them beside stem and plug"
+            if end_level > plug_z
+            else ""
+        )
+        return {"continued shaft": range_text + beside_stem}
 
     @property
     def details(self) -> dict[str, str]:
@@ -341,5 +345,5 @@ def _content(*files: Path | None) -> str:
     """Hash of files; an image may have several."""
     from app.patient import images  # scipy, which other cases do without
 
-    parts = [part for path in files if path for part in images.files_of(path)]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in parts)).hexdigest()
+    files_of_paths = [file for path in files if path for file in images.files_of(path)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files_of_paths)).hexdigest()

@@ -74,9 +74,13 @@ class ImageModulus(ModulusField):
         if not self.modulus_of(-1e9) > 0.0:
             fail(f"gives no positive modulus at {LEAST} g/cm3", at=("law",))
         if not SOFTEST < self.largest < STIFFEST:
-            text = f"the largest CT number, {image.dense:g}, gives E = {self.largest / 1e3:.2g} GPa"
-            text += f"; expected {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g} GPa. Is the unit wrong, or"
-            fail(f"{text} does the image show metal or labels?", at=("calibration", "slope"))
+            fault = (
+                f"the largest CT number, {image.dense:g}, gives E = {self.largest / 1e3:.2g} GPa"
+            )
+            fault += (
+                f"; expected {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g} GPa. Is the unit wrong, or"
+            )
+            fail(f"{fault} does the image show metal or labels?", at=("calibration", "slope"))
         return self
 
     @property
@@ -138,8 +142,8 @@ class ImageModulus(ModulusField):
         }
         if isinstance(geometry, Patient):
             E = np.percentile(self.below_surface(geometry), [5, 50, 95]) / 1e3
-            words = f"E {SURFACE_DEPTH:g} mm below the bone's surface (5, 50, 95 %)"
-            details[words] = "{:.1f}, {:.1f}, {:.1f} GPa".format(*E)
+            title = f"E {SURFACE_DEPTH:g} mm below the bone's surface (5, 50, 95 %)"
+            details[title] = "{:.1f}, {:.1f}, {:.1f} GPa".format(*E)
         return details
 
     def below_surface(self, patient: Patient) -> Floats:
@@ -153,15 +157,17 @@ class ImageModulus(ModulusField):
         if image.lost:
             notes.append(f"{name}: {image.lost:,} voxels are not numbers")
         if image.least > AIR_NUMBER:
-            text = f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
-            notes.append(f"{text} no air, or was 1024 added to all numbers?")
+            doubt = (
+                f"{name}: its smallest CT number is {image.least:g}, but air has -1000; is there"
+            )
+            notes.append(f"{doubt} no air, or was 1024 added to all numbers?")
         if isinstance(geometry, Patient):
             median = float(np.median(self.below_surface(geometry)))
             if median > STIFF_CORTEX:
-                text = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
+                doubt = f"{name}: the median of E {SURFACE_DEPTH:g} mm below the bone's surface is"
                 expected = f"expected less than {STIFF_CORTEX / 1e3:g} GPa"
                 notes.append(
-                    f"{text} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"
+                    f"{doubt} {median / 1e3:.1f} GPa; {expected}. Was 1024 added to its CT numbers,"
                     " or is the calibration that of another scanner?"
                 )
         return notes

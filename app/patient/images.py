@@ -93,8 +93,8 @@ class Image:
     @cached_property
     def least(self) -> float:
         """Lowest number of a voxel that was measured."""
-        measured = self._numbers[self._numbers > PADDING]
-        return float((measured if measured.size else self._numbers).min())
+        measured_numbers = self._numbers[self._numbers > PADDING]
+        return float((measured_numbers if measured_numbers.size else self._numbers).min())
 
     @property
     def lost(self) -> int:
@@ -115,19 +115,19 @@ class Image:
         values = ndimage.map_coordinates(self.values, index.T, float, order=1, cval=np.nan)
         is_lost = ~np.isfinite(values)
         if is_lost.any():
-            last = np.array(self.values.shape) - 1
-            outside = is_lost & ((index < 0) | (index > last)).any(axis=1)
+            last_voxel = np.array(self.values.shape) - 1
+            outside = is_lost & ((index < 0) | (index > last_voxel)).any(axis=1)
             if outside.any():
                 raise OutsideImageError(_count(x, outside, "outside the image"))
-            text = _count(x, is_lost, "in voxels that are not numbers")
-            raise InputError(f"{text}; fill these voxels")
+            fault = _count(x, is_lost, "in voxels that are not numbers")
+            raise InputError(f"{fault}; fill these voxels")
         return np.asarray(values)
 
 
 def _count(x: Floats, mask: Bools, place: str) -> str:
     """Return a text on the number of masked points (n, 3) [mm] and the first one of them."""
-    first = "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[mask][0])
-    return f"{int(mask.sum()):,} of {len(x):,} points are {place}, such as {first}"
+    first_place = "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[mask][0])
+    return f"{int(mask.sum()):,} of {len(x):,} points are {place}, such as {first_place}"
 
 
 def read(path: Path) -> Image:
@@ -154,10 +154,12 @@ def files_of(path: Path) -> list[Path]:
     if path.is_dir():
         return parts(path)
     partner = {".hdr": ".img", ".img": ".hdr"}.get(path.suffix)
-    both = [path, path.with_suffix(partner)] if partner else [path]
+    candidates = [path, path.with_suffix(partner)] if partner else [path]
     with path.open("rb") as file:
         is_nrrd = file.read(len(nrrd.MAGIC)) == nrrd.MAGIC
-    return [file for file in both if file.is_file()] + (nrrd.data_files(path) if is_nrrd else [])
+    return [file for file in candidates if file.is_file()] + (
+        nrrd.data_files(path) if is_nrrd else []
+    )
 
 
 def changed(path: Path) -> int:
@@ -184,14 +186,14 @@ def _read(path: Path, _changed: int) -> Image:
         values = values.reshape(values.shape[:3])
     layered = values.ndim == 4 and voxels.segments is not None
     if values.ndim == 4 and not layered:
-        text = f"has {values.shape[3]} numbers per voxel, such as colours or times"
-        raise InputError(f"{path}: {text}; expected one")
+        fault = f"has {values.shape[3]} numbers per voxel, such as colours or times"
+        raise InputError(f"{path}: {fault}; expected one")
     if not (values.ndim == 3 or layered) or values.dtype.kind not in "iuf" or not values.size:
-        text = f"is an array of type {values.dtype} in {values.ndim} dimensions"
-        raise InputError(f"{path}: {text}; expected numbers in 3 dimensions")
+        fault = f"is an array of type {values.dtype} in {values.ndim} dimensions"
+        raise InputError(f"{path}: {fault}; expected numbers in 3 dimensions")
     if min(values.shape[:3]) < 2:
-        text = " x ".join(str(n) for n in values.shape[:3])
-        raise InputError(f"{path}: is a single slice of {text} voxels; expected a volume")
+        voxel_counts = " x ".join(str(n) for n in values.shape[:3])
+        raise InputError(f"{path}: is a single slice of {voxel_counts} voxels; expected a volume")
     if not np.isfinite(affine).all():
         raise InputError(f"{path}: its affine contains values that are not numbers")
     edge_lengths = np.linalg.norm(affine[:3, :3], axis=0)
@@ -230,14 +232,14 @@ def _reader(path: Path) -> Callable[[Path], Voxels]:
     if path.suffix == ".npz":
         return _npz
     with path.open("rb") as file:
-        start = file.read(200)
-    if start.startswith(nrrd.MAGIC):
+        first_bytes = file.read(200)
+    if first_bytes.startswith(nrrd.MAGIC):
         return nrrd.read
-    if dicom_series.is_dicom(start):
+    if dicom_series.is_dicom(first_bytes):
         return _dicom
-    for content, words in OTHER_FORMATS.items():
-        if start.startswith(content):
-            raise InputError(f"{path}: {words}; expected NIfTI, NRRD, DICOM or .npz")
+    for known_bytes, format_name in OTHER_FORMATS.items():
+        if first_bytes.startswith(known_bytes):
+            raise InputError(f"{path}: {format_name}; expected NIfTI, NRRD, DICOM or .npz")
     return _nifti
 
 
@@ -290,8 +292,8 @@ def _nifti(path: Path) -> Voxels:
         image = nibabel.load(path)
     if not isinstance(image, nibabel.Nifti1Pair):
         kind = type(image).__name__.removesuffix("Image")
-        text = f"is not a NIfTI file but {kind}"
-        raise InputError(f"{path}: {text}; convert it, for example with `mri_convert`")
+        fault = f"is not a NIfTI file but {kind}"
+        raise InputError(f"{path}: {fault}; convert it, for example with `mri_convert`")
     header = image.header
     sform, qform = int(header["sform_code"]), int(header["qform_code"])
     if not (sform or qform):

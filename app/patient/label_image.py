@@ -70,10 +70,10 @@ class LabelImage:
         values = self.layers[..., segment.layer]
         inside: Bools = values == segment.value
         if segment.layer < 0 or not inside.any():
-            present = self.numbers
+            present_numbers = self.numbers
             if self.segments is None:
-                present = [int(value) for value in np.unique(self.layers)]
-            labels = ", ".join(str(value) for value in present[:9])
+                present_numbers = [int(value) for value in np.unique(self.layers)]
+            labels = ", ".join(str(value) for value in present_numbers[:9])
             raise InputError(f"{self.path}: has no label {number}; it has {labels}")
         self._check_sharp(values, inside, number)
         return inside
@@ -130,8 +130,8 @@ def _read(path: Path, _changed: int) -> LabelImage:
             notes.append(f"labels repeat in its layers; its segments are numbered: {numbered}")
         segments = {names[name]: segment for name, segment in image.segments.items()}
     layers = values if values.ndim > 3 else values[..., None]
-    known = names if image.segments is not None else None
-    return LabelImage(path, layers, segments, known, image.affine, tuple(notes), image.notes)
+    known_names = names if image.segments is not None else None
+    return LabelImage(path, layers, segments, known_names, image.affine, tuple(notes), image.notes)
 
 
 def as_whole_numbers(path: Path, values: Numbers) -> tuple[Numbers, list[str]]:

@@ -101,10 +101,10 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
         raise images.missing(path, error) from None
     inside = labels.inside(label)
     (box,) = ndimage.find_objects(inside.view(np.int8))
-    pieces, count = ndimage.label(np.pad(inside[box], 1))
-    sizes = np.bincount(pieces.ravel())[1:]
-    solid = pieces == sizes.argmax() + 1
-    if count > 1:
+    piece_labels, piece_count = ndimage.label(np.pad(inside[box], 1))
+    sizes = np.bincount(piece_labels.ravel())[1:]
+    solid = piece_labels == sizes.argmax() + 1
+    if piece_count > 1:
         second, largest = np.sort(sizes)[-2:] * abs(np.linalg.det(labels.affine[:3, :3]))
         if second > SECOND_BONE * largest:
             raise InputError(
@@ -112,9 +112,9 @@ def _body(path: Path, label: int, _changed: int) -> LabelBody:
                 f" {second / 1e3:.0f} cm3; expected one bone. Separate left and right into two"
                 " labels (Split islands to segments in 3D Slicer)"
             )
-        lost = sizes.sum() - sizes.max()
-        text = f"{lost:,} voxels in {count - 1} other pieces left out"
-        (doubts if lost > DOUBTFUL_PIECES * sizes.max() else notes).append(text)
+        lost_voxels = sizes.sum() - sizes.max()
+        note = f"{lost_voxels:,} voxels in {piece_count - 1} other pieces left out"
+        (doubts if lost_voxels > DOUBTFUL_PIECES * sizes.max() else notes).append(note)
     # A canal is a hole that is open at the end of a scan: the first or last layer of the box.
     for axis, layer in product(range(3), (1, -2)):
         face = np.moveaxis(solid, axis, 0)[layer]
@@ -166,19 +166,19 @@ def _between_slices(solid: Bools, axis: int, slice_factor: int) -> NDArray[np.fl
     slices: Bools = np.moveaxis(solid, axis, 0)
     outside = np.where(slices, 0, 1)
     distance = np.zeros(slices.shape, dtype=np.float32)
-    filled = np.array([inside.any() for inside in slices])
-    for k in np.flatnonzero(filled):
+    is_filled = np.array([inside.any() for inside in slices])
+    for k in np.flatnonzero(is_filled):
         distance[k] = ndimage.distance_transform_edt(slices[k])
         distance[k] -= ndimage.distance_transform_edt(outside[k])
     # Beside an end the body reaches half a slice: the negative distances of the last one.
-    for empty in np.flatnonzero(~filled):
-        neighbours = [k for k in (empty - 1, empty + 1) if 0 <= k < len(slices) and filled[k]]
+    for empty in np.flatnonzero(~is_filled):
+        neighbours = [k for k in (empty - 1, empty + 1) if 0 <= k < len(slices) and is_filled[k]]
         distance[empty] = -np.abs(distance[neighbours[0]]) if neighbours else -1.0
     slice_count = (len(slices) - 1) * slice_factor + 1
-    low, remainder = np.divmod(np.arange(slice_count), slice_factor)
-    high = np.minimum(low + 1, len(slices) - 1)
+    lower_slice, remainder = np.divmod(np.arange(slice_count), slice_factor)
+    upper_slice = np.minimum(lower_slice + 1, len(slices) - 1)
     weight = (remainder / slice_factor).astype(np.float32)[:, None, None]
-    level = (1 - weight) * distance[low] + weight * distance[high]
+    level = (1 - weight) * distance[lower_slice] + weight * distance[upper_slice]
     return np.asarray(np.moveaxis(np.clip(level, -2.0, 2.0), 0, axis))
 
 

@@ -130,8 +130,10 @@ class Frame:
         """Interval of the shaft's axis, if it is known by a short part of the shaft."""
         if not self.spread["shaft"]:
             return {}
-        text = f"± {math.degrees(self.spread['shaft']):.0f} deg, by the {-self.end:.0f} mm of shaft"
-        return {"axis of the shaft": f"{text} below the lesser trochanter"}
+        range_text = (
+            f"± {math.degrees(self.spread['shaft']):.0f} deg, by the {-self.end:.0f} mm of shaft"
+        )
+        return {"axis of the shaft": f"{range_text} below the lesser trochanter"}
 
     def doubts(self, surface: BoneSurface) -> list[str]:
         """Notes on a rare size or shape of the femur, and on an open proximal end.
@@ -140,30 +142,36 @@ class Frame:
             surface: Its surface, whose `rim` and `borders` are in the axes of the file.
         """
         notes = list(surface.doubts)
-        low, high = USUAL_RADII
-        if not low <= self.radius <= high:
-            text = f"the head's radius is {self.radius:.1f} mm; expected {low:g} to {high:g} mm"
-            notes.append(f"{text}. Is the unit or scale wrong?")
+        least, largest = USUAL_RADII
+        if not least <= self.radius <= largest:
+            doubt = (
+                f"the head's radius is {self.radius:.1f} mm; expected {least:g} to {largest:g} mm"
+            )
+            notes.append(f"{doubt}. Is the unit or scale wrong?")
         angle = math.degrees(math.acos(-float(self.axes[2] @ self.neck)))
-        low, high = USUAL_NECKS
-        if not low <= angle <= high:
-            text = f"the neck-shaft angle is {angle:.1f} deg; expected {low:g} to {high:g} deg"
-            notes.append(f"{text}. Is the bone stretched along an axis?")
-        low, high = (ratio * self.radius for ratio in USUAL_LENGTHS)
-        if self.version is not None and not low <= self.length <= high:
-            text = f"it is {self.length:.0f} mm long with its condyles; expected {low:.0f} to"
-            notes.append(f"{text} {high:.0f} mm for its head. Is it stretched along an axis?")
+        least, largest = USUAL_NECKS
+        if not least <= angle <= largest:
+            doubt = (
+                f"the neck-shaft angle is {angle:.1f} deg; expected {least:g} to {largest:g} deg"
+            )
+            notes.append(f"{doubt}. Is the bone stretched along an axis?")
+        least, largest = (ratio * self.radius for ratio in USUAL_LENGTHS)
+        if self.version is not None and not least <= self.length <= largest:
+            doubt = f"it is {self.length:.0f} mm long with its condyles; expected {least:.0f} to"
+            notes.append(f"{doubt} {largest:.0f} mm for its head. Is it stretched along an axis?")
         if len(surface.rim):
             proximal = self.to_model(surface.rim)[:, 2] > 0
             if proximal.any():
-                text = f"its surface is open at the proximal end, at {place(surface.rim[proximal])}"
-                notes.append(f"{text} ({int(proximal.sum())} edges); are triangles missing there?")
+                doubt = (
+                    f"its surface is open at the proximal end, at {place(surface.rim[proximal])}"
+                )
+                notes.append(f"{doubt} ({int(proximal.sum())} edges); are triangles missing there?")
         heights = [float(self.to_model(border)[:, 2].mean()) for border in surface.borders]
         for border, height in zip(surface.borders, heights, strict=True):
             # The lowest one is the end of the scan, in the shaft.
             if height > min(0.0, min(heights)):
-                text = f"the bone is cut by the border of the image at {place(border)}"
-                notes.append(f"{text} ({len(border):,} voxels); is a part of it missing?")
+                doubt = f"the bone is cut by the border of the image at {place(border)}"
+                notes.append(f"{doubt} ({len(border):,} voxels); is a part of it missing?")
         return notes
 
 
@@ -223,7 +231,7 @@ class _Finder:
 
     def frame(self) -> Frame:
         """The landmarks."""
-        neck, spread = self._neck()
+        neck, neck_spread = self._neck()
         up, medial = self.up, unit(neck - (neck @ self.up) * self.up)
         side = self._side(np.asarray(np.cross(up, medial)))
         anterior_sign = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
@@ -234,8 +242,10 @@ class _Finder:
             version = math.atan2(
                 anterior_sign * medial @ np.cross(up, condyle_axis), medial @ condyle_axis
             )
-            condyles = NORMAL_QUANTILE * self.rms / (CONDYLE_DISTANCE * self.radius)
-            version_spread = math.hypot(spread / math.sqrt(1 - float(up @ neck) ** 2), condyles)
+            condyle_spread = NORMAL_QUANTILE * self.rms / (CONDYLE_DISTANCE * self.radius)
+            version_spread = math.hypot(
+                neck_spread / math.sqrt(1 - float(up @ neck) ** 2), condyle_spread
+            )
             medial = condyle_axis
         axes = np.stack([medial, anterior_sign * np.cross(up, medial), up])
         missing_shaft = (
@@ -246,13 +256,15 @@ class _Finder:
         shaft_spread = SHORT_SPREAD * missing_shaft / (SHAFT_RANGE[1] - 1.0)
         intervals = {
             "head": self.spread,
-            "neck": spread,
+            "neck": neck_spread,
             "version": version_spread,
             "shaft": shaft_spread,
         }
-        places = self.origin, axes, neck, self.trochanter
+        frame_parts = self.origin, axes, neck, self.trochanter
         length = float(np.ptp(self.x @ up))
-        return Frame(self.head, self.radius, *places, side, version, intervals, length, -self.below)
+        return Frame(
+            self.head, self.radius, *frame_parts, side, version, intervals, length, -self.below
+        )
 
     def _samples(self) -> tuple[Floats, Floats, Floats]:
         """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLE_SIZE`."""
@@ -277,12 +289,12 @@ class _Finder:
         for up in (axis, -axis):
             near_end = x @ up > (x @ up).max() - HEAD_FROM_END
             spheres.append((*_largest_sphere(x[near_end], normal[near_end], area[near_end]), up))
-        covered, centre, radius, self.up = max(spheres, key=lambda candidate: candidate[0])
-        if covered < LEAST_COVERED:
-            text = "has no head at either end: its surface covers at most"
-            text += f" {100 * covered:.0f} % of a sphere, at {place(centre)}"
+        covered_part, centre, radius, self.up = max(spheres, key=lambda candidate: candidate[0])
+        if covered_part < LEAST_COVERED:
+            fault = "has no head at either end: its surface covers at most"
+            fault += f" {100 * covered_part:.0f} % of a sphere, at {place(centre)}"
             remedy = "expected a femur with its head, in the right unit"
-            raise GeometryError(f"geometry.bone: {text}; {remedy}")
+            raise GeometryError(f"geometry.bone: {fault}; {remedy}")
         for _ in range(4):
             offsets = x - centre
             distances = _norms(offsets)
@@ -291,16 +303,19 @@ class _Finder:
             )
             pole = unit(area[on_sphere] @ (offsets[on_sphere] / distances[on_sphere, None]))
             offsets = self.centre - centre
-            cap = np.flatnonzero(
+            near_cap = np.flatnonzero(
                 (offsets @ pole > 0) & (np.abs(_norms(offsets) - radius) < 0.25 * radius)
             )
-            points, areas = self.centre[cap], self.area[cap]
+            points, areas = self.centre[near_cap], self.area[near_cap]
             centre, radius = _fitted_sphere(points, areas, centre, radius)
         offsets, (first_axis, second_axis) = points - centre, _perpendicular_axes(pole)
         sector_angle = np.arctan2(offsets @ first_axis, offsets @ second_axis) / (2 * np.pi) + 0.5
         kept_sectors = [np.floor(HEAD_SECTORS * sector_angle) != k for k in range(HEAD_SECTORS)]
         centres = np.array(
-            [_fitted_sphere(points[kept], areas[kept], centre, radius)[0] for kept in kept_sectors]
+            [
+                _fitted_sphere(points[is_kept], areas[is_kept], centre, radius)[0]
+                for is_kept in kept_sectors
+            ]
         )
         variance = (HEAD_SECTORS - 1) * centres.var(axis=0).sum()
         self.rms = math.sqrt(float(np.average((_norms(offsets) - radius) ** 2, weights=areas)))
@@ -314,16 +329,16 @@ class _Finder:
             distal, self.point = map(np.array, self.given["shaft"])
             self.up = unit(self.point - distal)
             return
-        below = float(self.origin @ self.up) - shaft.end_level(self.surface, self.up)
-        low = min(below, SHAFT_RANGE[1] * self.radius)
+        depth_of_end = float(self.origin @ self.up) - shaft.end_level(self.surface, self.up)
+        lowest_depth = min(depth_of_end, SHAFT_RANGE[1] * self.radius)
         # The lesser trochanter draws centroids aside, so that a long shaft begins farther below it.
-        shaft_share = (low / self.radius - SHORT_SHAFT_RANGE[1]) / (
+        shaft_share = (lowest_depth / self.radius - SHORT_SHAFT_RANGE[1]) / (
             SHAFT_RANGE[1] - SHORT_SHAFT_RANGE[1]
         )
-        high = self.radius * (
+        least_depth = self.radius * (
             SHORT_SHAFT_RANGE[0] + (SHAFT_RANGE[0] - SHORT_SHAFT_RANGE[0]) * max(shaft_share, 0.0)
         )
-        depths = np.linspace(min(high, low - LEAST_SHAFT), low, 33)
+        depths = np.linspace(min(least_depth, lowest_depth - LEAST_SHAFT), lowest_depth, 33)
         points = [self.origin - depth * self.up for depth in depths]
         plane = np.stack(_perpendicular_axes(self.up))
         centroids = np.array(
@@ -393,16 +408,16 @@ class _Finder:
             for prominence, profile in zip(peaks, reach.T, strict=True):
                 peak_rows, properties = find_peaks(profile, prominence=0.5)
                 prominence[peak_rows] = properties["prominences"]
-            low, high = (ratio * radius for ratio in TROCHANTER_RANGE)
-            peaks[:, (depths < low) | (depths > high)] = 0.0
+            least_depth, largest_depth = (ratio * radius for ratio in TROCHANTER_RANGE)
+            peaks[:, (depths < least_depth) | (depths > largest_depth)] = 0.0
             if not peaks.any():
-                text = f"no lesser trochanter was detected below the head at {place(self.head)}"
-                text += f", and the surface ends {self.depth:.0f} mm below it"
+                fault = f"no lesser trochanter was detected below the head at {place(self.head)}"
+                fault += f", and the surface ends {self.depth:.0f} mm below it"
                 remedy = "expected a proximal femur, or landmarks.lesser_trochanter"
-                raise GeometryError(f"geometry.bone: {text}; {remedy}")
+                raise GeometryError(f"geometry.bone: {fault}; {remedy}")
             # It stands out in several directions, a false peak beside the neck in one.
-            shared = np.where(peaks > 0, uniform_filter(peaks, 5, mode="constant"), 0.0)
-            best_direction, best_depth = np.unravel_index(shared.argmax(), peaks.shape)
+            shared_peaks = np.where(peaks > 0, uniform_filter(peaks, 5, mode="constant"), 0.0)
+            best_direction, best_depth = np.unravel_index(shared_peaks.argmax(), peaks.shape)
             direction, depth = directions[best_direction], depths[best_depth]
             for _ in range(3):
                 near_apex = np.abs((self.centre - axis_at_head) @ up + depth) < 0.4 * radius
@@ -411,10 +426,12 @@ class _Finder:
                 direction = unit(offset - (offset @ up) * up)
         self.origin = self.point + ((self.trochanter - self.point) @ up) * up
 
-    def _outermost(self, direction: Floats, within: Bools) -> Floats:
+    def _outermost(self, direction: Floats, is_marked: Bools) -> Floats:
         """Mean point (3,) of the part of marked triangles that reaches farthest in a direction."""
-        x = self.centre[within]
-        weight = self.area[within] * np.exp((x @ direction - (x @ direction).max()) / REACH_DECAY)
+        x = self.centre[is_marked]
+        weight = self.area[is_marked] * np.exp(
+            (x @ direction - (x @ direction).max()) / REACH_DECAY
+        )
         return np.asarray(weight @ x / weight.sum())
 
     def _neck(self) -> tuple[Floats, float]:
@@ -431,22 +448,20 @@ class _Finder:
         def cut(parameters: Floats, offset: float) -> tuple[float, Floats]:
             """Area and centroid of a section."""
             axis = unit(neck_estimate + parameters[0] * first_axis + parameters[1] * second_axis)
-            centre, plane = (
-                head - (parameters[2] * radius + offset) * axis,
-                np.stack(_perpendicular_axes(axis, up)),
-            )
+            centre = head - (parameters[2] * radius + offset) * axis
+            plane = np.stack(_perpendicular_axes(axis, up))
             for _ in range(2):
                 section_x = (x - centre) @ np.vstack([plane, axis]).T
                 radii, _ = exits(section(section_x[:, :2], section_x[:, 2], triangles), angles)
                 centre = centre + (radii**3 / (1.5 * (radii**2).sum())) @ rays @ plane
             return math.pi * float((radii**2).mean()), centre
 
-        start = np.array([0.0, 0.0, 0.75])
-        simplex = start + np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
+        start_parameters = np.array([0.0, 0.0, 0.75])
+        simplex = start_parameters + np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
         options = {"xatol": 3e-4, "fatol": 1e-3, "initial_simplex": simplex}
         optimum = minimize(
             lambda parameters: np.mean([cut(parameters, offset)[0] for offset in NECK_OFFSETS]),
-            start,
+            start_parameters,
             method="Nelder-Mead",
             options=options,
         ).x
@@ -466,29 +481,29 @@ class _Finder:
             posterior_offset -= float(np.average(offsets, weights=self.area[distal])) / self.radius
         side, given_side = "left" if posterior_offset > 0 else "right", self.given.get("side")
         if abs(posterior_offset) < 0.15:
-            text = (
+            fault = (
                 "left or right cannot be determined: the lesser trochanter is not behind the neck"
             )
             if not given_side:
-                raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
+                raise GeometryError(f"geometry.bone: {fault}; give geometry.bone.side")
         elif given_side not in (None, side):
             distance = abs(float((self.trochanter - self.origin) @ anterior_of_left))
-            text = f"the lesser trochanter is {distance:.0f} mm behind the axis of a {side} femur"
-            raise GeometryError(f"geometry.bone.side: {text}; leave side out, or mirror the file")
+            fault = f"the lesser trochanter is {distance:.0f} mm behind the axis of a {side} femur"
+            raise GeometryError(f"geometry.bone.side: {fault}; leave side out, or mirror the file")
         return str(given_side or side)
 
     def _condyles(self, posterior: Floats) -> Floats:
         """Direction of the line between the most posterior points of the condyles (3,)."""
         up, distal = self.up, self.centre @ self.up < self.low + CONDYLE_HEIGHT * self.radius
         for _ in range(5):
-            across = np.cross(posterior, up)
-            across_positions = self.centre @ across
-            middle = 0.5 * (across_positions[distal].min() + across_positions[distal].max())
-            ends = [
-                self._outermost(posterior, distal & (sign * (across_positions - middle) > 0))
-                for sign in (1, -1)
+            transverse = np.cross(posterior, up)
+            transverse_positions = self.centre @ transverse
+            middle = 0.5 * (transverse_positions[distal].min() + transverse_positions[distal].max())
+            condyle_points = [
+                self._outermost(posterior, distal & (side * (transverse_positions - middle) > 0))
+                for side in (1, -1)
             ]
-            line = np.subtract(*self.given.get("condyles", ends))
+            line = np.subtract(*self.given.get("condyles", condyle_points))
             line = unit(line - (line @ up) * up)
             posterior = np.cross(up, line) * np.sign(np.cross(up, line) @ posterior)
         return line
@@ -531,15 +546,17 @@ def _fitted_sphere(x: Floats, area: Floats, centre: Floats, radius: float) -> tu
         offsets = sphere[:3] - x
         return np.column_stack([weights[:, None] * offsets / _norms(offsets)[:, None], -weights])
 
-    start = np.r_[centre, radius]
-    solution = least_squares(residuals, start, jacobian, loss="soft_l1", f_scale=OUTLIER_DISTANCE).x
+    start_values = np.r_[centre, radius]
+    solution = least_squares(
+        residuals, start_values, jacobian, loss="soft_l1", f_scale=OUTLIER_DISTANCE
+    ).x
     return solution[:3], float(solution[3])
 
 
 def _perpendicular_axes(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
     """Two unit vectors that are right-handed with an axis (3,), the first across a hint."""
-    first = unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
-    return first, np.asarray(np.cross(axis, first))
+    first_axis = unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
+    return first_axis, np.asarray(np.cross(axis, first_axis))
 
 
 def _row_dots(a: Floats, b: Floats) -> Floats:

@@ -127,11 +127,11 @@ class MeasuredLayers:
             )
         twice_met = (crossings > 2).mean()
         if twice_met > TWICE_MET_SHARE:
-            where = self._place_on_axis(zeta[int(np.median(np.nonzero(crossings > 2)[0]))])
+            location = self._place_on_axis(zeta[int(np.median(np.nonzero(crossings > 2)[0]))])
             raise GeometryError(
                 f"geometry.bone: {100 * twice_met:.0f} % of rays across the bone"
                 " meet its surface more"
-                f" than once, near {where}: it crosses itself or has cavities; repair it in the"
+                f" than once, near {location}: it crosses itself or has cavities; repair it in the"
                 " program that wrote it"
             )
         self._bone = Radii(zeta, _with_limited_slopes(radii))
@@ -188,34 +188,38 @@ class MeasuredLayers:
         rows = np.flatnonzero((crossings > 0).all(axis=1) & (zeta < self._lid_height(canal)))
         if not len(rows) or zeta[rows[-1]] < self._implant.tip_z:
             distance = float(np.hypot(*canal.points.mean(axis=0)[:2]))
-            text = (
+            fault = (
                 f"does not surround the stem: its centre is {distance:.0f} mm from the stem's axis."
             )
-            raise GeometryError(f"geometry.canal.surface: {text} Is it in the axes of the bone?")
-        first, last = rows[[0, -1]]
-        if zeta[first] > self._sections.plug - CORE_OVER:
+            raise GeometryError(f"geometry.canal.surface: {fault} Is it in the axes of the bone?")
+        first_row, last_row = rows[[0, -1]]
+        if zeta[first_row] > self._sections.plug - CORE_OVER:
             raise GeometryError(
                 "geometry.canal.surface: ends at"
-                f" {self._place_on_axis(zeta[first])}, beside the stem or"
+                f" {self._place_on_axis(zeta[first_row])}, beside the stem or"
                 " its plug; shorten the stem or give a longer canal"
             )
         canal_radii = gaussian_filter(
-            _with_limited_slopes(radii[first : last + 1]), CANAL_SMOOTHING, mode=("nearest", "wrap")
+            _with_limited_slopes(radii[first_row : last_row + 1]),
+            CANAL_SMOOTHING,
+            mode=("nearest", "wrap"),
         )
-        wall = bone[first : last + 1] - canal_radii
+        wall = bone[first_row : last_row + 1] - canal_radii
         if wall.min() < 0:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
             raise GeometryError(
                 f"geometry.canal.surface: is {-wall.min():.1f} mm outside the bone at"
-                f" {self._placement.where(self._grid_points(bone)[first + i, j])};"
+                f" {self._placement.where(self._grid_points(bone)[first_row + i, j])};"
                 " expected a canal inside"
                 " the bone, in the same axes"
             )
-        radii_below = bone[:first] * (canal_radii[0] / bone[first])
-        share = np.clip((zeta[last + 1 :, None] - zeta[last]) / THINNING_LENGTH, 0.0, 1.0)
-        thin_wall = THIN_CORTEX * self._obliquity()[last + 1 :]
-        radii_above = bone[last + 1 :] - (wall[-1] + share * (thin_wall - wall[-1]))
-        canal_top = self._placement.to_model([0.0, 0.0, zeta[last]])[2]
+        radii_below = bone[:first_row] * (canal_radii[0] / bone[first_row])
+        thinned_part = np.clip(
+            (zeta[last_row + 1 :, None] - zeta[last_row]) / THINNING_LENGTH, 0.0, 1.0
+        )
+        thin_wall = THIN_CORTEX * self._obliquity()[last_row + 1 :]
+        radii_above = bone[last_row + 1 :] - (wall[-1] + thinned_part * (thin_wall - wall[-1]))
+        canal_top = self._placement.to_model([0.0, 0.0, zeta[last_row]])[2]
         self.notes.append(
             f"canal: measured up to z = {canal_top:.0f} mm; above, the cortex"
             f" thins to {THIN_CORTEX:g} mm"
@@ -272,16 +276,16 @@ class MeasuredLayers:
         for title, thickness in thicknesses.items():
             thickness = np.where(is_beside_stem, thickness, -np.inf)
             i, j = np.unravel_index(thickness.argmax(), thickness.shape)
-            where = self._placement.where(self._grid_points(reamed)[i, j])
-            self.notes.append(f"{title}: {abs(thickness[i, j]):.1f} mm at {where}")
+            location = self._placement.where(self._grid_points(reamed)[i, j])
+            self.notes.append(f"{title}: {abs(thickness[i, j]):.1f} mm at {location}")
         return reamed
 
     def _broached_radii(self, stem: StemShape) -> Floats:
         """Radii that a broach for stem and mantle leaves (n, `ANGLES`) [mm]."""
         theta, zeta = (v.ravel() for v in np.meshgrid(THETA, self._bone.zeta))
         start, end = stem.outline(theta / (2 * np.pi), self._sections, zeta), self.ends(theta, zeta)
-        share = stem.covered(zeta, start, end, BROACH_OVERSIZE)
-        x, y, _ = (start + share[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
+        broached_part = stem.covered(zeta, start, end, BROACH_OVERSIZE)
+        x, y, _ = (start + broached_part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
         rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
         return np.array(
             [np.interp(THETA, angle, radius, period=2 * np.pi) for angle, radius in rows]
@@ -322,15 +326,15 @@ class MeasuredLayers:
         angle, level = np.arctan2(*start[is_below, 1::-1].T), zeta[is_below]
         depth = self._sections.plug - level
         ratio = np.hypot(*start[is_below, :2].T) / self._endosteum(angle, level + depth)
-        share = np.minimum(depth / CORE_OVER, 1.0)
-        angle += share * (np.mod(theta[is_below] - angle + np.pi, 2 * np.pi) - np.pi)
+        rounded_part = np.minimum(depth / CORE_OVER, 1.0)
+        angle += rounded_part * (np.mod(theta[is_below] - angle + np.pi, 2 * np.pi) - np.pi)
         levels, row = np.unique(level, return_inverse=True)
         ring_grid = (v.ravel() for v in np.meshgrid(THETA[::6], levels))
         mean_radius = self._endosteum(*ring_grid).reshape(-1, ANGLES // 6).mean(axis=1)[row]
         canal = self._endosteum(angle, level)
         core = np.minimum(CORE_SHARE * mean_radius, NARROWEST_SHARE * canal)
         x[is_below] = self._section_points(
-            angle, level, ratio * canal + share * (core - ratio * canal)
+            angle, level, ratio * canal + rounded_part * (core - ratio * canal)
         )
         return x
 
@@ -352,9 +356,15 @@ def _with_limited_slopes(radii: Floats) -> Floats:
     for i in range(1, len(radii)):
         radii[i] = np.where(np.isnan(radii[i]), radii[i - 1], radii[i])
     while True:
-        limit = np.minimum(np.roll(radii, 1, axis=1), np.roll(radii, -1, axis=1)) * around_factor
-        limit[1:] = np.minimum(limit[1:], radii[:-1] + STEEPEST_ALONG * SECTION_STEP)
-        limit[:-1] = np.minimum(limit[:-1], radii[1:] + STEEPEST_ALONG * SECTION_STEP)
-        if (radii <= limit).all():
+        largest_radii = (
+            np.minimum(np.roll(radii, 1, axis=1), np.roll(radii, -1, axis=1)) * around_factor
+        )
+        largest_radii[1:] = np.minimum(
+            largest_radii[1:], radii[:-1] + STEEPEST_ALONG * SECTION_STEP
+        )
+        largest_radii[:-1] = np.minimum(
+            largest_radii[:-1], radii[1:] + STEEPEST_ALONG * SECTION_STEP
+        )
+        if (radii <= largest_radii).all():
             return radii
-        radii = np.minimum(radii, limit)
+        radii = np.minimum(radii, largest_radii)

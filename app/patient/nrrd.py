@@ -57,14 +57,14 @@ def read(path: Path) -> Voxels:
     Raises:
         InputError: The file has no axes, a format that is not read, or not all numbers.
     """
-    header, keys, _, end = _header(path)
+    header, keys, _, header_end = _header(path)
     files = data_files(path)
-    contents = [file.read_bytes() for file in files] if files else [path.read_bytes()[end:]]
+    contents = [file.read_bytes() for file in files] if files else [path.read_bytes()[header_end:]]
     sizes = [int(n) for n in header["sizes"].split()]
-    kind = next((k for k, names in TYPES.items() if header["type"] in names.split(",")), None)
+    type_code = next((k for k, names in TYPES.items() if header["type"] in names.split(",")), None)
     space = header.get("space", "").lower()
-    if kind is None or space not in SPACES:
-        unsupported = f"type `{header['type']}`" if kind is None else f"space `{space}`"
+    if type_code is None or space not in SPACES:
+        unsupported = f"type `{header['type']}`" if type_code is None else f"space `{space}`"
         raise InputError(
             f"{path}: its {unsupported} is not supported; save it as NIfTI in 3D Slicer"
         )
@@ -83,9 +83,9 @@ def read(path: Path) -> Voxels:
             " of them with a direction in"
             " space; expected 3, and at most one axis of layers"
         )
-    dtype = np.dtype((">" if header.get("endian") == "big" else "<") + kind)
-    flat, left_out = _numbers(path, header, contents, dtype, int(np.prod(sizes)))
-    values = flat.reshape(sizes, order="F")
+    dtype = np.dtype((">" if header.get("endian") == "big" else "<") + type_code)
+    numbers, left_out = _numbers(path, header, contents, dtype, int(np.prod(sizes)))
+    values = numbers.reshape(sizes, order="F")
     for axis in layer_axes:
         values = np.moveaxis(values, axis, -1)
     affine = np.eye(4)
@@ -111,8 +111,8 @@ def _segments(path: Path, keys: dict[str, str], layers: int) -> dict[str, LabelS
         value = int(keys.get(f"Segment{number}_LabelValue", "1"))
         layer = int(keys.get(f"Segment{number}_Layer", f"{position if layers > 1 else 0}"))
         if not 0 <= layer < layers:
-            text = f"its segment {name} is in layer {layer} (from 0) of {layers}"
-            raise InputError(f"{path}: {text}; is the file damaged?")
+            fault = f"its segment {name} is in layer {layer} (from 0) of {layers}"
+            raise InputError(f"{path}: {fault}; is the file damaged?")
         if name in segments:
             name = f"{name} ({number})"
         segments[name] = LabelSegment(value, layer)
@@ -125,23 +125,26 @@ def data_files(path: Path) -> list[Path]:
     Raises:
         InputError: The header is damaged, or one of the files is missing.
     """
-    header, _, listed, _ = _header(path)
-    given = header.get("datafile", "").split()
-    if not given:
+    header, _, listed_names, _ = _header(path)
+    data_words = header.get("datafile", "").split()
+    if not data_words:
         return []
-    if given[0] == "LIST":
-        names = listed
-    elif "%" in given[0]:
-        first, last, step = (int(word) for word in given[1:4])
-        names = [given[0] % k for k in range(first, last + (1 if step > 0 else -1), step)]
+    if data_words[0] == "LIST":
+        names = listed_names
+    elif "%" in data_words[0]:
+        first_number, last_number, step = (int(word) for word in data_words[1:4])
+        names = [
+            data_words[0] % k
+            for k in range(first_number, last_number + (1 if step > 0 else -1), step)
+        ]
     else:
         names = [header["datafile"]]
     files = [path.parent / name for name in names]
-    missing = [file.name for file in files if not file.is_file()]
-    if missing or not files:
-        text = f"{len(missing)} of the {len(files)} files of its voxels are missing"
+    missing_files = [file.name for file in files if not file.is_file()]
+    if missing_files or not files:
+        fault = f"{len(missing_files)} of the {len(files)} files of its voxels are missing"
         raise InputError(
-            f"{path}: {text}, such as {', '.join(missing[:3])}; copy them to its folder"
+            f"{path}: {fault}, such as {', '.join(missing_files[:3])}; copy them to its folder"
         )
     return files
 
@@ -154,29 +157,33 @@ def _header(path: Path) -> tuple[dict[str, str], dict[str, str], list[str], int]
     Raises:
         InputError: The header is damaged.
     """
-    start, end = b"", None
+    header_bytes, header_end = b"", None
     with path.open("rb") as file:
-        while end is None and len(start) < LONGEST_HEADER:
+        while header_end is None and len(header_bytes) < LONGEST_HEADER:
             chunk = file.read(CHUNK)
-            start += chunk
-            end = re.search(rb"\r?\n\r?\n", start) if chunk else re.search(rb"\Z", start)
-    if not start.startswith(MAGIC) or end is None:
+            header_bytes += chunk
+            header_end = (
+                re.search(rb"\r?\n\r?\n", header_bytes)
+                if chunk
+                else re.search(rb"\Z", header_bytes)
+            )
+    if not header_bytes.startswith(MAGIC) or header_end is None:
         raise InputError(f"{path}: is not an NRRD file, or its header is incomplete")
     fields = dict[str, str]()
     keys = dict[str, str]()
-    listed = list[str]()
-    for line in start[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
-        name, mark, value = line.partition(":")
+    listed_names = list[str]()
+    for line in header_bytes[: header_end.start()].decode("utf-8", "replace").splitlines()[1:]:
+        name, separator, value = line.partition(":")
         if fields.get("datafile", "").startswith("LIST"):
-            listed.append(line.strip())
-        elif mark and value.startswith("="):
+            listed_names.append(line.strip())
+        elif separator and value.startswith("="):
             keys[name] = value[1:].strip()
-        elif mark and not line.startswith("#"):
+        elif separator and not line.startswith("#"):
             fields[name.lower().replace(" ", "")] = value.strip()
-    missing = [name for name in REQUIRED_FIELDS if name.replace(" ", "") not in fields]
-    if missing:
-        raise InputError(f"{path}: its header has no {' and no '.join(missing)}")
-    return fields, keys, [name for name in listed if name], end.end()
+    missing_fields = [name for name in REQUIRED_FIELDS if name.replace(" ", "") not in fields]
+    if missing_fields:
+        raise InputError(f"{path}: its header has no {' and no '.join(missing_fields)}")
+    return fields, keys, [name for name in listed_names if name], header_end.end()
 
 
 def _numbers(
@@ -198,20 +205,21 @@ def _numbers(
         blocks.append(block[-block_size:] if skipped_bytes < 0 else block[skipped_bytes:])
     if encoding in TEXT_ENCODINGS:
         words = np.array(b" ".join(blocks).split())
-        raw = words.astype(dtype.newbyteorder("=")).tobytes()
+        raw_bytes = words.astype(dtype.newbyteorder("=")).tobytes()
         dtype = dtype.newbyteorder("=")
     else:
-        raw = b"".join(blocks)
-    expected = number * dtype.itemsize
-    if len(raw) < expected or (
+        raw_bytes = b"".join(blocks)
+    expected_bytes = number * dtype.itemsize
+    if len(raw_bytes) < expected_bytes or (
         len(blocks) > 1 and any(len(block) != block_size for block in blocks)
     ):
         raise InputError(
-            f"{path}: has only {len(raw):,} of the {expected:,} bytes of its voxels; copy it again"
+            f"{path}: has only {len(raw_bytes):,} of the {expected_bytes:,} bytes of its voxels;"
+            " copy it again"
         )
-    extra_bytes = len(raw) - expected
+    extra_bytes = len(raw_bytes) - expected_bytes
     left_out = (f"{extra_bytes:,} bytes after its voxels left out",) if extra_bytes else ()
-    return np.frombuffer(raw, dtype, number).astype(dtype.newbyteorder("=")), left_out
+    return np.frombuffer(raw_bytes, dtype, number).astype(dtype.newbyteorder("=")), left_out
 
 
 def _unpacked(path: Path, encoding: str, content: bytes) -> bytes:

@@ -26,12 +26,12 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     Raises:
         GeometryError: A vertex or a face is damaged, or there are none.
     """
-    text, notes = decoded(path.read_bytes())
+    file_text, notes = decoded(path.read_bytes())
     points: list[tuple[float, ...]] = []
     faces: list[list[int]] = []
     face_lines: list[int] = []  # of the faces
     unread: Counter[str] = Counter()
-    for number, (word, *arguments) in _statements(text):
+    for number, (word, *arguments) in _statements(file_text):
         try:
             if word == "v":
                 x, y, z, *_ = arguments  # a weight or a colour may follow
@@ -46,12 +46,12 @@ def read(path: Path) -> tuple[Floats, list[str]]:
                 unread[word] += 1
         except ValueError:
             rule = "a vertex has three numbers" if word == "v" else "corners are whole numbers"
-            shown = " ".join([word, *arguments])[:60]
-            raise GeometryError(f"{path}: line {number}: `{shown}`: {rule}") from None
+            shown_line = " ".join([word, *arguments])[:60]
+            raise GeometryError(f"{path}: line {number}: `{shown_line}`: {rule}") from None
     if not faces:
         kinds = ", ".join(word[:20] for word in sorted(unread)[:5])
-        text = f"; it has lines of {kinds}, which are not read" if kinds else ""
-        raise GeometryError(f"{path}: has no faces (lines that begin with f){text}")
+        unread_text = f"; it has lines of {kinds}, which are not read" if kinds else ""
+        raise GeometryError(f"{path}: has no faces (lines that begin with f){unread_text}")
     corners, divided = corners_of(
         path, np.array(points).reshape(-1, 3), faces, lambda k: f"line {face_lines[k]}: the face"
     )
@@ -75,9 +75,9 @@ def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
             continued = line.rstrip()[:-1] + " "
             continue
         continued = ""
-        words = line.split()
-        if words:
-            yield number, [words[0].lower(), *words[1:]]
-    words = continued.split()
-    if words:
-        yield number, [words[0].lower(), *words[1:]]
+        statement_words = line.split()
+        if statement_words:
+            yield number, [statement_words[0].lower(), *statement_words[1:]]
+    statement_words = continued.split()
+    if statement_words:
+        yield number, [statement_words[0].lower(), *statement_words[1:]]

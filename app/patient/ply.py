@@ -64,10 +64,14 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     Raises:
         GeometryError: The file is cut short or damaged, or has no faces.
     """
-    data = path.read_bytes()
+    file_bytes = path.read_bytes()
     try:
-        order, elements, start = _header(data)
-        rows = _BinaryRows(data, start, order) if order else _TextRows(data, start)
+        order, elements, rows_start = _header(file_bytes)
+        rows = (
+            _BinaryRows(file_bytes, rows_start, order)
+            if order
+            else _TextRows(file_bytes, rows_start)
+        )
         columns = {element.name: _columns(rows, element) for element in elements}
         rows.check_end()
         names = ", ".join(element.name for element in elements)
@@ -76,12 +80,12 @@ def read(path: Path) -> tuple[Floats, list[str]]:
         if "vertex" not in columns or "face" not in columns:
             raise _Damaged(f"has no faces; its elements are {names or 'none'}")
         vertex = columns["vertex"]
-        missing = {"x", "y", "z"} - vertex.keys()
-        if missing:
-            raise _Damaged(f"its vertices have no {', '.join(sorted(missing))}")
+        missing_axes = {"x", "y", "z"} - vertex.keys()
+        if missing_axes:
+            raise _Damaged(f"its vertices have no {', '.join(sorted(missing_axes))}")
         face = next(element for element in elements if element.name == "face")
-        lists = {p.name for p in face.properties if p.count_type}
-        corners = next((columns["face"][name] for name in CORNER_LISTS if name in lists), None)
+        list_names = {p.name for p in face.properties if p.count_type}
+        corners = next((columns["face"][name] for name in CORNER_LISTS if name in list_names), None)
         if corners is None:
             kinds = ", ".join(p.name for p in face.properties)
             raise _Damaged(f"its faces have no list {CORNER_LISTS[0]}; they have {kinds}")
@@ -99,15 +103,15 @@ def read(path: Path) -> tuple[Floats, list[str]]:
 
 def _header(data: bytes) -> tuple[str, list[Element], int]:
     """Return the byte order (empty for text), the elements, and the byte at which rows begin."""
-    end = HEADER_END.search(data[:1_000_000])
-    if not data.lstrip(b"\xef\xbb\xbf").startswith(b"ply") or not end:
+    header_end = HEADER_END.search(data[:1_000_000])
+    if not data.lstrip(b"\xef\xbb\xbf").startswith(b"ply") or not header_end:
         raise _Damaged("is not a PLY file, or is cut short: it has no line `end_header`")
     order, elements = None, []
 
     def are_known(*types: str) -> bool:
         return PLY_TYPES.keys() >= {*types}
 
-    for line in re.split(r"[\r\n]+", data[: end.start()].decode("latin-1")):
+    for line in re.split(r"[\r\n]+", data[: header_end.start()].decode("latin-1")):
         match line.split():
             case ["format", name, *_] if name in PLY_ORDERS:
                 order = PLY_ORDERS[name]
@@ -128,13 +132,15 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
     names = [element.name for element in elements]
     if len(set(names)) < len(names):
         raise _Damaged("header: an element is declared twice")
-    return order, elements, end.end()
+    return order, elements, header_end.end()
 
 
 def _append_property(elements: list[Element], added_property: Property) -> None:
     """Append a property to the last element."""
-    last = elements[-1]
-    elements[-1] = Element(last.name, last.rows, (*last.properties, added_property))
+    last_element = elements[-1]
+    elements[-1] = Element(
+        last_element.name, last_element.rows, (*last_element.properties, added_property)
+    )
 
 
 # Values of an element by the names of its properties.
@@ -178,15 +184,15 @@ def _columns(rows: _Rows, element: Element) -> Columns:
         except IndexError:
             raise _too_few_rows(element, row) from None
         except ValueError:
-            text = f"row {row + 1:,} of element {element.name}"
-            raise _Damaged(f"{text}: a corner or count is not a whole number") from None
+            row_text = f"row {row + 1:,} of element {element.name}"
+            raise _Damaged(f"{row_text}: a corner or count is not a whole number") from None
     return columns
 
 
 def _too_few_rows(element: Element, rows: int) -> _Damaged:
     """Return the error on an element with fewer rows than its header says."""
-    text = f"element {element.name} has {element.rows:,} rows in the header"
-    return _Damaged(f"is cut short or damaged: {text}, but only {rows:,} in the file")
+    expected_rows = f"element {element.name} has {element.rows:,} rows in the header"
+    return _Damaged(f"is cut short or damaged: {expected_rows}, but only {rows:,} in the file")
 
 
 class _TextRows:
@@ -238,12 +244,12 @@ class _BinaryRows:
 
     def take(self, kind: str, count: int) -> np.ndarray:
         """Return the next numbers; raise IndexError beyond the end."""
-        start = self._position
-        end = start + count * int(kind[1:])
-        if count < 0 or end > len(self._data):
+        start_position = self._position
+        end_position = start_position + count * int(kind[1:])
+        if count < 0 or end_position > len(self._data):
             raise IndexError
-        self._position = end
-        return np.frombuffer(self._data, self._order + kind, count, start)
+        self._position = end_position
+        return np.frombuffer(self._data, self._order + kind, count, start_position)
 
     def table(self, element: Element) -> Columns | None:
         """Return all rows if their lists are as long as those of the first one, else None."""
@@ -269,7 +275,7 @@ class _BinaryRows:
 
     def _first_sizes(self, element: Element) -> list[int]:
         """Lengths of the lists of the next row, 1 for numbers."""
-        start = self._position
+        start_position = self._position
         sizes = []
         try:
             for p in element.properties:
@@ -278,12 +284,12 @@ class _BinaryRows:
                 sizes.append(count)
         except IndexError:
             raise _too_few_rows(element, 0) from None
-        self._position = start
+        self._position = start_position
         return sizes
 
     def check_end(self) -> None:
         """Refuse bytes after the last row that are not blank."""
-        rest = self._data[self._position :]
-        if rest.strip(b"\0 \r\n"):
-            text = f"{len(rest):,} bytes follow the rows that its header counts"
-            raise _Damaged(f"is damaged: {text}")
+        remaining_bytes = self._data[self._position :]
+        if remaining_bytes.strip(b"\0 \r\n"):
+            fault = f"{len(remaining_bytes):,} bytes follow the rows that its header counts"
+            raise _Damaged(f"is damaged: {fault}")

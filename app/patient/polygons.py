@@ -40,15 +40,15 @@ def corners_of(
     is_outside = (face_vertices < 0) | (face_vertices >= len(points))
     if is_outside.any():
         face = int(np.repeat(np.arange(len(sizes)), sizes)[is_outside][0])
-        text = f"has a corner that is none of the {len(points):,} vertices"
-        raise GeometryError(f"{path}: {face_name(face)} {text}")
+        fault = f"has a corner that is none of the {len(points):,} vertices"
+        raise GeometryError(f"{path}: {face_name(face)} {fault}")
     used_vertices = np.unique(face_vertices)
     is_lost = ~np.isfinite(points[used_vertices]).all(axis=1)
     if is_lost.any():
         number = int(used_vertices[is_lost][0]) + 1
-        text = f"{int(is_lost.sum()):,} of its vertices are not numbers"
-        text += f"; the first is vertex {number:,}"
-        raise GeometryError(f"{path}: {text}")
+        fault = f"{int(is_lost.sum()):,} of its vertices are not numbers"
+        fault += f"; the first is vertex {number:,}"
+        raise GeometryError(f"{path}: {fault}")
     notes = []
     divided_count = int((sizes > 3).sum())
     if divided_count:

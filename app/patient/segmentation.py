@@ -87,9 +87,9 @@ def segments(path: Path) -> list[Structure]:
     numbers = image.numbers
     labels = _names(path) if image.names is None else image.names
     if labels:
-        present = {name: n for name, n in labels.items() if n in numbers}
-        return [Structure(path, n, name, "by its name") for name, n in present.items()]
-    stem = path.name[: -len(next((e for e in ENDINGS if path.name.endswith(e)), ""))]
+        present_labels = {name: n for name, n in labels.items() if n in numbers}
+        return [Structure(path, n, name, "by its name") for name, n in present_labels.items()]
+    stem = path.name[: -len(next((ending for ending in ENDINGS if path.name.endswith(ending)), ""))]
     if len(numbers) == 1:
         structure = Structure(path, numbers[0], stem, "by the name of the file")
         is_named = FEMUR.search(stem) or CANAL.search(stem) or structure.side
@@ -119,9 +119,11 @@ def _names(path: Path) -> dict[str, int]:
     names = dict[str, int]()
     for extension in nibabel.load(path).header.extensions:
         content = extension.get_content()
-        text = content.decode("utf-8", "replace") if isinstance(content, bytes) else str(content)
-        if "LabelTable" in text:
-            table = ET.fromstring(text.strip("\0 \n")).iter("Label")
+        extension_text = (
+            content.decode("utf-8", "replace") if isinstance(content, bytes) else str(content)
+        )
+        if "LabelTable" in extension_text:
+            table = ET.fromstring(extension_text.strip("\0 \n")).iter("Label")
             names |= {(row.text or "").strip(): int(row.get("Key", "0")) for row in table}
     return names
 
@@ -176,5 +178,9 @@ def canal(path: Path, bone: Structure) -> Structure | None:
 
 def _list(structures: Sequence[Structure]) -> str:
     """Return structures in words, the first ones of many."""
-    words = ", ".join(str(s) for s in structures[:8])
-    return f"{words} and {len(structures) - 8} more" if len(structures) > 8 else words or "no label"
+    listed_structures = ", ".join(str(s) for s in structures[:8])
+    return (
+        f"{listed_structures} and {len(structures) - 8} more"
+        if len(structures) > 8
+        else listed_structures or "no label"
+    )

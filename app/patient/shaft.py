@@ -51,7 +51,7 @@ def end_level(surface: BoneSurface, up: Floats) -> float:
     a, b, c = surface.corners.transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     downward = np.flatnonzero(normal @ up < -LEAST_DOWNWARD * np.linalg.norm(normal, axis=1))
-    end = lowest
+    level_of_end = lowest
     corners = surface.triangles[downward]
     lowest_corners = level[corners].min(axis=1)
     if lowest_corners.min(initial=np.inf) < lowest + EDGE_ROUNDING:
@@ -60,12 +60,12 @@ def end_level(surface: BoneSurface, up: Floats) -> float:
         pieces = connected(
             len(downward) + len(level), triangle_rows, len(downward) + corners.ravel()
         )[: len(downward)]
-        end = float(level[corners[pieces == pieces[lowest_corners.argmin()]]].max())
+        level_of_end = float(level[corners[pieces == pieces[lowest_corners.argmin()]]].max())
     if len(surface.rim):
         rim = surface.rim @ up
         middle = 0.5 * (lowest + float(level.max()))
-        end = max(end, float(rim[rim < middle].max(initial=lowest)))
-    return end + EDGE_ROUNDING
+        level_of_end = max(level_of_end, float(rim[rim < middle].max(initial=lowest)))
+    return level_of_end + EDGE_ROUNDING
 
 
 def flat_end(surface: BoneSurface) -> Floats | None:
@@ -200,10 +200,8 @@ def clipped(surface: BoneSurface, level: float) -> Floats:
     corners_above = is_above.sum(axis=1)
     kept_triangles = [x[corners_above == 3]]
     for number_above in (1, 2):
-        crossing, is_alone = (
-            x[corners_above == number_above],
-            is_above[corners_above == number_above] == (number_above == 1),
-        )
+        crossing = x[corners_above == number_above]
+        is_alone = is_above[corners_above == number_above] == (number_above == 1)
         # The corner that is alone on its side of the level comes first.
         alone_corner = is_alone.argmax(axis=1)
         corner_order = (alone_corner[:, None] + np.arange(3)) % 3

@@ -70,26 +70,26 @@ def _binary(path: Path, data: bytes) -> tuple[Floats, list[str]]:
         count = stored_count
     swapped = int.from_bytes(data[HEADER_SIZE - 4 : HEADER_SIZE], "big")
     if stored_count and not extra_bytes and swapped == stored_count:
-        text = (
+        fault = (
             f"its {stored_count:,} triangles are in big-endian order; STL files are little-endian"
         )
-        raise GeometryError(f"{path}: {text}. Write it again")
+        raise GeometryError(f"{path}: {fault}. Write it again")
     if count > stored_count:
         raise GeometryError(
             f"{path}: is not an STL file, or is cut short: read as binary STL, it"
             f" has {stored_count:,} of"
             f" the {count:,} triangles in its header"
         )
-    remaining = data[HEADER_SIZE + FACET_SIZE * count :]
-    second_size = size(remaining)
-    if second_size is not None and len(remaining) >= second_size:
-        text = f"a second STL file follows its {count:,} triangles"
-        raise GeometryError(f"{path}: {text}; merge both into one, or keep the femur alone")
-    if remaining.strip(b"\0") and not extra_bytes:
-        text = f"its header gives {count:,} triangles, but it contains {stored_count:,}"
-        raise GeometryError(f"{path}: {text}; write it again")
-    if remaining:
-        notes.append(f"{len(remaining):,} bytes after its end are left out")
+    remaining_bytes = data[HEADER_SIZE + FACET_SIZE * count :]
+    second_size = size(remaining_bytes)
+    if second_size is not None and len(remaining_bytes) >= second_size:
+        fault = f"a second STL file follows its {count:,} triangles"
+        raise GeometryError(f"{path}: {fault}; merge both into one, or keep the femur alone")
+    if remaining_bytes.strip(b"\0") and not extra_bytes:
+        fault = f"its header gives {count:,} triangles, but it contains {stored_count:,}"
+        raise GeometryError(f"{path}: {fault}; write it again")
+    if remaining_bytes:
+        notes.append(f"{len(remaining_bytes):,} bytes after its end are left out")
     rows = np.frombuffer(data, FACET_TYPE, count, HEADER_SIZE)
     with np.errstate(invalid="ignore"):  # of damaged numbers
         corners = rows["normal and corners"][:, 1:].astype(float)
@@ -102,34 +102,35 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
     corners: list[tuple[str, ...]] = []
     position, solids = 0, 0
     while position < len(text):
-        begin = SOLID_BEGIN.match(text, position)
-        if not begin:
+        solid_begin = SOLID_BEGIN.match(text, position)
+        if not solid_begin:
             raise _unexpected_text(path, text, position, "`solid`")
         solids += 1
-        begin_position, position = begin.start() + 1, begin.end()
+        begin_position, position = solid_begin.start() + 1, solid_begin.end()
         facet = FACET.match(text, position)
         while facet:
             corners.append(facet.groups())
             position = facet.end()
             facet = FACET.match(text, position)
-        end = SOLID_END.match(text, position)
-        if not end:
-            remaining = text[position:].lstrip()
+        solid_end = SOLID_END.match(text, position)
+        if not solid_end:
+            remaining_text = text[position:].lstrip()
             progress = f"after {len(corners):,} facets"
-            if not remaining or SOLID_BEGIN.match(remaining):
+            if not remaining_text or SOLID_BEGIN.match(remaining_text):
                 raise GeometryError(
                     f"{path}: the solid that begins in line {line_of(text, begin_position)} has no"
                     f" `endsolid` {progress}; is the file cut short? If not, add that line"
                 )
-            if FACET_END.search(remaining):
+            if FACET_END.search(remaining_text):
                 raise _unexpected_text(
                     path, text, position, "a facet of three vertices, or `endsolid`"
                 )
-            where = line_of(text, len(text) - len(remaining))
+            line_number = line_of(text, len(text) - len(remaining_text))
             raise GeometryError(
-                f"{path}: line {where}: the file is cut short or damaged in a facet, {progress}"
+                f"{path}: line {line_number}: the file is cut short or damaged in a facet,"
+                f" {progress}"
             )
-        position = end.end()
+        position = solid_end.end()
     facets = len(FACET_END.findall(text))
     if facets > len(corners):
         raise GeometryError(
@@ -139,9 +140,11 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
     try:
         values = np.array([[float(word) for word in facet] for facet in corners])
     except ValueError:
-        word = next(w for facet in corners for w in facet if not _is_number(w))
-        where = line_of(text, text.index(word))
-        raise GeometryError(f"{path}: line {where}: `{word[:40]}` is not a number") from None
+        wrong_word = next(w for facet in corners for w in facet if not _is_number(w))
+        line_number = line_of(text, text.index(wrong_word))
+        raise GeometryError(
+            f"{path}: line {line_number}: `{wrong_word[:40]}` is not a number"
+        ) from None
     several = f" in {solids} solids" if solids > 1 else ""
     return values.reshape(-1, 3, 3), [
         f"{len(corners):,} triangles of a text STL file{several}",
@@ -151,10 +154,12 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
 
 def _unexpected_text(path: Path, text: str, position: int, expected: str) -> GeometryError:
     """Return the error on unexpected text at a position."""
-    remaining = text[position:].lstrip()
-    words = " ".join(remaining.split()[:6])[:60]
-    where = line_of(text, len(text) - len(remaining))
-    return GeometryError(f"{path}: line {where}: expected {expected}, but it has `{words}`")
+    remaining_text = text[position:].lstrip()
+    unexpected_words = " ".join(remaining_text.split()[:6])[:60]
+    line_number = line_of(text, len(text) - len(remaining_text))
+    return GeometryError(
+        f"{path}: line {line_number}: expected {expected}, but it has `{unexpected_words}`"
+    )
 
 
 def _is_number(word: str) -> bool:

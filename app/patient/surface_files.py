@@ -47,22 +47,26 @@ def read(path: Path) -> tuple[Floats, list[str]]:
         GeometryError: The file has another format, or is cut short or damaged.
     """
     suffix = path.suffix.lower()
-    expected = ", ".join(SUFFIXES)
+    expected_suffixes = ", ".join(SUFFIXES)
     if suffix not in SUFFIXES:
-        raise GeometryError(f"{path}: has the ending `{path.suffix}`; expected one of {expected}")
+        raise GeometryError(
+            f"{path}: has the ending `{path.suffix}`; expected one of {expected_suffixes}"
+        )
     with path.open("rb") as file:
-        start = file.read(100_000)
-    if not start:
+        first_bytes = file.read(100_000)
+    if not first_bytes:
         raise GeometryError(f"{path}: is empty")
     size = path.stat().st_size
     # The header of a binary STL may begin with any words.
-    for content, words in OTHER_FORMATS.items() if size != stl.size(start) else ():
-        if start[: len(content)].lower() == content.lower():
-            raise GeometryError(f"{path}: {words}; expected one of {expected}")
-    kind = _format_of(start, size)
-    if kind and kind != suffix:
-        name = {".stl": "an STL", ".obj": "an OBJ", ".ply": "a PLY"}[kind]
-        raise GeometryError(f"{path}: is {name} file by its content; rename it to *{kind}")
+    for known_bytes, format_name in OTHER_FORMATS.items() if size != stl.size(first_bytes) else ():
+        if first_bytes[: len(known_bytes)].lower() == known_bytes.lower():
+            raise GeometryError(f"{path}: {format_name}; expected one of {expected_suffixes}")
+    file_suffix = _format_of(first_bytes, size)
+    if file_suffix and file_suffix != suffix:
+        suffix_words = {".stl": "an STL", ".obj": "an OBJ", ".ply": "a PLY"}[file_suffix]
+        raise GeometryError(
+            f"{path}: is {suffix_words} file by its content; rename it to *{file_suffix}"
+        )
     match suffix:
         case ".stl":
             return stl.read(path)
@@ -71,13 +75,13 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     return obj.read(path)
 
 
-def _format_of(start: bytes, size: int) -> str | None:
+def _format_of(first_bytes: bytes, size: int) -> str | None:
     """Return the suffix of the format of a file by its first bytes and size, None if unknown."""
-    if size == stl.size(start):
+    if size == stl.size(first_bytes):
         return ".stl"
-    if not is_text(start) and not start.startswith(b"ply"):
+    if not is_text(first_bytes) and not first_bytes.startswith(b"ply"):
         return None
-    word_lists = [line.split() for line in decoded(start)[0].split("\n")]
+    word_lists = [line.split() for line in decoded(first_bytes)[0].split("\n")]
     first_words = [line[0].lower() for line in word_lists if line]
     match first_words[:1]:
         case ["ply"]:

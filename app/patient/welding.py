@@ -65,19 +65,20 @@ def thin(surface: Welded, size: float) -> Welded:
     origin = surface.points.min(axis=0)
     box = np.round((surface.points - origin) / size).astype(np.int64)
     _, box_of_point = np.unique(box, axis=0, return_inverse=True)
-    points, triangles = (
-        _means(surface.points, box_of_point.ravel()),
-        box_of_point.ravel()[surface.triangles],
-    )
+    points = _means(surface.points, box_of_point.ravel())
+    triangles = box_of_point.ravel()[surface.triangles]
     triangles = triangles[_has_three(triangles)]
     # Two triangles with the same corners are a fold without thickness: both are left out.
     _, first_rows, counts = np.unique(
         np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True
     )
-    kept = triangles[np.sort(first_rows[counts % 2 == 1])]
-    note = f"{len(kept):,} of {len(surface.triangles):,} triangles left after merging corners"
+    kept_triangles = triangles[np.sort(first_rows[counts % 2 == 1])]
+    note = (
+        f"{len(kept_triangles):,} of {len(surface.triangles):,} triangles left after merging"
+        " corners"
+    )
     notes = [*surface.notes, f"{note} within {size} mm"]
-    return _used(Welded(points, kept, notes))
+    return _used(Welded(points, kept_triangles, notes))
 
 
 def open_edges(triangles: Ints) -> Ints:
@@ -98,15 +99,15 @@ def _edges(triangles: Ints) -> tuple[Ints, Ints]:
 
     The number does not depend on the direction of an edge.
     """
-    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    low, high = np.sort(ends, axis=1).T
-    return ends, low * (triangles.max(initial=0) + 1) + high
+    end_corners = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = np.sort(end_corners, axis=1).T
+    return end_corners, low * (triangles.max(initial=0) + 1) + high
 
 
 def _clusters(points: Floats, size: float) -> Ints:
     """Return the number of the group of each point (n,). Points nearer than a size share one."""
-    first, second = cKDTree(points).query_pairs(size, output_type="ndarray").T
-    return connected(len(points), first, second)
+    first_point, second_point = cKDTree(points).query_pairs(size, output_type="ndarray").T
+    return connected(len(points), first_point, second_point)
 
 
 def _means(points: Floats, group: Ints) -> Floats:
@@ -123,8 +124,8 @@ def _has_three(triangles: Ints) -> Bools:
 
 def _used(surface: Welded) -> Welded:
     """Drop points without a triangle."""
-    used, triangles = np.unique(surface.triangles, return_inverse=True)
-    return Welded(surface.points[used], triangles.reshape(-1, 3), surface.notes)
+    used_points, triangles = np.unique(surface.triangles, return_inverse=True)
+    return Welded(surface.points[used_points], triangles.reshape(-1, 3), surface.notes)
 
 
 def _without_repeats(surface: Welded) -> Welded:
@@ -139,29 +140,31 @@ def _without_repeats(surface: Welded) -> Welded:
     fold = _folds(triangles[first_rows], counts % 2 == 0)
     if fold.any():
         notes.append(f"{int(counts[fold].sum()):,} triangles of folds without thickness left out")
-    doubled = int((counts - 1)[~fold].sum())
-    if doubled:
-        notes.append(f"{doubled:,} doubled facets left out")
+    repeat_count = int((counts - 1)[~fold].sum())
+    if repeat_count:
+        notes.append(f"{repeat_count:,} doubled facets left out")
     return _used(Welded(surface.points, triangles[np.sort(first_rows[~fold])], notes))
 
 
-def _folds(facets: Ints, doubled: Bools) -> Bools:
+def _folds(facets: Ints, is_repeated: Bools) -> Bools:
     """Return the mask of doubled facets (m,) that are two touching sheets, and no copies.
 
     At the edge of a patch of copies there is one other facet. Where a fold begins there are two.
     """
-    copies = np.flatnonzero(doubled)
+    copies = np.flatnonzero(is_repeated)
     _, edge_keys = _edges(facets)
     _, edge_numbers = np.unique(edge_keys, return_inverse=True)
     edge_numbers = edge_numbers.reshape(-1, 3)
     edge_count = edge_numbers.max(initial=-1) + 1
-    other_counts = np.bincount(edge_numbers[~doubled].ravel(), minlength=edge_count)
-    doubled_counts = np.bincount(edge_numbers[doubled].ravel(), minlength=edge_count)
+    other_counts = np.bincount(edge_numbers[~is_repeated].ravel(), minlength=edge_count)
+    doubled_counts = np.bincount(edge_numbers[is_repeated].ravel(), minlength=edge_count)
     copy_rows = np.repeat(np.arange(len(copies)), 3)
     copy_edges = edge_numbers[copies].ravel()
     order = np.argsort(copy_edges, kind="stable")
-    shared = np.diff(copy_edges[order]) == 0
-    patch = connected(len(copies), copy_rows[order][:-1][shared], copy_rows[order][1:][shared])
+    is_shared = np.diff(copy_edges[order]) == 0
+    patch = connected(
+        len(copies), copy_rows[order][:-1][is_shared], copy_rows[order][1:][is_shared]
+    )
     votes = np.where(
         other_counts[copy_edges] % 2 == 1, 1, np.where(other_counts[copy_edges] > 0, -1, 0)
     ) * (doubled_counts[copy_edges] == 1)
@@ -171,7 +174,7 @@ def _folds(facets: Ints, doubled: Bools) -> Bools:
     return fold
 
 
-def _welded_wider(surface: Welded, size: float) -> Welded:
+def _welded_wider(surface: Welded, weld_distance: float) -> Welded:
     """Join corners of open edges that are nearer to each other than a part of a short edge."""
     ends, _ = _edges(surface.triangles)
     lengths = np.linalg.norm(np.subtract(*surface.points[ends].transpose(1, 0, 2)), axis=1)
@@ -180,7 +183,7 @@ def _welded_wider(surface: Welded, size: float) -> Welded:
         if len(lengths)
         else 0.0
     )
-    if wider_distance <= size:
+    if wider_distance <= weld_distance:
         return surface
     rim = np.unique(open_edges(surface.triangles))
     representative = np.arange(len(surface.points))
@@ -191,10 +194,12 @@ def _welded_wider(surface: Welded, size: float) -> Welded:
         return surface
     _, merged_rows = np.unique(representative, return_inverse=True)
     points = _means(surface.points, merged_rows)
-    moved = float(np.linalg.norm(points[merged_rows] - surface.points, axis=1).max())
-    joined = int((representative[rim] != rim).sum())
-    text = f"{joined:,} corners within {wider_distance:.2g} mm of another merged with it"
-    notes = [*surface.notes, f"{text}, moved by at most {moved:.1g} mm"]
+    largest_move = float(np.linalg.norm(points[merged_rows] - surface.points, axis=1).max())
+    merged_count = int((representative[rim] != rim).sum())
+    merged_text = (
+        f"{merged_count:,} corners within {wider_distance:.2g} mm of another merged with it"
+    )
+    notes = [*surface.notes, f"{merged_text}, moved by at most {largest_move:.1g} mm"]
     return _without_repeats(Welded(points, merged_rows[surface.triangles], notes))
 
 
@@ -207,40 +212,42 @@ def _divided_edges(surface: Welded) -> Welded:
     start, end = x[edges[:, 0]], x[edges[:, 1]]
     direction, length = end - start, np.linalg.norm(end - start, axis=1)
     tree = cKDTree(x[rim])
-    between: dict[tuple[int, int], list[int]] = {}
+    corners_on_edge: dict[tuple[int, int], list[int]] = {}
     for k, near_rows in enumerate(tree.query_ball_point((start + end) / 2, length / 2)):
         candidates = rim[near_rows]
         fraction = (x[candidates] - start[k]) @ direction[k] / length[k] ** 2
         distance = np.linalg.norm(
             x[candidates] - start[k] - fraction[:, None] * direction[k], axis=1
         )
-        inner = np.isin(candidates, edges[k], invert=True) & (fraction > 0) & (fraction < 1)
-        on_edge = inner & (distance < min(ON_EDGE, ON_EDGE_PART * length[k]))
+        is_inner = np.isin(candidates, edges[k], invert=True) & (fraction > 0) & (fraction < 1)
+        on_edge = is_inner & (distance < min(ON_EDGE, ON_EDGE_PART * length[k]))
         if on_edge.any():
             a, b = (int(corner) for corner in edges[k])
-            between[a, b] = [int(i) for i in candidates[on_edge][np.argsort(fraction[on_edge])]]
-    if not between:
+            corners_on_edge[a, b] = [
+                int(i) for i in candidates[on_edge][np.argsort(fraction[on_edge])]
+            ]
+    if not corners_on_edge:
         return surface
     rows, is_whole = [], np.ones(len(surface.triangles), dtype=bool)
     for t in np.flatnonzero(np.isin(surface.triangles, edges).any(axis=1)):
         a, b, c = (int(corner) for corner in surface.triangles[t])
         sides = ((a, b), (b, c), (c, a))
-        if any(side in between for side in sides):
+        if any(side in corners_on_edge for side in sides):
             is_whole[t] = False
-            rows.append([i for side in sides for i in (side[0], *between.get(side, ()))])
+            rows.append([i for side in sides for i in (side[0], *corners_on_edge.get(side, ()))])
     triangles = np.concatenate([surface.triangles[is_whole], divided(x, rows)])
-    note = f"{len(between):,} edges that were divided on one side only are divided on both"
+    note = f"{len(corners_on_edge):,} edges that were divided on one side only are divided on both"
     return _without_repeats(Welded(x, triangles, [*surface.notes, note]))
 
 
 def divided(points: Floats, polygons: Sequence[Polygon]) -> Ints:
     """Return the triangles (m, 3) of polygons, in the order of their numbers of corners."""
     sizes = np.array([len(polygon) for polygon in polygons])
-    parts: list[Ints] = []
+    triangles_by_size: list[Ints] = []
     for size in np.unique(sizes):
         rows: Ints = np.array([polygons[k] for k in np.flatnonzero(sizes == size)], dtype=np.int64)
-        parts.append(rows if size == 3 else _fans(points, rows))
-    return np.concatenate(parts)
+        triangles_by_size.append(rows if size == 3 else _fans(points, rows))
+    return np.concatenate(triangles_by_size)
 
 
 def _fans(points: Floats, rows: Ints) -> Ints:
@@ -254,21 +261,23 @@ def _fans(points: Floats, rows: Ints) -> Ints:
         spokes = x[:, 1:] - x[:, :1]
         normal = np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1)
         least_areas = []
-        for start in range(rows.shape[1]):
-            rotated = np.roll(x, -start, axis=1)
+        for start_corner in range(rows.shape[1]):
+            rotated = np.roll(x, -start_corner, axis=1)
             spokes = rotated[:, 1:] - rotated[:, :1]
             areas = np.einsum("nki,ni->nk", np.cross(spokes[:, :-1], spokes[:, 1:]), normal)
             least_areas.append(areas.min(axis=1))
         areas = np.array(least_areas)
-        best = areas.argmax(axis=0)
+        best_start = areas.argmax(axis=0)
         convex = areas.max(axis=0) > 0
-        rotation = (best[:, None] + np.arange(rows.shape[1])) % rows.shape[1]
+        rotation = (best_start[:, None] + np.arange(rows.shape[1])) % rows.shape[1]
         fans = np.take_along_axis(rows, rotation, axis=1)[convex]
-        first = np.repeat(fans[:, :1], rows.shape[1] - 2, axis=1)
-        fan_triangles = np.stack([first, fans[:, 1:-1], fans[:, 2:]], axis=2).reshape(-1, 3)
+        first_corners = np.repeat(fans[:, :1], rows.shape[1] - 2, axis=1)
+        fan_triangles = np.stack([first_corners, fans[:, 1:-1], fans[:, 2:]], axis=2).reshape(-1, 3)
         clipped = [
-            row[_ears(corners, up)]
-            for row, corners, up in zip(rows[~convex], x[~convex], normal[~convex], strict=True)
+            row[_ears(corners, polygon_normal)]
+            for row, corners, polygon_normal in zip(
+                rows[~convex], x[~convex], normal[~convex], strict=True
+            )
         ]
     return np.concatenate([fan_triangles, *clipped])
 
@@ -284,18 +293,28 @@ def _ears(x: Floats, normal: Floats) -> Ints:
         (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
         return np.asarray(p * s - q * r)
 
-    remaining, ears = list(range(len(x))), []
-    while len(remaining) > 3:
-        best = 0  # a polygon that crosses itself may have no ear: any corner is cut off
-        for k in range(len(remaining)):
-            a, b, c = (xy[remaining[(k + step) % len(remaining)]] for step in (-1, 0, 1))
+    remaining_corners, ears = list(range(len(x))), []
+    while len(remaining_corners) > 3:
+        best_ear = 0  # a polygon that crosses itself may have no ear: any corner is cut off
+        for k in range(len(remaining_corners)):
+            a, b, c = (
+                xy[remaining_corners[(k + step) % len(remaining_corners)]] for step in (-1, 0, 1)
+            )
             if twice_area(a, b, c) <= 0:
                 continue
-            rest = xy[[i for i in remaining if not ((xy[i] == [a, b, c]).all(axis=1)).any()]]
-            sides = [twice_area(rest, *side) for side in ((a, b), (b, c), (c, a))]
+            other_corners = xy[
+                [i for i in remaining_corners if not ((xy[i] == [a, b, c]).all(axis=1)).any()]
+            ]
+            sides = [twice_area(other_corners, *side) for side in ((a, b), (b, c), (c, a))]
             if not (np.array(sides) >= 0).all(axis=0).any():
-                best = k
+                best_ear = k
                 break
-        ears.append([remaining[best - 1], remaining[best], remaining[(best + 1) % len(remaining)]])
-        del remaining[best]
-    return np.array([*ears, remaining])
+        ears.append(
+            [
+                remaining_corners[best_ear - 1],
+                remaining_corners[best_ear],
+                remaining_corners[(best_ear + 1) % len(remaining_corners)],
+            ]
+        )
+        del remaining_corners[best_ear]
+    return np.array([*ears, remaining_corners])
