@@ -107,28 +107,30 @@ class View:
         alpha: float = 1.0,
     ) -> Floats:
         """Draw the section of triangles (n, 3, 3) [mm]; return the middles of its lines (k, 2)."""
-        flat = sections.section_lines(x, self.toward, self.section_at)[..., [self.across, 2]]
+        section_lines = sections.section_lines(x, self.toward, self.section_at)[
+            ..., [self.across, 2]
+        ]
         lines = LineCollection(
-            list(flat), colors=colour, lw=width, ls=style, alpha=alpha, label=label
+            list(section_lines), colors=colour, lw=width, ls=style, alpha=alpha, label=label
         )
         self.ax.add_collection(lines)
-        return flat.mean(axis=1)
+        return section_lines.mean(axis=1)
 
 
 def draw(case: Case, data: MeshData, path: Path) -> None:
     """Write the PNG of a case on its mesh: two views of equal width, each with its legend."""
-    low, high = data.points.min(axis=0), data.points.max(axis=0)
-    size, clinical = high - low, case.geometry.has_gruen_zones
+    lowest, highest = data.points.min(axis=0), data.points.max(axis=0)
+    size, clinical = highest - lowest, case.geometry.has_gruen_zones
     inch = max(size[2] / TALL, size[:2].max() / WIDE)
     view_width = size[:2].max() / inch + 2 * SIDE
     forces = [*_forces(case, data)]
     title = textwrap.wrap(case.title or path.stem, int(LETTERS * view_width))
     is_continued = case.geometry.continued_below is not None
     more_entries = (bool(case.supports), bool(case.heat), bool(forces), is_continued)
-    entries = max(len(data.regions), len(case.interfaces) + sum(more_entries))
+    entry_count = max(len(data.regions), len(case.interfaces) + sum(more_entries))
     more_title = LINE * max(0, len(title) - 1)
     top = TOP + more_title
-    bottom = BOTTOM + LINE * max(0, math.ceil(entries / ENTRIES) - 2)
+    bottom = BOTTOM + LINE * max(0, math.ceil(entry_count / ENTRIES) - 2)
     picture_height = size[2] / inch + top + bottom
     figure = figures.new(2 * view_width, picture_height)
     figure.set_layout_engine("none")
@@ -136,10 +138,10 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     for k, name in enumerate(sections.FRONT_AND_SIDE):
         across, leftward, toward = sections.VIEWS[name]
         ax = figure.add_axes((0.5 * k, 0.0, 0.5, 1.0))
-        section_at = sections.middle_plane(low[toward], high[toward])
-        if case.geometry.is_around_z and low[toward] > -1e-6 * size[toward]:
-            section_at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
-        view = View(ax, across, toward, section_at, low, high, inch)
+        section_at = sections.middle_plane(lowest[toward], highest[toward])
+        if case.geometry.is_around_z and lowest[toward] > -1e-6 * size[toward]:
+            section_at = lowest[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
+        view = View(ax, across, toward, section_at, lowest, highest, inch)
         _bodies(view, data, name, *outside)
         _lines(view, case, data)
         _continued(view, case.geometry.continued_below)
@@ -148,24 +150,24 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         _scale(view, AXIS_ENDS if clinical else [("", axis) for axis in AXES])
         view_title = f"from {name if clinical else f'+{AXES[toward]}'}"
         view_title += f", section {AXES[toward]} = {round(section_at, 3):g} mm"
-        middle = (low + high)[across] / 2
-        ax.text(middle, high[2] + (TOP - 1.0) * inch, view_title, ha="center", fontsize=WORDS)
-        half = 0.5 * view_width * inch
-        ends = [middle - half, middle + half][:: -1 if leftward else 1]
-        ax.set(xlim=ends, ylim=(low[2] - bottom * inch, high[2] + top * inch))
+        middle = (lowest + highest)[across] / 2
+        ax.text(middle, highest[2] + (TOP - 1.0) * inch, view_title, ha="center", fontsize=WORDS)
+        half_width = 0.5 * view_width * inch
+        x_limits = [middle - half_width, middle + half_width][:: -1 if leftward else 1]
+        ax.set(xlim=x_limits, ylim=(lowest[2] - bottom * inch, highest[2] + top * inch))
         ax.set_axis_off()
     write = partial(figure.text, ha="center", va="top", parse_math=False)
-    words = "\n".join([*title, f"{len(data.cells):,} cells"])
-    write(0.25, 1 - 0.1 / picture_height, words, fontsize=12)
+    heading = "\n".join([*title, f"{len(data.cells):,} cells"])
+    write(0.25, 1 - 0.1 / picture_height, heading, fontsize=12)
     if len(forces) > 1:
-        words = f"{len(forces)} loads, {next(preview.resultant(case), '')}"
-        write(0.25, 1 - (0.62 + more_title) / picture_height, words, color=LOAD, fontsize=WORDS)
-    named = handles(figure.axes)
-    bodies = {label: named.pop(label) for label in _region_labels(data)}
-    for middle, group in ((0.25, bodies), (0.75, named)):
+        heading = f"{len(forces)} loads, {next(preview.resultant(case), '')}"
+        write(0.25, 1 - (0.62 + more_title) / picture_height, heading, color=LOAD, fontsize=WORDS)
+    other_handles = handles(figure.axes)
+    bodies = {label: other_handles.pop(label) for label in _region_labels(data)}
+    for middle, legend_handles in ((0.25, bodies), (0.75, other_handles)):
         figure.legend(
-            group.values(),
-            group,
+            legend_handles.values(),
+            legend_handles,
             loc="lower center",
             bbox_to_anchor=(middle, 0.0),
             ncols=ENTRIES,
@@ -203,33 +205,35 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
     for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
         friction = getattr(law, "friction_coefficient", None)
-        words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
-        drawn = [data.points[interface_facets(data, name)[0][:, :3]]]
-        drawn += [_boundary(data, face) for face in case.faces.get(name, ())]
-        label = f"{name.replace('_', '-')}: {words}"
+        law_text = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
+        triangles_of_interface = [data.points[interface_facets(data, name)[0][:, :3]]]
+        triangles_of_interface += [_boundary(data, face) for face in case.faces.get(name, ())]
+        label = f"{name.replace('_', '-')}: {law_text}"
         style = "--" if law.kind == "bonded" else "-"
-        view.lines(np.concatenate(drawn), colour, label, style=style)
-    parts: list[tuple[str, str, str, Section]] = []
-    parts += [("support", SUPPORT, name, part) for name, part in case.supports.items()]
-    parts += [("heat", HEAT, name, part) for name, part in case.heat.items()]
-    for word, colour, name, part in parts:
-        facets = _boundary(data, getattr(part, "boundary", ""))
-        middles = view.lines(facets, colour, word, width=4.0, alpha=0.8)
-        keys = part.model_dump(mode="json", exclude_none=True)
+        view.lines(np.concatenate(triangles_of_interface), colour, label, style=style)
+    conditions: list[tuple[str, str, str, Section]] = []
+    conditions += [
+        ("support", SUPPORT, name, condition) for name, condition in case.supports.items()
+    ]
+    conditions += [("heat", HEAT, name, condition) for name, condition in case.heat.items()]
+    for kind_label, colour, name, condition in conditions:
+        facets = _boundary(data, getattr(condition, "boundary", ""))
+        middles = view.lines(facets, colour, kind_label, width=4.0, alpha=0.8)
+        keys = condition.model_dump(mode="json", exclude_none=True)
         held_values = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
         if len(middles):
             outwardness = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
-            text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held_values])}"
-            view.labels.append((text, colour, middles[outwardness.argmax()]))
+            label_text = f"{name.replace('_', ' ')}\n{', '.join([keys['kind'], *held_values])}"
+            view.labels.append((label_text, colour, middles[outwardness.argmax()]))
 
 
 def _continued(view: View, level: float | None) -> None:
     """Hatch the part of the bone that is continued below the end of a scan."""
     if level is None:
         return
-    ends = view.low[view.across], view.high[view.across]
+    x_range = view.low[view.across], view.high[view.across]
     view.ax.fill_between(
-        ends,
+        x_range,
         view.low[2],
         level,
         facecolor="none",
@@ -238,8 +242,8 @@ def _continued(view: View, level: float | None) -> None:
         lw=0.0,
         label="continued shaft",
     )
-    view.ax.plot(ends, [level, level], color=CONTINUED, ls="--", lw=1.5)
-    middle = np.array([0.5 * sum(ends), level])
+    view.ax.plot(x_range, [level, level], color=CONTINUED, ls="--", lw=1.5)
+    middle = np.array([0.5 * sum(x_range), level])
     view.labels.append((f"end of the scan\nz = {level:.0f} mm", CONTINUED, middle))
 
 
@@ -252,76 +256,93 @@ def _forces(case: Case, data: MeshData) -> Iterator[Force]:
     """Return the loads at full amplitude, each with its text, places and forces."""
     for name, load in case.loads.items():
         x = _boundary(data, next(iter(load.boundaries), ""))
-        area, places = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, x.mean(axis=1)
-        size = np.linalg.norm(area, axis=1, keepdims=True)
-        text = f"{name.replace('_', ' ')}\n"
+        area_vectors, places = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, x.mean(axis=1)
+        facet_sizes = np.linalg.norm(area_vectors, axis=1, keepdims=True)
+        label_text = f"{name.replace('_', ' ')}\n"
         history_text = f" × {plain(load.history)}" if load.history else ""
         if load.normal_pressure is not None:
-            facet_forces = -load.normal_pressure * size.sum() * area / size
-            yield f"{text}{plain(load.normal_pressure)} MPa{history_text}", places, facet_forces
+            facet_forces = -load.normal_pressure * facet_sizes.sum() * area_vectors / facet_sizes
+            yield (
+                f"{label_text}{plain(load.normal_pressure)} MPa{history_text}",
+                places,
+                facet_forces,
+            )
             continue
         force = load.resultant
         if load.volume_regions is not None:
             regions = load.volume_regions or data.regions
             cells = data.cells[np.isin(data.cell_tags, [data.regions[r] for r in regions])]
             places = data.points[cells[:, :4]].mean(axis=1)
-            size = cell_volumes(data.points, cells)[:, None]
-            force = (size * load.density_at(places)).sum(axis=0)
+            facet_sizes = cell_volumes(data.points, cells)[:, None]
+            force = (facet_sizes * load.density_at(places)).sum(axis=0)
         if force is not None and np.any(force):
-            place = load.point or (size * places).sum(axis=0) / size.sum()
-            text += f"{float(f'{np.linalg.norm(force):.3g}'):,g} N{history_text}"
-            yield text, np.array([place]), np.array([force])
+            arrow_place = load.point or (facet_sizes * places).sum(axis=0) / facet_sizes.sum()
+            label_text += f"{float(f'{np.linalg.norm(force):.3g}'):,g} N{history_text}"
+            yield label_text, np.array([arrow_place]), np.array([force])
 
 
 def _arrows(view: View, forces: Sequence[Force]) -> None:
     """Draw loads as arrows; a pressure is drawn by arrows at some of its facets."""
-    flat, largest = [view.across, 2], max((np.abs(f[2]).max() for f in forces), default=0.0)
-    for text, places, force_vectors in forces:
-        across = places[:, view.across]
-        rows = np.abs(across[:, None] - np.linspace(across.min(), across.max(), SEVERAL))
+    plane_axes = [view.across, 2]
+    largest = max((np.abs(force[2]).max() for force in forces), default=0.0)
+    for label_text, places, force_vectors in forces:
+        plane_positions = places[:, view.across]
+        rows = np.abs(
+            plane_positions[:, None]
+            - np.linspace(plane_positions.min(), plane_positions.max(), SEVERAL)
+        )
         for row in np.unique(rows.argmin(axis=0)):
             size = np.linalg.norm(force_vectors[row])
             arrow_length = view.inch * max(SHORTEST, LONGEST * math.sqrt(size / largest))
-            start_point, step = places[row, flat], arrow_length * force_vectors[row, flat] / size
+            start_point = places[row, plane_axes]
+            step = arrow_length * force_vectors[row, plane_axes] / size
             points_outwards = (2 * places[row] - view.low - view.high) @ force_vectors[row] > 0
-            start, end = start_point - step, start_point
+            arrow_tail, arrow_head = start_point - step, start_point
             if points_outwards:
-                start, end = start_point, start_point + step
+                arrow_tail, arrow_head = start_point, start_point + step
             style = {"arrowstyle": "-|>", "color": LOAD, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-            view.ax.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style)
+            view.ax.annotate(
+                "", (arrow_head[0], arrow_head[1]), (arrow_tail[0], arrow_tail[1]), arrowprops=style
+            )
             view.ax.plot(*start_point, "o", color=LOAD, ms=3.5, label="load")
-        view.labels.append((text, LOAD, end if points_outwards else start))
+        view.labels.append((label_text, LOAD, arrow_head if points_outwards else arrow_tail))
 
 
 def _labels(view: View) -> None:
     """Write labels in a column on either side, one above the other, with lines to their places."""
     middle = (view.low + view.high)[view.across] / 2
-    for side, end in ((-1, view.low), (1, view.high)):
-        by_height = sorted(view.labels, key=lambda m: float(m[2][1]))
-        labels = [m for m in by_height if (m[2][0] > middle) == (side > 0)]
-        texts = [_wrapped(text) for text, *_ in labels]
-        n, x = len(labels), end[view.across] + side * GAP * view.inch
-        label_heights = np.array([LABEL * (1 + text.count("\n")) + APART for text in texts])
+    for side, box_corner in ((-1, view.low), (1, view.high)):
+        by_height = sorted(view.labels, key=lambda label: float(label[2][1]))
+        labels = [label for label in by_height if (label[2][0] > middle) == (side > 0)]
+        wrapped_labels = [_wrapped(label_text) for label_text, *_ in labels]
+        n, x = len(labels), box_corner[view.across] + side * GAP * view.inch
+        label_heights = np.array(
+            [LABEL * (1 + label_text.count("\n")) + APART for label_text in wrapped_labels]
+        )
         # Heights of the middles of labels that touch, from the first one.
         steps = view.inch * (np.cumsum(label_heights) - label_heights / 2)
         # As near to their places as their heights allow.
         y = np.array([place[1] for *_, place in labels]) - steps
-        spread = _least_increasing(y) + steps
+        spread_heights = _least_increasing(y) + steps
         if n:
             # Below the title of the view.
             highest = view.high[2] + (TOP - 1.0 - APART) * view.inch
-            spread = spread - max(0.0, spread[-1] + 0.5 * label_heights[-1] * view.inch - highest)
-        right = (side < 0) == view.ax.xaxis_inverted()
-        for text, (_, colour, place), height in zip(texts, labels, spread, strict=True):
-            line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - right, 0.5)}
+            spread_heights = spread_heights - max(
+                0.0, spread_heights[-1] + 0.5 * label_heights[-1] * view.inch - highest
+            )
+        is_at_right = (side < 0) == view.ax.xaxis_inverted()
+        for label_text, (_, colour, place), height in zip(
+            wrapped_labels, labels, spread_heights, strict=True
+        ):
+            line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - is_at_right, 0.5)}
             view.ax.annotate(
-                text,
+                label_text,
                 (place[0], place[1]),
                 (x, height),
                 fontsize=WORDS,
                 arrowprops=line,
                 va="center",
-                ha="left" if right else "right",
+                ha="left" if is_at_right else "right",
                 color=colour,
             )
 
@@ -357,8 +378,8 @@ def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
     bar_length = max(size * k for k in (0.2, 0.5, 1, 2, 5) if size * k <= 0.6 * width)
     x, z = (view.low + view.high)[view.across] / 2, view.low[2] - 0.3 * view.inch
     view.ax.plot([x - bar_length / 2, x + bar_length / 2], [z, z], "k", lw=3, solid_capstyle="butt")
-    ends = names[view.across]
-    direction = " ← ".join(ends[::-1]) if view.ax.xaxis_inverted() else " → ".join(ends)
+    end_names = names[view.across]
+    direction = " ← ".join(end_names[::-1]) if view.ax.xaxis_inverted() else " → ".join(end_names)
     view.ax.text(
         x,
         z - 0.1 * view.inch,

@@ -49,11 +49,11 @@ def write(folders: Sequence[Path], path: Path) -> Path:
         for folder in folders
         if not (folder / "summary.json").exists()
     ]
-    places = [folder.resolve() for folder in folders]
+    resolved_folders = [folder.resolve() for folder in folders]
     problems += [
         f"{folder}: given twice; expected another run to compare it with"
         for k, folder in enumerate(folders)
-        if places[k] in places[:k]
+        if resolved_folders[k] in resolved_folders[:k]
     ]
     if not 2 <= len(folders) <= MOST:
         problems.append(f"2 to {MOST} runs can be compared, not {len(folders)}")
@@ -62,8 +62,8 @@ def write(folders: Sequence[Path], path: Path) -> Path:
     try:
         html = _page(folders)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        names = ", ".join(map(str, folders))
-        raise InputError(f"{names}: results that cannot be read: {error!r}") from error
+        folder_list = ", ".join(map(str, folders))
+        raise InputError(f"{folder_list}: results that cannot be read: {error!r}") from error
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, html)
@@ -79,8 +79,8 @@ def _page(folders: Sequence[Path]) -> str:
     if not numbers:
         raise InputError(f"{', '.join(map(str, folders))}: these runs have no numbers in common")
     view = viewer.viewer(dict(zip(names, folders, strict=True)))
-    drawn = sum((folder / "fields.vtkhdf").exists() for folder in folders)
-    all_differences = view.count('class="one"') - drawn >= len(folders) - 1
+    runs_with_fields = sum((folder / "fields.vtkhdf").exists() for folder in folders)
+    all_differences = view.count('class="one"') - runs_with_fields >= len(folders) - 1
     note = "Differences of fields are drawn only for runs on the same mesh."
     notes = noted((name, notes_of(case.summary)) for name, case in zip(names, cases, strict=True))
     status = [_status(name, case.summary) for name, case in zip(names, cases, strict=True)]
@@ -104,25 +104,29 @@ def _page(folders: Sequence[Path]) -> str:
 
 def _status(name: str, summary: Summary) -> str:
     errors = [v.text for v in recorded(summary) if v.severity is Severity.ERROR]
-    unknown = [] if summary.get("error", {}).get("companions") else ["errors not estimated"]
-    return "; ".join([f"{summary['status']}: {name}", *unknown, *errors])
+    missing_errors = [] if summary.get("error", {}).get("companions") else ["errors not estimated"]
+    return "; ".join([f"{summary['status']}: {name}", *missing_errors, *errors])
 
 
-def _lead(first: str, numbers: Sequence[ComparedNumber]) -> str:
+def _lead(first_run: str, numbers: Sequence[ComparedNumber]) -> str:
     """Return the share of numbers that differ, in sentences: with and without errors."""
     sentences = []
-    known = [number for number in numbers if number.known and not number.exact]
-    if known:
-        count = sum(number.differs for number in known)
-        text = f"{count} of {len(known)} numbers differ from those of {first} by more than "
-        sentences.append(f"{text}their errors.")
-    others = [number for number in numbers if not number.known]
-    if others:
-        count = sum(number.differs for number in others)
-        sentences.append(
-            f"{count} of {len(others)} numbers without errors differ from those of {first}."
+    numbers_with_error = [number for number in numbers if number.known and not number.exact]
+    if numbers_with_error:
+        count = sum(number.differs for number in numbers_with_error)
+        sentence = (
+            f"{count} of {len(numbers_with_error)} numbers differ from those of {first_run} by"
+            " more than "
         )
-    if others and not known:
+        sentences.append(f"{sentence}their errors.")
+    numbers_without_error = [number for number in numbers if not number.known]
+    if numbers_without_error:
+        count = sum(number.differs for number in numbers_without_error)
+        sentences.append(
+            f"{count} of {len(numbers_without_error)} numbers without errors differ from those of"
+            f" {first_run}."
+        )
+    if numbers_without_error and not numbers_with_error:
         sentences.append("Run with --error to see whether the differences are significant.")
     return " ".join(sentences)
 
@@ -138,8 +142,8 @@ def _largest(
         run, a, b = max(number.changes, key=lambda change: compared_numbers.share(*change[1:]))
         error = compared_numbers.error_of_difference(a, b)
         unit = number.unit
-        first = next(k for k, value in enumerate(number.numbers) if value is not None)
-        values = [f"{names[k]}: {number.text(k)} {unit}." for k in (first, run)]
+        first_run = next(k for k, value in enumerate(number.numbers) if value is not None)
+        values = [f"{names[k]}: {number.text(k)} {unit}." for k in (first_run, run)]
         large.append(
             LargeNumber(
                 f"{b.value - a.value:+.3g}".replace("-", "−"),
@@ -162,9 +166,11 @@ def _numbers(
         [number.title, *map(number.text, runs), *map(number.difference, runs[1:])]
         for number in numbers
     ]
-    others = rows[LARGEST:]
+    remaining_rows = rows[LARGEST:]
     blocks = table(head, rows[:LARGEST])
-    blocks += page.folded(f"{len(others)} numbers with smaller differences", table(head, others))
+    blocks += page.folded(
+        f"{len(remaining_rows)} numbers with smaller differences", table(head, remaining_rows)
+    )
     unshared_numbers = compared_numbers.unshared(names, cases)
     return blocks + page.folded("Numbers that cannot be compared", bullets(unshared_numbers))
 
@@ -189,8 +195,8 @@ def _maps(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     """Draw the differences of the interfaces from the first run, on the surface of the first."""
     titled = list(zip(names, cases, strict=True))
     with tempfile.TemporaryDirectory() as scratch:
-        drawn, missing = difference_maps.draw(titled, Path(scratch))
-        return page.figures(drawn, Path(scratch)) + bullets(missing)
+        maps, reasons = difference_maps.draw(titled, Path(scratch))
+        return page.figures(maps, Path(scratch)) + bullets(reasons)
 
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
@@ -198,15 +204,15 @@ def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
     inputs = []
     keys: dict[str, None] = {}
     for case in cases:
-        sections = {key: part for key, part in case.data.items() if key not in NOT_COMPARED}
+        sections = {key: section for key, section in case.data.items() if key not in NOT_COMPARED}
         values = dict(_flat(sections))
         inputs.append(values)
         keys |= dict.fromkeys(values)
     rows = []
     for key in keys:
-        texts = [values.get(key, "-") for values in inputs]
-        if len(set(texts)) > 1:
-            rows.append([key, *texts])
+        level_texts = [values.get(key, "-") for values in inputs]
+        if len(set(level_texts)) > 1:
+            rows.append([key, *level_texts])
     return table(["key", *names], rows) or bullets(["nothing: these are runs of the same case"])
 
 

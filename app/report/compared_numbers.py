@@ -69,19 +69,21 @@ class ComparedNumber:
 
     def difference(self, run: int) -> str:
         """Format the difference of a run from the first: with error, and relative to the first."""
-        first, number = self.numbers[0], self.numbers[run]
-        if first is None or number is None:
+        first_number, number = self.numbers[0], self.numbers[run]
+        if first_number is None or number is None:
             return "-"
-        change = number.value - first.value
-        error = error_of_difference(first, number)
-        is_beyond = differs(first, number, self.rounding)
-        relative = f" ({100 * change / abs(first.value):+.1f} %)" if first.value else ""
+        change = number.value - first_number.value
+        error = error_of_difference(first_number, number)
+        is_beyond = differs(first_number, number, self.rounding)
+        relative = (
+            f" ({100 * change / abs(first_number.value):+.1f} %)" if first_number.value else ""
+        )
         if error is None:
             return f"{Number(change)}{relative}, errors unknown" if is_beyond else "0"
         if self.exact:
             return f"{Number(change)}{relative}" if is_beyond else "0"
-        text = f"{Number(change, error)}{relative}"
-        return text if is_beyond else f"{text}, within the errors"
+        change_text = f"{Number(change, error)}{relative}"
+        return change_text if is_beyond else f"{change_text}, within the errors"
 
     @property
     def differs(self) -> bool:
@@ -129,8 +131,8 @@ def compared(cases: Sequence[SweptCase]) -> list[ComparedNumber]:
     """
     common = []
     for number in _all_numbers(cases):
-        known = [value for value in number.numbers if value is not None]
-        if len(known) > 1:
+        available_numbers = [value for value in number.numbers if value is not None]
+        if len(available_numbers) > 1:
             common.append(number)
     return sorted(common, key=_order)
 
@@ -151,9 +153,9 @@ def unshared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[str]:
                 number.key
             )
     sentences = []
-    for k, groups in sorted(only_here.items()):
-        words = ", ".join(f"{len(keys)} of {group}" for group, keys in groups.items())
-        sentences.append(f"{names[k]} alone has {words}.")
+    for k, keys_by_group in sorted(only_here.items()):
+        group_counts = ", ".join(f"{len(keys)} of {group}" for group, keys in keys_by_group.items())
+        sentences.append(f"{names[k]} alone has {group_counts}.")
     return sentences
 
 
@@ -161,11 +163,11 @@ def _all_numbers(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
     """All numbers of the runs, in the order of the table of quantities, then by Gruen zone."""
     keys: dict[str, str] = {}
     for case in cases:
-        for section, owner, content in quantities.numbers_of(case.summary, parts=True):
+        for section, owner, owner_numbers in quantities.numbers_of(case.summary, parts=True):
             if section not in NOT_COMPARED:
                 for quantity in quantities.TABLE[section].values():
                     is_place_of_maximum = quantity.key.endswith("_at")
-                    if content.get(quantity.key) is not None and not is_place_of_maximum:
+                    if owner_numbers.get(quantity.key) is not None and not is_place_of_maximum:
                         keys |= {f"{owner}.{name}": owner for name in quantity.names}
     for key, owner in keys.items():
         q = quantities.find(key)
@@ -187,7 +189,9 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
         errors = [z.get("strain_energy_density_error", {}) for z in zone_of_runs]
         for bone in dict.fromkeys(chain.from_iterable(densities)):
             pairs = zip(densities, errors, strict=True)
-            numbers = tuple(_scaled(_number(density, e, bone), KJ) for density, e in pairs)
+            numbers = tuple(
+                _scaled(_number(density, zone_errors, bone), KJ) for density, zone_errors in pairs
+            )
             yield ComparedNumber(
                 f"gruen.{zone}.{bone}.strain_energy_density",
                 ZONES,
@@ -196,15 +200,17 @@ def _zones(cases: Sequence[SweptCase]) -> Iterator[ComparedNumber]:
                 numbers,
             )
         interfaces = [z.get("interfaces", {}) for z in zone_of_runs]
-        for place in dict.fromkeys(chain.from_iterable(interfaces)):
-            of_place = [numbers_of_run.get(place) for numbers_of_run in interfaces]
+        for interface in dict.fromkeys(chain.from_iterable(interfaces)):
+            numbers_of_interface = [numbers_of_run.get(interface) for numbers_of_run in interfaces]
             for key, q in quantities.TABLE["interfaces"].items():
-                numbers = tuple(_scaled(_number(n, n, key, "_error"), q.factor) for n in of_place)
+                numbers = tuple(
+                    _scaled(_number(n, n, key, "_error"), q.factor) for n in numbers_of_interface
+                )
                 if any(number is not None for number in numbers):
                     yield ComparedNumber(
-                        f"gruen.{zone}.{place}.{key}",
+                        f"gruen.{zone}.{interface}.{key}",
                         ZONES,
-                        f"zone {zone}: {named(place)} {q.label}",
+                        f"zone {zone}: {named(interface)} {q.label}",
                         quantities.printed(q.shown),
                         numbers,
                         10.0**-q.digits,

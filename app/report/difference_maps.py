@@ -35,24 +35,24 @@ def draw(runs: Sequence[tuple[str, SweptCase]], folder: Path) -> tuple[list[Figu
     Returns:
         The pictures, and for each interface without one the reason in a sentence.
     """
-    (first, _), *others = runs
+    (first_title, _), *others = runs
     sheets = [_sheets(case) for _, case in runs]
-    drawn = []
-    missing = []
+    figures_drawn = []
+    reasons = []
     for name in dict.fromkeys(chain.from_iterable(sheets)):
         first_sheet = sheets[0].get(name)
         columns = []
         for (title, _), by_name in zip(others, sheets[1:], strict=True):
             other_sheet = by_name.get(name)
             if first_sheet and other_sheet and first_sheet[1].round == other_sheet[1].round:
-                columns.append((f"{title} − {first}", first_sheet, other_sheet))
+                columns.append((f"{title} − {first_title}", first_sheet, other_sheet))
         if not columns:
-            missing.append(f"no map of the difference of {name}: not the same surface in two runs")
+            reasons.append(f"no map of the difference of {name}: not the same surface in two runs")
             continue
         figure = _picture(name, columns, folder)
         if figure:
-            drawn.append(figure)
-    return drawn, missing
+            figures_drawn.append(figure)
+    return figures_drawn, reasons
 
 
 def _sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet]]:
@@ -84,28 +84,28 @@ def _picture(
         title = f"difference of {WORDS.get(quantity, label)} ({printed(unit)})"
         rows.append((title, figures.SIGNED, values))
     file = f"difference_{name}.png"
-    shown = [(title, *first_sheet) for title, first_sheet, _ in columns]
-    labels = pictures.draw(folder / file, shown, rows, figures.PNG)
+    titled_sheets = [(title, *first_sheet) for title, first_sheet, _ in columns]
+    labels = pictures.draw(folder / file, titled_sheets, rows, figures.PNG)
     if not labels:
         return None
-    place = f"{named(name)} interface"
+    interface_title = f"{named(name)} interface"
     caption = (
         f"All maps of a row have the same colours, up to the {pictures.CLIP:g}th percentile. "
         "Blue is more than in the first run, red is less."
     )
-    return Figure(file, place, caption, f"{', '.join(labels)} on the {place}")
+    return Figure(file, interface_title, caption, f"{', '.join(labels)} on the {interface_title}")
 
 
 def _differences(
-    first: tuple[Run, Sheet], second: tuple[Run, Sheet], interface: str
+    first_run: tuple[Run, Sheet], second_run: tuple[Run, Sheet], interface: str
 ) -> dict[str, Floats]:
     """Return the fields of the second run minus those of the first, by quantity.
 
     Quantities that only one run has are left out. The values are at the nodes of the first run
     (n,), in the unit of the field file, and nan outside the interface.
     """
-    run, sheet = first
-    other_run, other_sheet = second
+    run, sheet = first_run
+    other_run, other_sheet = second_run
     common = {*run.point_fields} & {*other_run.point_fields}
     fields = {
         quantity: f"{interface}_{quantity}"

@@ -309,13 +309,15 @@ def _lead(case: Case, factors: Sequence[AssessedFactor]) -> str:
             "The case does not state its risk (influence and consequence), so no factor has a "
             "goal. The grades below are what the run and the given folders show."
         )
-    reached = sum(factor.state == "reached" for factor in factors)
+    reached_count = sum(factor.state == "reached" for factor in factors)
     level = f"Risk {risk} of 5 ({RISKS[risk - 1]})."
-    if reached == len(factors):
+    if reached_count == len(factors):
         return f"{level} All {len(factors)} factors reach the grade proposed for this risk."
     return (
-        f"{level} {reached} of {len(factors)} factors reach the grade proposed for this risk. "
-        f"{len(factors) - reached} do not: the evidence is not sufficient for this context of use."
+        f"{level} {reached_count} of {len(factors)} factors reach the grade proposed for this"
+        " risk. "
+        f"{len(factors) - reached_count} do not: the evidence is not sufficient for this context"
+        " of use."
     )
 
 
@@ -417,8 +419,8 @@ def _finished(folder: Path) -> Results:
 def _checks(folder: Path) -> list[Check]:
     files = sorted([*folder.glob("verify*.json"), *folder.glob("validate.json")])
     if not files:
-        text = f"mantle verify or mantle validate with -o {folder} writes one"
-        raise InputError(f"{folder}: contains no verify.json or validate.json; {text}")
+        remedy = f"mantle verify or mantle validate with -o {folder} writes one"
+        raise InputError(f"{folder}: contains no verify.json or validate.json; {remedy}")
     checks: list[Check] = []
     for file in files:
         checks += read_json(file)
@@ -426,12 +428,12 @@ def _checks(folder: Path) -> list[Check]:
 
 
 def _software(basis: Evidence) -> Finding:
-    parts = ", ".join(f"{name} {version}" for name, version in basis.record["identity"].items())
+    versions = ", ".join(f"{name} {version}" for name, version in basis.record["identity"].items())
     ranks, processor = basis.record["ranks"], basis.record["processor"]
     return Finding(
         "b",
         (
-            f"sources by digest and versions: {parts}",
+            f"sources by digest and versions: {versions}",
             f"{several(ranks, 'rank')}, {processor}, {basis.record['started'][:10]}",
             "mantle test checks this version: lint, types, tests, planted faults of its equations",
         ),
@@ -442,29 +444,34 @@ def _software(basis: Evidence) -> Finding:
 def _code(basis: Evidence) -> Finding:
     checks = basis.verified
     if not checks:
-        text = "no outcomes of mantle verify were given"
-        return Finding(None, (text,), "mantle verify -o FOLDER, then FOLDER after the run")
-    wrong = [c for c in checks if c["outcome"] not in ("passed", "refused")]
-    right = len(checks) - len(wrong)
-    texts = [f"{right} of {len(checks)} problems with known answers are solved within tolerance"]
-    texts += map(_outcome, wrong)
-    shares = [
+        finding_text = "no outcomes of mantle verify were given"
+        return Finding(None, (finding_text,), "mantle verify -o FOLDER, then FOLDER after the run")
+    unsolved = [c for c in checks if c["outcome"] not in ("passed", "refused")]
+    solved_count = len(checks) - len(unsolved)
+    sentences = [
+        f"{solved_count} of {len(checks)} problems with known answers are solved within tolerance"
+    ]
+    sentences += map(_outcome, unsolved)
+    order_ratios = [
         c["order"] / c["expected_order"] for c in checks if c["order"] and c["expected_order"]
     ]
-    if shares:
-        lowest = min(shares)
-        texts.append(
-            f"{len(shares)} orders of convergence, the least {lowest:.0%} of the theoretical one"
+    if order_ratios:
+        lowest = min(order_ratios)
+        sentences.append(
+            f"{len(order_ratios)} orders of convergence, the least {lowest:.0%} of the"
+            " theoretical one"
         )
-    if wrong:
-        return Finding("a", texts, "solutions within tolerance for every problem that was run")
-    groups = {check["group"] for check in checks}
+    if unsolved:
+        return Finding("a", sentences, "solutions within tolerance for every problem that was run")
+    checked_groups = {check["group"] for check in checks}
     subjects = _subjects(basis.case)
-    texts.append(f"their groups: {', '.join(sorted(groups))}")
-    unproved = [subject for subject in subjects if not groups.intersection(SUBJECTS[subject])]
+    sentences.append(f"their groups: {', '.join(sorted(checked_groups))}")
+    unproved = [
+        subject for subject in subjects if not checked_groups.intersection(SUBJECTS[subject])
+    ]
     if unproved:
-        return Finding("a", texts, f"problems with known answers on {', '.join(unproved)}")
-    return Finding("d" if shares else "c", texts)
+        return Finding("a", sentences, f"problems with known answers on {', '.join(unproved)}")
+    return Finding("d" if order_ratios else "c", sentences)
 
 
 # Groups of problems of `mantle verify` that prove a part of the equations.
@@ -487,10 +494,10 @@ def _subjects(case: Case) -> list[str]:
         "contact": bool(kinds & {"contact", "penalty"}),
         "cohesion": "cohesive" in kinds,
         "heat": bool(thermal),
-        "cure": any(part.cure for part in thermal),
+        "cure": any(thermal_keys.cure for thermal_keys in thermal),
         "creep": bool(_creeping(case)),
     }
-    return [subject for subject, uses in uses_by_subject.items() if uses]
+    return [subject for subject, is_used in uses_by_subject.items() if is_used]
 
 
 def _creeping(case: Case) -> list[str]:
@@ -505,13 +512,13 @@ def _outcome(check: Check) -> str:
 
 
 def _discretization_error(basis: Evidence) -> Finding:
-    texts = tuple(_discretization(basis.summary))
+    sentences = tuple(_discretization(basis.summary))
     if "error" not in basis.summary:
-        return Finding("a", texts, "a run with --error")
+        return Finding("a", sentences, "a run with --error")
     failed = basis.summary["error"].get("failed", [])
     if failed:
-        return Finding("b", texts, f"an estimate also for: {', '.join(failed)}")
-    return Finding("c", texts)
+        return Finding("b", sentences, f"an estimate also for: {', '.join(failed)}")
+    return Finding("c", sentences)
 
 
 def _discretization(summary: Summary) -> Iterator[str]:
@@ -519,10 +526,15 @@ def _discretization(summary: Summary) -> Iterator[str]:
         yield "not estimated"
         return
     for section, name, numbers in quantities.numbers_of(summary):
-        shown = [q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers]
-        if shown:
-            texts = (f"{q.label} {q.text(numbers)} {quantities.printed(q.shown)}" for q in shown)
-            yield f"{name}: {', '.join(texts)}"
+        quantities_with_error = [
+            q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers
+        ]
+        if quantities_with_error:
+            number_texts = (
+                f"{q.label} {q.text(numbers)} {quantities.printed(q.shown)}"
+                for q in quantities_with_error
+            )
+            yield f"{name}: {', '.join(number_texts)}"
     yield "the exact solution lies within ± for about 90 of 100 such numbers"
     yield from (v.text for v in recorded(summary) if v.where == PEAKS)
 
@@ -533,52 +545,56 @@ SOLVED = (EQUILIBRIUM, CONTACT, HEAT)
 
 def _solver(basis: Evidence) -> Finding:
     verdicts = [v for v in recorded(basis.summary) if v.where in SOLVED]
-    texts = [v.text for v in verdicts]
+    sentences = [v.text for v in verdicts]
     if any(v.severity is Severity.ERROR for v in verdicts):
-        return Finding("a", texts, "a run whose balances are within their limits")
+        return Finding("a", sentences, "a run whose balances are within their limits")
     return Finding(
-        "b", texts, "runs with other tolerances of the solver, and their effect on the results"
+        "b", sentences, "runs with other tolerances of the solver, and their effect on the results"
     )
 
 
 def _use(basis: Evidence) -> Finding:
-    texts = ["the case was checked against its schema: units, names, ranges, balance of loads"]
-    texts.append(f"digest of the input: {basis.record['case_sha256'][:16]}")
-    texts.append("case.yaml in the folder of the run has every default")
-    doubts = (Severity.NOTE, Severity.WARNING)
-    texts += [str(v) for v in recorded(basis.summary) if v.severity in doubts]
-    return Finding("a", texts, "name and date of the person who verified inputs and outputs")
+    sentences = ["the case was checked against its schema: units, names, ranges, balance of loads"]
+    sentences.append(f"digest of the input: {basis.record['case_sha256'][:16]}")
+    sentences.append("case.yaml in the folder of the run has every default")
+    doubtful_severities = (Severity.NOTE, Severity.WARNING)
+    sentences += [str(v) for v in recorded(basis.summary) if v.severity in doubtful_severities]
+    return Finding("a", sentences, "name and date of the person who verified inputs and outputs")
 
 
 def _form(basis: Evidence) -> Finding:
     case = basis.case
     laws = ", ".join(f"{name} {law.kind}" for name, law in case.interfaces.items())
     creeping = _creeping(case)
-    texts = [f"small strains, linear elasticity, quasi-static loads; interfaces: {laws or 'none'}"]
-    texts.append(f"creep: {', '.join(creeping)}" if creeping else "no creep")
-    texts.append("no plasticity")
-    return Finding("a", texts, "runs of this case with other laws, geometry, loads and supports")
+    sentences = [
+        f"small strains, linear elasticity, quasi-static loads; interfaces: {laws or 'none'}"
+    ]
+    sentences.append(f"creep: {', '.join(creeping)}" if creeping else "no creep")
+    sentences.append("no plasticity")
+    return Finding(
+        "a", sentences, "runs of this case with other laws, geometry, loads and supports"
+    )
 
 
 def _sensitivities(basis: Evidence) -> Finding:
     if not basis.spread:
         return Finding("a", ("no sweep was given",), SWEEP)
-    texts = [_samples(basis.spread)]
+    sentences = [_samples(basis.spread)]
     for name, q in _headlines(basis.summary):
         values = basis.spread.range_of(f"{name}.{q.key}")
         if values and values[2]:
-            texts.append(f"{name}: {q.label} follows most {values[2]}")
-    return Finding("b", texts, "the same for every input of the case")
+            sentences.append(f"{name}: {q.label} follows most {values[2]}")
+    return Finding("b", sentences, "the same for every input of the case")
 
 
 def _uncertainties(basis: Evidence) -> Finding:
-    texts = list(_inputs(basis.case))
+    sentences = list(_inputs(basis.case))
     if not basis.spread:
-        stated = [part.status for part in _parts(basis.case).values()]
-        return Finding("a" if None in stated else "b", texts, SWEEP)
-    texts.append(_samples(basis.spread))
-    texts += _bands(basis.summary, basis.spread)
-    return Finding("b", texts, "ranges of all inputs, propagated to the results")
+        statuses = [keys.status for keys in _parts(basis.case).values()]
+        return Finding("a" if None in statuses else "b", sentences, SWEEP)
+    sentences.append(_samples(basis.spread))
+    sentences += _bands(basis.summary, basis.spread)
+    return Finding("b", sentences, "ranges of all inputs, propagated to the results")
 
 
 SWEEP = "a sweep over uncertain inputs of this case (latin_hypercube), then --spread FOLDER"
@@ -603,9 +619,11 @@ def _bands(summary: Summary, spread: InputSpread) -> Iterator[str]:
     for name, q in _headlines(summary):
         values = spread.range_of(f"{name}.{q.key}")
         if values:
-            low, high, _ = values
-            ends = f"{low:.{q.digits}f} to {high:.{q.digits}f} {quantities.printed(q.shown)}"
-            yield f"{name}: {q.label} {ends} (5 to 95 % over the inputs)"
+            lowest, highest, _ = values
+            range_text = (
+                f"{lowest:.{q.digits}f} to {highest:.{q.digits}f} {quantities.printed(q.shown)}"
+            )
+            yield f"{name}: {q.label} {range_text} (5 to 95 % over the inputs)"
 
 
 def _parts(case: Case) -> Mapping[str, Material | AnyLoad]:
@@ -615,17 +633,17 @@ def _parts(case: Case) -> Mapping[str, Material | AnyLoad]:
 
 
 def _inputs(case: Case) -> Iterator[str]:
-    for name, part in _parts(case).items():
-        source = f", {part.source}" if part.source else ""
-        yield f"{name}: {part.status or 'without status'}{source}"
+    for path, keys in _parts(case).items():
+        source = f", {keys.source}" if keys.source else ""
+        yield f"{path}: {keys.status or 'without status'}{source}"
 
 
-def _comparator(grade: Grade, text: str, missing: str, several: Grade | None = None) -> Grader:
+def _comparator(grade: Grade, sentence: str, missing: str, several: Grade | None = None) -> Grader:
     """Return the grader of a factor on samples or conditions of the shipped experiments.
 
     Args:
         grade: Grade with an experiment.
-        text: Sentence on the experiments.
+        sentence: Sentence on the experiments.
         missing: Evidence that is missing for the next grade.
         several: Grade with more than one experiment; None if it is the same.
     """
@@ -634,8 +652,10 @@ def _comparator(grade: Grade, text: str, missing: str, several: Grade | None = N
         if not basis.validated:
             return Finding(None, (), NO_COMPARATOR)
         count = len(basis.validated)
-        reached = several if several and count > 1 else grade
-        return Finding(reached, (f"{count} comparison(s) with experiments", text), missing)
+        reached_grade = several if several and count > 1 else grade
+        return Finding(
+            reached_grade, (f"{count} comparison(s) with experiments", sentence), missing
+        )
 
     return graded
 
@@ -650,22 +670,22 @@ def _outputs(basis: Evidence) -> Finding:
 def _rigor(basis: Evidence) -> Finding:
     if not basis.validated:
         return Finding(None, (), NO_COMPARATOR)
-    text = "the measured range is the limit; the error of the mesh is in the note"
+    sentence = "the measured range is the limit; the error of the mesh is in the note"
     missing = "the band of the model over its inputs, next to the scatter of the measurement"
-    return Finding("c", (text,), missing)
+    return Finding("c", (sentence,), missing)
 
 
 def _agreement(basis: Evidence) -> Finding:
     if not basis.validated:
         return Finding(None, (), NO_COMPARATOR)
     inside = [c for c in basis.validated if c["outcome"] == "passed"]
-    texts = [f"{len(inside)} of {len(basis.validated)} outputs are inside the measured range"]
+    sentences = [f"{len(inside)} of {len(basis.validated)} outputs are inside the measured range"]
     for check in basis.validated:
         note = f"; {check['note']}" if check["note"] else ""
-        texts.append(f"{_outcome(check)}{note}")
+        sentences.append(f"{_outcome(check)}{note}")
     if len(inside) == len(basis.validated):
-        return Finding("c", texts)
-    return Finding("a", texts, "a statement which outputs are key, all of them inside")
+        return Finding("c", sentences)
+    return Finding("a", sentences, "a statement which outputs are key, all of them inside")
 
 
 def _relevance(basis: Evidence) -> Finding:
@@ -675,20 +695,20 @@ def _relevance(basis: Evidence) -> Finding:
 
 
 def _calibration(basis: Evidence) -> Finding:
-    unknown = [name for name, part in _parts(basis.case).items() if part.status is None]
-    texts = ["no input was fitted to the experiments of docs/validation"]
-    if unknown:
-        texts.append(f"inputs of unknown origin: {', '.join(unknown)}")
-        return Finding("b", texts, "`status` and `source` of these inputs")
-    return Finding("c", texts)
+    unstated = [path for path, keys in _parts(basis.case).items() if keys.status is None]
+    sentences = ["no input was fitted to the experiments of docs/validation"]
+    if unstated:
+        sentences.append(f"inputs of unknown origin: {', '.join(unstated)}")
+        return Finding("b", sentences, "`status` and `source` of these inputs")
+    return Finding("c", sentences)
 
 
 def _result_uncertainty(basis: Evidence) -> Finding:
-    texts = []
+    sentences = []
     if "error" in basis.summary:
-        texts.append("the error of mesh and step is estimated (factor 3)")
+        sentences.append("the error of mesh and step is estimated (factor 3)")
     if basis.spread:
-        texts.append(basis.spread.sentence(basis.run))
+        sentences.append(basis.spread.sentence(basis.run))
     grades: tuple[Grade, ...] = ("a", "b", "c")
     missing_options = {"error": "--error", "spread": "--spread FOLDER"}
     if "error" in basis.summary:
@@ -696,7 +716,7 @@ def _result_uncertainty(basis: Evidence) -> Finding:
     if basis.spread:
         del missing_options["spread"]
     missing = f"a report with {' and '.join(missing_options.values())}" if missing_options else ""
-    return Finding(grades[len(texts)], texts, missing)
+    return Finding(grades[len(sentences)], sentences, missing)
 
 
 ABSTRACTS = "the sources are abstracts; most give neither sizes nor numbers of samples"
@@ -761,8 +781,8 @@ def methods(folder: Path) -> Path:
     """
     run = _finished(folder)
     case, record = load(folder / "case.yaml").config, read_json(folder / "provenance.json")
-    text = "\n\n".join(_paragraphs(case, run.summary, record))
-    write_text(folder / "methods.md", text + "\n")
+    methods_text = "\n\n".join(_paragraphs(case, run.summary, record))
+    write_text(folder / "methods.md", methods_text + "\n")
     return folder / "methods.md"
 
 
@@ -783,8 +803,8 @@ def _paragraphs(case: Case, summary: Summary, record: Provenance) -> Iterator[st
         mesh_text = f"has the tetrahedra of {case.geometry.path.name}, of order {order}"
     yield f"The model ({case.geometry.kind}) {mesh_text}: {solver['dofs']} unknowns.{mantle}"
     for title in ("regions", "interfaces", "supports", "loads"):
-        parts = getattr(case, title).items()
-        lines = (f"- {name.replace('_', ' ')}: {_values(part)}" for name, part in parts)
+        section_items = getattr(case, title).items()
+        lines = (f"- {name.replace('_', ' ')}: {_values(part)}" for name, part in section_items)
         yield "\n".join([f"{title.capitalize()}:", "", *lines])
     stages = ", ".join(stage.name for stage in case.stages)
     balance = ", ".join(f"{key} {value:.1g}" for key, value in summary["balance"].items())
@@ -800,5 +820,7 @@ def _paragraphs(case: Case, summary: Summary, record: Provenance) -> Iterator[st
 def _values(part: Section) -> str:
     """Keys and values of a part of a case, with units."""
     fields = part.model_dump(mode="json", exclude_none=True, exclude={"tissue", *ORIGIN})
-    filled = {key: value for key, value in fields.items() if value not in ([], {}, "")}
-    return ", ".join(f"{key.replace('_', ' ')} {plain(value)}" for key, value in filled.items())
+    given_fields = {key: value for key, value in fields.items() if value not in ([], {}, "")}
+    return ", ".join(
+        f"{key.replace('_', ' ')} {plain(value)}" for key, value in given_fields.items()
+    )

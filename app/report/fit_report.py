@@ -70,8 +70,8 @@ def write(folder: Path) -> Path:
         )
         write_text(folder / PAGE, html)
     except OSError as error:
-        text = f"cannot write {error.filename or f'the page in {folder}'}: {error.strerror}"
-        raise StoppedError(text) from error
+        message = f"cannot write {error.filename or f'the page in {folder}'}: {error.strerror}"
+        raise StoppedError(message) from error
     return folder / PAGE
 
 
@@ -99,7 +99,7 @@ def _sections(record: FitRecord) -> list[PageSection]:
 
 def _influence(record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows: change of each number over the range of each key, in its printed unit."""
-    short = short_keys(list(record["keys"]))
+    short_names = short_keys(list(record["keys"]))
     rows = []
     for name, row in record["numbers"].items():
         q = quantities.find(name)
@@ -109,7 +109,7 @@ def _influence(record: FitRecord) -> tuple[list[str], list[list[str]]]:
             cells.append("-" if change is None else f"{q.factor * change:+.3g}")
         if any(cell != "-" for cell in cells):
             rows.append([quantities.titled(name), *cells])
-    return ["number", *short.values()], rows
+    return ["number", *short_names.values()], rows
 
 
 def _facts(record: FitRecord) -> str:
@@ -125,8 +125,8 @@ def _end(record: FitRecord) -> str:
         return f"not converged after {number} runs"
     if record["misfit"] is None:
         return f"converged after {number} runs"
-    words = f"misfit {record['misfit']:.3g} of {len(record['numbers'])} targets"
-    return f"converged after {number} runs: {words}"
+    misfit_text = f"misfit {record['misfit']:.3g} of {len(record['numbers'])} targets"
+    return f"converged after {number} runs: {misfit_text}"
 
 
 def _lead(record: FitRecord) -> str:
@@ -136,21 +136,21 @@ def _lead(record: FitRecord) -> str:
     if record["aim"] == "targets":
         largest = max(abs(row["deviation"]) for row in record["numbers"].values())
         return f"The keys reach all targets within {largest:.1f} of their uncertainties."
-    words = "smallest" if record["aim"] == "minimise" else "largest"
-    return f"{record['objective']} is the {words} of all runs that meet the constraints."
+    extreme = "smallest" if record["aim"] == "minimise" else "largest"
+    return f"{record['objective']} is the {extreme} of all runs that meet the constraints."
 
 
 def _large(record: FitRecord) -> list[LargeNumber]:
     """Fitted keys as large numbers."""
     large = []
-    short = short_keys(list(record["keys"]))
+    short_names = short_keys(list(record["keys"]))
     for key, row in [*record["keys"].items()][:MOST_LARGE]:
         error = ""
         if row["uncertainty"] is not None:
             error = f"± {row['uncertainty']:.2g}"
         elif record["aim"] == "targets":
             error = "not determined"
-        caption = short[key].replace("_", " ")
+        caption = short_names[key].replace("_", " ")
         large.append(LargeNumber(f"{row['number']:.4g}", row["unit"], caption, error, key))
     return large
 
@@ -190,42 +190,42 @@ def _draw_aim(axes: Axes, record: FitRecord) -> None:
     """Draw the misfit or the objective over the number of the run."""
     figures.grid(axes)
     axes.set_xlabel("run")
-    drawn = {}
+    value_of_run = {}
     if record["aim"] == "targets":
         figures.title(axes, "Misfit")
-        drawn = {i: r["misfit"] for i, r in _steps(record) if r["misfit"] is not None}
+        value_of_run = {i: r["misfit"] for i, r in _steps(record) if r["misfit"] is not None}
         axes.set_yscale("log")
-        drawn = {i: max(value, LEAST_MISFIT) for i, value in drawn.items()}
+        value_of_run = {i: max(value, LEAST_MISFIT) for i, value in value_of_run.items()}
     else:
         objective = record["objective"]
         figures.title(axes, _title(record, objective))
         for i, run in _steps(record):
             value = _value(record, run, objective)
             if value is not None:
-                drawn[i] = value
-    curves.draw_line(axes, Line("steps", 5, [*drawn], [*drawn.values()]))
+                value_of_run[i] = value
+    curves.draw_line(axes, Line("steps", 5, [*value_of_run], [*value_of_run.values()]))
     for i, run in enumerate(record["runs"], start=1):
-        if run["name"] == record["best"] and i in drawn:
-            curves.draw_line(axes, Line("result", 4, [i], [drawn[i]], look="stars"))
-    failed = [i for i, run in enumerate(record["runs"], start=1) if run["exit_code"]]
-    curves.crosses(axes, failed, 1, 0.97)
+        if run["name"] == record["best"] and i in value_of_run:
+            curves.draw_line(axes, Line("result", 4, [i], [value_of_run[i]], look="stars"))
+    failed_runs = [i for i, run in enumerate(record["runs"], start=1) if run["exit_code"]]
+    curves.crosses(axes, failed_runs, 1, 0.97)
 
 
 def _value(record: FitRecord, run: FitRow, name: str) -> float | None:
     """Number of a run in its printed unit, or the value of a key; None if the run failed."""
     if name in record["keys"]:
-        share = run["shares"][[*record["keys"]].index(name)]
-        return None if run["exit_code"] else _of_share(record, name, share)
+        fraction = run["shares"][[*record["keys"]].index(name)]
+        return None if run["exit_code"] else _of_share(record, name, fraction)
     value = run["numbers"].get(name)
     return None if value is None else quantities.find(name).factor * value
 
 
-def _of_share(record: FitRecord, key: str, share: float) -> float:
+def _of_share(record: FitRecord, key: str, fraction: float) -> float:
     """Value of a key at a fraction of its range, as drawn."""
     row = record["keys"][key]
     if row["scale"] == "logarithmic":
-        return float(row["low"] * (row["high"] / row["low"]) ** share)
-    return row["low"] + share * (row["high"] - row["low"])
+        return float(row["low"] * (row["high"] / row["low"]) ** fraction)
+    return row["low"] + fraction * (row["high"] - row["low"])
 
 
 def _title(record: FitRecord, name: str) -> str:
@@ -233,8 +233,8 @@ def _title(record: FitRecord, name: str) -> str:
     if name not in record["keys"]:
         return quantities.titled(name)
     unit = record["keys"][name]["unit"]
-    words = short_keys(list(record["keys"]))[name].replace("_", " ")
-    return f"{words} ({unit})" if unit else words
+    key_title = short_keys(list(record["keys"]))[name].replace("_", " ")
+    return f"{key_title} ({unit})" if unit else key_title
 
 
 def _draw_keys(axes: Axes, record: FitRecord) -> None:
@@ -244,36 +244,38 @@ def _draw_keys(axes: Axes, record: FitRecord) -> None:
     axes.set(xlabel="run", ylim=(-0.05, 1.05))
     steps = _steps(record)
     numbers = [i for i, _ in steps]
-    for k, word in enumerate(short_keys(list(record["keys"])).values()):
-        shares = [run["shares"][k] for _, run in steps]
-        curves.draw_line(axes, Line(word.replace("_", " "), k, numbers, shares))
+    for k, key_name in enumerate(short_keys(list(record["keys"])).values()):
+        fractions = [run["shares"][k] for _, run in steps]
+        curves.draw_line(axes, Line(key_name.replace("_", " "), k, numbers, fractions))
 
 
 def _draw_plane(axes: Axes, record: FitRecord) -> None:
     """Draw the steps in the plane of the first two keys, with the ellipse of 95 %."""
-    first, second = [*record["keys"]][:2]
+    first_key, second_key = [*record["keys"]][:2]
     figures.title(axes, "Path in the plane of two keys")
     figures.grid(axes)
-    axes.set(xlabel=_title(record, first), ylabel=_title(record, second))
+    axes.set(xlabel=_title(record, first_key), ylabel=_title(record, second_key))
 
-    def places(shares: Sequence[Sequence[float]]) -> tuple[list[float], list[float]]:
-        x = [_of_share(record, first, share_pair[0]) for share_pair in shares]
-        y = [_of_share(record, second, share_pair[1]) for share_pair in shares]
+    def places(fraction_pairs: Sequence[Sequence[float]]) -> tuple[list[float], list[float]]:
+        x = [_of_share(record, first_key, fraction_pair[0]) for fraction_pair in fraction_pairs]
+        y = [_of_share(record, second_key, fraction_pair[1]) for fraction_pair in fraction_pairs]
         return x, y
 
     x, y = places([run["shares"] for _, run in _steps(record)])
     curves.draw_line(axes, Line("steps", 5, x, y))
-    best = next(run for run in record["runs"] if run["name"] == record["best"])
-    x, y = places([best["shares"]])
+    best_run = next(run for run in record["runs"] if run["name"] == record["best"])
+    x, y = places([best_run["shares"]])
     curves.draw_line(axes, Line("result", 4, x, y, look="stars"))
-    failed = [run["shares"] for run in record["runs"] if run["exit_code"]]
-    if failed:
-        axes.plot(*places(failed), "x", color=figures.colour(1), ms=8.5, mew=2.1)
-    known = all(record["keys"][key]["uncertainty"] is not None for key in (first, second))
-    if record["covariance"] and known:
+    failed_fractions = [run["shares"] for run in record["runs"] if run["exit_code"]]
+    if failed_fractions:
+        axes.plot(*places(failed_fractions), "x", color=figures.colour(1), ms=8.5, mew=2.1)
+    have_uncertainties = all(
+        record["keys"][key]["uncertainty"] is not None for key in (first_key, second_key)
+    )
+    if record["covariance"] and have_uncertainties:
         covariance = np.array(record["covariance"])[:2, :2]
         angles = np.linspace(0.0, 2.0 * math.pi, DIRECTIONS)
         circle = math.sqrt(CHI_SQUARE) * np.array([np.cos(angles), np.sin(angles)])
-        around = np.array(best["shares"][:2]) + (np.linalg.cholesky(covariance) @ circle).T
-        inside = [[float(v) for v in place] for place in np.clip(around, 0.0, 1.0)]
-        axes.plot(*places(inside), color="0.3", lw=1, ls=(0, (5, 3)), label="95 %")
+        ellipse = np.array(best_run["shares"][:2]) + (np.linalg.cholesky(covariance) @ circle).T
+        clipped_ellipse = [[float(v) for v in place] for place in np.clip(ellipse, 0.0, 1.0)]
+        axes.plot(*places(clipped_ellipse), color="0.3", lw=1, ls=(0, (5, 3)), label="95 %")

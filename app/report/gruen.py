@@ -35,13 +35,13 @@ def zones(case: SweptCase) -> dict[str, Zone]:
 
 def blocks(cases: Iterable[tuple[str, SweptCase]]) -> list[Block]:
     """Return the tables of each case that has zones, below its title."""
-    content = []
+    all_blocks = []
     for title, case in cases:
-        parts: list[Block] = []
+        case_blocks: list[Block] = []
         for heading, head, rows in tables(case):
-            parts += page.titled(heading, page.table(head, rows))
-        content += page.titled(title, parts)
-    return content
+            case_blocks += page.titled(heading, page.table(head, rows))
+        all_blocks += page.titled(title, case_blocks)
+    return all_blocks
 
 
 def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
@@ -51,22 +51,22 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
     """
     by_zone = zones(case)
     cement = (case.summary.get("mantle") or {}).get("gruen", {})
-    known_places: set[str] = set()
+    known_interfaces: set[str] = set()
     known_bones: set[str] = set()
     for zone in by_zone.values():
-        known_places |= zone["interfaces"].keys()
+        known_interfaces |= zone["interfaces"].keys()
         known_bones |= zone["strain_energy_density"].keys()
-    places = [place for place in INTERFACES if place in known_places]
+    interfaces = [interface for interface in INTERFACES if interface in known_interfaces]
     bones = [bone for bone in BONES if bone in known_bones]
     head = ["zone"]
     if cement:
         head.append("cement thickness, min / mean / max (mm)")
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
     rows = []
-    for z, zone in by_zone.items():
-        row = [_zone(z)]
+    for zone_name, zone in by_zone.items():
+        row = [_zone(zone_name)]
         if cement:
-            row.append(" / ".join(f"{v:.2g}" for v in cement.get(z, {}).values()) or "-")
+            row.append(" / ".join(f"{v:.2g}" for v in cement.get(zone_name, {}).values()) or "-")
         density, errors = zone["strain_energy_density"], zone.get("strain_energy_density_error", {})
         for bone in bones:
             if bone in errors:
@@ -74,23 +74,30 @@ def tables(case: SweptCase) -> list[tuple[str, list[str], list[list[str]]]]:
             else:
                 row.append(_shown(density.get(bone), KJ))
         rows.append(row)
-    parts = []
+    titled_tables = []
     if len(head) > 1:
-        parts.append(("Cement and bone" if cement else "Bone", head, rows))
-    for place in places:
-        known: set[str] = set()
+        titled_tables.append(("Cement and bone" if cement else "Bone", head, rows))
+    for interface in interfaces:
+        known_names: set[str] = set()
         for zone in by_zone.values():
-            known |= zone["interfaces"].get(place, {}).keys()
-        shown = {q: unit for q, (unit, _) in QUANTITIES.items() if f"{q}_mean" in known}
-        if "micromotion" in shown:
-            del shown["motion"]  # because it contains the interference
-        head = ["zone", *(f"{WORDS[q]} ({unit})" for q, unit in shown.items())]
+            known_names |= zone["interfaces"].get(interface, {}).keys()
+        unit_of_quantity = {
+            q: unit for q, (unit, _) in QUANTITIES.items() if f"{q}_mean" in known_names
+        }
+        if "micromotion" in unit_of_quantity:
+            del unit_of_quantity["motion"]  # because it contains the interference
+        head = ["zone", *(f"{WORDS[q]} ({unit})" for q, unit in unit_of_quantity.items())]
         rows = []
-        for z, zone in by_zone.items():
-            numbers = zone["interfaces"].get(place, {})
-            rows.append([_zone(z), *(_largest_and_mean(name, numbers) for name in shown)])
-        parts.append((f"{WORDS[place]} interface", head, rows))
-    return parts
+        for zone_name, zone in by_zone.items():
+            numbers = zone["interfaces"].get(interface, {})
+            rows.append(
+                [
+                    _zone(zone_name),
+                    *(_largest_and_mean(quantity, numbers) for quantity in unit_of_quantity),
+                ]
+            )
+        titled_tables.append((f"{WORDS[interface]} interface", head, rows))
+    return titled_tables
 
 
 def _zone(number: str) -> str:
@@ -120,12 +127,14 @@ def shielding(case: SweptCase, intact: SweptCase) -> dict[str, dict[str, float]]
     It is by kind of bone and by zone [-].
     """
     changes: dict[str, dict[str, float]] = {}
-    before = zones(intact)
-    for name, zone in zones(case).items():
-        for bone, b in zone["strain_energy_density"].items():
-            a = before.get(name, {}).get("strain_energy_density", {}).get(bone)
-            if bone in BONES and a:
-                changes.setdefault(bone, {})[name] = b / a - 1
+    intact_zones = zones(intact)
+    for zone_name, zone in zones(case).items():
+        for bone, density in zone["strain_energy_density"].items():
+            density_before = (
+                intact_zones.get(zone_name, {}).get("strain_energy_density", {}).get(bone)
+            )
+            if bone in BONES and density_before:
+                changes.setdefault(bone, {})[zone_name] = density / density_before - 1
     return changes
 
 

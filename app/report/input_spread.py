@@ -52,16 +52,20 @@ class InputSpread:
         spread = uncertainty.of_number(values, self.inputs)
         if spread["deviation"] <= uncertainty.ROUNDING_RANGE:
             return None
-        strongest, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
+        strongest_input, rank = max(spread["correlation"].items(), key=lambda item: abs(item[1]))
         is_clear = abs(rank) > 2.0 / len(values) ** 0.5
-        return spread["p5"], spread["p95"], f"{title(strongest)} ({rank:+.2f})" if is_clear else ""
+        return (
+            spread["p5"],
+            spread["p95"],
+            f"{title(strongest_input)} ({rank:+.2f})" if is_clear else "",
+        )
 
     def cells(self, name: str, q: Quantity, numbers: Numbers) -> list[str]:
         """Return the cells of a number in a table with the head `HEAD`."""
         value, _, error = q.text(numbers).partition(" ± ")
-        low, high, strongest = self.range_of(name) or (None, None, "-")
-        ends = "-" if low is None else f"{low:.{q.digits}f} to {high:.{q.digits}f}"
-        return [titled(name), value, error or "-", ends, strongest or "none clearly"]
+        lowest, highest, strongest = self.range_of(name) or (None, None, "-")
+        range_text = "-" if lowest is None else f"{lowest:.{q.digits}f} to {highest:.{q.digits}f}"
+        return [titled(name), value, error or "-", range_text, strongest or "none clearly"]
 
     def sentence(self, run: SweptCase) -> str:
         """Compare mesh and inputs as sources of uncertainty of the main numbers, in sentences."""
@@ -70,10 +74,10 @@ class InputSpread:
             for key, q in TABLE[section].items():
                 spread = self.range_of(f"{owner}.{key}") if q.headline and q.order else None
                 if spread:
-                    low, high, cause = spread
+                    lowest, highest, cause = spread
                     n = run.number(f"{owner}.{key}")
                     causes.update([cause.rpartition(" (")[0]])
-                    ratios += [0.5 * (high - low) / n.error] if n and n.error else []
+                    ratios += [0.5 * (highest - lowest) / n.error] if n and n.error else []
         del causes[""]
         strongest = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
         if not ratios:
@@ -81,12 +85,13 @@ class InputSpread:
                 f"The ± of main numbers was not estimated, so the two are not compared{strongest}."
             )
         larger, middle = sum(ratio > 1.0 for ratio in ratios), statistics.median(ratios)
-        first = "Inputs matter more than the mesh"
+        comparison = "Inputs matter more than the mesh"
         if middle <= 1.0:
-            first = "The mesh matters more than the inputs"
+            comparison = "The mesh matters more than the inputs"
         size = self.samples[0].data["mesh"]["size"]
         return (
-            f"{first}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds the ± "
+            f"{comparison}: half the range from 5 to 95 % over {len(self.inputs)} inputs exceeds"
+            " the ± "
             f"for {larger} of {len(ratios)} main numbers; the median ratio is"
             f" {middle:.2g}{strongest}. "
             f"The range is from {len(self.samples)} of {self.drawn} samples on meshes of {size}."
@@ -107,9 +112,11 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
     keys: dict[str, None] = {}
     for number in spread["numbers"].values():
         keys |= dict.fromkeys(number["correlation"])
-    drawn = [c for c in sweep.cases if c.part == part]
-    differences = {c.name: next(_differences(run.data, c.data, keys), "") for c in drawn if c.done}
-    samples = [c for c in drawn if c.done and not differences[c.name]]
+    drawn_cases = [c for c in sweep.cases if c.part == part]
+    differences = {
+        c.name: next(_differences(run.data, c.data, keys), "") for c in drawn_cases if c.done
+    }
+    samples = [c for c in drawn_cases if c.done and not differences[c.name]]
     if len(samples) < FEWEST:
         too_few = f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST}"
         other_case = f"is of another case than {run.folder}: {next(iter(differences.values()))}"
@@ -117,7 +124,7 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
     inputs = {}
     for key in keys:
         inputs[key] = [sample.overrides[key] for sample in samples]
-    return InputSpread(samples, len(drawn), inputs)
+    return InputSpread(samples, len(drawn_cases), inputs)
 
 
 def _differences(

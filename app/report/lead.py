@@ -36,15 +36,15 @@ def large_numbers(summary: Summary) -> list[LargeNumber]:
     The first numbers of the groups contact, stem, heat and cure are chosen first, then their second
     numbers, and so on. A case without these groups has the stress of its regions.
     """
-    groups = [
+    numbers_by_group = [
         list(_contacts(summary)),
         list(_stem(summary)),
         list(_heat(summary)),
         list(_cure(summary)),
     ]
-    by_rank = [n for n in chain.from_iterable(zip_longest(*groups)) if n is not None]
-    chosen = by_rank[:MOST]
-    numbers = [n for n in chain.from_iterable(groups) if n in chosen]
+    by_rank = [n for n in chain.from_iterable(zip_longest(*numbers_by_group)) if n is not None]
+    chosen_numbers = by_rank[:MOST]
+    numbers = [n for n in chain.from_iterable(numbers_by_group) if n in chosen_numbers]
     return numbers or list(_stresses(summary))[:MOST]
 
 
@@ -62,34 +62,34 @@ def loads(case: SweptCase, summary: Summary) -> str:
     for name, load in all_loads.items():
         if load.get("cycle_table"):
             continue  # it has no one size
-        parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
-        last = (load.get("history") or [1.0])[-1]
-        if len(parts) == 3 and isinstance(last, int | float):
-            forces[name] = [last * part for part in parts]
+        components = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
+        last_factor = (load.get("history") or [1.0])[-1]
+        if len(components) == 3 and isinstance(last_factor, int | float):
+            forces[name] = [last_factor * component for component in components]
     if not forces:
         return ""
     largest = max(forces, key=lambda name: math.hypot(*forces[name]))
     sector = SECTORS.get(case.data.get("geometry", {}).get("sector", ""), "")
-    words = "Load" if len(all_loads) == 1 else f"Largest load ({largest.replace('_', ' ')})"
+    title = "Load" if len(all_loads) == 1 else f"Largest load ({largest.replace('_', ' ')})"
     if largest == "hip":
-        words = "Hip force"
-    text = f"{words}: {math.hypot(*forces[largest]):,.0f} N{sector}."
+        title = "Hip force"
+    sentences = f"{title}: {math.hypot(*forces[largest]):,.0f} N{sector}."
     if 1 < len(all_loads) == len(forces):
         total = math.hypot(*map(sum, zip(*forces.values(), strict=True)))
-        text += f" Sum of all {len(all_loads)} loads: {total:,.0f} N."
-    return text
+        sentences += f" Sum of all {len(all_loads)} loads: {total:,.0f} N."
+    return sentences
 
 
 def _number(
     section: str, key: str, numbers: Numbers, caption: str, detail: str = ""
 ) -> LargeNumber:
     """Return a number of a section as a large number."""
-    text = _with_unit(section, key, numbers)
-    value, sign, error = text.partition(" ± ")
+    number_text = _with_unit(section, key, numbers)
+    value, error_sign, error = number_text.partition(" ± ")
     unit = printed(TABLE[section][key].shown)
-    if not sign:
+    if not error_sign:
         value = value.removesuffix(f" {unit}")
-    return LargeNumber(value, unit, caption, f"± {error}" if sign else "", detail)
+    return LargeNumber(value, unit, caption, f"± {error}" if error_sign else "", detail)
 
 
 def _with_unit(section: str, key: str, numbers: Numbers) -> str:
@@ -170,7 +170,7 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
         caption = f"highest temperature of {named(name)}"
         yield _number("thermal.regions", "temperature_max", q, caption)
         return
-    worst = max(bone, key=lambda q: q["temperature_max"])
+    hottest = max(bone, key=lambda q: q["temperature_max"])
     durations = []
     for level in (47, 50, 56):
         seconds = max(q[f"seconds_over_{level}"] for q in bone)
@@ -178,17 +178,21 @@ def _heat(summary: Summary) -> Iterator[LargeNumber]:
             durations.append(f"{seconds:,.0f} s above {level} °C")
     detail = f"For up to {', '.join(durations)}." if durations else "Never above 47 °C."
     caption = "highest temperature of the bone"
-    yield _number("thermal.regions", "temperature_max", worst, caption, detail)
-    dead = {}
+    yield _number("thermal.regions", "temperature_max", hottest, caption, detail)
+    volume_by_criterion = {}
     for criterion in NECROSIS:
-        dead[criterion] = sum(q.get(f"necrosis_{criterion}_volume") or 0.0 for q in bone)
+        volume_by_criterion[criterion] = sum(
+            q.get(f"necrosis_{criterion}_volume") or 0.0 for q in bone
+        )
     rule = "47C_1min"
-    others = [volume for criterion, volume in dead.items() if criterion != rule]
+    other_volumes = [
+        volume for criterion, volume in volume_by_criterion.items() if criterion != rule
+    ]
     detail = f"By the rule of {in_print(NECROSIS[rule])}. By other rules "
-    detail += f"{min(others):,.0f} to {max(others):,.0f} mm³."
-    if max(dead.values()) < NO_BONE:
+    detail += f"{min(other_volumes):,.0f} to {max(other_volumes):,.0f} mm³."
+    if max(volume_by_criterion.values()) < NO_BONE:
         detail = "No bone dies by any rule."
-    yield LargeNumber(f"{dead[rule]:,.0f}", "mm³", "dead bone", detail=detail)
+    yield LargeNumber(f"{volume_by_criterion[rule]:,.0f}", "mm³", "dead bone", detail=detail)
 
 
 def _cure(summary: Summary) -> Iterator[LargeNumber]:
@@ -214,15 +218,15 @@ def _stresses(summary: Summary) -> Iterator[LargeNumber]:
 def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> list[LargeNumber]:
     """Return the ranges of slip, gap and temperature over several runs, at most `MOST`."""
     numbers = []
-    for name, ends in ranges(cases, names):
-        words, unit = in_words(name)
-        lowest, highest = (f"{_zero_if_small(value):.3g}" for value, _ in ends)
+    for name, extremes in ranges(cases, names):
+        title, unit = in_words(name)
+        lowest, highest = (f"{_zero_if_small(value):.3g}" for value, _ in extremes)
         if lowest == highest:
             continue
-        first, last = (c.name.replace("_", " ") for _, c in ends)
-        detail = f"Least: {first}. Most: {last}."
+        least_case, most_case = (c.name.replace("_", " ") for _, c in extremes)
+        detail = f"Least: {least_case}. Most: {most_case}."
         numbers.append(
-            LargeNumber(f"{lowest} to {highest}", unit, spelled_out(words), detail=detail)
+            LargeNumber(f"{lowest} to {highest}", unit, spelled_out(title), detail=detail)
         )
     return numbers[:MOST]
 
@@ -245,6 +249,6 @@ def ranges(
             if number:
                 values.append((number.value, k))
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
-            ends = min(values), max(values)
-            if ends[1][0] > NOTHING and ends[0] != ends[1]:
-                yield name, [(value, cases[k]) for value, k in ends]
+            extremes = min(values), max(values)
+            if extremes[1][0] > NOTHING and extremes[0] != extremes[1]:
+                yield name, [(value, cases[k]) for value, k in extremes]

@@ -61,8 +61,8 @@ def write(folder: Path, path: Path, name: str = "") -> Path:
         gif = path.with_suffix(".gif")
         raise InputError(f"--gif {path}: ffmpeg is not installed; expected {gif}")
     if not (folder / "fields.vtkhdf").exists():
-        text = "has no fields.vtkhdf; expected a run with output.fields: true"
-        raise InputError(f"--gif: {folder} {text}")
+        fault = "has no fields.vtkhdf; expected a run with output.fields: true"
+        raise InputError(f"--gif: {folder} {fault}")
     run = Run(folder)
     field, triangles, views = _shown(run, name)
     seconds = max(LEAST_SECONDS, min(MOST, len(run.times)) / RATE)
@@ -85,21 +85,21 @@ def _shown(run: Run, name: str) -> tuple[ShownField, Ints, list[str]]:
         InputError: The run has no such field.
     """
     kinds = viewer.kinds_of(run)
-    known = {kind.name: kind for kind in kinds}
+    field_by_name = {kind.name: kind for kind in kinds}
     outsides = viewer.outsides(run, curved=False)
-    chosen = name or str(viewer.opening(run, kinds, outsides)["field"])
-    if chosen not in known:
-        hint = did_you_mean(chosen, [*known])
-        text = f"this run has no field '{chosen}'; it has {', '.join(known)}{hint}"
-        raise InputError(f"--field: {text}")
-    field = known[chosen]
+    chosen_name = name or str(viewer.opening(run, kinds, outsides)["field"])
+    if chosen_name not in field_by_name:
+        hint = did_you_mean(chosen_name, [*field_by_name])
+        fault = f"this run has no field '{chosen_name}'; it has {', '.join(field_by_name)}{hint}"
+        raise InputError(f"--field: {fault}")
+    field = field_by_name[chosen_name]
     side = viewer.side_of(run, field.contact, outsides) if field.contact else None
     if side:
         return field, outsides[side[0]], ["anterior", "medial"]
     # The half behind the middle plane, with the cut towards the viewer.
     middle = run.points[run.cells[:, :4]].mean(axis=1)[:, 1]
-    low, high = run.points[:, 1].min(), run.points[:, 1].max()
-    plane = 0.0 if low < 0 < high else 0.5 * (low + high)
+    lowest_y, highest_y = run.points[:, 1].min(), run.points[:, 1].max()
+    plane = 0.0 if lowest_y < 0 < highest_y else 0.5 * (lowest_y + highest_y)
     facets, _ = exterior_facets(run.cells[middle < plane][:, :4])
     return field, facets, ["anterior"]
 
@@ -125,8 +125,8 @@ def _draw(
     colours = ScalarMappable(
         Normalize(lowest, highest if highest > lowest else lowest + 1.0), "viridis"
     )
-    moved = "displacement" in run.point_fields
-    largest = max(np.abs(run.displacement(k)).max() for k in steps) if moved else 0.0
+    has_displacement = "displacement" in run.point_fields
+    largest = max(np.abs(run.displacement(k)).max() for k in steps) if has_displacement else 0.0
     scale = 0.0
     if run.case.get("motions"):
         scale = 1.0
@@ -144,16 +144,19 @@ def _draw(
     deformed = f", deformation × {scale:g}" if scale not in (0.0, 1.0) else ""
     with writer.saving(figure, str(path), DPI):
         for k, of_step in zip(steps, values, strict=True):
-            shown = x + scale * run.displacement(k) if moved and scale else x
-            pieces = shown[triangles]
-            drawn = colours.to_rgba(of_step.mean(axis=1))[:, :3]
-            drawn[~is_on_interface] = grey
+            moved_points = x + scale * run.displacement(k) if has_displacement and scale else x
+            moved_triangles = moved_points[triangles]
+            triangle_colours = colours.to_rgba(of_step.mean(axis=1))[:, :3]
+            triangle_colours[~is_on_interface] = grey
             for ax, view in zip(axes, views, strict=True):
                 ax.clear()
-                surface(ax, pieces, pieces, np.asarray(drawn), None, view)
+                surface(
+                    ax, moved_triangles, moved_triangles, np.asarray(triangle_colours), None, view
+                )
                 across, leftward, _ = VIEWS[view]
-                low, high = undeformed[:, across].min() - reach, undeformed[:, across].max() + reach
-                ax.set_xlim((high, low) if leftward else (low, high))
+                left_limit = undeformed[:, across].min() - reach
+                right_limit = undeformed[:, across].max() + reach
+                ax.set_xlim((right_limit, left_limit) if leftward else (left_limit, right_limit))
                 ax.set_ylim(undeformed[:, 2].min() - reach, undeformed[:, 2].max() + reach)
                 ax.set_title(f"from {view}", fontsize=9)
                 ax.set_axis_off()

@@ -31,8 +31,8 @@ def of_run(case: SweptCase) -> list[Block]:
     """Draw the paths of a run: a panel for each field, a curve for each drawn step (`_steps`)."""
     blocks: list[Block] = []
     for name, table in case.paths.items():
-        drawn = [drawing(panel) for panel in panels(table, stages_of(case))]
-        blocks += page.titled(named(name), page.drawings(drawn, GAPS if has_gaps(table) else ""))
+        drawings = [drawing(panel) for panel in panels(table, stages_of(case))]
+        blocks += page.titled(named(name), page.drawings(drawings, GAPS if has_gaps(table) else ""))
     return blocks
 
 
@@ -55,14 +55,14 @@ def panels(table: PathTable, stages: Sequence[str], title: str = "") -> list[Pan
         title: Beginning of the titles.
     """
     steps = _steps(table, stages)
-    drawn = []
+    all_panels = []
     for column in fields_of(table):
         lines: list[Line] = []
         for k, (step, label) in enumerate(steps.items()):
             lines += _lines(table, column, step, label, k)
         if lines:
-            drawn.append(_panel(column, lines, title))
-    return drawn
+            all_panels.append(_panel(column, lines, title))
+    return all_panels
 
 
 def fields_of(table: PathTable) -> list[str]:
@@ -80,20 +80,20 @@ def compared(names: Sequence[str], cases: Sequence[SweptCase]) -> list[Block]:
             unshared_paths.append(f"path {path}: only in {names[runs[0]]}")
             continue
         tables = [cases[k].paths[path] for k in runs]
-        drawn = []
+        drawings = []
         for column in dict.fromkeys(chain.from_iterable(map(fields_of, tables))):
             lines: list[Line] = []
             for k, table in zip(runs, tables, strict=True):
                 if column in table:
                     lines += _lines(table, column, table["step"].max(), names[k], k)
             if lines:
-                drawn.append(drawing(_panel(column, lines)))
+                drawings.append(drawing(_panel(column, lines)))
         keys = [_definition(cases[k], path) for k in runs]
         caption = ""
         if any(key != keys[0] for key in keys):
             keys_of_runs = (f"{names[k]}: {plain(key)}" for k, key in zip(runs, keys, strict=True))
             caption = f"The keys of the path differ: {'; '.join(keys_of_runs)}"
-        blocks += page.titled(named(path), page.drawings(drawn, caption))
+        blocks += page.titled(named(path), page.drawings(drawings, caption))
     return blocks + bullets(unshared_paths)
 
 
@@ -110,16 +110,16 @@ def _steps(table: PathTable, stages: Sequence[str]) -> dict[int, str]:
     distances in time.
     """
     last_of_time = {float(t): int(s) for t, s in zip(table["time [-]"], table["step"], strict=True)}
-    ends: dict[int, float] = {}
+    time_of_stage_end: dict[int, float] = {}
     for time in last_of_time:
-        ends[math.ceil(time - 1e-9)] = time
-    if len(ends) > 1:
-        chosen = list(ends.items())[-MOST_STEPS:]
-        return {last_of_time[time]: named(stages[k - 1]) for k, time in chosen}
+        time_of_stage_end[math.ceil(time - 1e-9)] = time
+    if len(time_of_stage_end) > 1:
+        stage_ends = list(time_of_stage_end.items())[-MOST_STEPS:]
+        return {last_of_time[time]: named(stages[k - 1]) for k, time in stage_ends}
     seconds = table.get("seconds [s]")
-    last = int(table["step"].max())
+    last_step = int(table["step"].max())
     if seconds is None or len(last_of_time) == 1:
-        return {last: ""}
+        return {last_step: ""}
     by_step = {int(s): float(t) for s, t in zip(table["step"], seconds, strict=True)}
     target_times = np.linspace(min(by_step.values()), max(by_step.values()), MOST_STEPS)
     steps = {min(by_step, key=lambda s: abs(by_step[s] - time)) for time in target_times}
@@ -129,8 +129,8 @@ def _steps(table: PathTable, stages: Sequence[str]) -> dict[int, str]:
 def _panel(column: str, lines: Sequence[Line], title: str = "") -> Panel:
     """A panel of a field."""
     label, unit = _shown(column)
-    words = page.spelled_out(f"{title}{label}")
-    return Panel(words, printed(unit), lines, ABSCISSA, log="", from_rest=True)
+    panel_title = page.spelled_out(f"{title}{label}")
+    return Panel(panel_title, printed(unit), lines, ABSCISSA, log="", from_rest=True)
 
 
 def _shown(column: str) -> tuple[str, str]:
@@ -148,11 +148,11 @@ def _lines(table: PathTable, column: str, step: float, label: str, style: int) -
     x: Floats = table[ARC][is_at_step]
     factor = FACTORS.get(_shown(column)[1], 1.0)
     y: Floats = factor * table[column][is_at_step]
-    known = np.isfinite(y)
-    pieces = np.split(np.arange(len(y)), np.flatnonzero(np.diff(known.astype(int))) + 1)
+    is_known = np.isfinite(y)
+    row_groups = np.split(np.arange(len(y)), np.flatnonzero(np.diff(is_known.astype(int))) + 1)
     lines: list[Line] = []
-    for piece in pieces:
-        if len(piece) and known[piece[0]]:
-            points = [float(v) for v in x[piece]], [float(v) for v in y[piece]]
+    for rows in row_groups:
+        if len(rows) and is_known[rows[0]]:
+            points = [float(v) for v in x[rows]], [float(v) for v in y[rows]]
             lines.append(Line("" if lines else label, style, *points, look="line"))
     return lines

@@ -105,24 +105,26 @@ def ends(sweep: SweepResults) -> Chosen:
 
     If no number varies, they are the first and the last case with fields.
     """
-    with_fields = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
-    first_and_last = [(0.0, c) for c in (*with_fields[:1], *with_fields[1:][-1:])]
-    _, shown = next(lead.ranges(with_fields, headlines(with_fields)), ("", first_and_last))
-    return [(c.name, c) for _, c in shown]
+    with_fields = [
+        case for case in sweep.cases if case.done and (case.folder / "fields.vtkhdf").exists()
+    ]
+    first_and_last = [(0.0, case) for case in (*with_fields[:1], *with_fields[1:][-1:])]
+    _, cases_at_ends = next(lead.ranges(with_fields, headlines(with_fields)), ("", first_and_last))
+    return [(case.name, case) for _, case in cases_at_ends]
 
 
 def maps(
     chosen: Chosen, folder: Path, suffixes: Sequence[str] = figures.SUFFIXES
 ) -> tuple[list[Figure], list[str]]:
     """Draw a map of each interface for all cases; return pictures, reasons for missing ones."""
-    drawn: list[Figure] = []
-    missing: list[str] = []
+    figures_drawn: list[Figure] = []
+    reasons: list[str] = []
     opened = []
     for title, case in chosen:
         try:
             opened.append((title, sheets(case)))
         except UNREADABLE as error:
-            missing.append(f"no map of {case.name}: {str(error).partition(chr(10))[0]}")
+            reasons.append(f"no map of {case.name}: {str(error).partition(chr(10))[0]}")
     for name in dict.fromkeys(chain.from_iterable(by_name for _, by_name in opened)):
         columns = []
         for title, by_name in opened:
@@ -130,13 +132,13 @@ def maps(
             if run_and_sheet:
                 columns.append((title, *run_and_sheet))
         if not columns:
-            missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
+            reasons.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
         file = f"map_{name}.png"
         labels = draw(folder / file, columns, _rows(name, columns), suffixes)
         if labels:
-            drawn.append(_figure(file, name, columns, labels))
-    return drawn, missing
+            figures_drawn.append(_figure(file, name, columns, labels))
+    return figures_drawn, reasons
 
 
 def sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet] | None]:
@@ -151,17 +153,17 @@ def sheets(case: SweptCase) -> dict[str, tuple[Run, Sheet] | None]:
         return {}
     by_name: dict[str, tuple[Run, Sheet] | None] = {}
     for name, sides in geometry.interface_sides.items():
-        flat = sheet(run, geometry.is_around_z, sides, geometry.region_names, name)
-        by_name[name] = (run, flat) if flat else None
+        interface_sheet = sheet(run, geometry.is_around_z, sides, geometry.region_names, name)
+        by_name[name] = (run, interface_sheet) if interface_sheet else None
     return by_name
 
 
 def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
     rows: list[Row] = []
-    shown, labels = dict(SHOWN), interface_fields()
-    for added in INTERFACE_FIELDS.values():
-        shown[added.name] = LOADED if added.loaded else SEQUENTIAL
-    for quantity, colours in shown.items():
+    colours_of_quantity, labels = dict(SHOWN), interface_fields()
+    for added_field in INTERFACE_FIELDS.values():
+        colours_of_quantity[added_field.name] = LOADED if added_field.loaded else SEQUENTIAL
+    for quantity, colours in colours_of_quantity.items():
         (label, unit, factor), field = labels[quantity], f"{name}_{quantity}"
         values = [
             factor * lengths(run, field) if field in run.point_fields else None
@@ -186,13 +188,13 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
         caption += "The cup is spread out from its pole: distances from there are arcs."
     if TEMPERATURE in labels:
         caption += " Temperature: the highest that each place of the second body reaches."
-    place = f"{named(name)} interface"
-    title = place
-    text = f"{', '.join(labels)} on the {place}"
+    interface_title = f"{named(name)} interface"
+    title = interface_title
+    description = f"{', '.join(labels)} on the {interface_title}"
     if titles:
         title += f": {'; '.join(titles)}"
-        text += f" of {'; '.join(titles)}"
-    return Figure(file, title, caption, text)
+        description += f" of {'; '.join(titles)}"
+    return Figure(file, title, caption, description)
 
 
 # Maps
@@ -229,17 +231,19 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     x = points[triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     size = np.linalg.norm(normal, axis=1)
-    keep = (size > 0) & (np.abs(normal[:, 2]) <= STEEP * size)
-    x, triangles = x[keep], triangles[keep]
+    is_kept = (size > 0) & (np.abs(normal[:, 2]) <= STEEP * size)
+    x, triangles = x[is_kept], triangles[is_kept]
     angle = np.degrees(np.arctan2(x[:, :, 1], x[:, :, 0]))
     angle = SEAM + np.mod(angle - SEAM, 360.0)
-    first = angle[:, :1]
-    angle = first + np.mod(angle - first + 180.0, 360.0) - 180.0
+    first_angle = angle[:, :1]
+    angle = first_angle + np.mod(angle - first_angle + 180.0, 360.0) - 180.0
     corners = np.stack([angle, x[:, :, 2]], axis=2)
-    low, high = angle.min(axis=1) < SEAM, angle.max(axis=1) > SEAM + 360.0
+    is_below_seam, is_above_seam = angle.min(axis=1) < SEAM, angle.max(axis=1) > SEAM + 360.0
     full_turn = np.array([360.0, 0.0])
-    corners = np.concatenate([corners, corners[low] + full_turn, corners[high] - full_turn])
-    return corners, np.concatenate([triangles, triangles[low], triangles[high]])
+    corners = np.concatenate(
+        [corners, corners[is_below_seam] + full_turn, corners[is_above_seam] - full_turn]
+    )
+    return corners, np.concatenate([triangles, triangles[is_below_seam], triangles[is_above_seam]])
 
 
 def sheet(
@@ -250,8 +254,8 @@ def sheet(
     None if it neither surrounds a stem nor is flat nor part of a sphere. If the sides are meshed
     separately, the side with the contact points is drawn.
     """
-    first, second = ([1 + regions.index(r) for r in side] for side in sides)
-    triangles = facets(run, second, first)
+    first_tags, second_tags = ([1 + regions.index(r) for r in side] for side in sides)
+    triangles = facets(run, second_tags, first_tags)
     if not len(triangles):
         body_and_triangles = side_of(run, name, outsides(run, curved=False)) if name else None
         if not body_and_triangles:
@@ -268,8 +272,8 @@ def sheet(
     _, extent, axes = np.linalg.svd(centred, full_matrices=False)
     if extent[2] > FLAT * extent[0]:
         return None
-    others = np.delete(np.eye(3), np.abs(axes[2]).argmax(), axis=0)
-    plane, signs = np.linalg.qr(np.vstack([axes[2], others]).T)
+    other_axes = np.delete(np.eye(3), np.abs(axes[2]).argmax(), axis=0)
+    plane, signs = np.linalg.qr(np.vstack([axes[2], other_axes]).T)
     return Sheet(x @ (plane * np.sign(np.diag(signs)))[:, 1:], triangles, False)
 
 
@@ -279,20 +283,20 @@ def spread(x: Floats) -> Floats | None:
     The pole is in the middle, and distances from it are arc lengths. None if the triangles are not
     on a sphere.
     """
-    flat = x.reshape(-1, 3)
-    linear = np.column_stack([2 * flat, np.ones(len(flat))])
-    centre = np.linalg.lstsq(linear, (flat**2).sum(axis=1))[0][:3]
+    corners = x.reshape(-1, 3)
+    linear = np.column_stack([2 * corners, np.ones(len(corners))])
+    centre = np.linalg.lstsq(linear, (corners**2).sum(axis=1))[0][:3]
     radial = x - centre
     size = np.linalg.norm(radial, axis=2, keepdims=True)
     if np.ptp(size) > FLAT * size.max():
         return None
     pole = radial.mean(axis=(0, 1)) / np.linalg.norm(radial.mean(axis=(0, 1)))
-    others = np.delete(np.eye(3), np.abs(pole).argmax(), axis=0)
-    plane, signs = np.linalg.qr(np.vstack([pole, others]).T)
-    place = radial / size @ (plane * np.sign(np.diag(signs)))
-    across = np.linalg.norm(place[..., 1:], axis=2, keepdims=True)
-    angle = np.arctan2(across, place[..., :1])
-    return np.asarray(size * angle * place[..., 1:] / np.maximum(across, 1e-12))
+    other_axes = np.delete(np.eye(3), np.abs(pole).argmax(), axis=0)
+    plane, signs = np.linalg.qr(np.vstack([pole, other_axes]).T)
+    in_plane = radial / size @ (plane * np.sign(np.diag(signs)))
+    distance_from_axis = np.linalg.norm(in_plane[..., 1:], axis=2, keepdims=True)
+    angle = np.arctan2(distance_from_axis, in_plane[..., :1])
+    return np.asarray(size * angle * in_plane[..., 1:] / np.maximum(distance_from_axis, 1e-12))
 
 
 def draw(
@@ -313,34 +317,41 @@ def draw(
     round = all(s.round for _, _, s in columns)
     titles = [textwrap.fill(title.replace("_", " "), 30) for title, _, _ in columns]
     is_single = len(columns) == 1
-    down, across = len(rows), len(titles)
+    row_count, column_count = len(rows), len(titles)
     if is_single:
-        down, across = math.ceil(len(rows) / 2), min(2, len(rows))
-    width, high = (3.0, 2.9) if round else (3.4, 3.0)
-    width, high = (width + 0.8 * is_single) * across + 1.2, high * down + 0.3
-    top = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
-    figure = figures.new(width, high + top)
+        row_count, column_count = math.ceil(len(rows) / 2), min(2, len(rows))
+    width, height = (3.0, 2.9) if round else (3.4, 3.0)
+    width, height = (width + 0.8 * is_single) * column_count + 1.2, height * row_count + 0.3
+    title_height = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
+    figure = figures.new(width, height + title_height)
     figure.set_layout_engine(None)  # takes a third of the time
-    margins = 0.75 / width, 0.4 / (high + top), 1 - 0.45 / width, high / (high + top)
+    margins = (
+        0.75 / width,
+        0.4 / (height + title_height),
+        1 - 0.45 / width,
+        height / (height + title_height),
+    )
     figure.subplots_adjust(*margins, wspace=0.2 if is_single else 0.12, hspace=0.16)
-    grid = figure.subplots(down, across, squeeze=False, sharey=round)
+    grid = figure.subplots(row_count, column_count, squeeze=False, sharey=round)
     for axes in grid.ravel()[len(rows) * len(columns) :]:
         axes.set_visible(False)
     panels = grid.reshape(-1, len(columns))
     for axes_row, (label, colours, fields) in zip(panels, rows, strict=False):
-        sheet_values = [(flat, v) for (*_, flat), v in zip(columns, fields, strict=True)]
+        sheet_values = [(map_sheet, v) for (*_, map_sheet), v in zip(columns, fields, strict=True)]
         all_values = np.concatenate(
-            [v[flat.nodes].ravel() for flat, v in sheet_values if v is not None]
+            [v[map_sheet.nodes].ravel() for map_sheet, v in sheet_values if v is not None]
         )
-        low, highest = _limits(all_values[np.isfinite(all_values)], label, colours)
+        lowest, highest = _limits(all_values[np.isfinite(all_values)], label, colours)
         shades: list[AxesImage] = []
-        for axes, (flat, v) in zip(axes_row, sheet_values, strict=True):
-            _axes(axes, flat)
+        for axes, (map_sheet, v) in zip(axes_row, sheet_values, strict=True):
+            _axes(axes, map_sheet)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            limits = low, highest
-            shades.append(plane.shaded(axes, flat.corners, v[flat.nodes], colours, limits))
+            limits = lowest, highest
+            shades.append(
+                plane.shaded(axes, map_sheet.corners, v[map_sheet.nodes], colours, limits)
+            )
         extend = "neither"
         if np.nanmax(all_values) > highest * (1 + 1e-6):
             extend = "both" if colours == SIGNED else "max"
@@ -358,24 +369,27 @@ def _limits(values: Floats, label: str, colours: str) -> tuple[float, float]:
     if colours == SIGNED:
         highest = max(float(np.percentile(np.abs(values), CLIP)), LEAST)
         return -highest, highest
-    low = float(values.min()) if label == TEMPERATURE else 0.0
-    return low, max(float(np.percentile(values, CLIP)), low + LEAST)
+    lowest = float(values.min()) if label == TEMPERATURE else 0.0
+    return lowest, max(float(np.percentile(values, CLIP)), lowest + LEAST)
 
 
-def _axes(axes: Axes, flat: Sheet) -> None:
+def _axes(axes: Axes, map_sheet: Sheet) -> None:
     axes.set_facecolor("0.93")
-    low, high = flat.corners.reshape(-1, 2).min(axis=0), flat.corners.reshape(-1, 2).max(axis=0)
-    axes.set_ylim(low[1], high[1])
-    if not flat.round:
-        axes.set_xlim(low[0], high[0])
+    lower_corner = map_sheet.corners.reshape(-1, 2).min(axis=0)
+    upper_corner = map_sheet.corners.reshape(-1, 2).max(axis=0)
+    axes.set_ylim(lower_corner[1], upper_corner[1])
+    if not map_sheet.round:
+        axes.set_xlim(lower_corner[0], upper_corner[0])
         axes.set_aspect("equal")
         axes.set_xlabel("mm", fontsize=8)
         return
-    axes.set_xlim(max(low[0], SEAM), min(high[0], SEAM + 360.0))
-    left, right = axes.get_xlim()
-    shown = {angle: name for angle, name in WAYS.items() if left <= angle <= right}
-    names = [SHORT[direction] for direction in shown.values()]
-    ticks = axes.set_xticks(list(shown), names, fontsize=8)
+    axes.set_xlim(max(lower_corner[0], SEAM), min(upper_corner[0], SEAM + 360.0))
+    left_limit, right_limit = axes.get_xlim()
+    direction_of_angle = {
+        angle: name for angle, name in WAYS.items() if left_limit <= angle <= right_limit
+    }
+    short_names = [SHORT[direction] for direction in direction_of_angle.values()]
+    ticks = axes.set_xticks(list(direction_of_angle), short_names, fontsize=8)
     # The outer names stay inside the frame, so that those of the next map have room.
     for tick in ticks[:1]:
         tick.label1.set_horizontalalignment("left")
@@ -392,23 +406,23 @@ def _on_sides(run: Run, name: str) -> dict[str, str]:
     """Return the colours of the quantities drawn; a press fit has micromotion instead of slip."""
     if f"{name}_micromotion" not in run.point_fields:
         return ON_SIDES
-    others = {key: colours for key, colours in ON_SIDES.items() if key != "slip"}
-    return {"micromotion": ON_SIDES["slip"], **others}
+    other_colours = {key: colours for key, colours in ON_SIDES.items() if key != "slip"}
+    return {"micromotion": ON_SIDES["slip"], **other_colours}
 
 
 def sides(run: Run, folder: Path) -> list[Figure]:
     """Draw slip, gap and pressure of every interface on its inner body; nothing without contact."""
     bodies = outsides(run, curved=True)
-    slip = [
+    with_slip = [
         name for name in sorted(run.contacts, reverse=True) if f"{name}_slip" in run.point_fields
     ]
-    inner = {name: side_of(run, name, bodies) for name in slip}
-    shown = {name: side for name, side in inner.items() if side is not None}
-    if not shown:
+    possible_sides = {name: side_of(run, name, bodies) for name in with_slip}
+    side_of_interface = {name: side for name, side in possible_sides.items() if side is not None}
+    if not side_of_interface:
         return []
-    figure = figures.new(11.0, 4.2 * len(shown))
-    axes = figure.subplots(len(shown), len(ON_SIDES) * len(VIEWS), squeeze=False)
-    for row, (name, (body, triangles)) in zip(axes, shown.items(), strict=True):
+    figure = figures.new(11.0, 4.2 * len(side_of_interface))
+    axes = figure.subplots(len(side_of_interface), len(ON_SIDES) * len(VIEWS), squeeze=False)
+    for row, (name, (body, triangles)) in zip(axes, side_of_interface.items(), strict=True):
         panels = iter(row)
         for quantity, colours in _on_sides(run, name).items():
             label, unit, factor = INTERFACE[quantity]
@@ -427,12 +441,16 @@ def sides(run: Run, folder: Path) -> list[Figure]:
             )
             bar.set_label(f"{label} on the {named(body)} ({unit}), largest {values.max():.3g}")
     figures.save(figure, folder / f"{SIDES}.png", 130)
-    names = " and ".join(name.replace("_", "-") for name in shown)
-    motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in shown)
-    moved = " or ".join(motions).capitalize()
+    interface_names = " and ".join(name.replace("_", "-") for name in side_of_interface)
+    motions = dict.fromkeys(next(iter(_on_sides(run, name))) for name in side_of_interface)
+    motion_words = " or ".join(motions).capitalize()
     caption = (
-        f"{moved}, gap and contact pressure at the end, on the inner body of each interface. "
+        f"{motion_words}, gap and contact pressure at the end, on the inner body of each"
+        " interface. "
         f"Colours end at the {CLIP:g}th percentile; the labels have the largest values."
     )
-    text = f"{moved}, gap and pressure of {names}, drawn on the surface from three sides."
-    return [Figure(f"{SIDES}.png", "", caption, text)]
+    description = (
+        f"{motion_words}, gap and pressure of {interface_names}, drawn on the surface from three"
+        " sides."
+    )
+    return [Figure(f"{SIDES}.png", "", caption, description)]

@@ -68,14 +68,14 @@ def write(case: Case, source: Path, path: Path) -> Path:
     """
     geometry = case.geometry
     if not isinstance(geometry, OperatedHip):
-        text = f"{source}: geometry.kind: {geometry.kind} has no stem to place"
-        raise InputError(f"{text}; expected femur or patient")
+        fault = f"{source}: geometry.kind: {geometry.kind} has no stem to place"
+        raise InputError(f"{fault}; expected femur or patient")
     scripts = [viewer.THREE / name for name in viewer.SCRIPTS]
     if not all(script.exists() for script in scripts):
         raise InputError("mantle place: three.js is missing; install the package libjs-three")
     module_folder = Path(__file__).parent
     head, numbers = packed(geometry, case.title or source.stem, source)
-    texts = [script.read_text("utf-8") for script in scripts]
+    script_texts = [script.read_text("utf-8") for script in scripts]
     html = page.render(
         "placement.html",
         {
@@ -83,7 +83,7 @@ def write(case: Case, source: Path, path: Path) -> Path:
             "head": json.dumps(head),
             "data": as_text(numbers),
             "licence": (module_folder / "three_licence.txt").read_text("utf-8"),
-            "scripts": [*texts, (module_folder / "placement.js").read_text("utf-8")],
+            "scripts": [*script_texts, (module_folder / "placement.js").read_text("utf-8")],
         },
     )
     try:
@@ -107,8 +107,8 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
     start = replace(start, depth=float(placement.top) - edge)
     relative = insertion.version.relative_to if insertion else "neck"
     points, triangles = _thinned(*femur.drawn)
-    shown = points[:, 2] > canal.points[..., 2].min() - BELOW
-    triangles = triangles[shown[triangles].all(axis=1)]
+    is_shown = points[:, 2] > canal.points[..., 2].min() - BELOW
+    triangles = triangles[is_shown[triangles].all(axis=1)]
     rings = canal.points[::EVERY, ::2]
     thickness = geometry.cement_thickness
     tables = thickness.tables if isinstance(thickness, GradedThickness) else None
@@ -160,8 +160,8 @@ def packed(geometry: OperatedHip, title: str, source: Path) -> tuple[dict[str, o
 
 def _places(x: Floats, numbers: PackedArrays) -> dict[str, object]:
     """Append points (n, 3) as fractions of their range [mm]."""
-    parts, ends = points_in_range(x)
-    return numbers.described(parts) | ends
+    fractions_of_range, range_ends = points_in_range(x)
+    return numbers.described(fractions_of_range) | range_ends
 
 
 def _shown(start: Position) -> dict[str, float]:
@@ -227,17 +227,17 @@ def sizes(geometry: OperatedHip, folder: Path) -> list[Size]:
     if not isinstance(stem, StemFile):
         return [Size(f"{geometry.implant.length:g} mm", geometry.implant, "")]
     files = sorted(p for p in stem.step.parent.iterdir() if p.suffix.lower() in SUFFIXES)
-    others = [file for file in files if file != stem.step][: SIZES - 1]
-    offered = [Size(stem.step.stem, geometry.implant, "")]
-    for file in others:
+    other_files = [file for file in files if file != stem.step][: SIZES - 1]
+    offered_sizes = [Size(stem.step.stem, geometry.implant, "")]
+    for file in other_files:
         try:
             other_stem = StemFile(step=file, unit=stem.unit, collar=stem.collar)
         except (MantleError, ValueError):
             continue  # no stem, or of another kind
         implant = other_stem.implant(None, geometry.plug_length, geometry.implant.tip_void)
-        name = os.path.relpath(file, folder.resolve())
-        offered.append(Size(file.stem, implant, _stem_section(other_stem, name)))
-    return sorted(offered, key=lambda size: size.implant.length)
+        relative_path = os.path.relpath(file, folder.resolve())
+        offered_sizes.append(Size(file.stem, implant, _stem_section(other_stem, relative_path)))
+    return sorted(offered_sizes, key=lambda size: size.implant.length)
 
 
 def _stem_section(stem: StemFile, name: str) -> str:
@@ -248,7 +248,11 @@ def _stem_section(stem: StemFile, name: str) -> str:
     if stem.collar is not None:
         angle = math.degrees(stem.collar.angle)
         keys["collar"] = {"thickness": f"{stem.collar.thickness:g} mm", "angle": f"{angle:g} deg"}
-    return "stem: {" + ", ".join(f"{key}: {json.dumps(given)}" for key, given in keys.items()) + "}"
+    return (
+        "stem: {"
+        + ", ".join(f"{key}: {json.dumps(given_value)}" for key, given_value in keys.items())
+        + "}"
+    )
 
 
 def _thinned(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
@@ -259,9 +263,11 @@ def _thinned(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     box = BOX
     while len(triangles) > MOST_TRIANGLES:
         cells = np.floor(points / box).astype(np.int64)
-        _, first, box_of_corner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        _, first_rows, box_of_corner = np.unique(
+            cells, axis=0, return_index=True, return_inverse=True
+        )
         corners = box_of_corner.ravel()[triangles]
         a, b, c = corners.T
-        points, triangles = points[first], corners[(a != b) & (b != c) & (c != a)]
+        points, triangles = points[first_rows], corners[(a != b) & (b != c) & (c != a)]
         box *= 1.5
     return points, triangles

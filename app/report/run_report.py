@@ -150,8 +150,8 @@ def write(
             return _variations(folder, share, comm)
         return _run(folder, share, comm, spread=spread)
     except OSError as error:
-        text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
-        raise StoppedError(text) from error
+        message = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
+        raise StoppedError(message) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
 
@@ -165,7 +165,7 @@ def _run(
     folder: Path,
     share: float,
     comm: MPI.Comm = MPI.COMM_SELF,
-    alone: bool = True,
+    is_alone: bool = True,
     spread: Path | None = None,
 ) -> list[Path]:
     """Write the page of a run with the pictures that its share of time allows."""
@@ -175,25 +175,25 @@ def _run(
         summary = UNFINISHED | _json(folder / "summary.json")
         return float(share * summary["timing"]["total"])
 
-    spent = on_root(comm, time) or 0.0
-    has_viewer = alone or spent >= VIEW
+    time_allowed = on_root(comm, time) or 0.0
+    has_viewer = is_alone or time_allowed >= VIEW
     # The view is first, so that it goes to rank 0: this rank also writes the page.
     tasks: list[Callable[[], Any]] = [
         lambda: _view(folder) if has_viewer else ("", []),
         lambda: _model(folder) if has_viewer else [],
-        lambda: _pictures(case, spent),
+        lambda: _pictures(case, time_allowed),
     ]
-    parts = dealt(comm, tasks)
+    page_parts = dealt(comm, tasks)
     if comm.rank:
         return []
-    (view, no_view), model, (sides, maps, files) = parts
+    (view, no_view), model, (sides, maps, files) = page_parts
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     input_spread = of_run(spread, case) if spread else None
     panels = _forces(case)
     panels += step_curves.over_time(case.step_record, at_rest=_starts_at_rest(case))
-    drawn = [curves.drawing(panel) for panel in panels]
-    stressed = [curves.drawing(panel) for panel in step_curves.tension(summary)]
+    curve_drawings = [curves.drawing(panel) for panel in panels]
+    tension_drawings = [curves.drawing(panel) for panel in step_curves.tension(summary)]
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
@@ -206,9 +206,9 @@ def _run(
         PageSection("model", "Bodies, supports and loads", model),
         PageSection("numbers", "Numbers", _numbers(summary, input_spread)),
         PageSection("sides", "The interfaces from three sides", sides),
-        PageSection("curves", "Over time", page.drawings(drawn)),
+        PageSection("curves", "Over time", page.drawings(curve_drawings)),
         PageSection("paths", "Along paths", path_curves.of_run(case)),
-        PageSection("tension", "Cement under tension", page.drawings(stressed)),
+        PageSection("tension", "Cement under tension", page.drawings(tension_drawings)),
         PageSection("maps", "Maps of the interfaces", maps),
         PageSection("gruen", "Gruen zones", gruen.blocks([("", case)])),
         PageSection("mantle", "Cement mantle", table(*gruen.mantles([case]))),
@@ -265,11 +265,11 @@ def _starts_at_rest(case: SweptCase) -> bool:
 
 def _model(folder: Path) -> list[Block]:
     """Return the picture of the case, or the reason why there is none, and its landmarks."""
-    words = (
+    caption = (
         "Pale: the outside. Black lines: outlines of the bodies in the section. The length of an "
         "arrow is proportional to the square root of the force."
     )
-    figure = Figure(CASE_PICTURE, "", words, "The case in two views", halves=True)
+    figure = Figure(CASE_PICTURE, "", caption, "The case in two views", halves=True)
     try:
         if not (folder / CASE_PICTURE).exists():
             case = load(folder / "case.yaml").config
@@ -291,31 +291,31 @@ def _landmarks(folder: Path) -> list[Block]:
     return bullets([f"{name}: {plain(detail)}" for name, detail in details.items()])
 
 
-def _pictures(case: SweptCase, spent: float) -> tuple[list[Block], list[Block], list[Path]]:
+def _pictures(case: SweptCase, time_allowed: float) -> tuple[list[Block], list[Block], list[Path]]:
     """Return the interfaces from three sides, their maps, and the files that were written.
 
     Args:
         case: The run.
-        spent: Time that may be spent [s]; files are written if it is infinite.
+        time_allowed: Time that may be spent [s]; files are written if it is infinite.
     """
     if not (case.folder / "fields.vtkhdf").exists():
         return [], [], []
-    if spent < MAPS:
-        later = f"Not drawn for short runs. `mantle report {case.folder}` adds them (30 s)."
-        return [], bullets([later]), []
-    is_unlimited = spent == math.inf
+    if time_allowed < MAPS:
+        hint = f"Not drawn for short runs. `mantle report {case.folder}` adds them (30 s)."
+        return [], bullets([hint]), []
+    is_unlimited = time_allowed == math.inf
     with tempfile.TemporaryDirectory() as scratch:
         folder = case.folder / PICTURES if is_unlimited else Path(scratch)
         folder.mkdir(exist_ok=True)
         try:
             suffixes = figures.SUFFIXES[: None if is_unlimited else 1]
-            maps, missing = pictures.maps([("", case)], folder, suffixes)
+            maps, reasons = pictures.maps([("", case)], folder, suffixes)
         except (KeyError, OSError) as error:
-            maps, missing = [], [f"fields that cannot be read: {error}"]
+            maps, reasons = [], [f"fields that cannot be read: {error}"]
         sides = pictures.sides(Run(case.folder), folder) if is_unlimited else []
         files = page.files((*sides, *maps), folder)
         from_sides, on_maps = page.figures(sides, folder), page.figures(maps, folder)
-    return from_sides, on_maps + bullets(missing), files if is_unlimited else []
+    return from_sides, on_maps + bullets(reasons), files if is_unlimited else []
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:
@@ -337,11 +337,15 @@ def _no_results(summary: Summary) -> str:
     verdicts = recorded(summary)
     if not verdicts:
         return NOT_FINISHED
-    first = verdicts[0]
-    words = f"{first.where}: {first.what}." if first.where else f"{first.what}."
-    if first.cure:
-        words += f" What to do: {first.cure}."
-    return in_print(f"{words[0].upper()}{words[1:]}")
+    first_verdict = verdicts[0]
+    sentence = (
+        f"{first_verdict.where}: {first_verdict.what}."
+        if first_verdict.where
+        else f"{first_verdict.what}."
+    )
+    if first_verdict.cure:
+        sentence += f" What to do: {first_verdict.cure}."
+    return in_print(f"{sentence[0].upper()}{sentence[1:]}")
 
 
 def _status(summary: Summary) -> list[Block]:
@@ -350,27 +354,27 @@ def _status(summary: Summary) -> list[Block]:
     verdicts = recorded(summary)
     places = [*summary["interfaces"], *summary.get("regions", {})]
     notes = [in_print(str(v)) for v in verdicts if v.severity is Severity.NOTE]
-    others = [v for v in verdicts if v.severity is not Severity.NOTE]
+    graver_verdicts = [v for v in verdicts if v.severity is not Severity.NOTE]
     solved = status in (CONVERGED, UNUSABLE)
     if solved:
-        lines = [f"{UNUSABLE}: {v}" for v in others if v.severity is Severity.ERROR]
-        lines += [str(v) for v in others if v.severity is not Severity.ERROR]
+        lines = [f"{UNUSABLE}: {v}" for v in graver_verdicts if v.severity is Severity.ERROR]
+        lines += [str(v) for v in graver_verdicts if v.severity is not Severity.ERROR]
     elif summary["time"]:
         time = f"{summary['time']:.4g}"
         lines = [f"{status}: the numbers are those of the last converged state, at time {time}"]
-        lines += map(str, others)
+        lines += map(str, graver_verdicts)
     else:
         # The lead of the page names the cause of a failure.
-        lines = [status, *map(str, others[1:])]
-    content = bullets([_with_words(in_print(line), places) for line in lines])
-    return content + _notes(notes)
+        lines = [status, *map(str, graver_verdicts[1:])]
+    status_lines = bullets([_with_words(in_print(line), places) for line in lines])
+    return status_lines + _notes(notes)
 
 
-def _with_words(text: str, places: Sequence[str]) -> str:
+def _with_words(line: str, owners: Sequence[str]) -> str:
     """Write names of interfaces and regions in words; keys and quoted names are unchanged."""
-    for place in places:
-        text = re.sub(rf"(?<![\w.`']){place}(?!\.?[\w`'])", named(place), text)
-    return text
+    for owner in owners:
+        line = re.sub(rf"(?<![\w.`']){owner}(?!\.?[\w`'])", named(owner), line)
+    return line
 
 
 def _notes(notes: Sequence[str]) -> list[Block]:
@@ -407,19 +411,21 @@ def _tables(summary: Summary, all_parts: bool, spread: InputSpread | None = None
     blocks: list[Block] = []
     titles = TITLES | {section.name: section.title for section in quantities.ADDED.values()}
     for section in (s for s in titles if s in sections):
-        known, by_owner = TABLE[section], sections[section]
-        added = [k for k, q in known.items() if q.compute]
-        page_keys = [k for k, q in known.items() if q.on_page]
-        keys = [] if all_parts else [*text.keys(section), *page_keys, *added]
-        keys += [k for k in known if spread and k.startswith("necrosis")]
-        shown = [known[k] for k in keys or known if not known[k].vector]
+        quantity_by_key, by_owner = TABLE[section], sections[section]
+        added_keys = [k for k, q in quantity_by_key.items() if q.compute]
+        page_keys = [k for k, q in quantity_by_key.items() if q.on_page]
+        keys = [] if all_parts else [*text.keys(section), *page_keys, *added_keys]
+        keys += [k for k in quantity_by_key if spread and k.startswith("necrosis")]
+        shown_quantities = [
+            quantity_by_key[k] for k in keys or quantity_by_key if not quantity_by_key[k].vector
+        ]
         rows = []
-        for q in shown:
-            texts = [q.text(numbers) for numbers in by_owner.values()]
-            rows.append([_label(q), *texts])
+        for q in shown_quantities:
+            number_texts = [q.text(numbers) for numbers in by_owner.values()]
+            rows.append([_label(q), *number_texts])
         if spread:
             rows = []
-            for q in shown:
+            for q in shown_quantities:
                 for owner, numbers in by_owner.items():
                     rows.append(spread.cells(f"{owner}.{q.key}", q, numbers))
         rows = [row for row in rows if set(row[1:]) != {"-"}]
@@ -446,8 +452,8 @@ def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
     for name, values in peaks.items():
         q = quantities.get(name)
         if q:
-            texts = (q.text({q.key: values.get(size)}) for size in sizes)
-            rows.append([quantities.titled(name), *texts])
+            value_texts = (q.text({q.key: values.get(size)}) for size in sizes)
+            rows.append([quantities.titled(name), *value_texts])
     return ["", *(f"{s:g} mm" for s in sizes)], rows
 
 
@@ -459,26 +465,28 @@ def _necrosis(regions: dict[str, Numbers]) -> list[Block]:
     head = [""]
     for bone in bones:
         head += [f"{named(bone)}, {measure}" for measure in measures]
-    return table(head, [[in_print(words), *texts] for words, *texts in rows])
+    return table(head, [[in_print(criterion), *values] for criterion, *values in rows])
 
 
 def _solver(case: SweptCase, summary: Summary) -> list[Block]:
     """Return iterations and balances of each step, and seconds by phase."""
-    parts = step_curves.steps(case.step_record)
+    step_blocks = step_curves.steps(case.step_record)
     sizes = {SOLVER.get(key, key): value for key, value in summary.get("solver", {}).items()}
-    parts += page.titled("Sizes", page.pairs(sizes))
-    parts += page.titled("Seconds", page.pairs(summary.get("timing", {})))
-    return page.folded("each step, sizes, times", parts)
+    step_blocks += page.titled("Sizes", page.pairs(sizes))
+    step_blocks += page.titled("Seconds", page.pairs(summary.get("timing", {})))
+    return page.folded("each step, sizes, times", step_blocks)
 
 
 def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     rows = on_root(comm, lambda: _json(folder / "variations.json")) or []
     run_folders = [folder / row["name"] for row in rows]
-    solved = [run for run in run_folders if (run / "summary.json").exists()]
-    written = dealt(comm, [partial(_run, run, share, alone=False) for run in solved])
+    solved_folders = [run for run in run_folders if (run / "summary.json").exists()]
+    pages_of_runs = dealt(
+        comm, [partial(_run, run, share, is_alone=False) for run in solved_folders]
+    )
     if comm.rank:
         return []
-    pages = [folder / PAGE, *(page for page, *_ in written)]
+    pages = [folder / PAGE, *(page for page, *_ in pages_of_runs)]
     cases = []
     for row in rows:
         case = SweptCase(
@@ -498,20 +506,20 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     is_unlimited = share == math.inf
     if is_unlimited:
         drawings.mkdir(exist_ok=True)
-    drawn, files = sweep_figures.multiples(cases, drawings if is_unlimited else None)
+    curve_blocks, files = sweep_figures.multiples(cases, drawings if is_unlimited else None)
     sections = [
         PageSection("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
-        PageSection("curves", "Curves over the varied keys", drawn),
+        PageSection("curves", "Curves over the varied keys", curve_blocks),
         PageSection("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
     converged_count = sum(c.done for c in cases)
-    failed = [f"{c.status}: {c.name}" for c in cases if not c.done]
+    failed_lines = [f"{c.status}: {c.name}" for c in cases if not c.done]
     titles = [c.data["title"] for c in cases if c.data.get("title") and "title" not in c.overrides]
     title = titles[0].partition("; changed: ")[0] if titles else folder.resolve().name
     html = page.page(
         f"Variations: {title}",
         sections,
-        bullets([f"{converged_count} of {len(cases)} variations converged", *failed]),
+        bullets([f"{converged_count} of {len(cases)} variations converged", *failed_lines]),
         large=lead.spread(cases, names),
     )
     write_text(folder / PAGE, html)

@@ -64,36 +64,36 @@ def over_time(step_record: StepRecord, at_rest: bool = False) -> list[Panel]:
 
     The abscissa is time in seconds if each recorded step has a different time, else the stages.
     """
-    drawn = curves_shown()
+    drawn_quantities = curves_shown()
     seconds = step_record.get(SECONDS, np.empty(0))
-    timed = 0 < len(seconds) == len(np.unique(seconds))
-    times = step_record.get(SECONDS if timed else TIME, np.empty(0))
+    is_timed = 0 < len(seconds) == len(np.unique(seconds))
+    times = step_record.get(SECONDS if is_timed else TIME, np.empty(0))
     if len(times) < 2:
         return []
     lines: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
     for column, values in step_record.items():
         place, key, unit = _parts(column)
-        if key not in drawn or not place or (not key and unit != "degC"):
+        if key not in drawn_quantities or not place or (not key and unit != "degC"):
             continue
-        shown = drawn[key][1]
-        scaled = FACTORS.get(shown, 1.0) * values
-        known = np.isfinite(values)
-        if np.abs(scaled[known]).max(initial=0.0) > ROUNDING:
-            x, y = times[known].tolist(), scaled[known].tolist()
-            if at_rest and not timed and shown in VANISHING:
+        printed_unit = drawn_quantities[key][1]
+        scaled = FACTORS.get(printed_unit, 1.0) * values
+        is_known = np.isfinite(values)
+        if np.abs(scaled[is_known]).max(initial=0.0) > ROUNDING:
+            x, y = times[is_known].tolist(), scaled[is_known].tolist()
+            if at_rest and not is_timed and printed_unit in VANISHING:
                 x, y = [0.0, *x], [0.0, *y]
             lines.setdefault(key, {})[place] = x, y
     places = list(dict.fromkeys(chain.from_iterable(lines.values())))
     panels = []
-    for key, (title, unit) in drawn.items():
+    for key, (title, unit) in drawn_quantities.items():
         if key in lines:
             curves = [
                 Line(named(place), places.index(place), *points)
                 for place, points in lines[key].items()
             ]
-            x_title = "time (s)" if timed else "time (each stage takes 1)"
-            words = page.spelled_out(title)
-            panels.append(Panel(words, printed(unit), curves, x_title, from_rest=True))
+            x_title = "time (s)" if is_timed else "time (each stage takes 1)"
+            panel_title = page.spelled_out(title)
+            panels.append(Panel(panel_title, printed(unit), curves, x_title, from_rest=True))
     return panels
 
 
@@ -142,17 +142,21 @@ def tension(summary: Summary) -> list[Panel]:
 
 def _parts(column: str) -> tuple[str, str, str]:
     """Place, key and unit of a column; the place is empty for numbers of the whole run."""
-    head, _, unit = column.removesuffix("]").partition(" [")
-    place, _, key = head.partition(" ")
+    name, _, unit = column.removesuffix("]").partition(" [")
+    place, _, key = name.partition(" ")
     is_of_run = column.startswith(SOLVER) or key == "balance"
     return ("" if is_of_run else place), key, unit
 
 
 def steps(step_record: StepRecord) -> list[Block]:
     """Return a table of the solver's columns, by step."""
-    columns = {c: v for c, v in step_record.items() if not _parts(c)[0] and np.isfinite(v).any()}
+    columns = {
+        column: v
+        for column, v in step_record.items()
+        if not _parts(column)[0] and np.isfinite(v).any()
+    }
     rows = sparse([*zip(*columns.values(), strict=True)])
-    texts = []
+    row_texts = []
     for row in rows:
-        texts.append([plain(float(f"{value:.3g}")) for value in row])
-    return page.table([*columns], texts)
+        row_texts.append([plain(float(f"{value:.3g}")) for value in row])
+    return page.table([*columns], row_texts)

@@ -48,7 +48,7 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
                 owners = [owner for name, owner, _ in numbers if name == section.name]
                 names |= {f"{owner}.{key}": None for owner in owners for key in leading}
         for name in case.summary.get("interfaces", {}):
-            names |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
+            names |= {f"{name}.{q}_{statistic}": None for q, statistic in PERCENTILES.items()}
     for case in cases:
         # Bone comes first: heat damages it, while cement may start hot.
         regions = case.summary.get("thermal", {}).get("regions", {})
@@ -56,11 +56,11 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
         names |= {f"{name}.temperature_max": None for name in order}
     for case in cases:
         names |= dict.fromkeys(case.numbers)
-    known = []
+    known_names = []
     for name in names:
         if not all(case.number(name) is None for case in cases):
-            known.append(name)
-    return known
+            known_names.append(name)
+    return known_names
 
 
 def title(key: str) -> str:
@@ -68,13 +68,13 @@ def title(key: str) -> str:
 
     This is the key ``interfaces.cement_bone.friction_coefficient``.
     """
-    plain = re.sub(r"force\[([012])\]$", lambda m: f"force along {'xyz'[int(m[1])]}", key)
-    *path, last = plain.replace("_", " ").split(".")
+    without_index = re.sub(r"force\[([012])\]$", lambda m: f"force along {'xyz'[int(m[1])]}", key)
+    *path, last_word = without_index.replace("_", " ").split(".")
     if not path or path[0] in ("geometry", "stages", "solver", "output"):
-        return last
+        return last_word
     if path[0] == "interfaces":
-        return f"{last}, {named(key.split('.')[1])}"
-    return f"{' '.join(path[1:]) or path[0]} {last}"
+        return f"{last_word}, {named(key.split('.')[1])}"
+    return f"{' '.join(path[1:]) or path[0]} {last_word}"
 
 
 def value(level: object) -> str:
@@ -87,24 +87,28 @@ def value(level: object) -> str:
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     """Varied keys with all their levels, a sentence for each part."""
     sentences = []
-    for part, members in by_part(cases).items():
+    for part, part_cases in by_part(cases).items():
         varied = []
-        for key in dict.fromkeys(chain.from_iterable(c.overrides for c in members)):
-            unit, numbers = levels(members, key)
-            written = [c.overrides[key] for c in members if key in c.overrides]
-            known = [f"{x:g}" for x in numbers if x is not None]
-            numeric = len(known) == len(written)
-            words = [*dict.fromkeys(known if numeric else map(value, written))]
-            number = len({*map(str, written)})
-            if not numeric and len(words) < number:
-                words = [f"{number} of {', '.join(words)}"]
-            elif len(words) > MOST_LEVELS:
-                ends = sorted(words, key=float) if numeric else words
-                words = [f"{len(words)} levels from {ends[0]} to {ends[-1]}"]
-            elif len(words) < 2:
+        for key in dict.fromkeys(chain.from_iterable(c.overrides for c in part_cases)):
+            unit, numbers = levels(part_cases, key)
+            written_levels = [c.overrides[key] for c in part_cases if key in c.overrides]
+            number_texts = [f"{x:g}" for x in numbers if x is not None]
+            is_numeric = len(number_texts) == len(written_levels)
+            level_texts = [
+                *dict.fromkeys(number_texts if is_numeric else map(value, written_levels))
+            ]
+            level_count = len({*map(str, written_levels)})
+            if not is_numeric and len(level_texts) < level_count:
+                level_texts = [f"{level_count} of {', '.join(level_texts)}"]
+            elif len(level_texts) > MOST_LEVELS:
+                sorted_levels = sorted(level_texts, key=float) if is_numeric else level_texts
+                level_texts = [
+                    f"{len(level_texts)} levels from {sorted_levels[0]} to {sorted_levels[-1]}"
+                ]
+            elif len(level_texts) < 2:
                 continue
-            heading = f"{title(key)} ({unit})" if numeric and unit else title(key)
-            varied.append(f"{heading}: {', '.join(words)}")
+            heading = f"{title(key)} ({unit})" if is_numeric and unit else title(key)
+            varied.append(f"{heading}: {', '.join(level_texts)}")
         if varied:
             of_part = f"{part}: " if part else ""
             sentences.append(f"{of_part}{'; '.join(varied)}.")
@@ -119,7 +123,7 @@ def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) 
     rows: list[list[Cell]] = []
     for c in cases:
         status = c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}"
-        changes = {key: level for key, level in c.overrides.items() if key in keys}
+        changed_levels = {key: level for key, level in c.overrides.items() if key in keys}
         message = c.message
         if not message and c.done and not c.summary:
             message = "its folder has no summary.json"
@@ -127,7 +131,7 @@ def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) 
             [
                 Link(c.name, _link(c.folder / "report.html", folder)),
                 status,
-                [f"{key} = {layout.plain(level)}" for key, level in changes.items()],
+                [f"{key} = {layout.plain(level)}" for key, level in changed_levels.items()],
                 *(cell(c, name) for name in names),
                 f"{c.unknowns or '-'}",
                 f"{c.ranks}",
@@ -136,12 +140,14 @@ def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) 
             ]
         )
     # Columns after the third are left out if they are empty.
-    filled = []
+    filled_columns = []
     for k in range(len(head)):
-        texts = {str(row[k]) for row in rows}
-        if k < 3 or texts - EMPTY:
-            filled.append(k)
-    return page.table([head[k] for k in filled], [[row[k] for k in filled] for row in rows])
+        column_texts = {str(row[k]) for row in rows}
+        if k < 3 or column_texts - EMPTY:
+            filled_columns.append(k)
+    return page.table(
+        [head[k] for k in filled_columns], [[row[k] for k in filled_columns] for row in rows]
+    )
 
 
 def _link(path: Path, folder: Path) -> str:
@@ -165,19 +171,21 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
     if THICKNESS in keys and any(_mantle(c).get("clipped_fraction") for c in converged):
         keys = [ACHIEVED, *keys]
     for key in keys:
-        groups = _groups(converged, key)
-        words, unit_of_x = title(key), levels(converged, key)[0]
-        x = f"{words} ({unit_of_x})" if unit_of_x else words
+        groups_of_cases = _groups(converged, key)
+        key_title, unit_of_x = title(key), levels(converged, key)[0]
+        x = f"{key_title} ({unit_of_x})" if unit_of_x else key_title
         panels = []
-        drawn_cases = list(chain.from_iterable(by_level.values() for _, by_level in groups))
+        drawn_cases = list(
+            chain.from_iterable(by_level.values() for _, by_level in groups_of_cases)
+        )
         for name in headlines(drawn_cases):
-            text, unit = quantities.in_words(name)
+            number_title, unit = quantities.in_words(name)
             lines = []
-            for k, (common, by_level) in enumerate(groups[:MOST_SERIES]):
+            for k, (common, by_level) in enumerate(groups_of_cases[:MOST_SERIES]):
                 numbers = {level: c.number(name) for level, c in by_level.items()}
                 lines.append(line_of(common, k, numbers))
             if any(_varies(line.y) for line in lines):
-                panels.append(Panel(page.spelled_out(text), unit or "value", lines, x))
+                panels.append(Panel(page.spelled_out(number_title), unit or "value", lines, x))
         panels = panels[:MOST_PANELS]
         all_lines = chain.from_iterable(panel.lines for panel in panels)
         if all(len(line.x) < 2 for line in all_lines):
@@ -185,19 +193,21 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[list[Blo
         if folder:
             file = f"over_{re.sub(r'[^a-zA-Z0-9]', '_', key)}.png"
             files += draw(folder / file, panels, 3)[:1]
-        left_out = len(groups) - MOST_SERIES
+        left_out = len(groups_of_cases) - MOST_SERIES
         rest_text = f" {left_out} further curves are left out." if left_out > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{rest_text}"
         drawings = page.drawings([drawing(panel) for panel in panels], caption)
-        blocks += page.titled(f"Numbers over {words}", drawings)
+        blocks += page.titled(f"Numbers over {key_title}", drawings)
     return blocks, files
 
 
 def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> Line:
     """Return a curve of the numbers that are known, with their errors."""
-    known = {x: n for x, n in numbers.items() if n is not None}
-    errors = [n.error or 0.0 for n in known.values()]
-    return Line(label, style, list(known), [n.value for n in known.values()], errors)
+    known_numbers = {x: n for x, n in numbers.items() if n is not None}
+    errors = [n.error or 0.0 for n in known_numbers.values()]
+    return Line(
+        label, style, list(known_numbers), [n.value for n in known_numbers.values()], errors
+    )
 
 
 def varied(cases: Sequence[SweptCase]) -> list[str]:
@@ -206,9 +216,9 @@ def varied(cases: Sequence[SweptCase]) -> list[str]:
     if len(cases) == 1:
         return list(keys)
     differing: dict[str, None] = {}
-    for members in by_part(cases).values():
+    for part_cases in by_part(cases).values():
         for key in keys:
-            if len({str(c.overrides.get(key)) for c in members}) > 1:
+            if len({str(c.overrides.get(key)) for c in part_cases}) > 1:
                 differing[key] = None
     return [key for key in keys if key in differing]
 
@@ -229,8 +239,8 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
     values = [c.overrides.get(key) for c in cases]
     numbers = [magnitude(v) for v in values]
     matches = [NUMBER.fullmatch(str(v)) if v is not None else None for v in values]
-    written = {match[2] for match in matches if match}
-    unit = written.pop() if len(written) == 1 else None
+    written_units = {match[2] for match in matches if match}
+    unit = written_units.pop() if len(written_units) == 1 else None
     if unit:
         return quantities.printed(unit), numbers
     schema_unit = keys.unit(key)
@@ -255,17 +265,21 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
     Each group has a text on the keys that its cases have in common, and its cases by level.
     """
     groups: dict[str, dict[float, SweptCase]] = {}
-    others = set(varied(cases)) - {key}
+    other_keys = set(varied(cases)) - {key}
     if key == ACHIEVED:
-        others = {k for k in others if not k.startswith("geometry.")}
+        other_keys = {k for k in other_keys if not k.startswith("geometry.")}
     for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
             other_changes = [
-                f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in others
+                f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in other_keys
             ]
             common = ": ".join(filter(None, (c.part, ", ".join(other_changes))))
             groups.setdefault(common, {})[x] = c
-    return [(words, dict(sorted(g.items()))) for words, g in groups.items() if len(g) > 1]
+    return [
+        (common_text, dict(sorted(cases_by_level.items())))
+        for common_text, cases_by_level in groups.items()
+        if len(cases_by_level) > 1
+    ]
 
 
 def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, list[str]]]]:
@@ -274,26 +288,26 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
     Parts with fewer than two varied keys are left out, because a curve shows more.
     """
     rows: list[tuple[str, list[str]]] = []
-    for part, members in by_part([c for c in cases if c.done]).items():
+    for part, part_cases in by_part([c for c in cases if c.done]).items():
         varied: dict[str, Sequence[object]] = {}
-        for key in members[0].overrides:
-            inputs: Sequence[object] = levels(members, key)[1]
+        for key in part_cases[0].overrides:
+            inputs: Sequence[object] = levels(part_cases, key)[1]
             if None in inputs:
-                inputs = [c.overrides.get(key) for c in members]
+                inputs = [c.overrides.get(key) for c in part_cases]
             if len(set(map(str, inputs))) > 1:
                 varied[key] = inputs
-        if len(varied) < 2 or len(members) < FEWEST:
+        if len(varied) < 2 or len(part_cases) < FEWEST:
             continue
-        for name in headlines(members)[:MOST_NUMBERS]:
-            numbers = [c.number(name) for c in members]
+        for name in headlines(part_cases)[:MOST_NUMBERS]:
+            numbers = [c.number(name) for c in part_cases]
             y = [number.value for number in numbers if number is not None]
             q = quantities.get(name)
             if (q and q.exact) or not _varies(y):
                 continue
-            ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(members)}
-            known = [(r, title(key)) for key, r in ranks.items() if r is not None]
-            known.sort(key=lambda pair: -abs(pair[0]))
-            if known:
-                words = ": ".join(filter(None, (part, quantities.in_words(name)[0])))
-                rows.append((words, [f"{r:+.2f} {k}" for r, k in known]))
+            ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(part_cases)}
+            known_ranks = [(r, title(key)) for key, r in ranks.items() if r is not None]
+            known_ranks.sort(key=lambda pair: -abs(pair[0]))
+            if known_ranks:
+                number_title = ": ".join(filter(None, (part, quantities.in_words(name)[0])))
+                rows.append((number_title, [f"{r:+.2f} {k}" for r, k in known_ranks]))
     return ["number", "rank correlation with"], rows

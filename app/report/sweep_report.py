@@ -31,14 +31,14 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
         StoppedError: The report cannot be written.
     """
     sweep = read(folder)
-    chosen = pictures.ends(sweep)
+    chosen_cases = pictures.ends(sweep)
     drawings = folder / PICTURES
     try:
         drawings.mkdir(exist_ok=True)
-        remove(old for pattern in OURS for old in drawings.glob(pattern))
-        curves, drawn = sweep_figures.multiples(sweep.on_axes, drawings)
-        mapped, unmapped = pictures.maps(chosen, drawings)
-        shields = gruen.shielding_picture(dict(chosen), gruen.intact(sweep.cases), drawings)
+        remove(old_file for pattern in OURS for old_file in drawings.glob(pattern))
+        curves, curve_files = sweep_figures.multiples(sweep.on_axes, drawings)
+        mapped, unmapped = pictures.maps(chosen_cases, drawings)
+        shields = gruen.shielding_picture(dict(chosen_cases), gruen.intact(sweep.cases), drawings)
         notes = noted((c.name, c.notes) for c in sweep.cases)
         sections = [
             PageSection("varied", "Curves over the varied keys", curves),
@@ -56,7 +56,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
                 page.figures(mapped, drawings) + bullets(unmapped),
             ),
             PageSection(
-                "gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)
+                "gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen_cases)
             ),
             PageSection("mantle", "Cement mantles", table(*gruen.mantles(sweep.cases))),
         ]
@@ -67,25 +67,25 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
             facts=_facts(sweep),
             lead=_dependence(sweep.cases),
             large=lead.spread(sweep.cases, sweep_figures.headlines(sweep.cases)),
-            view=viewer({name: case.folder for name, case in chosen[:2]}),
+            view=viewer({name: case.folder for name, case in chosen_cases[:2]}),
         )
         write_text(folder / PAGE, html)
     except OSError as error:
-        text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
-        raise StoppedError(text) from error
+        message = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
+        raise StoppedError(message) from error
     figures = page.files((*mapped, *shields), drawings)
-    return [folder / PAGE, *figures, *drawn], sweep.cases
+    return [folder / PAGE, *figures, *curve_files], sweep.cases
 
 
 def _uncertain(sweep: SweepResults) -> list[Block]:
     """Return tables of the spread of numbers over samples of uncertain inputs."""
-    parts: list[Block] = []
+    blocks: list[Block] = []
     for part, samples in sweep.uncertainty.items():
-        words = f"{samples['samples']} samples{f' ({part})' if part else ''}"
-        parts += page.titled(words, table(uncertainty.HEAD, uncertainty.rows(samples)))
+        samples_title = f"{samples['samples']} samples{f' ({part})' if part else ''}"
+        blocks += page.titled(samples_title, table(uncertainty.HEAD, uncertainty.rows(samples)))
         indices = table(uncertainty.INDEX_HEAD, uncertainty.index_rows(samples))
-        parts += page.titled("Sobol' indices: shares of the variance", indices)
-    return parts
+        blocks += page.titled("Sobol' indices: shares of the variance", indices)
+    return blocks
 
 
 def _facts(sweep: SweepResults) -> str:
@@ -99,24 +99,25 @@ def _summary(sweep: SweepResults) -> list[str]:
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
     lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_figures.axes_in_words(sweep.cases)]
-    failed = [c.name for c in sweep.cases if not c.done]
-    if failed:
+    failed_cases = [c.name for c in sweep.cases if not c.done]
+    if failed_cases:
         lines.append(
-            f"Without results: {', '.join(failed)}. The table of all cases has the messages."
+            f"Without results: {', '.join(failed_cases)}. The table of all cases has the messages."
         )
-    warned = sum(bool(c.notes) for c in sweep.cases)
-    if warned:
+    cases_with_notes = sum(bool(c.notes) for c in sweep.cases)
+    if cases_with_notes:
         lines.append(
-            f"{warned} of {len(sweep.cases)} cases have notes: see below the table of all cases."
+            f"{cases_with_notes} of {len(sweep.cases)} cases have notes: see below the table of"
+            " all cases."
         )
     return lines
 
 
 def _dependence(cases: Sequence[SweptCase]) -> str:
     """Return the key that the first main number depends on most, in a sentence."""
-    for words, (strongest, *_) in sweep_figures.sensitivity(cases)[1][:1]:
-        rank, _, key = strongest.partition(" ")
-        return f"{words} depends most on {key} (rank correlation {rank})."
+    for number_title, (strongest_text, *_) in sweep_figures.sensitivity(cases)[1][:1]:
+        rank, _, key = strongest_text.partition(" ")
+        return f"{number_title} depends most on {key} (rank correlation {rank})."
     return ""
 
 

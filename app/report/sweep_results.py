@@ -134,7 +134,7 @@ class SweptCase:
 
     def number(self, name: str) -> Number | None:
         """Return a number by ``<interface or region>.<key>`` in its printed unit, or None."""
-        value, error = (quantities.read(self.summary, name, end) for end in ("", "_error"))
+        value, error = (quantities.read(self.summary, name, suffix) for suffix in ("", "_error"))
         if value is None:
             value, error = self.numbers.get(name), self.errors.get(name)
         if value is None or not self.done:
@@ -178,9 +178,11 @@ def read(folder: Path) -> SweepResults:
     """
     path = folder / "sweep.json"
     try:
-        data = read_json(path)
-        cases = [_case(entry, folder) for entry in data["cases"]]
-        known: Json = {f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)}
+        record = read_json(path)
+        cases = [_case(entry, folder) for entry in record["cases"]]
+        given_fields: Json = {
+            f.name: record[f.name] for f in fields(SweepResults) if record.get(f.name)
+        }
     except FileNotFoundError:
         problem = "has no sweep.json" if folder.is_dir() else "no such folder"
         raise InputError(
@@ -190,16 +192,22 @@ def read(folder: Path) -> SweepResults:
         raise InputError(f"{path}: cannot be read: {error!r}") from error
     if not cases:
         raise InputError(f"{path}: has no cases")
-    known |= {"folder": folder, "title": known.get("title", folder.name), "cases": cases}
-    return SweepResults(**known)
+    given_fields |= {
+        "folder": folder,
+        "title": given_fields.get("title", folder.name),
+        "cases": cases,
+    }
+    return SweepResults(**given_fields)
 
 
 def _case(entry: Json, folder: Path) -> SweptCase:
-    known = {f.name: entry[f.name] for f in fields(SweptCase) if entry.get(f.name) is not None}
+    given_fields = {
+        f.name: entry[f.name] for f in fields(SweptCase) if entry.get(f.name) is not None
+    }
     for key in ("numbers", "errors"):
-        known[key] = {k: v for k, v in known.get(key, {}).items() if v is not None}
-    known["notes"] = tuple(known.get("notes", ()))
-    return SweptCase(**known | {"folder": folder / known["folder"]})
+        given_fields[key] = {k: v for k, v in given_fields.get(key, {}).items() if v is not None}
+    given_fields["notes"] = tuple(given_fields.get("notes", ()))
+    return SweptCase(**given_fields | {"folder": folder / given_fields["folder"]})
 
 
 def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:

@@ -108,26 +108,28 @@ def viewer(folders: Mapping[str, Path]) -> str:
     runs = {n: Run(f) for n, f in folders.items() if (f / "fields.vtkhdf").exists()}
     if not runs or not all(s.exists() for s in scripts):
         return ""
-    (first, base), *others = runs.items()
+    (first_name, base), *other_runs = runs.items()
     pairs: list[tuple[str, Run, Run | None]] = [(name, run, None) for name, run in runs.items()]
-    pairs += [(f"{name} − {first}", run, base) for name, run in others if same_mesh(run, base)]
+    pairs += [
+        (f"{name} − {first_name}", run, base) for name, run in other_runs if same_mesh(run, base)
+    ]
     views = []
     for name, run, minus in pairs:
-        between = MOTION if len(pairs) == 1 else 0
-        head, values = packed(run, minus, MOST // len(pairs), between)
+        motion_bytes = MOTION if len(pairs) == 1 else 0
+        head, values = packed(run, minus, MOST // len(pairs), motion_bytes)
         views.append((name, json.dumps(head), as_text(values)))
-    texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
-    return page.render("viewer.html", {"runs": views, "scripts": texts})
+    script_texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
+    return page.render("viewer.html", {"runs": views, "scripts": script_texts})
 
 
 def distinct(folders: Sequence[Path]) -> list[str]:
     """Return the shortest ends of the paths of run directories that differ from each other."""
     paths = [folder.resolve().parts for folder in folders]
     for k in range(1, max(map(len, paths)) + 1):
-        names = ["/".join(p[-k:]) for p in paths]
-        if len(set(names)) == len(names):
-            return names
-    return [f"{name} ({number})" for number, name in enumerate(names, 1)]
+        short_names = ["/".join(p[-k:]) for p in paths]
+        if len(set(short_names)) == len(short_names):
+            return short_names
+    return [f"{name} ({number})" for number, name in enumerate(short_names, 1)]
 
 
 def same_mesh(a: Run, b: Run) -> bool:
@@ -156,41 +158,45 @@ def packed(
         motion_bytes: Limit of the size of steps between the ends of stages [bytes].
     """
     steps_by_name, kinds = _moments(run), kinds_of(run)
-    ends, others = [*steps_by_name], {} if minus is None else _moments(minus)
+    stage_ends, other_steps = [*steps_by_name], {} if minus is None else _moments(minus)
     if minus is not None:
-        ends = [s for s in ends if s == ends[-1] or s in others]
+        stage_ends = [s for s in stage_ends if s == stage_ends[-1] or s in other_steps]
         kinds = [kind for kind in kinds if kind.name in minus.point_fields]
     # Three numbers for the position and three for the displacement.
-    fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
-    ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
+    surfaces, filling_cells, nodes = _drawn(
+        run, 2 * (3 + len(stage_ends) * (3 + len(kinds))), most_bytes
+    )
+    stage_ends = stage_ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     moving = sum(kind.name.endswith(MOVING) for kind in kinds)
     room = min(FRAMES, motion_bytes // (2 * len(nodes) * (3 + moving)))
-    frames = _frames(run, {name: steps_by_name[name] for name in ends}, room)
+    frames = _frames(run, {name: steps_by_name[name] for name in stage_ends}, room)
     numbers = PackedArrays()
     x = run.points[nodes]
-    places, extent = points_in_range(x)
+    packed_points, extent = points_in_range(x)
     moves: list[dict[str, object]] = []
     fields: list[dict[str, object]] = []
     head: dict[str, object] = {
-        "points": {"at": numbers.add(places), "n": len(nodes), **extent},
+        "points": {"at": numbers.add(packed_points), "n": len(nodes), **extent},
         "bodies": [
             {
                 "name": body,
                 "at": numbers.add(np.searchsorted(nodes, t).astype(np.uint32)),
                 "triangles": len(t),
-                "inside": numbers.add(np.searchsorted(nodes, inside[body]).astype(np.uint32)),
-                "cells": len(inside[body]),
+                "inside": numbers.add(
+                    np.searchsorted(nodes, filling_cells[body]).astype(np.uint32)
+                ),
+                "cells": len(filling_cells[body]),
             }
-            for body, t in fine.items()
+            for body, t in surfaces.items()
         ],
         "stages": [frame.name for frame in frames],
-        "ends": ends,
+        "ends": stage_ends,
         "recorded": len(run.times),
         "signed": minus is not None,
         "turned": [motion["region"] for motion in run.case.get("motions", {}).values()],
         "moves": moves,
         "fields": fields,
-        "opening": opening(run, kinds, fine),
+        "opening": opening(run, kinds, surfaces),
     }
     for frame in frames:
         u = run.displacement(frame.step)[nodes] if "displacement" in run.point_fields else 0 * x
@@ -203,11 +209,13 @@ def packed(
             if not frame.whole and not name.endswith(MOVING):
                 steps.append(None)
                 continue
-            other_step = -1 if frame.name == ends[-1] else others.get(frame.name, -1)
+            other_step = -1 if frame.name == stage_ends[-1] else other_steps.get(frame.name, -1)
             subtracted = 0.0 if minus is None else lengths(minus, name, other_step)
             v = factor * (lengths(run, name, frame.step) - subtracted)[nodes]
-            parts, lowest, highest = _scaled(v, np.isfinite(v) & (is_on_interface | (v > 0)))
-            steps.append({"at": numbers.add(parts), "min": lowest, "max": highest})
+            packed_values, lowest, highest = _scaled(
+                v, np.isfinite(v) & (is_on_interface | (v > 0))
+            )
+            steps.append({"at": numbers.add(packed_values), "min": lowest, "max": highest})
         fields.append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, numbers.content()
 
@@ -249,21 +257,21 @@ def _moments(run: Run) -> dict[str, int | str]:
         return moments
     *_, name = moments
     cycles = run.case["stages"][-1].get("cycles", 1)
-    part = cycles * (run.times - run.times[-1]) + 1
-    in_last_cycle = np.flatnonzero((part > 1e-9) & (part < 1 - 1e-9))
+    cycle_fraction = cycles * (run.times - run.times[-1]) + 1
+    in_last_cycle = np.flatnonzero((cycle_fraction > 1e-9) & (cycle_fraction < 1 - 1e-9))
     for k in in_last_cycle[:: 1 + len(in_last_cycle) // MOMENTS]:
-        moments[f"{name}, {100 * part[k]:.0f} % of a cycle"] = int(k)
+        moments[f"{name}, {100 * cycle_fraction[k]:.0f} % of a cycle"] = int(k)
     return moments | {name: moments.pop(name)}
 
 
 def _frames(run: Run, ends: Mapping[str, int | str], room: int) -> list[ShownStep]:
     """Return the ends of stages and at most ``room`` steps between them, in order of time."""
     frames = {run.number_of(step): ShownStep(name, step, True) for name, step in ends.items()}
-    others = [k for k in range(len(run.times)) if k not in frames]
-    stride = -(-len(others) // room) if room else 0
+    other_steps = [k for k in range(len(run.times)) if k not in frames]
+    stride = -(-len(other_steps) // room) if room else 0
     if stride:
         moments = moments_of(run)
-        for k in others[::stride]:
+        for k in other_steps[::stride]:
             frames[k] = ShownStep(f"{moments[k]} (step {k + 1})", k, False)
     return [frames[k] for k in sorted(frames)]
 
@@ -289,25 +297,31 @@ def _drawn(
     """Return triangles and cells of each body, and their nodes; fewer above a limit of bytes."""
     cells_of_body = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
     no_cells = {name: run.cells[:0, :4] for name in cells_of_body}
-    for curved, inside in (
+    for curved, filling_cells in (
         (True, cells_of_body),
         (False, cells_of_body),
         (True, no_cells),
         (False, no_cells),
     ):
-        fine = outsides(run, curved)
-        nodes = np.unique(np.concatenate([a.ravel() for a in (*fine.values(), *inside.values())]))
-        if of_node * len(nodes) + 16 * sum(map(len, inside.values())) <= most_bytes:
+        surfaces = outsides(run, curved)
+        nodes = np.unique(
+            np.concatenate([a.ravel() for a in (*surfaces.values(), *filling_cells.values())])
+        )
+        if of_node * len(nodes) + 16 * sum(map(len, filling_cells.values())) <= most_bytes:
             break
-    return fine, inside, nodes
+    return surfaces, filling_cells, nodes
 
 
-def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
+def _scaled(values: Floats, is_known: Bools) -> tuple[NDArray[np.uint16], float, float]:
     """Return values as 16-bit fractions of their range, and its ends; one level marks no value."""
-    lowest, highest = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
-    parts = fractions(np.where(known, (values - lowest) / ((highest - lowest) or 1.0), 0.0))
-    parts[~known] = LEVELS + 1
-    return parts, lowest, highest
+    lowest, highest = (
+        (float(f(values[is_known])) for f in (np.min, np.max)) if is_known.any() else (0, 0)
+    )
+    packed_values = fractions(
+        np.where(is_known, (values - lowest) / ((highest - lowest) or 1.0), 0.0)
+    )
+    packed_values[~is_known] = LEVELS + 1
+    return packed_values, lowest, highest
 
 
 def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
@@ -318,8 +332,8 @@ def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
 
 def interface_fields() -> dict[str, tuple[str, str, float]]:
     """Label, unit and factor of the fields of interfaces, those of other packages first."""
-    added = {f.name: (f.label, f.unit, f.factor) for f in INTERFACE_FIELDS.values()}
-    return added | INTERFACE
+    added_fields = {f.name: (f.label, f.unit, f.factor) for f in INTERFACE_FIELDS.values()}
+    return added_fields | INTERFACE
 
 
 def kinds_of(run: Run) -> list[ShownField]:
@@ -337,9 +351,9 @@ def kinds_of(run: Run) -> list[ShownField]:
         for key, label_unit_factor in NODAL.items()
         if key in run.point_fields
     ]
-    known = {kind.name for kind in kinds}
-    others = [name for name in run.point_fields if "cure" in name and name not in known]
-    return kinds + [ShownField(name, "", name.replace("_", " "), "", 1.0) for name in others]
+    known_names = {kind.name for kind in kinds}
+    cure_fields = [name for name in run.point_fields if "cure" in name and name not in known_names]
+    return kinds + [ShownField(name, "", name.replace("_", " "), "", 1.0) for name in cure_fields]
 
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:
