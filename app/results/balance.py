@@ -102,10 +102,12 @@ class Balance:
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
         energies = [body_forms.body_energy(b, U, dx) for b, U in enumerate(displacements)]
-        energy = {b: e for b, e in enumerate(energies) if e != 0}
+        energy = {b: body_energy for b, body_energy in enumerate(energies) if body_energy != 0}
         # Energy of all bodies, and its derivatives by body; a rigid body has no energy. Without
         # free strains the energy is half the work of its derivatives.
-        has_free_strain = body_forms.free_strain or any(e.eigenstrains for e in scene.elastic)
+        has_free_strain = body_forms.free_strain or any(
+            elastic_region.eigenstrains for elastic_region in scene.elastic
+        )
         self._elastic = None
         if energy and has_free_strain:
             self._elastic = body_forms.form(sum(energy.values()))
@@ -114,11 +116,11 @@ class Balance:
             forces = ufl.derivative(body_energy, displacements[b], v)
             self._internal.append((b, body_forms.form(forces)))
         self._strain_work = []
-        for e in scene.elastic:
-            for eigenstrain in e.eigenstrains:
-                work = self._work_of(e, elasticity.symmetric(eigenstrain.strain))
+        for elastic_region in scene.elastic:
+            for eigenstrain in elastic_region.eigenstrains:
+                work = self._work_of(elastic_region, elasticity.symmetric(eigenstrain.strain))
                 self._strain_work.append((eigenstrain.history, body_forms.form(work)))
-        elastic = {e.region: e for e in scene.elastic}
+        elastic = {elastic_region.region: elastic_region for elastic_region in scene.elastic}
         swelling = elasticity.isotropic_strain(ufl.TestFunction(body_forms.scalars))
         self._swelling = []
         for region, free_strain in body_forms.free_strain.items():
@@ -129,18 +131,21 @@ class Balance:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
-        s = problem.stress_history
-        if s:
-            self._set = body_forms.form(s.complementary_energy())
-            self._setting = [(b, body_forms.form(s.internal_work(b, v))) for b in s.bodies]
+        stress_history = problem.stress_history
+        if stress_history:
+            self._set = body_forms.form(stress_history.complementary_energy())
+            self._setting = [
+                (b, body_forms.form(stress_history.internal_work(b, v)))
+                for b in stress_history.bodies
+            ]
         # Work of the traction k_i U_i of each elastic foundation on each body.
-        beds = []
-        for f, k in zip(scene.foundations, body_forms.springs, strict=True):
+        spring_works = []
+        for foundation, spring_moduli in zip(scene.foundations, body_forms.springs, strict=True):
             for b, U in enumerate(displacements):
-                ds = body_forms.ds(f.boundary, b)
+                ds = body_forms.ds(foundation.boundary, b)
                 if ds is not None:
-                    beds.append(sum(k[i] * U[i] * v[i] for i in range(3)) * ds)
-        self._springs = body_forms.form(sum(beds)) if beds else None
+                    spring_works.append(sum(spring_moduli[i] * U[i] * v[i] for i in range(3)) * ds)
+        self._springs = body_forms.form(sum(spring_works)) if spring_works else None
         nodes = problem.space.tabulate_dof_coordinates()[
             : len(problem.stiffness.constraints.reacting) // 3
         ]
@@ -158,13 +163,16 @@ class Balance:
         """Evaluate a restored state, whose displacements are updated; collective."""
         self._last_state = self._measure(u, trial)
 
-    def _work_of(self, e: Elastic, strain: Expr) -> ufl.Form:
+    def _work_of(self, elastic_region: Elastic, strain: Expr) -> ufl.Form:
         body_forms, problem = self._problem.body_forms, self._problem
-        U = problem.displacements()[problem.bodies.of_region[e.region]]
+        U = problem.displacements()[problem.bodies.of_region[elastic_region.region]]
         σ = elasticity.stress(
-            lambda ε: body_forms.energy_density(e, ε), body_forms.elastic_strain(e, U)
+            lambda ε: body_forms.energy_density(elastic_region, ε),
+            body_forms.elastic_strain(elastic_region, U),
         )
-        return -loads.mechanical_work(σ, strain) * body_forms.over(e, body_forms.cells())
+        return -loads.mechanical_work(σ, strain) * body_forms.over(
+            elastic_region, body_forms.cells()
+        )
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
         problem, constraints = self._problem, self._problem.stiffness.constraints
@@ -174,31 +182,38 @@ class Balance:
         if self._elastic:
             energy = fem.assemble_scalar(self._elastic)
         else:
-            load_motions = ((f.array_r, displacements[b].x.array) for b, f in elastic)
-            energy = sum(float(f @ v[: len(f)]) for f, v in load_motions) / 2
+            load_motions = (
+                (body_forces.array_r, displacements[b].x.array) for b, body_forces in elastic
+            )
+            energy = (
+                sum(float(body_forces @ v[: len(body_forces)]) for body_forces, v in load_motions)
+                / 2
+            )
         inner = problem.forces.action([*elastic, *setting])
         if problem.body_forms.by_density:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         unbalanced, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
-        on_masters = passed = 0.0 * unbalanced
+        on_masters = passed_to_masters = 0.0 * unbalanced
         followers = problem.followers
         if followers:
             on_masters = followers.forces_on_masters(unbalanced)
         reaction = np.where(constraints.reacting, unbalanced + on_masters, 0.0)
-        loose = constraints.vector(PETSc.Vec().createWithArray(unbalanced, comm=problem.comm))
-        missing = held_q = jump
+        unbalanced_vector = constraints.vector(
+            PETSc.Vec().createWithArray(unbalanced, comm=problem.comm)
+        )
+        contact_residual = held_q = jump
         if trial is not None:
-            jump, e = trial.jump.ravel().copy(), trial.equilibrium
+            jump, equilibrium = trial.jump.ravel().copy(), trial.equilibrium
             local, force = trial.contact.local, trial.contact.state.force
-            rubs = local.weight[:, None] * local.tangential_held(force)
-            held_q = (e - local.project_free(e) + rubs).ravel()
-            missing = inner.jump - acting.jump - e.ravel()
+            tangential_forces = local.weight[:, None] * local.tangential_held(force)
+            held_q = (equilibrium - local.project_free(equilibrium) + tangential_forces).ravel()
+            contact_residual = inner.jump - acting.jump - equilibrium.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
         if followers:
-            passed = followers.zero_elsewhere(unbalanced) - on_masters
-            outer, displacement, passed = map(
-                followers.to_global_axes, (outer, displacement, passed)
+            passed_to_masters = followers.zero_elsewhere(unbalanced) - on_masters
+            outer, displacement, passed_to_masters = map(
+                followers.to_global_axes, (outer, displacement, passed_to_masters)
             )
         external = [(outer, displacement), (acting.jump + held_q, jump)]
         for free_strain, form in self._swelling:
@@ -208,9 +223,21 @@ class Balance:
             strain = np.array([amplitude(load_history, problem.load_time)])
             external.append((np.array([fem.assemble_scalar(form)]), strain))
         springs = assemble_form_vector(self._springs).array if self._springs else 0.0
-        set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]
-        total = np.concatenate([loose.array[~constraints.constrained], missing])
-        return _State(external, set_in, float(energy), outer - springs + passed, reaction, total)
+        setting_forces = [
+            (body_forces.array, displacements[b].x.array[: len(outer)].copy())
+            for b, body_forces in setting
+        ]
+        total = np.concatenate(
+            [unbalanced_vector.array[~constraints.constrained], contact_residual]
+        )
+        return _State(
+            external,
+            setting_forces,
+            float(energy),
+            outer - springs + passed_to_masters,
+            reaction,
+            total,
+        )
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Add a committed step, whose displacements are updated; collective."""
@@ -223,9 +250,9 @@ class Balance:
             for a, b in ((previous.external, current.external), (previous.setting, current.setting))
         )
         local = [*works, contact, current.energy]
-        work, set_in, *stored = comm.allreduce(np.array(local)).tolist()
+        work, setting_work, *stored = comm.allreduce(np.array(local)).tolist()
         self.external_work += work
-        self.setting_work += set_in
+        self.setting_work += setting_work
         used_work = (self.setting_work, *stored)
         (_, displacement), (_, jump), *_ = current.external
         free_strain_work = problem.forces.free_work(problem.load_time, displacement, jump)
@@ -339,9 +366,9 @@ class HeatBalance:
             stored: Heat stored [N mm].
             rounding: Rounding error of flows that cancel; smaller defects count as zero [N mm/s].
         """
-        through = sum(abs(f) for f in flows.values())
-        if through > rounding:
-            self.heat = max(self.heat, abs(sum(flows.values())) / through)
+        total_flow = sum(abs(f) for f in flows.values())
+        if total_flow > rounding:
+            self.heat = max(self.heat, abs(sum(flows.values())) / total_flow)
         # Later steps are summed from this state.
         self.end_sum += stored - self.stored
         self.stage_sum += stored - self.stored

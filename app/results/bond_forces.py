@@ -150,13 +150,13 @@ class BondForces:
                 numbers = failing(surface, index, part)
                 if not b.law.strength:
                     numbers = {"strength_fraction": numbers["strength_fraction"]}
-                for name, sign, mean, value in zip(
+                for name, direction, mean, value in zip(
                     ("normal", "shear"), (-1.0, 1.0), means, values, strict=True
                 ):
-                    field = surface.field(sign * value, part)
+                    field = surface.field(direction * value, part)
                     numbers |= {
                         "area": field.area,
-                        f"{name}_mean": sign * surface.field(mean, part).mean(),
+                        f"{name}_mean": direction * surface.field(mean, part).mean(),
                         f"{name}_max": field.maximum()[0],
                     }
                 of_parts[part] = numbers
@@ -169,31 +169,31 @@ class BondForces:
         Returns:
             Pressure of each face, negative in tension (m, 3) [MPa], and shear (m,) [MPa].
         """
-        place, p, e = self._place, self._place.points, self._place.entries
+        place, points, entries = self._place, self._place.points, self._place.entries
         exerted = self._exerted()
-        node, component = np.divmod(e.row, 3)
-        forces = exerted[e.body, np.searchsorted(place.nodes, node), component]
-        force = np.zeros((len(p.x), 3))
-        np.add.at(force.ravel(), e.column, -e.value * forces)
-        force /= p.weight[:, None]
-        force -= np.einsum("pij,pj->pi", projectors(p.axes, p.held), force)
-        at_corners, normals = p.surface.spread_forces(force), p.surface.normals
+        node, component = np.divmod(entries.row, 3)
+        forces = exerted[entries.body, np.searchsorted(place.nodes, node), component]
+        force = np.zeros((len(points.x), 3))
+        np.add.at(force.ravel(), entries.column, -entries.value * forces)
+        force /= points.weight[:, None]
+        force -= np.einsum("pij,pj->pi", projectors(points.axes, points.held), force)
+        at_corners, normals = points.surface.spread_forces(force), points.surface.normals
         pressures = -np.einsum("cik,ci->ck", np.linalg.pinv(normals), at_corners)
         shear = at_corners + np.einsum("ck,cki->ci", pressures, normals)
         return pressures, np.linalg.norm(shear, axis=1)
 
     def _exerted(self) -> Floats:
         """Forces of the interfaces on the pieces at the nodes (pieces, m, 3) [N]; collective."""
-        place, p = self._place, self._problem
+        place, problem = self._place, self._problem
         nodal = np.zeros((len(place.pieces.names), len(place.nodes) + 1, 3))
         for region, (rows, nodes, slopes) in place.cells.items():
             σ = self._stresses.evaluate(region)[rows]
             forces = np.einsum("cqij,cqnj->cni", σ, slopes)
             np.add.at(nodal[place.pieces.of_region[region]], nodes, forces)
-        exerted = p.comm.allreduce(nodal)[:, :-1]
-        for load in p.scene.loads:
+        exerted = problem.comm.allreduce(nodal)[:, :-1]
+        for load in problem.scene.loads:
             if place.near_boundaries.has(load.boundaries):
-                exerted -= load.amplitude(p.load_time) * self._forces(load)
+                exerted -= load.amplitude(problem.load_time) * self._forces(load)
         for piece, form in place.springs:
             exerted[piece] += self._at_nodes(assemble_form_vector(form))
         # A rigid piece has no stress. It is in equilibrium with the opposite of all other forces.
@@ -204,19 +204,21 @@ class BondForces:
     @cached_property
     def _bonds(self) -> list[Interface]:
         """Bonds with facets in the mesh; collective."""
-        p = self._problem
+        problem = self._problem
 
-        def there(b: Interface) -> bool:
-            return bool(p.comm.allreduce(len(facets_between(p.tagged, b.slave, b.master).cells)))
+        def has_facets(b: Interface) -> bool:
+            return bool(
+                problem.comm.allreduce(len(facets_between(problem.tagged, b.slave, b.master).cells))
+            )
 
-        return [b for b in p.scene.bonds if there(b)]
+        return [b for b in problem.scene.bonds if has_facets(b)]
 
     @cached_property
     def _place(self) -> _Place:
         """Return the interfaces with the points of contact; all states and variations share it."""
-        p, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
+        problem, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
         conforming = [c for c in scene.contacts if not c.between]
-        pieces, other_pieces = pieces_of(p.tagged, [*self._bonds, *conforming])
+        pieces, other_pieces = pieces_of(problem.tagged, [*self._bonds, *conforming])
         unnamed = [
             replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,))
             for a, b in other_pieces
@@ -225,16 +227,16 @@ class BondForces:
         # Mechanical body of each piece.
         body = np.zeros(len(pieces.names), dtype=np.int64)
         for region, piece in pieces.of_region.items():
-            body[piece] = p.bodies.of_region[region]
+            body[piece] = problem.bodies.of_region[region]
         if frames is not None:
             frames = replace(frames, acts=frames.acts[:, body])
-        facets = contact_facets(p.tagged, pieces, p.space, interfaces, scene.moduli)
-        holds = held_at(frames, p.tagged, pieces, p.space, scene.supports, facets)
+        facets = contact_facets(problem.tagged, pieces, problem.space, interfaces, scene.moduli)
+        holds = held_at(frames, problem.tagged, pieces, problem.space, scene.supports, facets)
         points, entries = contact_points(facets, holds[0], [i.name for i in interfaces], holds[1])
         surface = points.surface
         levels = self._borders(surface.x) if self._borders else {}
-        names = [bond.name for bond in self._bonds]
-        surfaces = dict(zip(names, in_parts(surface, names, levels), strict=True))
+        bond_names = [bond.name for bond in self._bonds]
+        surfaces = dict(zip(bond_names, in_parts(surface, bond_names, levels), strict=True))
         nodes = np.unique(entries.row // 3)
         near_boundaries = self._boundaries_near(pieces, nodes)
         return _Place(
@@ -251,64 +253,71 @@ class BondForces:
 
     def _boundaries_near(self, pieces: Bodies, nodes: Ints) -> SurfaceMeasure:
         """Return measures of loaded or supported boundaries with some of the nodes; collective."""
-        p, scene = self._problem, self._problem.scene
+        problem, scene = self._problem, self._problem.scene
 
         def is_near(boundary: str) -> bool:
-            dofs = facet_nodes(p.tagged, p.space, boundary_facets(p.tagged, boundary))[1]
-            return bool(p.comm.allreduce(int(np.isin(dofs, nodes).any())))
+            dofs = facet_nodes(
+                problem.tagged, problem.space, boundary_facets(problem.tagged, boundary)
+            )[1]
+            return bool(problem.comm.allreduce(int(np.isin(dofs, nodes).any())))
 
-        names = [name for name in sorted(scene.loaded_boundaries) if is_near(name)]
-        return SurfaceMeasure(p.tagged, pieces, names)
+        near_names = [name for name in sorted(scene.loaded_boundaries) if is_near(name)]
+        return SurfaceMeasure(problem.tagged, pieces, near_names)
 
     def _springs(self, near_boundaries: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
         """Forces of elastic foundations by piece; ``body`` is the body of each piece."""
-        p, forms = self._problem, list[tuple[int, fem.Form]]()
-        U, v = p.displacements(), ufl.TestFunction(p.space)
-        for f, k in zip(p.scene.foundations, p.body_forms.springs, strict=True):
+        problem, forms = self._problem, list[tuple[int, fem.Form]]()
+        U, v = problem.displacements(), ufl.TestFunction(problem.space)
+        for foundation, spring_moduli in zip(
+            problem.scene.foundations, problem.body_forms.springs, strict=True
+        ):
             for piece, b in enumerate(body):
-                ds = near_boundaries.on(f.boundary, piece)
+                ds = near_boundaries.on(foundation.boundary, piece)
                 if ds is not None:
-                    work = sum(k[i] * U[b][i] * v[i] for i in range(3)) * ds
-                    forms.append((piece, p.body_forms.form(work)))
+                    work = sum(spring_moduli[i] * U[b][i] * v[i] for i in range(3)) * ds
+                    forms.append((piece, problem.body_forms.form(work)))
         return forms
 
     def _forces(self, load: Load) -> Floats:
         """Forces of a load on the pieces at the nodes (pieces, m, 3) at full amplitude [N]."""
         key = at_full_amplitude(load)
         if key not in self._at_full:
-            p, place = self._problem, self._place
-            v = ufl.TestFunction(p.space)
+            problem, place = self._problem, self._place
+            v = ufl.TestFunction(problem.space)
             forces = self._at_full[key] = np.zeros((len(place.pieces.names), len(place.nodes), 3))
             for piece in range(len(forces)):
-                work = key.work(v, _OnPiece(p.body_forms, piece, place.near_boundaries))
+                work = key.work(v, _OnPiece(problem.body_forms, piece, place.near_boundaries))
                 if work != 0:
-                    vector = assemble_form_vector(p.body_forms.form(work))
+                    vector = assemble_form_vector(problem.body_forms.form(work))
                     forces[piece] = self._at_nodes(vector)
         return self._at_full[key]
 
     def _at_nodes(self, vector: PETSc.Vec) -> Floats:
         """Return values of a vector at the nodes (m, 3) on all ranks; collective."""
         nodes = self._place.nodes
-        low, high = self._problem.space.dofmap.index_map.local_range
-        is_owned = (nodes >= low) & (nodes < high)
+        first_owned, after_owned = self._problem.space.dofmap.index_map.local_range
+        is_owned = (nodes >= first_owned) & (nodes < after_owned)
         values = np.zeros((len(nodes), 3))
-        values[is_owned] = vector.array_r.reshape(-1, 3)[nodes[is_owned] - low]
+        values[is_owned] = vector.array_r.reshape(-1, 3)[nodes[is_owned] - first_owned]
         return np.asarray(self._problem.comm.allreduce(values))
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:
         """Return the ``cells`` of a region, as `_Place` has them."""
-        s, space = self._stresses, self._problem.space
-        dofs = space.dofmap.list[s.cells[region]]
+        stresses, space = self._stresses, self._problem.space
+        dofs = space.dofmap.list[stresses.cells[region]]
         global_nodes = space.dofmap.index_map.local_to_global(dofs.ravel()).reshape(dofs.shape)
-        place = np.where(
+        near_rows = np.where(
             np.isin(global_nodes, nodes), np.searchsorted(nodes, global_nodes), len(nodes)
         )
-        rows = np.flatnonzero((place < len(nodes)).any(axis=1))
+        rows = np.flatnonzero((near_rows < len(nodes)).any(axis=1))
         geometry = space.mesh.geometry
         shapes = [space.ufl_element(), space.mesh.ufl_domain().ufl_coordinate_element()]
-        by_X, maps = (np.array(e.sub_elements[0].tabulate(1, s.points[region])[1:]) for e in shapes)
-        x = geometry.x[geometry.dofmap[s.cells[region][rows]]]
+        by_X, maps = (
+            np.array(element.sub_elements[0].tabulate(1, stresses.points[region])[1:])
+            for element in shapes
+        )
+        x = geometry.x[geometry.dofmap[stresses.cells[region][rows]]]
         inverse = np.linalg.inv(np.einsum("cni,jqn->cqij", x, maps))
-        volumes = s.places(region)[1][rows]
+        volumes = stresses.places(region)[1][rows]
         slopes = np.einsum("cq,jqn,cqji->cqni", volumes, by_X, inverse, optimize=True)
-        return rows, place[rows], slopes
+        return rows, near_rows[rows], slopes

@@ -48,9 +48,9 @@ def step_line(
         wall: Wall time since the run began [s].
         time_left: Estimated time to the end [s].
     """
-    o = step.outcome
-    effort = (o.iterations, o.linear_iterations, f"{o.residuals[-1]:.1e}")
-    states = (*(f"{100 * part:.1f}%" for part in fractions), f"{penetration:.1e} mm")
+    outcome = step.outcome
+    effort = (outcome.iterations, outcome.linear_iterations, f"{outcome.residuals[-1]:.1e}")
+    states = (*(f"{100 * fraction:.1f}%" for fraction in fractions), f"{penetration:.1e} mm")
     times = (f"{wall:.1f} s", f"{time_left:.1f} s")
     return line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
 
@@ -58,10 +58,10 @@ def step_line(
 def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
     """Return the line of an accepted heat step; ``wall`` is the time since the run began [s]."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
-    o = accepted.outcome
+    outcome = accepted.outcome
     times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
     state = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
-    return line(HEAT, (number, *times, o.iterations, o.linear_iterations, *state))
+    return line(HEAT, (number, *times, outcome.iterations, outcome.linear_iterations, *state))
 
 
 def report(summary: Summary, table: bool = True) -> None:
@@ -74,8 +74,8 @@ def report(summary: Summary, table: bool = True) -> None:
     for verdict in verdicts:
         if verdict not in sureness:
             log.info("%s", verdict, extra={"tone": verdict.tone})
-    for text in headline(summary):
-        log.info("%s", text)
+    for sentence in headline(summary):
+        log.info("%s", sentence)
     for verdict in sureness:
         log.info("%s", verdict, extra={"tone": verdict.tone})
 
@@ -94,18 +94,20 @@ def headline(summary: Summary) -> Iterator[str]:
     other_rows = [row for row in moving if row not in inserted]
     for key, owners in (("motion_p99", other_rows), ("micromotion_p99", inserted)):
         if owners:
-            parts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
-            since = " since the insertion" if key.startswith("micro") else ""
-            yield f"99 % of the surface moves{since} by less than {', '.join(parts)}"
+            number_texts = [f"{_with_unit('interfaces', key, q)} ({name})" for name, q in owners]
+            since_text = " since the insertion" if key.startswith("micro") else ""
+            yield (f"99 % of the surface moves{since_text} by less than {', '.join(number_texts)}")
     # Interfaces with finite sliding have no number for motion; pressure is their main result.
     pressed = [row for row in interfaces.items() if row not in moving and "pressure_max" in row[1]]
     if pressed:
-        parts = [f"{_with_unit('interfaces', 'pressure_max', q)} ({name})" for name, q in pressed]
-        yield f"the largest contact pressure is {', '.join(parts)}"
+        number_texts = [
+            f"{_with_unit('interfaces', 'pressure_max', q)} ({name})" for name, q in pressed
+        ]
+        yield f"the largest contact pressure is {', '.join(number_texts)}"
     for row in rows.get("stem", {}).items():
         yield _sentence("stem", *row)
         if "collar_force" in row[1]:
-            yield _sentence("stem", *row, text="collar")
+            yield _sentence("stem", *row, template_name="collar")
     for name, q in rows.get("regions", {}).items():
         if CEMENT in q:
             tension = _with_unit("regions", "principal_p99", q)
@@ -181,9 +183,9 @@ SENTENCES = {
 
 def lines(summary: Summary) -> Iterator[str]:
     """Yield the closing tables: interfaces, regions, bonds, temperatures, dead bone, cure."""
-    texts = [*_tables(summary)]
-    yield from texts
-    if any(STAR in text for text in texts):
+    table_lines = [*_tables(summary)]
+    yield from table_lines
+    if any(STAR in table_line for table_line in table_lines):
         yield LEGEND
 
 
@@ -198,7 +200,7 @@ def _tables(summary: Summary) -> Iterator[str]:
         yield from (_filled(q.sentence, "interfaces", *row) for row in having)
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
     strong = (row for row in (rows["interfaces"] | rows["bonds"]).items() if FAILING in row[1])
-    yield from (_sentence("bonds", *row, text="strength") for row in strong)
+    yield from (_sentence("bonds", *row, template_name="strength") for row in strong)
     for section in (*ADDED, "thermal.regions", "thermal.interfaces"):
         yield from _table(section, rows[section])
     yield from _necrosis(rows["thermal.regions"])
@@ -226,12 +228,12 @@ def _table(section: str, rows: Rows) -> list[str]:
     templates = list(filter(None, columns.values()))
 
     def cell(template: str, numbers: Numbers) -> str:
-        filled = re.sub(r"\w+", lambda key: quantities[key[0]].text(numbers), template)
-        return filled.replace(NOT_RESOLVED, STAR)
+        cell_text = re.sub(r"\w+", lambda key: quantities[key[0]].text(numbers), template)
+        return cell_text.replace(NOT_RESOLVED, STAR)
 
     cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
     cells = [row for row in cells if set(row[1:]) != {"-"}]
-    units = ["", *(quantities[c.split()[0]].shown for c in templates)]
+    units = ["", *(quantities[column_template.split()[0]].shown for column_template in templates)]
     return layout.table(list(columns), cells, units).splitlines() if cells else []
 
 
@@ -261,18 +263,18 @@ def _necrosis(regions: Rows) -> list[str]:
     return layout.table(head, rows, units).splitlines()
 
 
-def _sentence(section: str, name: str, numbers: Numbers, text: str = "") -> str:
-    reached = ""
+def _sentence(section: str, name: str, numbers: Numbers, template_name: str = "") -> str:
+    times_reached = ""
     for percent in (50, 90):
         key = f"time_{percent}"
         if numbers.get(key) is not None:
-            reached += f", {percent} % everywhere after {_with_unit(section, key, numbers)}"
-    template = SENTENCES[text or section]
-    return _filled(template, section, name, numbers, reached=reached)
+            times_reached += f", {percent} % everywhere after {_with_unit(section, key, numbers)}"
+    template = SENTENCES[template_name or section]
+    return _filled(template, section, name, numbers, reached=times_reached)
 
 
 def _filled(template: str, section: str, name: str, numbers: Numbers, **more: str) -> str:
     """Fill in a sentence, in which names of quantities stand for their numbers."""
     scalars = [key for key, q in TABLE[section].items() if not q.vector]
-    texts = {key: _with_unit(section, key, numbers) for key in scalars}
-    return template.format(name=name, **texts, **more)
+    number_texts = {key: _with_unit(section, key, numbers) for key in scalars}
+    return template.format(name=name, **number_texts, **more)

@@ -30,16 +30,16 @@ class Cycles:
 
     def add(self, stage: str, stem: Numbers, interfaces: Mapping[str, Numbers]) -> None:
         """Add the numbers at a peak or a valley of the loads of a stage; these alternate."""
-        turn: Turn = {}
+        turn_numbers: Turn = {}
         if stem:
-            turn["stem"] = dict(stem)
+            turn_numbers["stem"] = dict(stem)
         dissipation = 0.0
         for name, numbers in interfaces.items():
-            turn[name] = {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
+            turn_numbers[name] = {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
             dissipation += numbers.get("dissipation", 0.0)
         dissipations, last_turns = self.turns.setdefault(stage, ([], []))
         dissipations.append(dissipation)
-        last_turns.append(turn)
+        last_turns.append(turn_numbers)
         del last_turns[:-3]
 
     def summary(self) -> dict[str, StageCycles]:
@@ -63,18 +63,18 @@ def split(dissipations: list[float], last_turns: list[Turn]) -> StageCycles:
         valley to the next peak; for interfaces, its 99th percentile. ``dissipation`` [N mm] of each
         cycle after the first peak, and its ``trend``.
     """
-    *_, low, high = last_turns if len(dissipations) % 2 else last_turns[:-1]
+    *_, valley, peak = last_turns if len(dissipations) % 2 else last_turns[:-1]
     permanent: Turn = {}
     inducible: Turn = {}
-    for place, numbers in low.items():
-        if place == "stem":
-            permanent[place] = numbers
-            inducible[place] = {key: high[place][key] - value for key, value in numbers.items()}
+    for owner, numbers in valley.items():
+        if owner == "stem":
+            permanent[owner] = numbers
+            inducible[owner] = {key: peak[owner][key] - value for key, value in numbers.items()}
         elif "motion_p99" in numbers:  # absent with finite sliding
             # The motion of a press fit is that since the insertion.
             key = "micromotion_p99" if "micromotion_p99" in numbers else "motion_p99"
-            permanent[place] = {key: numbers[key]}
-            inducible[place] = {key: high[place]["inducible_p99"]}
+            permanent[owner] = {key: numbers[key]}
+            inducible[owner] = {key: peak[owner]["inducible_p99"]}
     per_cycle = [b - a for a, b in pairwise(dissipations[::2])]
     return {
         "permanent": permanent,
@@ -100,11 +100,11 @@ def trend(first_dissipation: float, per_cycle: list[float]) -> str:
 
 def rows(numbers: StageCycles) -> Iterator[tuple[str, ...]]:
     """Yield the motions of a stage with cycles as texts: name, permanent and inducible part."""
-    for place, permanent in numbers.get("permanent", {}).items():
+    for owner, permanent in numbers.get("permanent", {}).items():
         for key in permanent:
-            q = TABLE["stem" if place == "stem" else "interfaces"][key]
-            name = key if place == "stem" else f"{key.replace('_', ' ')} of {place}"
-            yield f"{name} ({q.shown})", q.text(permanent), q.text(numbers["inducible"][place])
+            q = TABLE["stem" if owner == "stem" else "interfaces"][key]
+            name = key if owner == "stem" else f"{key.replace('_', ' ')} of {owner}"
+            yield f"{name} ({q.shown})", q.text(permanent), q.text(numbers["inducible"][owner])
 
 
 def friction(numbers: StageCycles) -> Iterator[str]:
@@ -117,9 +117,11 @@ def friction(numbers: StageCycles) -> Iterator[str]:
 def sentences(cycles: Mapping[str, StageCycles]) -> Iterator[str]:
     """Yield a line of the log for each stage."""
     for stage, numbers in cycles.items():
-        parts = ", ".join(f"{name} {low} / {inducible}" for name, low, inducible in rows(numbers))
+        motion_texts = ", ".join(
+            f"{name} {permanent} / {inducible}" for name, permanent, inducible in rows(numbers)
+        )
         lines = [*friction(numbers)]
-        if parts:
-            lines.insert(0, f"permanent / inducible: {parts}")
+        if motion_texts:
+            lines.insert(0, f"permanent / inducible: {motion_texts}")
         if lines:
             yield f"{stage}: {'; '.join(lines)}"

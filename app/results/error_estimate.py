@@ -1,17 +1,19 @@
-r"""Errors of the numbers of a run, estimated from coarser companions.
+r"""Estimated errors of the numbers of a run, from coarser companion runs.
 
-A companion on the mesh of size 2 h gives the error of a number X on the mesh of size h,
+A number X of a run on a mesh of size h has the estimated error
 
 .. math:: e = \max(a\, |X_h - X_{2h}|,\; b\, m\, |X_h|),
 
-m is the median of :math:`|X_h - X_{2h}| / |X_h|` over the numbers of a group (`LIKE`). The second
-term is needed because two meshes may agree by chance. For temperatures it is instead a factor on
-the change to the mesh of 3 h, if there is one.
+where :math:`X_{2h}` is the number of a companion on a mesh of size 2 h. The median m of
+:math:`|X_h - X_{2h}| / |X_h|` is taken over the numbers of a group (`LIKE`). The second term is
+needed because two meshes may agree by chance. For temperatures the second term is a factor times
+the change to a mesh of size 3 h, if there is such a companion.
 
-The factors of each class were fitted to six hips and to scenes of heat, and tested on others
-(docs/verification.md). The order of convergence alone would give a. The true error then exceeds the
-estimate too often, because contact begins and ends inside cells. The change to a companion of
-another size is scaled to 2 h by the order in `case.quantities`.
+The factors a and b of each class were fitted to six hips and to scenes with heat. They were tested
+on other cases (docs/verification.md). The order of convergence alone also gives a factor a. With
+this factor the true error exceeds the estimate too often, because contact begins and ends inside
+cells. The change to a companion of another mesh size is scaled to 2 h by the order of convergence
+in `case.quantities`.
 
 Numbers that are zero do not enter medians. A number is zero if it is rounding compared with the
 largest number of its unit. It is also zero if it is small compared with that number and changes by
@@ -19,9 +21,9 @@ at least its size.
 
 With friction the solution depends on the load path. The error of n load steps is then taken as
 C / n, as for an implicit Euler method. The companion of 2 h takes half the steps, which is cheaper.
-Two companions of 3 h take half of the steps and all of them, and their difference gives C. If the
-run takes one step, they take one and two. In transient stages, half the steps means a tolerance for
-which the error of the time steps is twice as large.
+One companion of 3 h takes half the steps, another one all steps, and their difference gives C. If
+the run takes one step, they take one and two. In transient stages, half the steps means a tolerance
+for which the error of the time steps is twice as large.
 """
 
 from __future__ import annotations
@@ -88,7 +90,7 @@ ALIKE = ("gap_max", "slip_max")
 
 @dataclass(frozen=True)
 class Companion:
-    """A cheaper relative of a run.
+    """A coarser run that shows the error of a run.
 
     Attributes:
         coarsening: Mesh size of the companion over that of the run [-].
@@ -122,23 +124,23 @@ def companions(case: Case) -> tuple[Companion, ...]:
     if not case.output.error:
         return ()
     most_increments = max(stage.increments for stage in case.stages)
-    frictional = any(law.friction > 0 for law in case.interfaces.values())
-    timed = any(stage.duration for stage in case.stages)
-    if frictional:
-        half = most_increments // 2 / most_increments if most_increments > 1 else 1.0
+    is_frictional = any(law.friction > 0 for law in case.interfaces.values())
+    is_timed = any(stage.duration for stage in case.stages)
+    if is_frictional:
+        step_ratio = most_increments // 2 / most_increments if most_increments > 1 else 1.0
     else:
-        half = 0.5 if timed else 1.0
+        step_ratio = 0.5 if is_timed else 1.0
     # Mesh sizes over that of the run, as far as the geometry can be meshed.
     coarsest = case.geometry.coarsest_size
-    limit = coarsest / case.mesh.size if coarsest else 0.0
-    possible = dict.fromkeys(min(factor, limit) for factor in COARSER)
-    coarsenings = tuple(c for c in possible if c > LEAST)
-    meshes = tuple(_companion(case, c, half) for c in coarsenings)
-    if not (frictional or timed) or (len(meshes) == 1 and half < 1):
+    coarsest_ratio = coarsest / case.mesh.size if coarsest else 0.0
+    possible = dict.fromkeys(min(factor, coarsest_ratio) for factor in COARSER)
+    coarsenings = tuple(coarsening for coarsening in possible if coarsening > LEAST)
+    meshes = tuple(_companion(case, coarsening, step_ratio) for coarsening in coarsenings)
+    if not (is_frictional or is_timed) or (len(meshes) == 1 and step_ratio < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
         return meshes[:1]
     coarsest = (1.0, *coarsenings)[-1]
-    steps = 2.0 if half == 1 else 1.0 if meshes else half
+    steps = 2.0 if step_ratio == 1 else 1.0 if meshes else step_ratio
     return (*meshes, _companion(case, coarsest, steps))
 
 
@@ -148,22 +150,26 @@ def _companion(case: Case, coarsening: float, steps: float) -> Companion:
         s.model_copy(update={"increments": max(1, round(s.increments * steps))})
         for s in case.stages
     )
-    changed: dict[str, object] = {"mesh": mesh, "stages": stages}
+    changed_keys: dict[str, object] = {"mesh": mesh, "stages": stages}
     if case.time is not None:
         tolerance = case.time.tolerance / steps ** TOLERANCE_POWER[case.time.method]
-        changed["time"] = case.time.model_copy(update={"tolerance": tolerance})
-    return Companion(case.model_copy(update=changed), coarsening, steps)
+        changed_keys["time"] = case.time.model_copy(update={"tolerance": tolerance})
+    return Companion(case.model_copy(update=changed_keys), coarsening, steps)
 
 
 def error_sources(solved: Sequence[Companion]) -> str:
     """Name the error sources covered: "mesh and step", "time step" or "load step"."""
-    if any(c.coarsening > LEAST for c in solved):
+    if any(companion.coarsening > LEAST for companion in solved):
         return "mesh and step"
-    return "time step" if any(s.duration for c in solved for s in c.case.stages) else "load step"
+    return (
+        "time step"
+        if any(s.duration for companion in solved for s in companion.case.stages)
+        else "load step"
+    )
 
 
 def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[float]]]:
-    """Put an ``X_error`` beside each headline number X.
+    """Add ``X_error`` next to each headline number X.
 
     Args:
         run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where
@@ -172,15 +178,18 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
         solved: Companions of the run, with the same sections.
 
     Returns:
-        Peaks that still change with the mesh, as ``interface.pressure_max``, those that change most
-        first: mesh size in mm and value on each mesh that was solved, the finest first.
+        Maxima that still change with the mesh, by names such as ``interface.pressure_max``, the
+        largest change first. Each has pairs of mesh size [mm] and value, the finest mesh first.
     """
     order = case.mesh.order - 1
     unsettled: list[tuple[float, str, list[list[float]]]] = []
     changes: dict[Orders, list[float]] = {}
-    raised: list[tuple[Numbers, str, Orders]] = []
+    estimated_numbers: list[tuple[Numbers, str, Orders]] = []
     tables = list(numbers_of(run, parts=True))
-    relatives = [(c, {(s, n): q for s, n, q in numbers_of(o, parts=True)}) for c, o in solved]
+    companions_by_owner = [
+        (companion, {(s, n): q for s, n, q in numbers_of(companion_summary, parts=True)})
+        for companion, companion_summary in solved
+    ]
     run_numbers = {(section, name) for section, name, _ in numbers_of(run)}
     peaks = [
         ("motion" if k in ALIKE else k, abs(numbers[k]))
@@ -190,7 +199,10 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
     ]
     largest = largest_of_units(run)
     for section, name, numbers in tables:
-        companion_numbers = [(c, o.get((section, name), {})) for c, o in relatives]
+        companion_numbers = [
+            (companion, numbers_by_owner.get((section, name), {}))
+            for companion, numbers_by_owner in companions_by_owner
+        ]
         available = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
         _add_errors(
             numbers, {q.key: q.order for q in available if q.order}, order, companion_numbers
@@ -203,28 +215,32 @@ def estimate(run: Summary, case: Case, solved: Solved) -> dict[str, list[list[fl
                     continue
                 if (section, name) in run_numbers and section != OUTSIDE_MEDIAN:
                     changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
-                raised.append((numbers, q.key, q.order))
+                estimated_numbers.append((numbers, q.key, q.order))
         for k in (q.key for q in available if q.peak):
             values = _values_on_meshes(k, numbers, case, companion_numbers)
-            value, coarser = values[0][1], values[:2][-1][1]
+            value, coarser_value = values[0][1], values[:2][-1][1]
             peak_kind = "motion" if k in ALIKE else k
             # A peak is ignored if it is negligible relative to the same peak on other interfaces.
             size = max(
                 abs(value),
-                UNSETTLED * max(v for kind_of_peak, v in peaks if kind_of_peak == peak_kind),
+                UNSETTLED * max(v for kind, v in peaks if kind == peak_kind),
             )
-            unit, change = TABLE[section][k].unit, abs(value - coarser)
-            if is_zero(value, change, largest[unit]) and abs(coarser) < SMALL * largest[unit]:
+            unit, change = TABLE[section][k].unit, abs(value - coarser_value)
+            if is_zero(value, change, largest[unit]) and abs(coarser_value) < SMALL * largest[unit]:
                 continue
             if change > UNSETTLED * size:
-                unsettled.append((change / max(size, abs(coarser)), f"{name}.{k}", values))
+                unsettled.append((change / max(size, abs(coarser_value)), f"{name}.{k}", values))
     _add_zone_errors(run, order, solved)
     typical = {peak_kind: float(np.median(of_class)) for peak_kind, of_class in changes.items()}
-    for numbers, key, p in raised:
-        smallest_error = FACTORS[p][order][1] * typical[LIKE.get(p, p)] * abs(numbers[key])
+    for numbers, key, convergence_orders in estimated_numbers:
+        smallest_error = (
+            FACTORS[convergence_orders][order][1]
+            * typical[LIKE.get(convergence_orders, convergence_orders)]
+            * abs(numbers[key])
+        )
         numbers[f"{key}_error"] = max(numbers[f"{key}_error"], smallest_error)
-    worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
-    return {name: values for _, name, values in worst}
+    largest_first = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
+    return {name: values for _, name, values in largest_first}
 
 
 def largest_of_units(summary: Summary) -> dict[str, float]:
@@ -254,17 +270,28 @@ def is_zero(value: float, change: float, largest: float) -> bool:
 
 
 def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
-    """Put errors beside the means of interfaces and the strain energy of Gruen zones."""
+    """Add errors to the means of interfaces and the strain energy of Gruen zones."""
     for zone, numbers in run.get("gruen", {}).items():
-        companion_numbers = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
+        companion_numbers = [
+            (companion, companion_summary.get("gruen", {}).get(zone, {}))
+            for companion, companion_summary in solved
+        ]
         for name, at_interface in numbers["interfaces"].items():
             orders = {k: MOTION for k in at_interface if k.endswith("_mean")}
-            relatives = [(c, o.get("interfaces", {}).get(name, {})) for c, o in companion_numbers]
+            relatives = [
+                (companion, companion_summary.get("interfaces", {}).get(name, {}))
+                for companion, companion_summary in companion_numbers
+            ]
             _add_errors(at_interface, orders, order, relatives)
         density = numbers["strain_energy_density"]
-        relatives = [(c, o.get("strain_energy_density", {})) for c, o in companion_numbers]
+        relatives = [
+            (companion, companion_summary.get("strain_energy_density", {}))
+            for companion, companion_summary in companion_numbers
+        ]
         errors = {region: _error(region, STRESS, order, density, relatives) for region in density}
-        known_errors = {region: e for region, e in errors.items() if isinstance(e, float)}
+        known_errors = {
+            region: error for region, error in errors.items() if isinstance(error, float)
+        }
         if known_errors:
             numbers["strain_energy_density_error"] = known_errors
 
@@ -272,7 +299,7 @@ def _add_zone_errors(run: Summary, order: int, solved: Solved) -> None:
 def _add_errors(
     numbers: Numbers, orders: Mapping[str, Orders], order: int, companion_numbers: Others
 ) -> None:
-    """Put errors beside the numbers with these orders of convergence."""
+    """Add errors to the numbers with these orders of convergence."""
     errors = {key: _error(key, p, order, numbers, companion_numbers) for key, p in orders.items()}
     numbers |= {f"{key}_error": error for key, error in errors.items() if error is not None}
 
@@ -280,11 +307,16 @@ def _add_errors(
 def _values_on_meshes(
     key: str, run: Numbers, case: Case, companion_numbers: Others
 ) -> list[list[float]]:
-    """Size and value on each mesh, finest first; of two on one mesh that with the run's steps."""
+    """Return mesh size [mm] and value on each mesh, the finest first.
+
+    Of two companions on one mesh, the one with the steps of the run counts.
+    """
     values = {case.mesh.size: run[key]}
-    for c, o in sorted(companion_numbers, key=lambda companion: -abs(companion[0].steps - 1)):
-        if c.coarsening > LEAST and o.get(key) is not None:
-            values[c.case.mesh.size] = o[key]
+    for companion, companion_values in sorted(
+        companion_numbers, key=lambda entry: -abs(entry[0].steps - 1)
+    ):
+        if companion.coarsening > LEAST and companion_values.get(key) is not None:
+            values[companion.case.mesh.size] = companion_values[key]
     return [[size, values[size]] for size in sorted(values)]
 
 
@@ -292,8 +324,8 @@ def _error(
     key: str, orders: Orders, order: int, run: Numbers, companion_numbers: Others
 ) -> ErrorValue | None:
     """Error of one number or vector; None if it is unknown."""
-    p = orders[order]
-    factor = FACTORS[orders][order][0] if orders in FACTORS else 1 / (2**p - 1)
+    convergence_order = orders[order]
+    factor = FACTORS[orders][order][0] if orders in FACTORS else 1 / (2**convergence_order - 1)
     value = np.asarray(run[key])
     values_on_meshes = [
         (c.coarsening, c.steps, np.asarray(o[key]))
@@ -302,26 +334,33 @@ def _error(
     ]
     if not values_on_meshes:
         return None
-    # Two on the same mesh show the error of the number of steps: C / n.
+    # Two companions on one mesh give the error of the number of steps, C / n.
     mesh, steps, finest_value = values_on_meshes[-1]
     pairs = [
         (s, o)
         for c, s, o in [(1.0, 1.0, value), *values_on_meshes[:-1]]
         if c == mesh and s != steps
     ]
-    path = sum((o - finest_value) / (1 / s - 1 / steps) for s, o in pairs)
-    coarser = [k for k in values_on_meshes if k[0] > LEAST and (k[1] <= 1 or not pairs)]
-    by_mesh: Floats | float = 0.0
-    if coarser:
+    step_error_constant = sum((o - finest_value) / (1 / s - 1 / steps) for s, o in pairs)
+    coarser_values = [k for k in values_on_meshes if k[0] > LEAST and (k[1] <= 1 or not pairs)]
+    mesh_error: Floats | float = 0.0
+    if coarser_values:
 
         def change(coarsening: float, steps: float, value_there: Floats) -> Floats:
-            """Change to another mesh, scaled to that of 2 h, without the part of its steps."""
-            without_steps = value_there - path * (1 / steps - 1)
-            return abs(value - without_steps) * (2**p - 1) / (coarsening**p - 1)
+            """Return the change to another mesh without the effect of its steps, scaled to 2 h."""
+            without_steps = value_there - step_error_constant * (1 / steps - 1)
+            return (
+                abs(value - without_steps)
+                * (2**convergence_order - 1)
+                / (coarsening**convergence_order - 1)
+            )
 
-        finer, coarsest = min(coarser, key=lambda k: k[0]), max(coarser, key=lambda k: k[0])
-        by_mesh = factor * change(*finer)
+        finer = min(coarser_values, key=lambda k: k[0])
+        coarsest = max(coarser_values, key=lambda k: k[0])
+        mesh_error = factor * change(*finer)
         if orders in TWO_MESHES and coarsest[0] > finer[0]:
-            on_finer, on_coarsest = TWO_MESHES[orders]
-            by_mesh = np.maximum(on_finer * change(*finer), on_coarsest * change(*coarsest))
-    return cast(ErrorValue, np.asarray(by_mesh + abs(path)).tolist())
+            finer_factor, coarsest_factor = TWO_MESHES[orders]
+            mesh_error = np.maximum(
+                finer_factor * change(*finer), coarsest_factor * change(*coarsest)
+            )
+    return cast(ErrorValue, np.asarray(mesh_error + abs(step_error_constant)).tolist())

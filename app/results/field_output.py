@@ -75,22 +75,22 @@ def output_nodes(
     space = groups[0].space
     dofs = space.dofmap.list[cells]
     stride = tagged.mesh.geometry.index_map().size_global ** 2
-    keys, first, rows = np.unique(
+    keys, first_rows, rows = np.unique(
         label[:, None] * stride + node_keys(space)[dofs],
         return_index=True,
         return_inverse=True,
     )
-    row, local = np.divmod(first, dofs.shape[1])
-    dof, cell = dofs.ravel()[first], cells[row]
+    row, local = np.divmod(first_rows, dofs.shape[1])
+    dof, cell = dofs.ravel()[first_rows], cells[row]
     tags = cell_tags(tagged)[cell]
     nodes = []
     for group in groups:
         body = group.bodies.of_tag[tags]
         of_region = group.bodies.of_region
-        parts: list[list[str]] = [[] for _ in group.bodies.names]
+        regions_of_body: list[list[str]] = [[] for _ in group.bodies.names]
         for region, number in of_region.items():
-            parts[number].append(region)
-        nodes.append(OutputNodes(body, dof, cell, NODE_VERTICES[local], parts, body))
+            regions_of_body[number].append(region)
+        nodes.append(OutputNodes(body, dof, cell, NODE_VERTICES[local], regions_of_body, body))
     return nodes, rows.reshape(dofs.shape), keys
 
 
@@ -103,8 +103,8 @@ class Fields:
         tags = cell_tags(tagged)[:owned]
         # Each combination of bodies of mechanics and heat has one number.
         bodies: Ints = np.zeros(owned, dtype=np.int64)
-        for part in groups:
-            bodies = bodies * len(part.bodies.names) + part.bodies.of_tag[tags]
+        for group in groups:
+            bodies = bodies * len(group.bodies.names) + group.bodies.of_tag[tags]
         self._nodes, cells, keys = output_nodes(tagged, groups, np.arange(owned), bodies)
         self._grid = Grid(
             points=space.tabulate_dof_coordinates()[self._nodes[0].dof],
@@ -135,8 +135,8 @@ class Fields:
         """Append a step; collective."""
         point: dict[str, Floats] = {}
         cell: dict[str, Floats] = {}
-        for part, nodes in zip(self._groups, self._nodes, strict=True):
-            of_points, of_cells = part.values(nodes, samples, len(self._grid.cells))
+        for group, nodes in zip(self._groups, self._nodes, strict=True):
+            of_points, of_cells = group.values(nodes, samples, len(self._grid.cells))
             point |= of_points
             cell |= of_cells
         self._file.write(time, point, cell)
@@ -222,12 +222,14 @@ class HeatFields:
                     values_of_parts[k] = np.maximum(values_of_parts[k], self._work.x.array)
         return self._values_on_nodes(nodes, values_of_parts, nodes.part)
 
-    def _values_on_nodes(self, nodes: OutputNodes, values: Sequence[Floats], which: Ints) -> Floats:
+    def _values_on_nodes(
+        self, nodes: OutputNodes, values: Sequence[Floats], body_of_node: Ints
+    ) -> Floats:
         """Return values at nodes (n,) from the body ``which`` (n,) of each; linear along edges."""
         table = np.stack(values)
         dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]
-        ends = np.take_along_axis(dofs, nodes.ends, axis=1)
-        return np.asarray(table[which[:, None], ends].mean(axis=1))
+        end_dofs = np.take_along_axis(dofs, nodes.ends, axis=1)
+        return np.asarray(table[body_of_node[:, None], end_dofs].mean(axis=1))
 
 
 # Of the mechanics
@@ -277,21 +279,25 @@ class MechanicalFields:
             on_body = nodes.body == b
             u[on_body] = function.x.array.reshape(-1, 3)[nodes.dof[on_body]]
         scene, x = self._problem.scene, self.space.tabulate_dof_coordinates()[nodes.dof]
-        for m in scene.motions:
-            on_body = nodes.body == self.bodies.of_region[m.region]
-            R = scene.rotation(m, self._problem.time)
-            if np.isfinite(scene.moduli[m.region]):  # its displacement is in rotated axes
+        for motion in scene.motions:
+            on_body = nodes.body == self.bodies.of_region[motion.region]
+            R = scene.rotation(motion, self._problem.time)
+            if np.isfinite(scene.moduli[motion.region]):  # its displacement is in rotated axes
                 u[on_body] = u[on_body] @ R.T
-            u[on_body] += (x[on_body] - m.about) @ (R.T - np.eye(3))
-        point: dict[str, Floats] = {"displacement": u, **named_stress(σ)}
+            u[on_body] += (x[on_body] - motion.about) @ (R.T - np.eye(3))
+        point_fields: dict[str, Floats] = {"displacement": u, **named_stress(σ)}
         if samples is not None:
             assert self._problem.contact is not None
             surface = self._problem.contact.points.surface
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             recorded = [record.surface_fields() for record in self._records]
             for i, contact in enumerate(self._problem.scene.contacts):
-                point |= _interface(contact, samples, rows[i])
-                for fields in [part[contact.name] for part in recorded if contact.name in part]:
+                point_fields |= _interface(contact, samples, rows[i])
+                for fields in [
+                    fields_by_contact[contact.name]
+                    for fields_by_contact in recorded
+                    if contact.name in fields_by_contact
+                ]:
                     (master_rows,) = _contact_rows(fields.master, self.space, self.bodies, nodes)
                     for key, (slave, master) in fields.values.items():
                         all_values = np.zeros(len(surface.dof))
@@ -299,14 +305,14 @@ class MechanicalFields:
                         side_values = _values_on_rows(rows[i], all_values) + _values_on_rows(
                             master_rows, master
                         )
-                        point[f"{contact.name}_{key}"] = side_values
+                        point_fields[f"{contact.name}_{key}"] = side_values
         bonds = self._bonds.indices()
         if bonds:
             surface, indices = bonds
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             for name, (i, index) in indices.items():
-                point[f"{name}_failure_index"] = _values_on_rows(rows[i], index)
-        return point
+                point_fields[f"{name}_failure_index"] = _values_on_rows(rows[i], index)
+        return point_fields
 
     def of_cells(self, cells: int) -> dict[str, Floats]:
         """Return varying Young's moduli [MPa], changing densities, fields of records (cells,)."""
@@ -315,8 +321,11 @@ class MechanicalFields:
         fields: dict[str, Floats] = {}
         for record in self._records:
             fields |= record.cell_fields(cells)
-        for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
-            for region, values in parts.items():
+        for name, values_by_region in {
+            "youngs_modulus": s.varying_moduli(),
+            "density": density,
+        }.items():
+            for region, values in values_by_region.items():
                 fields.setdefault(name, np.zeros(cells))[s.cells[region]] = values
         return fields
 
@@ -366,10 +375,10 @@ def _components(σ: Floats) -> Floats:
 
 def named_stress(σ: Floats) -> dict[str, Floats]:
     """Return fields of stress (n, 6) by name: tensor, von Mises, principal stresses [MPa]."""
-    full = np.empty((len(σ), 3, 3))
+    tensor = np.empty((len(σ), 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
-        full[:, i, j] = full[:, j, i] = σ[:, k]
-    principal: Floats = np.linalg.eigvalsh(full).astype(np.float64)
+        tensor[:, i, j] = tensor[:, j, i] = σ[:, k]
+    principal: Floats = np.linalg.eigvalsh(tensor).astype(np.float64)
     differences = principal - np.roll(principal, 1, axis=1)
     return {
         "stress": σ,
@@ -391,17 +400,19 @@ def _contact_rows(
     of the edge, and other nodes have -1.
     """
     index_map, dofs = space.dofmap.index_map, space.dofmap.list
-    ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
-    numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
+    end_dofs = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
+    numbers = index_map.local_to_global(end_dofs.ravel().astype(np.int32)).reshape(end_dofs.shape)
     rows = []
     for i, triangles in enumerate(points.triangles):
         interface_points = np.flatnonzero(points.interface == i)
         # Contact point by node and body.
-        point = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
-        point[points.dof[interface_points, None], points.bodies[interface_points]] = (
+        point_of_node = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
+        point_of_node[points.dof[interface_points, None], points.bodies[interface_points]] = (
             interface_points[:, None]
         )
-        rows.append(_rows_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
+        rows.append(
+            _rows_on_edges(point_of_node[numbers, nodes.body[:, None]], triangles, len(points.dof))
+        )
     return rows
 
 
@@ -416,9 +427,9 @@ def _rows_on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
 def _values_on_rows(rows: Ints, values: Floats) -> Floats:
     """Return values of contact points at the nodes of the grid, linear along edges, 0 elsewhere."""
     has_point = rows[:, 0] >= 0
-    out = np.zeros((len(rows), *values.shape[1:]))
-    out[has_point] = values[rows[has_point]].mean(axis=1)
-    return out
+    node_values = np.zeros((len(rows), *values.shape[1:]))
+    node_values[has_point] = values[rows[has_point]].mean(axis=1)
+    return node_values
 
 
 def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
@@ -428,8 +439,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     end: open if one end is open, otherwise the higher number.
     """
     has_point, status = rows[:, 0] >= 0, np.full(len(rows), -1.0)
-    ends = s.status[rows[has_point]]
-    status[has_point] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
+    end_status = s.status[rows[has_point]]
+    status[has_point] = np.where((end_status == OPEN).any(axis=1), OPEN, end_status.max(axis=1))
     fields = {
         **{variable: s.internal_variables[variable] for variable in contact.law.internal_variables},
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
@@ -442,10 +453,10 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     strength = contact.law.strength
     if strength:
         fields["failure_index"] = strength.index(s.pressure, s.shear)
-    named = {
+    named_fields = {
         f"{contact.name}_{key}": _values_on_rows(rows, values) for key, values in fields.items()
     }
-    return named | {f"{contact.name}_status": status}
+    return named_fields | {f"{contact.name}_status": status}
 
 
 # The output of one physics of a run.

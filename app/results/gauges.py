@@ -121,14 +121,14 @@ class ProbedMechanics:
 
 def _surface(problem: Problem, boundary: str) -> _Surface:
     """Facets of a boundary on all ranks; collective."""
-    f = bodies.boundary_facets(problem.tagged, boundary)
-    x = bodies.facet_coordinates(problem.tagged, f)[0].astype(np.float64)
+    facets = bodies.boundary_facets(problem.tagged, boundary)
+    x = bodies.facet_coordinates(problem.tagged, facets)[0].astype(np.float64)
     if x.shape[1] == len(GMSH):
         x = x[:, GMSH]
     comm = problem.comm
-    rank = np.full(len(f.cells), comm.rank)
-    parts = comm.allgather((x, rank, f.cells, f.local))
-    x, rank, cell, local = (np.concatenate(column) for column in zip(*parts, strict=True))
+    rank = np.full(len(facets.cells), comm.rank)
+    rank_facets = comm.allgather((x, rank, facets.cells, facets.local))
+    x, rank, cell, local = (np.concatenate(column) for column in zip(*rank_facets, strict=True))
     order = np.lexsort(np.round(x[:, :3].mean(axis=1), 9).T)
     return _Surface(x[order], rank[order], cell[order], local[order])
 
@@ -161,7 +161,9 @@ def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _
     x = mesh.geometry.x[mesh.geometry.dofmap[cell]].astype(np.float64)
     # Derivatives in the reference cell, then along the grid.
     jacobian = np.einsum("jnk,nki->nij", of_x[1:], x)
-    along = np.linalg.solve(jacobian, np.tile(points.direction[:, None], (len(local_points), 1, 1)))
+    along_grid = np.linalg.solve(
+        jacobian, np.tile(points.direction[:, None], (len(local_points), 1, 1))
+    )
     weight = points.weight[local_points, None]
     return _Gauge(
         centre=points.centre,
@@ -169,13 +171,13 @@ def _on_this_rank(problem: Problem, surface: _Surface, points: GaugePoints) -> _
         body=problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[cell]],
         nodes=space.dofmap.list[cell].astype(np.int64),
         mean=weight * of_u[0],
-        slope=weight * np.einsum("jnk,nj->nk", of_u[1:], along[:, :, 0]),
+        slope=weight * np.einsum("jnk,nj->nk", of_u[1:], along_grid[:, :, 0]),
     )
 
 
 def _measured(problem: Problem, u: Sequence[fem.Function], gauge: _Gauge) -> tuple[Floats, float]:
     """Mean displacement (3,) [mm] and strain [-] of a gauge; collective."""
-    displacements = np.stack([f.x.array.reshape(-1, 3) for f in u])
+    displacements = np.stack([body_displacement.x.array.reshape(-1, 3) for body_displacement in u])
     nodal = displacements[gauge.body[:, None], gauge.nodes]
     displacement = np.einsum("nk,nkc->c", gauge.mean, nodal)
     strain = np.einsum("nk,nkc,c->", gauge.slope, nodal, gauge.direction)

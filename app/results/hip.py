@@ -67,9 +67,9 @@ class StemMotion:
         """Return the numbers of a hip of side ``left`` or ``right``."""
         u, comm = nodal_displacements(self._problem), self._problem.comm
         displacements: Numbers = {}
-        for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
-            ends = np.concatenate(comm.allgather(u[body, rows]))
-            displacements[name] = [float(c) for c in ends[first].mean(axis=0)]
+        for end, (body, rows, counted_rows) in zip(ENDS, self._ends, strict=False):
+            end_displacements = np.concatenate(comm.allgather(u[body, rows]))
+            displacements[end] = [float(c) for c in end_displacements[counted_rows].mean(axis=0)]
         nearest = self._nearest
         if nearest is None:
             return displacements
@@ -137,17 +137,17 @@ def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, In
     body_of_region = problem.bodies.of_region
     body = np.concatenate([np.full(len(rows), body_of_region[r]) for r, rows in dofs_of.items()])
     x = problem.space.tabulate_dof_coordinates()[dofs]
-    low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
-    high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
-    within = END * (high - low)
-    ends = []
-    for z in (low, high):
-        is_near = np.abs(x[:, 2] - z) <= within
-        places = np.concatenate(comm.allgather(x[is_near]))
+    lowest = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
+    highest = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
+    end_length = END * (highest - lowest)
+    end_nodes = []
+    for z in (lowest, highest):
+        is_near = np.abs(x[:, 2] - z) <= end_length
+        near_points = np.concatenate(comm.allgather(x[is_near]))
         # Ranks and regions share nodes; each node is counted once.
-        first = np.unique(np.round(places / within), axis=0, return_index=True)[1]
-        ends.append((body[is_near], dofs[is_near], first))
-    return ends
+        first_rows = np.unique(np.round(near_points / end_length), axis=0, return_index=True)[1]
+        end_nodes.append((body[is_near], dofs[is_near], first_rows))
+    return end_nodes
 
 
 def nodal_displacements(problem: Problem) -> Floats:
@@ -174,43 +174,47 @@ def of_femur(problem: Problem, case: Case) -> Numbers:
     bone = elastic.intersection(case.of_tissue("bone"))
     if not is_hip(geometry) or "cortical_bone" not in bone:
         return {}
-    end = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
-    head = facet_surface(problem, bodies.boundary_facets(problem.tagged, end))
-    f = bodies.boundary_facets(problem.tagged, "bone_surface")
-    outside = facet_surface(problem, f)
-    strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
+    head_boundary = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
+    head = facet_surface(problem, bodies.boundary_facets(problem.tagged, head_boundary))
+    bone_facets = bodies.boundary_facets(problem.tagged, "bone_surface")
+    outside = facet_surface(problem, bone_facets)
+    strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, bone_facets)))
     head_motion = head.mean_motion(nodal_displacements(problem))
     numbers: Numbers = {
         "head_displacement": np.average(head_motion, axis=0, weights=head.area).tolist()
     }
-    for side, sign in (("lateral", -1.0), ("medial", 1.0)):
+    for side, direction in (("lateral", -1.0), ("medial", 1.0)):
         for name, z in GAUGES.items():
-            x, y, up = (outside.x - [0.0, 0.0, z]).T
-            weight = outside.area * np.exp(-(up**2 + y**2) / (2 * GAUGE**2)) * (sign * x > 0)
+            x, y, height = (outside.x - [0.0, 0.0, z]).T
+            weight = (
+                outside.area * np.exp(-(height**2 + y**2) / (2 * GAUGE**2)) * (direction * x > 0)
+            )
             if z - 2 * GAUGE > geometry.level:
-                fit = np.sqrt(weight)[:, None] * np.stack([np.ones(len(x)), up, y, y * y], axis=1)
-                part = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]
-                numbers[f"strain_{side}_{name}"] = float(part)
+                fit = np.sqrt(weight)[:, None] * np.stack(
+                    [np.ones(len(x)), height, y, y * y], axis=1
+                )
+                level_strain = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]
+                numbers[f"strain_{side}_{name}"] = float(level_strain)
     return numbers
 
 
-def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
+def _axial_strain(problem: Problem, facets: bodies.FacetCells) -> Floats:
     """Return the strain along z at the centres of facets, in their cells of bone (f,) [-]."""
     mesh, space = problem.tagged.mesh, problem.space
     centres = np.vstack([np.zeros(3), np.eye(3)])[bodies.FACET_NODES[:, :3]].mean(axis=1)
 
     def slopes(shape_functions: Floats, values: Floats) -> Floats:
         """Return derivatives (f, 3, 3) in the reference cell of nodal values (f, n, 3)."""
-        return np.einsum("jfn,fni->fij", shape_functions[1:, f.local], values)
+        return np.einsum("jfn,fni->fij", shape_functions[1:, facets.local], values)
 
     u = nodal_displacements(problem)[problem.bodies.of_region["cortical_bone"]]
-    x = mesh.geometry.x[mesh.geometry.dofmap[f.cells]].astype(np.float64)
+    x = mesh.geometry.x[mesh.geometry.dofmap[facets.cells]].astype(np.float64)
     of_x, of_u = (
         element.sub_elements[0].tabulate(1, centres)
         for element in (mesh.ufl_domain().ufl_coordinate_element(), space.ufl_element())
     )
     J = slopes(of_x, x)
-    du = slopes(of_u, u[space.dofmap.list[f.cells]])
+    du = slopes(of_u, u[space.dofmap.list[facets.cells]])
     return np.asarray((du @ np.linalg.inv(J))[:, 2, 2])
 
 
@@ -227,10 +231,12 @@ def of_collar(case: Case, interfaces: Mapping[str, Numbers]) -> Numbers:
     if ON_CUT not in interfaces or not is_hip(geometry):
         return {}
     axis = geometry.placement.rotation[:, 2]
-    along = {name: float(-axis @ q["force"]) for name, q in interfaces.items() if name in ON_STEM}
-    numbers: Numbers = {"collar_force": along[ON_CUT]}
-    if len(along) > 1:  # the flanks are not bonded
-        numbers["collar_share"] = along[ON_CUT] / sum(along.values())
+    force_along_stem = {
+        name: float(-axis @ q["force"]) for name, q in interfaces.items() if name in ON_STEM
+    }
+    numbers: Numbers = {"collar_force": force_along_stem[ON_CUT]}
+    if len(force_along_stem) > 1:  # the flanks are not bonded
+        numbers["collar_share"] = force_along_stem[ON_CUT] / sum(force_along_stem.values())
     return numbers
 
 
@@ -258,12 +264,12 @@ def by_zone(
         r: zone_integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0)
         for r in regions
     }
-    result: dict[str, Zone] = {}
+    numbers_of_zone: dict[str, Zone] = {}
     for zone in zones.numbers:
         volumes = {r: float(volume[zone]) for r, (_, volume) in sums.items()}
         volumes = {r: v for r, v in volumes.items() if v > LEAST * sum(volumes.values())}
         density = {r: float(sums[r][0][zone]) / v for r, v in volumes.items()}
-        result[str(zone)] = {
+        numbers_of_zone[str(zone)] = {
             "strain_energy_density": density,
             "volume": volumes,
             "interfaces": {},
@@ -274,8 +280,10 @@ def by_zone(
             for zone in zones.numbers:
                 in_zone = (samples.interface == i) & (zones_of_points == zone).any(axis=1)
                 if in_zone.any():
-                    result[str(zone)]["interfaces"][contact.name] = _interface(samples, i, in_zone)
-    return result
+                    numbers_of_zone[str(zone)]["interfaces"][contact.name] = _interface(
+                        samples, i, in_zone
+                    )
+    return numbers_of_zone
 
 
 def zone_integrals(
@@ -297,7 +305,7 @@ def zone_integrals(
 def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, float]:
     """Return motion and tractions of the points ``mask`` of an interface; means are by area."""
     weight, tractions = s.weight[mask], s.tractions[i]
-    result: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     names = ["gap", "slip", "motion", "pressure", "shear"]
     if s.contacts[i].press_fit:
         names.append("micromotion")
@@ -305,6 +313,6 @@ def _interface(s: ContactSamples, i: int, mask: NDArray[np.bool_]) -> dict[str, 
         value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)
         if name in tractions:
             value, mean = tractions[name].value, tractions[name].of_points
-        result[f"{name}_max"] = float(value[mask].max())
-        result[f"{name}_mean"] = float(np.average(mean[mask], weights=weight))
-    return result | {"area": float(weight.sum())}
+        numbers[f"{name}_max"] = float(value[mask].max())
+        numbers[f"{name}_mean"] = float(np.average(mean[mask], weights=weight))
+    return numbers | {"area": float(weight.sum())}

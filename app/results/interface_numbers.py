@@ -141,35 +141,35 @@ class ContactSamples:
         local, points = contact.local, contact.points
         surface = points.surface
 
-        def whole(values: Floats) -> Floats:
+        def at_corners(values: Floats) -> Floats:
             return surface.spread(contact.gather(values))
 
-        def total(values: Floats) -> Floats:
+        def distributed(values: Floats) -> Floats:
             """Distribute amounts at the contact points to their corners, by area."""
-            return whole(values / local.weight) * surface.weight
+            return at_corners(values / local.weight) * surface.weight
 
         self.all_corners = surface
         self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
         motion = surface.true_jumps(contact.gather(trial.jump))
-        opening = np.einsum("pi,pki->pk", motion + whole(contact.gap), surface.normals)
+        opening = np.einsum("pi,pki->pk", motion + at_corners(contact.gap), surface.normals)
         is_face = np.arange(3)[None, :] < surface.faces[:, None]
         self.gap = np.where(is_face, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=is_face, initial=-np.inf)
         # The law holds at the contact points. Some of them have the mean jump of several corners.
         of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, local.normals)
-        within = np.arange(3)[None, :] < local.faces[:, None]
-        self.penetration = contact.gather(np.where(within, np.maximum(-of_points, 0.0), 0.0))
+        is_local_face = np.arange(3)[None, :] < local.faces[:, None]
+        self.penetration = contact.gather(np.where(is_local_face, np.maximum(-of_points, 0.0), 0.0))
         self.of_points = points.interface
         # The second side of the case may be the slave or the master.
         contacts = problem.scene.contacts
         signs = np.array([-1.0 if c.swapped else 1.0 for c in contacts])
         sign = signs[local.interface][:, None]
-        self.slip, self.path = whole(sign * state.slip), whole(state.path)
+        self.slip, self.path = at_corners(sign * state.slip), at_corners(state.path)
         self.motion = signs[surface.interface][:, None] * motion
         pressures, friction = least_friction(trial)
         self._pressures = surface.spread_pressures(contact.gather(pressures))
         self.pressure = normal_pressure(self._pressures, surface.normals)
-        self.shear = whole(np.linalg.norm(friction, axis=1))
+        self.shear = at_corners(np.linalg.norm(friction, axis=1))
         self.force = surface.spread_forces(contact.gather(-sign * state.force))
         resting = contact.law.frictional & (
             state.step_slip <= AT_REST * contact.gather(state.path).max(initial=0.0)
@@ -178,12 +178,12 @@ class ContactSamples:
         status = contact.gather(np.where(is_held, STICK, trial.law.status))
         self.status = surface.spread_status(status.astype(np.int64))
         self.dissipation, self.smallest_dissipation = (
-            total(state.dissipation),
-            total(state.smallest_dissipation),
+            distributed(state.dissipation),
+            distributed(state.smallest_dissipation),
         )
-        self.contact_work, self.stored = total(state.contact_work), total(state.stored)
+        self.contact_work, self.stored = distributed(state.contact_work), distributed(state.stored)
         self.internal_variables = {
-            name: whole(values) for name, values in state.internal_variables.items()
+            name: at_corners(values) for name, values in state.internal_variables.items()
         }
         self.sizes = {
             "gap": np.maximum(self.gap, 0.0),
@@ -248,8 +248,8 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
     """Return all numbers of an interface and its parts, or the selected ones of its main part."""
     mask, surface = s.interface == i, s.surfaces[i]
     parts = {
-        part: _of_part(s, i, surface, part, selected)
-        for part in ([""] if selected else surface.parts)
+        zone_surface: _of_part(s, i, surface, zone_surface, selected)
+        for zone_surface in ([""] if selected else surface.parts)
     }
     main = parts.pop("") | {
         "penetration_max": float(s.penetration[s.of_points == i].max(initial=0.0)),
@@ -268,9 +268,9 @@ def _numbers(s: ContactSamples, i: int, selected: set[str] | None = None) -> Num
         main["pressure_by_facets"] = by_facets
     zones = {}
     for name, level in s.contacts[i].zones.items():
-        part = Surface(s.all_corners, i, {**surface.borders, name: level(s.x)})
-        if part.weight[name].any():
-            zones[name] = _of_part(s, i, part, name, None)
+        zone_surface = Surface(s.all_corners, i, {**surface.borders, name: level(s.x)})
+        if zone_surface.weight[name].any():
+            zones[name] = _of_part(s, i, zone_surface, name, None)
     if zones:
         main["zones"] = zones
     return main | {"force": (s.weight[mask] @ s.force[mask]).tolist(), **parts}
@@ -282,13 +282,13 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     if not {"damage", "spent"} <= contact.law.internal_variables.keys():
         return {}
     mask, surface, weight = s.interface == i, s.surfaces[i], s.weight
-    never = np.ones(len(mask))
-    never[mask] = contact.values["unbonded"](s.x[mask]) if "unbonded" in contact.values else 0.0
-    bonded = weight * (1 - never)
-    dissipated = np.where(never < 1, s.internal_variables["spent"], 0.0)
+    unbonded = np.ones(len(mask))
+    unbonded[mask] = contact.values["unbonded"](s.x[mask]) if "unbonded" in contact.values else 0.0
+    bonded = weight * (1 - unbonded)
+    dissipated = np.where(unbonded < 1, s.internal_variables["spent"], 0.0)
     length = zone(surface.corners, dissipated[surface.triangles], surface.area)
     return {
-        "unbonded_fraction": float((weight * never)[mask].sum() / weight[mask].sum()),
+        "unbonded_fraction": float((weight * unbonded)[mask].sum() / weight[mask].sum()),
         "area_damaged": float(bonded[dissipated > 0].sum()),
         "area_broken": float(bonded[dissipated >= BROKEN].sum()),
         "damage_mean": float(bonded @ s.internal_variables["damage"] / max(bonded.sum(), 1e-300)),
@@ -313,10 +313,10 @@ def _of_part(
             continue
         mean, value, _ = tractions.get(name, TractionSize(values, values, values))
         field = surface.field(value, part)
-        largest, place = field.maximum()
+        largest_value, position = field.maximum()
         numbers |= {
-            f"{name}_max": max(largest, 0.0),
-            f"{name}_max_at": place,
+            f"{name}_max": max(largest_value, 0.0),
+            f"{name}_max_at": position,
             f"{name}_p95": partial(field.percentile, 0.95),
             f"{name}_p99": partial(field.percentile, 0.99),
             f"{name}_mean": surface.field(mean, part).mean,
@@ -382,17 +382,17 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     surface = contact.points.surface
     gap = surface.spread(contact.gather(contact.gap))
     clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
-    parts = []
+    penetrations = []
     for rows, triangles in zip(surface.facets, surface.triangles, strict=True):
         gap, area = gaps(contact.facets, rows, motion[rows], clearance[triangles])
         depth = np.maximum(-gap, 0.0)
-        parts.append(
+        penetrations.append(
             {
                 "penetration_sampled": float(depth.max(initial=0.0)),
                 "penetration_mean": float((depth * area).sum() / area.sum()) if len(rows) else 0.0,
             }
         )
-    return parts
+    return penetrations
 
 
 def gaps(
@@ -410,22 +410,22 @@ def gaps(
     normals, area = surface(x, LATTICE)
     inwards = np.sign(np.einsum("fi,fi->f", normals[:, -1], facets.normal[rows, 0]))
     motion_at_points = np.einsum("qn,fni->fqi", shape_functions(LATTICE, motion.shape[1]), motion)
-    along = np.einsum("fqi,fqi->fq", motion_at_points, normals) * inwards[:, None]
-    return along + clearance @ LATTICE.T, area
+    normal_motion = np.einsum("fqi,fqi->fq", motion_at_points, normals) * inwards[:, None]
+    return normal_motion + clearance @ LATTICE.T, area
 
 
 def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
     """Displacement of the slave side against the master at the nodes of all facets (f, m, 3)."""
     dofs, bodies = contact.facets.dofs, contact.facets.bodies
-    nodes, place = np.unique(dofs, return_inverse=True)
-    place = place.reshape(dofs.shape)
+    nodes, node_row = np.unique(dofs, return_inverse=True)
+    node_row = node_row.reshape(dofs.shape)
     motion_of_bodies = np.zeros((1 + int(bodies.max()), len(nodes), 3))
     for body, B in contact.coupling.jump_to_displacement.items():
         q, u = B.createVecs()
         q.array[:] = jump.ravel()
         B.mult(q, u)
-        start, end = (k // 3 for k in u.getOwnershipRange())
-        owned = (nodes >= start) & (nodes < end)
-        motion_of_bodies[body, owned] = u.array.reshape(-1, 3)[nodes[owned] - start]
+        first_owned, after_owned = (k // 3 for k in u.getOwnershipRange())
+        owned = (nodes >= first_owned) & (nodes < after_owned)
+        motion_of_bodies[body, owned] = u.array.reshape(-1, 3)[nodes[owned] - first_owned]
     motion_of_bodies = contact.comm.allreduce(motion_of_bodies)
-    return motion_of_bodies[bodies[:, 1:], place] - motion_of_bodies[bodies[:, :1], place]
+    return motion_of_bodies[bodies[:, 1:], node_row] - motion_of_bodies[bodies[:, :1], node_row]

@@ -29,11 +29,11 @@ class RegionCells:
         self._dofs = forms.space.dofmap.list[forms.cells(region)].astype(np.int64)
         self._x = forms.space.tabulate_dof_coordinates()[self._dofs]
         volume = np.abs(np.linalg.det(self._x[:, 1:] - self._x[:, :1])) / 6
-        flat, true = self._comm.allreduce(
+        corner_volume, exact_volume = self._comm.allreduce(
             np.array([volume.sum(), forms.volumes(region).sum()]), MPI.SUM
         )
         # Curved cells have a little more than their corners span.
-        self._volume = volume * (true / flat)
+        self._volume = volume * (exact_volume / corner_volume)
         self._spread = fem.Function(forms.space)
 
     def _at_corners(self, dof: Ints, values: Floats, outside_value: float) -> Floats:
@@ -50,22 +50,22 @@ class RegionCells:
 
     def volume(self, dof: Ints, level: Floats) -> float:
         """Return the volume with a level (n,), at owned nodes, of at least 0 [mm3]; collective."""
-        share = positive_share(self._at_corners(dof, level, -1.0))
-        return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
+        volume_fraction = positive_share(self._at_corners(dof, level, -1.0))
+        return float(self._comm.allreduce(float(self._volume @ volume_fraction), MPI.SUM))
 
     def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
         """Return the depth to which a level (n,) at owned nodes is not negative [mm]; collective.
 
         The depth is the distance from the triangles of a surface (f, 3, 3) [mm], at least one.
         """
-        f = self._at_corners(dof, level, -1.0)
+        corner_levels = self._at_corners(dof, level, -1.0)
         depth = 0.0
-        ends, x = f[:, _EDGES], self._x[:, _EDGES]
+        end_levels, x = corner_levels[:, _EDGES], self._x[:, _EDGES]
         # Points at which edges leave the volume.
-        cut = (ends.max(axis=2) >= 0) & (ends.min(axis=2) < 0)
-        (a, b), (first, second) = ends[cut].T, x[cut].swapaxes(0, 1)
-        points = first + (a / (a - b))[:, None] * (second - first)
-        points = np.concatenate([points, self._x[f >= 0]])
+        is_cut = (end_levels.max(axis=2) >= 0) & (end_levels.min(axis=2) < 0)
+        (a, b), (first_end, second_end) = end_levels[is_cut].T, x[is_cut].swapaxes(0, 1)
+        points = first_end + (a / (a - b))[:, None] * (second_end - first_end)
+        points = np.concatenate([points, self._x[corner_levels >= 0]])
         if len(points):
             depth = float(distance(np.unique(points, axis=0), surface).max())
         return float(self._comm.allreduce(depth, MPI.MAX))
@@ -81,23 +81,21 @@ def positive_share(f: Floats) -> Floats:
         """Return the fraction of an edge from its higher end to the zero."""
         return np.divide(high, high - low, out=np.zeros_like(high), where=mask & (high > low))
 
-    share = np.where(count == 4, 1.0, 0.0)
+    fraction = np.where(count == 4, 1.0, 0.0)
     one_positive, two_positive, three_positive = (count == n for n in (1, 2, 3))
-    share += np.where(
+    fraction += np.where(
         one_positive,
         cut(a, b, one_positive) * cut(a, c, one_positive) * cut(a, d, one_positive),
         0.0,
     )
-    ac, ad, bc, bd = (
-        cut(a, c, two_positive),
-        cut(a, d, two_positive),
-        cut(b, c, two_positive),
-        cut(b, d, two_positive),
-    )
-    share += np.where(two_positive, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
-    negative_share = (
+    ac = cut(a, c, two_positive)
+    ad = cut(a, d, two_positive)
+    bc = cut(b, c, two_positive)
+    bd = cut(b, d, two_positive)
+    fraction += np.where(two_positive, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
+    negative_fraction = (
         (1 - cut(a, d, three_positive))
         * (1 - cut(b, d, three_positive))
         * (1 - cut(c, d, three_positive))
     )
-    return np.asarray(share + np.where(three_positive, 1 - negative_share, 0.0))
+    return np.asarray(fraction + np.where(three_positive, 1 - negative_fraction, 0.0))

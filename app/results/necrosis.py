@@ -52,24 +52,30 @@ def seconds_over(start: Floats, end: Floats, seconds: float, level: float) -> Fl
         seconds: Duration of the step [s].
         level: The level [degC].
     """
-    low, high = np.minimum(start, end) - CELSIUS - level, np.maximum(start, end) - CELSIUS - level
-    share = np.divide(high, high - low, out=(high >= 0).astype(float), where=high > low)
-    return np.asarray(seconds * np.clip(share, 0.0, 1.0))
+    low_excess = np.minimum(start, end) - CELSIUS - level
+    high_excess = np.maximum(start, end) - CELSIUS - level
+    fraction = np.divide(
+        high_excess,
+        high_excess - low_excess,
+        out=(high_excess >= 0).astype(float),
+        where=high_excess > low_excess,
+    )
+    return np.asarray(seconds * np.clip(fraction, 0.0, 1.0))
 
 
 def cem43(start: Floats, end: Floats, seconds: float) -> Floats:
     r"""Equivalent minutes at 43 degC, :math:`∫ R^{43 - T} dt`; arguments as `seconds_over`."""
-    low = np.minimum(start, end) - CELSIUS
-    high = np.maximum(start, end) - CELSIUS
-    total = np.zeros_like(low)
-    for begin, stop, slope in _PIECES:
-        a, b = np.clip(low, begin, stop), np.clip(high, begin, stop)
+    lowest = np.minimum(start, end) - CELSIUS
+    highest = np.maximum(start, end) - CELSIUS
+    total = np.zeros_like(lowest)
+    for piece_start, piece_end, slope in _PIECES:
+        a, b = np.clip(lowest, piece_start, piece_end), np.clip(highest, piece_start, piece_end)
         # Fraction of the step in this piece, and the mean of exp(slope (T - 43)) over it.
-        share = np.divide(b - a, high - low, out=np.zeros_like(a), where=high > low)
-        still = (high == low) & (low >= begin) & (low < stop)
+        fraction = np.divide(b - a, highest - lowest, out=np.zeros_like(a), where=highest > lowest)
+        is_constant = (highest == lowest) & (lowest >= piece_start) & (lowest < piece_end)
         span = slope * (b - a)
         mean = np.divide(-np.expm1(-span), span, out=np.ones_like(span), where=span > 0)
-        total += np.where(still, 1.0, share) * np.exp(slope * (b - 43.0)) * mean
+        total += np.where(is_constant, 1.0, fraction) * np.exp(slope * (b - 43.0)) * mean
     return np.asarray(total * seconds / 60.0)
 
 
@@ -80,14 +86,15 @@ def henriques_moritz(start: Floats, end: Floats, seconds: float) -> Floats:
     :math:`∫ \exp(-B/T) dT = T E_2(B/T)`.
     """
     change = end - start
-    short = np.abs(change) < _SHORT
-    width = np.where(short, 1.0, change)
+    is_short = np.abs(change) < _SHORT
+    width = np.where(is_short, 1.0, change)
     exact = (_antiderivative(end) - _antiderivative(start)) / width
     middle, half = (start + end) / 2, change / 2
     integral_near = sum(
-        w / 2 * _rate(middle + p * np.where(short, half, 0.0)) for p, w in zip(*_GAUSS, strict=True)
+        w / 2 * _rate(middle + p * np.where(is_short, half, 0.0))
+        for p, w in zip(*_GAUSS, strict=True)
     )
-    return np.asarray(seconds * np.where(short, integral_near, exact))
+    return np.asarray(seconds * np.where(is_short, integral_near, exact))
 
 
 def _rate(temperature: Floats) -> Floats:

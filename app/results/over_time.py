@@ -66,8 +66,8 @@ class Integrals:
             start + s * (end - start) - 4 * s * (1 - s) * bends
             for s in np.linspace(0.0, 1.0, pieces + 1)
         ]
-        for first, following in pairwise(curve):
-            self.add(first, following, step / pieces)
+        for piece_start, piece_end in pairwise(curve):
+            self.add(piece_start, piece_end, step / pieces)
 
     def forget(self) -> None:
         """Make all integrals unknown from now on."""
@@ -121,16 +121,18 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
     """
     (t0, a), (t1, b), (t2, c), (t3, d) = s0, s1, s2, s3
     slope_before = (b - a) / (t1 - t0)
-    across = (c - b) / (t2 - t1)
+    slope_between = (c - b) / (t2 - t1)
     slope_after = (d - c) / (t3 - t2)
     peaks_early = b >= c
     curvature = np.where(
-        peaks_early, (across - slope_before) / (t2 - t0), (slope_after - across) / (t3 - t1)
+        peaks_early,
+        (slope_between - slope_before) / (t2 - t0),
+        (slope_after - slope_between) / (t3 - t1),
     )
     inside = (slope_before > 0) & (slope_after < 0) & (curvature < 0)
     curvature = np.where(inside, curvature, -1.0)
     # Slope at the second state.
-    slope = across - curvature * (t2 - t1)
+    slope = slope_between - curvature * (t2 - t1)
     when = t1 - slope / (2 * curvature)
     inside &= (when > t1) & (when < t2)
     # Time from the second state to the intersection of the two lines.
@@ -168,5 +170,5 @@ def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
 
 def limited(bends: Floats, start: Floats, end: Floats) -> Floats:
     """Limit depths (n,) so that parabolas stay between the values at their ends (n,)."""
-    limit = np.abs(end - start) / 4
-    return np.asarray(np.clip(bends, -limit, limit))
+    largest_bend = np.abs(end - start) / 4
+    return np.asarray(np.clip(bends, -largest_bend, largest_bend))

@@ -135,25 +135,27 @@ class PathTables:
         for name, path in paths.items():
             path_cells = path.points.cell
             local_rows = np.flatnonzero(np.isin(path_cells, original))
-            place = np.searchsorted(original, path_cells[local_rows], sorter=order)
-            local_paths[name] = local_rows, order[place]
+            sorted_row = np.searchsorted(original, path_cells[local_rows], sorter=order)
+            local_paths[name] = local_rows, order[sorted_row]
         cells = np.unique(np.concatenate([cell for _, cell in local_paths.values()]))
         tags = cell_tags(tagged)[cells]
         nodes, rows, _ = output_nodes(tagged, groups, cells, tags)
         all_regions = np.unique(np.concatenate([path.points.region for path in paths.values()]))
         self._regions = {tag: name for name, tag in tagged.regions.items()}
-        visited = [int(tag) for tag in all_regions if tag]
-        parts = [[self._regions[tag]] for tag in visited]
+        visited_tags = [int(tag) for tag in all_regions if tag]
+        region_lists = [[self._regions[tag]] for tag in visited_tags]
         of_nodes = cell_tags(tagged)[nodes[0].cell]
-        part = np.searchsorted(visited, of_nodes)
-        self._nodes: list[OutputNodes] = [replace(n, parts=parts, part=part) for n in nodes]
+        region_rows = np.searchsorted(visited_tags, of_nodes)
+        self._nodes: list[OutputNodes] = [
+            replace(n, parts=region_lists, part=region_rows) for n in nodes
+        ]
         element = groups[0].space.element.basix_element
         self._local: dict[str, _Local] = {}
         for name, (local_rows, cell) in local_paths.items():
-            share = paths[name].points.share[local_rows]
-            shape = np.asarray(element.tabulate(0, share[:, 1:]))[0, :, : rows.shape[1], 0]
+            barycentric = paths[name].points.share[local_rows]
+            shape = np.asarray(element.tabulate(0, barycentric[:, 1:]))[0, :, : rows.shape[1], 0]
             row = rows[np.searchsorted(cells, cell)]
-            self._local[name] = _Local(local_rows, cell, row, shape, share.argmax(axis=1))
+            self._local[name] = _Local(local_rows, cell, row, shape, barycentric.argmax(axis=1))
         self._check_cell_fields()
 
     def _check_cell_fields(self) -> None:
@@ -164,9 +166,9 @@ class PathTables:
         for name, path in self._paths.items():
             for k, column in enumerate(path.columns):
                 if column.field.by_cell and column.field.name not in field_names:
-                    text = f"{column.field.label} is constant in each region and is not written"
+                    fault = f"{column.field.label} is constant in each region and is not written"
                     raise InputError(
-                        f"output.paths.{name}.fields.{k}: {text}; expected another field"
+                        f"output.paths.{name}.fields.{k}: {fault}; expected another field"
                     )
 
     def add(
@@ -178,9 +180,9 @@ class PathTables:
         for group, nodes in zip(self._groups, self._nodes, strict=True):
             point |= group.at_nodes(nodes, samples, self._cells)
             cell |= group.of_cells(self._cells)
-        begin: dict[str, object] = {"step": step, "time [-]": _digits(time)}
+        step_columns: dict[str, object] = {"step": step, "time [-]": _digits(time)}
         if seconds is not None:
-            begin["seconds [s]"] = _digits(seconds)
+            step_columns["seconds [s]"] = _digits(seconds)
         for name, path in self._paths.items():
             local = self._local[name]
             sampled = [_sampled(column, local, point, cell) for column in path.columns]
@@ -189,26 +191,26 @@ class PathTables:
             if gathered is None:
                 continue
             table = np.full((len(path.points.arc), len(path.columns)), np.nan)
-            for rows, part in gathered:
-                table[rows] = part
-            self._add_rows(name, path, begin, table)
+            for rows, rank_values in gathered:
+                table[rows] = rank_values
+            self._add_rows(name, path, step_columns, table)
 
     def _add_rows(
-        self, name: str, path: SampledPath, begin: Mapping[str, object], table: Floats
+        self, name: str, path: SampledPath, step_columns: Mapping[str, object], table: Floats
     ) -> None:
         """Add the rows of a path at a step; on rank 0."""
         points = path.points
         titles = [column.title for column in path.columns]
         rows: list[dict[str, object]] = []
         for k in range(len(points.arc)):
-            row = dict(begin)
+            row = dict(step_columns)
             row[ARC] = _digits(points.arc[k])
             row |= dict(zip(PLACES, map(_digits, np.round(points.x[k], PLACE) + 0.0), strict=True))
             row[REGION] = self._regions.get(int(points.region[k]), "")
             row |= {title: _digits(v) for title, v in zip(titles, table[k], strict=True)}
             rows.append(row)
-        header, _, text = csv_text(rows).partition("\n")
-        self.rows[name] = (self.rows[name] or f"{header}\n") + text
+        header, _, body = csv_text(rows).partition("\n")
+        self.rows[name] = (self.rows[name] or f"{header}\n") + body
 
 
 def _digits(value: float) -> object:

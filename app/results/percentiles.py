@@ -48,32 +48,36 @@ class SurfaceField:
 
     def area_above(self, level: float) -> float:
         """Area where the field exceeds a level [mm2]."""
-        low, middle, high = self._sorted.T
-        spread = np.where(high > low, high - low, 1.0)
-        top = (high - level) ** 2 / (spread * np.where(high > middle, high - middle, 1.0))
-        bottom = (level - low) ** 2 / (spread * np.where(middle > low, middle - low, 1.0))
-        share = np.where(level >= middle, top, 1.0 - bottom)
-        share = np.where(level >= high, 0.0, np.where(level < low, 1.0, share))
-        return float(self._area @ share)
+        lowest, middle, highest = self._sorted.T
+        value_range = np.where(highest > lowest, highest - lowest, 1.0)
+        upper_part = (highest - level) ** 2 / (
+            value_range * np.where(highest > middle, highest - middle, 1.0)
+        )
+        lower_part = (level - lowest) ** 2 / (
+            value_range * np.where(middle > lowest, middle - lowest, 1.0)
+        )
+        fraction = np.where(level >= middle, upper_part, 1.0 - lower_part)
+        fraction = np.where(level >= highest, 0.0, np.where(level < lowest, 1.0, fraction))
+        return float(self._area @ fraction)
 
     def percentile(self, fraction: float = PERCENTILE) -> float:
         """Smallest level not exceeded on this fraction of the area; 0 without triangles."""
         if not len(self._area):
             return 0.0
-        ends = [float(self._corners.min()), float(self._corners.max())]
+        bracket = [float(self._corners.min()), float(self._corners.max())]
         above = (1.0 - fraction) * self.area
         excess = [self.area - above, -above]
         last_side = -1
-        level = _between(ends, excess)
-        while ends[0] < level < ends[1]:
+        level = _between(bracket, excess)
+        while bracket[0] < level < bracket[1]:
             value = self.area_above(level) - above
             side = int(value <= 0)
-            ends[side], excess[side] = level, value
+            bracket[side], excess[side] = level, value
             if side == last_side:  # otherwise the other end would move slowly
                 excess[1 - side] /= 2
             last_side = side
-            level = _between(ends, excess)
-        return min(max(level, ends[0]), ends[1])
+            level = _between(bracket, excess)
+        return min(max(level, bracket[0]), bracket[1])
 
 
 def _between(ends: Sequence[float], values: Sequence[float]) -> float:

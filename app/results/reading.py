@@ -53,9 +53,9 @@ class Results:
             for name, q in numbers
             if "slip_p99" in q
         ]
-        head = f"results in {self.folder}: {self.case.get('title') or 'without title'}"
+        first_line = f"results in {self.folder}: {self.case.get('title') or 'without title'}"
         return "\n".join(
-            [head, *lines[:3], "  .summary, .step_record, .fields, .case, .variations"]
+            [first_line, *lines[:3], "  .summary, .step_record, .fields, .case, .variations"]
         )
 
     @cached_property
@@ -66,8 +66,8 @@ class Results:
     @cached_property
     def summary(self) -> Summary:
         """The content of summary.json, with its units under ``units``."""
-        text = (self.folder / "summary.json").read_text(encoding="utf-8")
-        return cast(Summary, json.loads(text))
+        content = (self.folder / "summary.json").read_text(encoding="utf-8")
+        return cast(Summary, json.loads(content))
 
     @cached_property
     def step_record(self) -> dict[str, Floats]:
@@ -100,8 +100,8 @@ class Results:
         """Fields along the paths by their names: columns by their titles; nan outside bodies."""
         tables = {}
         for name, file in path_files(self.folder).items():
-            with file.open(encoding="utf-8", newline="") as text:
-                rows = list(csv.DictReader(text))
+            with file.open(encoding="utf-8", newline="") as opened_file:
+                rows = list(csv.DictReader(opened_file))
             columns = {}
             for key in rows[0] if rows else ():
                 if key == "region":
@@ -146,8 +146,8 @@ class Run(Results):
             width = len(root["Connectivity"]) // len(root["Types"])
             self.cells: Ints = root["Connectivity"][:].reshape(-1, width)
             self.region: Ints = root["CellData/region"][:].astype(np.int64)
-            names = root["FieldData/region_names"].asstr()[:]
-            self.regions = {name: number for number, name in enumerate(names, 1)}
+            region_names = root["FieldData/region_names"].asstr()[:]
+            self.regions = {name: number for number, name in enumerate(region_names, 1)}
             self.times: Floats = root["Steps/Values"][:]
             self.point_fields = tuple(root["PointData"])
             self.cell_fields = tuple(root["CellData"])
@@ -157,9 +157,9 @@ class Run(Results):
     @cached_property
     def written_stages(self) -> list[str]:
         """Names of the stages with a written step, in order."""
-        names = [stage["name"] for stage in self.case["stages"]]
-        written = {ceil(time - 1e-9) - 1 for time in self.times}
-        return [name for k, name in enumerate(names) if k in written]
+        stage_names = [stage["name"] for stage in self.case["stages"]]
+        stages_with_step = {ceil(time - 1e-9) - 1 for time in self.times}
+        return [name for k, name in enumerate(stage_names) if k in stages_with_step]
 
     def on_points(self, name: str, step: int | str = -1) -> Floats:
         """Return a field on the nodes at a written step (n,) or (n, k), by its name in the file."""
@@ -186,8 +186,8 @@ class Run(Results):
 
         values = self.on_points(name, step)
         geometry = self.mesh.geometry
-        kind = ("Lagrange", geometry.cmap.degree, values.shape[1:])
-        function = fem.Function(fem.functionspace(self.mesh, kind), name=name)
+        element = ("Lagrange", geometry.cmap.degree, values.shape[1:])
+        function = fem.Function(fem.functionspace(self.mesh, element), name=name)
         nodes = geometry.input_global_indices[geometry.dofmap]
         function.x.array.reshape(values.shape)[function.function_space.dofmap.list] = values[nodes]
         return function
@@ -216,9 +216,9 @@ class Run(Results):
         corners = self.points[self.cells[:, :4]]
         distance, cells = cKDTree(corners.mean(axis=1)).query(compute_midpoints(mesh, 3, local))
         size = np.ptp(corners, axis=1).min(initial=np.inf)
-        missing = int((distance > SAME_PLACE * size).sum())
-        if missing:
-            raise InputError(f"{missing} cells of the mesh are not those of {self.folder}")
+        missing_cells = int((distance > SAME_PLACE * size).sum())
+        if missing_cells:
+            raise InputError(f"{missing_cells} cells of the mesh are not those of {self.folder}")
         return np.asarray(cells)
 
     def function_on(self, mesh: Any, name: str, step: int | str = -1) -> Any:
@@ -244,8 +244,8 @@ class Run(Results):
         nodes = self.cells[self.cells_of(mesh)]
         # The dofs of a cell are at its nodes, but in another order.
         x = space.tabulate_dof_coordinates()[dofs]
-        apart = ((x[:, :, None] - self.points[nodes][:, None]) ** 2).sum(axis=3)
-        nearest = np.take_along_axis(nodes, apart.argmin(axis=2), axis=1)
+        squared_distance = ((x[:, :, None] - self.points[nodes][:, None]) ** 2).sum(axis=3)
+        nearest = np.take_along_axis(nodes, squared_distance.argmin(axis=2), axis=1)
         function.x.array.reshape(-1, *values.shape[1:])[dofs] = values[nearest]
         return function
 
@@ -339,14 +339,16 @@ class Run(Results):
         nodal = self.displacement() if values is None else values
         x, u = self.points[self.cells], nodal[self.cells]
         measure = np.abs(np.linalg.det(np.einsum("cni,qnj->cqij", x, dN))) * weights
-        place = np.einsum("qn,cni->cqi", N, x).reshape(-1, 3)
-        should = exact(place, np.repeat(self.region, len(weights))).reshape(*measure.shape, -1)
-        have = np.einsum("qn,cni->cqi", N, u)
+        positions = np.einsum("qn,cni->cqi", N, x).reshape(-1, 3)
+        exact_values = exact(positions, np.repeat(self.region, len(weights))).reshape(
+            *measure.shape, -1
+        )
+        field_values = np.einsum("qn,cni->cqi", N, u)
 
         def norm(values: Floats) -> float:
             return float(np.sqrt((measure * (values**2).sum(axis=2)).sum()))
 
-        return norm(have - should), norm(have), norm(should)
+        return norm(field_values - exact_values), norm(field_values), norm(exact_values)
 
     def _file(self) -> h5py.File:
         """Open the fields without a lock: a viewer may have one, and a folder may be read-only.
@@ -366,8 +368,8 @@ class Run(Results):
         group, _, field_name = name.partition("/")
         fields = self.point_fields if group == "PointData" else self.cell_fields
         if field_name not in fields:
-            place = "points" if group == "PointData" else "cells"
-            raise self._unknown("field", field_name, fields, f" on {place}")
+            location = "points" if group == "PointData" else "cells"
+            raise self._unknown("field", field_name, fields, f" on {location}")
         k = self.number_of(step)
         with self._file() as file:
             field = file["VTKHDF"][name]
@@ -386,27 +388,31 @@ class Run(Results):
         """Return the number of a written step counted from 0; InputError if there is none."""
         count = len(self.times)
         if not -count <= step < count:
-            text = f"no written step {step}; there are {count}, 0 to {count - 1}"
-            raise InputError(f"{self.folder}: {text}")
+            fault = f"no written step {step}; there are {count}, 0 to {count - 1}"
+            raise InputError(f"{self.folder}: {fault}")
         return step % count
 
     def _last_of(self, stage: str) -> int:
         """Return the last written step of a stage; InputError if there is none."""
         if stage not in self.written_stages:
             raise self._unknown("stage", stage, self.written_stages, " with a written step")
-        ends = {s["name"]: k for k, s in enumerate(self.case["stages"], 1)}
-        steps = [k for k, time in enumerate(self.times) if ceil(time - 1e-9) == ends[stage]]
+        time_of_stage_end = {s["name"]: k for k, s in enumerate(self.case["stages"], 1)}
+        steps = [
+            k for k, time in enumerate(self.times) if ceil(time - 1e-9) == time_of_stage_end[stage]
+        ]
         return steps[-1]
 
     def _unknown(
-        self, kind: str, name: str | int, available: Iterable[str], place: str = ""
+        self, kind: str, name: str | int, available: Iterable[str], location: str = ""
     ) -> InputError:
         """Return the error for an unknown name, which lists the available ones."""
-        names = [*available]
-        hint = did_you_mean(str(name), names)
+        available_names = [*available]
+        hint = did_you_mean(str(name), available_names)
         plural = f"{kind.removesuffix('y')}ies" if kind.endswith("y") else f"{kind}s"
-        listed = ", ".join(names) or "none"
-        return InputError(f"{self.folder}: no {kind} '{name}'{place}; {plural}: {listed}{hint}")
+        name_list = ", ".join(available_names) or "none"
+        return InputError(
+            f"{self.folder}: no {kind} '{name}'{location}; {plural}: {name_list}{hint}"
+        )
 
 
 def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:

@@ -206,8 +206,8 @@ class Writer:
         if new_columns:
             self.columns += new_columns
             self.rows = self.rows.replace("\n", "," * len(new_columns) + "\n")
-        full = {name: row.get(name, "") for name in self.columns}
-        self.rows += csv_text([full]).partition("\n")[2]
+        full_row = {name: row.get(name, "") for name in self.columns}
+        self.rows += csv_text([full_row]).partition("\n")[2]
         self._table(OFTEN)
 
     def _table(self, often: float = 0.0) -> None:
@@ -227,8 +227,8 @@ class Writer:
 
         def write() -> None:
             if clock.monotonic() - self._paths_written >= often:
-                for name, text in rows.items():
-                    write_text(self.folder / path_file(name), text)
+                for name, file_text in rows.items():
+                    write_text(self.folder / path_file(name), file_text)
                 self._paths_written = clock.monotonic()
 
         _write(self._comm, write, "files of paths")

@@ -52,12 +52,21 @@ class Stresses:
     ) -> None:
         self._problem, self._around_z, self._depth = problem, around_z, depth
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
-        usual = 4 * (problem.scene.order - 1)
-        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, FINE if fine else usual)
+        usual_degree = 4 * (problem.scene.order - 1)
+        quadrature = basix.make_quadrature(
+            basix.CellType.tetrahedron, FINE if fine else usual_degree
+        )
         self._points, weights = (np.asarray(a) for a in quadrature)
-        elastic = [e for e in problem.scene.elastic if e.region in fine or not fine]
+        elastic = [
+            elastic_region
+            for elastic_region in problem.scene.elastic
+            if elastic_region.region in fine or not fine
+        ]
         body_forms = problem.body_forms
-        self.cells = {e.region: body_forms.region_cells(e.region) for e in elastic}
+        self.cells = {
+            elastic_region.region: body_forms.region_cells(elastic_region.region)
+            for elastic_region in elastic
+        }
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress of path-dependent regions is known at the points of their stress history.
@@ -77,20 +86,24 @@ class Stresses:
         self._with_free_strain: dict[str, fem.Expression] = {}
         self._moved = fem.Function(problem.space)
         self._strain = self._expression(elasticity.strain(self._moved))
-        for e in elastic:
-            if e.region not in body_forms.path_dependent_regions and (
-                e.eigenstrains or e.region in body_forms.free_strain
+        for elastic_region in elastic:
+            if elastic_region.region not in body_forms.path_dependent_regions and (
+                elastic_region.eigenstrains or elastic_region.region in body_forms.free_strain
             ):
-                displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-                elastic_strain = body_forms.elastic_strain(e, displacement)
-                self._with_free_strain[e.region] = self._expression(elastic_strain)
+                displacement = problem.displacements()[
+                    problem.bodies.of_region[elastic_region.region]
+                ]
+                elastic_strain = body_forms.elastic_strain(elastic_region, displacement)
+                self._with_free_strain[elastic_region.region] = self._expression(elastic_strain)
 
     def follow_density(self, all_regions: bool = False) -> None:
         """Update stiffness that follows a density; with ``all_regions`` all varying stiffness."""
-        for e in self._problem.scene.elastic:
-            if e.varies and (all_regions or e._density):
-                points = self.points[e.region]
-                self._relative[e.region] = self._problem.body_forms.relative_stiffness(e, points)
+        for elastic_region in self._problem.scene.elastic:
+            if elastic_region.varies and (all_regions or elastic_region._density):
+                points = self.points[elastic_region.region]
+                self._relative[elastic_region.region] = self._problem.body_forms.relative_stiffness(
+                    elastic_region, points
+                )
 
     def _expression(self, ε: Expr) -> fem.Expression:
         with self._problem.body_forms.timing.phase("compile", "stress"):
@@ -120,21 +133,33 @@ class Stresses:
 
     def _stress(self, region: str, ε: Floats) -> Floats:
         """Return the stress of elastic strain at a region's points (cells, points, 3, 3) [MPa]."""
-        e = next(e for e in self._problem.scene.elastic if e.region == region)
-        turning = e.fibre if e.fibre is not None and e.fibre.curved is True else None
-        if turning:  # in axes that rotate with the fibre
-            Q = turning.frames(self.places(region)[0]).reshape(ε.shape)
+        elastic_region = next(
+            elastic_region
+            for elastic_region in self._problem.scene.elastic
+            if elastic_region.region == region
+        )
+        rotating_fibre = (
+            elastic_region.fibre
+            if elastic_region.fibre is not None and elastic_region.fibre.curved is True
+            else None
+        )
+        if rotating_fibre:  # in axes that rotate with the fibre
+            Q = rotating_fibre.frames(self.places(region)[0]).reshape(ε.shape)
             ε = Q.swapaxes(2, 3) @ ε @ Q
-        σ = (ε.reshape(-1, 9) @ _moduli(e)).reshape(ε.shape)
-        if turning:
+        σ = (ε.reshape(-1, 9) @ _moduli(elastic_region)).reshape(ε.shape)
+        if rotating_fibre:
             σ = Q @ σ @ Q.swapaxes(2, 3)
         return σ * self._relative[region][..., None, None] if region in self._relative else σ
 
     def varying_moduli(self) -> dict[str, Floats]:
         """Mean Young's modulus of owned cells (cells,) [MPa] of regions where it varies."""
-        modulus_of_region = {e.region: e.moduli[0] for e in self._problem.scene.elastic}
+        modulus_of_region = {
+            elastic_region.region: elastic_region.moduli[0]
+            for elastic_region in self._problem.scene.elastic
+        }
         return {
-            r: modulus_of_region[r] * (g * self.shares[r]).sum(1) for r, g in self._relative.items()
+            region: modulus_of_region[region] * (relative * self.shares[region]).sum(1)
+            for region, relative in self._relative.items()
         }
 
     def mean(self, region: str) -> Floats:
@@ -171,24 +196,24 @@ class Stresses:
         mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
         values = self.gather(local)
-        extra: Numbers = computed("regions", self, region)
+        extra_numbers: Numbers = computed("regions", self, region)
         if region == "stem" and self._depth:
             x = self.gather(x.T).T
-            outside = self._depth(x) < 0
-            neck, places = values[:, outside], x[outside]
-            extra["neck"] = self._statistics(neck) | {
-                f"{key}_max_at": places[neck[k].argmax()].tolist()
+            is_neck = self._depth(x) < 0
+            neck_values, places = values[:, is_neck], x[is_neck]
+            extra_numbers["neck"] = self._statistics(neck_values) | {
+                f"{key}_max_at": places[neck_values[k].argmax()].tolist()
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
-            values = values[:, ~outside]
+            values = values[:, ~is_neck]
         s = self._stress_histories.get(region)
         if s and s.creep:
-            extra |= s.creep.numbers(region)
+            extra_numbers |= s.creep.numbers(region)
         if cement:
             _, _, tension, _, _, volume = values
             for level in STRESSED:
-                extra[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
-        return self._statistics(values) | extra
+                extra_numbers[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
+        return self._statistics(values) | extra_numbers
 
     def gather(self, rows: Floats) -> Floats:
         """Return values at the points of all ranks (k, n)."""
@@ -197,7 +222,7 @@ class Stresses:
     def _statistics(self, values: Floats) -> Numbers:
         """Numbers on stresses and volumes at points, which are the rows of ``values`` (6, n)."""
         mises, hoop, principal, smallest_principal, mean, volume = values
-        result = {
+        numbers = {
             "von_mises_max": float(mises.max()),
             "von_mises_p99": percentile(mises, volume),
             "principal_max": float(principal.max()),
@@ -208,8 +233,8 @@ class Stresses:
             "volume": float(volume.sum()),
         }
         if self._around_z:
-            result["hoop_p99"] = percentile(hoop, volume)
-        return result
+            numbers["hoop_p99"] = percentile(hoop, volume)
+        return numbers
 
 
 def _moduli(e: Elastic) -> Floats:
@@ -232,15 +257,17 @@ def _moduli_by_energy(e: Elastic) -> Floats:
 
     # A quadratic form has ψ(a + b) - ψ(a) - ψ(b) = a : σ(b) and ψ(2 a) = 4 ψ(a).
     unit_strains = np.eye(6)
-    single = np.array([energy(a) for a in unit_strains])
-    work = np.diag(2 * single)
+    unit_energies = np.array([energy(a) for a in unit_strains])
+    work = np.diag(2 * unit_energies)
     for i, j in combinations(range(6), 2):
-        work[i, j] = work[j, i] = energy(unit_strains[i] + unit_strains[j]) - single[i] - single[j]
+        work[i, j] = work[j, i] = (
+            energy(unit_strains[i] + unit_strains[j]) - unit_energies[i] - unit_energies[j]
+        )
     # Each of the last three stands for two entries of the tensors.
-    entries = np.zeros((6, 3, 3))
+    component_tensors = np.zeros((6, 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
-        entries[k, i, j] = entries[k, j, i] = 1.0 if i == j else 0.5
-    matrix = entries.reshape(6, 9)
+        component_tensors[k, i, j] = component_tensors[k, j, i] = 1.0 if i == j else 0.5
+    matrix = component_tensors.reshape(6, 9)
     return np.asarray(matrix.T @ work @ matrix)
 
 

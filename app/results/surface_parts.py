@@ -59,22 +59,24 @@ class Pieces:
         level = self.values(level)
         positive = level > 0
         cuts = [(self.facet[rows], self.corners[rows]) for rows in [positive.all(axis=1)]]
-        for inside in (1, 2):
-            rows = np.flatnonzero(positive.sum(axis=1) == inside)
+        for positive_count in (1, 2):
+            rows = np.flatnonzero(positive.sum(axis=1) == positive_count)
             # The corner that is the only one on its side comes first.
-            alone = np.argmax(positive[rows] == (inside == 1), axis=1)
-            order = (alone[:, None] + np.arange(3)) % 3
-            f = np.take_along_axis(level[rows], order, axis=1)
+            lone_corner = np.argmax(positive[rows] == (positive_count == 1), axis=1)
+            order = (lone_corner[:, None] + np.arange(3)) % 3
+            corner_levels = np.take_along_axis(level[rows], order, axis=1)
             x = np.take_along_axis(self.corners[rows], order[:, :, None], axis=1)
             # Points at which the two edges from this corner cross the border.
-            part = f[:, :1] / (f[:, :1] - f[:, 1:])
-            p, q = (x[:, 0] + part[:, k, None] * (x[:, k + 1] - x[:, 0]) for k in (0, 1))
-            if inside == 1:
+            crossing_fraction = corner_levels[:, :1] / (corner_levels[:, :1] - corner_levels[:, 1:])
+            p, q = (
+                x[:, 0] + crossing_fraction[:, k, None] * (x[:, k + 1] - x[:, 0]) for k in (0, 1)
+            )
+            if positive_count == 1:
                 kept_and_cut = [(x[:, 0], p, q)]
             else:
                 kept_and_cut = [(p, x[:, 1], x[:, 2]), (p, x[:, 2], q)]
             cuts += [(self.facet[rows], np.stack(corners, axis=1)) for corners in kept_and_cut]
-        facet, barycentric = (np.concatenate(part) for part in zip(*cuts, strict=True))
+        facet, barycentric = (np.concatenate(column) for column in zip(*cuts, strict=True))
         pieces = Pieces(facet, barycentric)
         has_area = pieces.share > NOTHING
         return Pieces(facet[has_area], barycentric[has_area])
@@ -138,21 +140,24 @@ class Surface:
         self.points: Bools = points.interface == i
         self.triangles: Ints = points.triangles[i]
         x = self.corners = points.x[self.triangles]
-        flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        flat_area = np.linalg.norm(flat, axis=1) / 2
+        flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        flat_area = np.linalg.norm(flat_normals, axis=1) / 2
         # Curved facets have a little more than their corners span.
         total = points.weight[self.points].sum()
         self.area = flat_area * (total / flat_area.sum()) if len(flat_area) else flat_area
         # Face of the point at each corner to which the facet belongs.
-        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
-        self._face: Ints = np.argmax(along, axis=2)
+        alignment = np.abs(np.einsum("fi,fcki->fck", flat_normals, points.normals[self.triangles]))
+        self._face: Ints = np.argmax(alignment, axis=2)
         self._face_area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
         levels = {part: level[self.triangles] for part, level in borders.items()}
         self._pieces = cut(levels, len(x))
         self._sharp = points.faces[self.triangles].min(axis=1) > 0
-        hats = {part: self._hats(pieces) for part, pieces in self._pieces.items()}
-        total = np.maximum(sum(hats.values()), np.finfo(float).tiny)
-        self.weight = {part: points.weight * hat / total for part, hat in hats.items()}
+        hat_integrals = {part: self._hats(pieces) for part, pieces in self._pieces.items()}
+        total = np.maximum(sum(hat_integrals.values()), np.finfo(float).tiny)
+        self.weight = {
+            part: points.weight * hat_integral / total
+            for part, hat_integral in hat_integrals.items()
+        }
 
     @property
     def parts(self) -> list[str]:
@@ -161,8 +166,12 @@ class Surface:
 
     def _hats(self, pieces: Pieces) -> Floats:
         """Return the integrals of the points' shape functions over pieces (n,) [mm2]."""
-        shares = pieces.corners.mean(axis=1) * (self.area[pieces.facet] * pieces.share)[:, None]
-        sums = np.bincount(self.triangles[pieces.facet].ravel(), shares.ravel(), len(self.points))
+        corner_areas = (
+            pieces.corners.mean(axis=1) * (self.area[pieces.facet] * pieces.share)[:, None]
+        )
+        sums = np.bincount(
+            self.triangles[pieces.facet].ravel(), corner_areas.ravel(), len(self.points)
+        )
         return np.asarray(sums, dtype=float)
 
     def _at_corners(self, values: Floats) -> Floats:

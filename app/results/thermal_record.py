@@ -91,9 +91,9 @@ class RegionTemperatures:
         """Return the mask of nodes (n,) that are warm enough for doses at an end of this step."""
         return np.maximum(self.begin, self.now) > CELSIUS + COUNTS_FROM
 
-    def take(self, last: float, temperatures: Sequence[fem.Function]) -> None:
-        """Record the temperatures at the end of a step that began at time ``last``."""
-        self.before = [*self.before[-2:], (last, self.now)]
+    def take(self, start_time: float, temperatures: Sequence[fem.Function]) -> None:
+        """Record the temperatures at the end of a step that began at ``start_time`` [s]."""
+        self.before = [*self.before[-2:], (start_time, self.now)]
         self.now = self.nodes.values(temperatures)
         self.lowest = np.minimum(self.lowest, self.now)
 
@@ -125,20 +125,20 @@ class RegionTemperatures:
         nodes = self.nodes
         heat = np.array([nodes.volume @ self.now, nodes.volume.sum()])
         comm.Allreduce(MPI.IN_PLACE, heat, MPI.SUM)
-        peak, place, when = largest(comm, self.peak.value, nodes.x, self.peak.time)
-        ends = maxima(comm, {"end": self.now, "minus lowest": -self.lowest})
-        result: Numbers = {
+        peak, position, peak_time = largest(comm, self.peak.value, nodes.x, self.peak.time)
+        end_extremes = maxima(comm, {"end": self.now, "minus lowest": -self.lowest})
+        numbers: Numbers = {
             "temperature_max": peak - CELSIUS,
-            "temperature_max_at": place,
-            "temperature_max_time": when,
-            "temperature_min": -ends["minus lowest"] - CELSIUS,
+            "temperature_max_at": position,
+            "temperature_max_time": peak_time,
+            "temperature_min": -end_extremes["minus lowest"] - CELSIUS,
             "temperature_mean": float(heat[0] / heat[1]) - CELSIUS,
-            "temperature_end_max": ends["end"] - CELSIUS,
+            "temperature_end_max": end_extremes["end"] - CELSIUS,
         }
         for level in LEVELS:
-            over = self.peak.value - CELSIUS - level
-            result[f"volume_over_{level:g}"] = cells.volume(nodes.dof, over)
-        return result
+            excess = self.peak.value - CELSIUS - level
+            numbers[f"volume_over_{level:g}"] = cells.volume(nodes.dof, excess)
+        return numbers
 
     def times(self, comm: MPI.Comm) -> dict[str, float]:
         """Return the longest time of a node above each level [s]; collective."""
@@ -151,13 +151,13 @@ class RegionTemperatures:
         The depth is the distance from triangles of a surface (f, 3, 3) [mm].
         """
         doses = self.doses.totals
-        result = maxima(comm, {f"{key}_max": doses[key] for key in ("cem43", "henriques_moritz")})
+        numbers = maxima(comm, {f"{key}_max": doses[key] for key in ("cem43", "henriques_moritz")})
         for criterion, level in death_levels(doses).items():
-            result[f"necrosis_{criterion}_volume"] = cells.volume(self.nodes.dof, level)
+            numbers[f"necrosis_{criterion}_volume"] = cells.volume(self.nodes.dof, level)
             if len(surface):
                 depth = cells.depth(self.nodes.dof, level, surface)
-                result[f"necrosis_{criterion}_depth"] = depth
-        return result
+                numbers[f"necrosis_{criterion}_depth"] = depth
+        return numbers
 
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
@@ -212,9 +212,9 @@ class ThermalRecord:
         self.bone = bone
         self._bone_sides: list[Side] = []
         for name, regions in interfaces.items():
-            first, second = (not set(bone).isdisjoint(side) for side in regions)
-            if first != second:
-                self._bone_sides.append(self._interfaces[name].sides[0 if first else 1])
+            first_is_bone, second_is_bone = (not set(bone).isdisjoint(side) for side in regions)
+            if first_is_bone != second_is_bone:
+                self._bone_sides.append(self._interfaces[name].sides[0 if first_is_bone else 1])
         self._probes = Probes(tagged, forms.space, of_region, probes)
         # Largest numbers of each interface so far, over all ranks.
         self.extremes: dict[str, dict[str, float]] = {name: {} for name in interfaces}
@@ -259,18 +259,18 @@ class ThermalRecord:
         for r in self.regions.values():
             r.raise_peak(seconds, highest)
         for name, (flux, entropy) in (exchanges or {}).items():
-            passed = {"flux": np.abs(flux), "entropy": entropy, "minus entropy": -entropy}
-            self._raise(name, maxima(self._comm, passed))
+            exchange_sizes = {"flux": np.abs(flux), "entropy": entropy, "minus entropy": -entropy}
+            self._raise(name, maxima(self._comm, exchange_sizes))
         self._take(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
         """Add the doses of a step, divided into straight pieces according to its curvature."""
         bends = {name: r.bend(seconds, rates) for name, r in self.regions.items()}
         largest_bends = (np.abs(b[self.regions[n].warm]).max(initial=0.0) for n, b in bends.items())
-        worst = self._comm.allreduce(max(map(float, largest_bends)), MPI.MAX)
-        pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
+        largest_bend = self._comm.allreduce(max(map(float, largest_bends)), MPI.MAX)
+        piece_count = int(np.clip(np.ceil(np.sqrt(largest_bend / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
-            r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, pieces)
+            r.doses.add_bent(r.begin, r.now, bends[name], seconds - self.seconds, piece_count)
 
     def _raise(self, interface: str, numbers: Mapping[str, float]) -> None:
         """Raise the extremes of an interface to larger numbers."""
@@ -284,9 +284,9 @@ class ThermalRecord:
             f"{name} temperature_max [degC]": r.now - CELSIUS for name, r in self.regions.items()
         }
         for name, nodes in self._interfaces.items():
-            for which, side in zip(SIDES, nodes.sides, strict=True):
+            for side_name, side in zip(SIDES, nodes.sides, strict=True):
                 T = self._on_side(side, lambda r: r.now)
-                local[f"{name} temperature_max_{which} [degC]"] = T - CELSIUS
+                local[f"{name} temperature_max_{side_name} [degC]"] = T - CELSIUS
             if not nodes.apart:
                 local[f"{name} temperature_jump_max [K]"] = np.abs(nodes.jump(temperatures))
         row = maxima(self._comm, local)
@@ -331,42 +331,42 @@ class ThermalRecord:
                 faces.append(cells[region].faces(self._nodes[region].dof[rows]))
         surface = np.concatenate(faces)
         regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
-        result: ThermalNumbers = {
+        thermal_numbers: ThermalNumbers = {
             "regions": regions,
             "interfaces": {name: self._interface(name) for name in self._interfaces},
         }
         local = any(r.doses.forgotten for r in self.regions.values())
         if comm.allreduce(local, MPI.LOR):
-            result["note"] = TIMELESS
-            return result
+            thermal_numbers["note"] = TIMELESS
+            return thermal_numbers
         for name, r in self.regions.items():
             regions[name] |= r.times(comm)
         for name in self.bone:
             regions[name] |= self.regions[name].dead(comm, cells[name], surface)
-        return result
+        return thermal_numbers
 
     def _interface(self, name: str) -> Numbers:
-        result: Numbers = {}
-        for which, side in zip(SIDES, self._interfaces[name].sides, strict=True):
-            peak, place, when = largest(
+        numbers: Numbers = {}
+        for side_name, side in zip(SIDES, self._interfaces[name].sides, strict=True):
+            peak, position, peak_time = largest(
                 self._comm,
                 self._on_side(side, lambda r: r.peak.value),
                 self._on_side(side, lambda r: r.nodes.x),
                 self._on_side(side, lambda r: r.peak.time),
             )
-            result[f"temperature_max_{which}"] = peak - CELSIUS
-            result[f"temperature_max_{which}_at"] = place
-            result[f"temperature_max_{which}_time"] = when
+            numbers[f"temperature_max_{side_name}"] = peak - CELSIUS
+            numbers[f"temperature_max_{side_name}_at"] = position
+            numbers[f"temperature_max_{side_name}_time"] = peak_time
         if self._interfaces[name].apart:
-            return result
+            return numbers
         extremes = self.extremes[name]
-        result["temperature_jump_max"] = extremes["jump"]
+        numbers["temperature_jump_max"] = extremes["jump"]
         # Where both sides share one temperature the rest is unknown.
         if "flux" in extremes:
-            result["heat_flux_max"] = W_PER_M2 * extremes["flux"]
-            result["entropy_production_min"] = -W_PER_M2 * extremes["minus entropy"]
-            result["entropy_production_max"] = W_PER_M2 * extremes["entropy"]
-        return result
+            numbers["heat_flux_max"] = W_PER_M2 * extremes["flux"]
+            numbers["entropy_production_min"] = -W_PER_M2 * extremes["minus entropy"]
+            numbers["entropy_production_max"] = W_PER_M2 * extremes["entropy"]
+        return numbers
 
 
 # Cure
@@ -424,14 +424,14 @@ class CureRecord:
             rate = rates[name]
             for key, level in SET.items():
                 newly_reached = np.flatnonzero((degree >= level) & np.isinf(r.reached[key]))
-                share = _crossing(
+                fraction = _crossing(
                     level,
                     r.degree[newly_reached],
                     degree[newly_reached],
                     step * r.rate[newly_reached],
                     step * rate[newly_reached],
                 )
-                r.reached[key][newly_reached] = self.seconds + step * share
+                r.reached[key][newly_reached] = self.seconds + step * fraction
             r.fastest.take(rate, seconds)
             r.degree = degree.copy()
             r.rate = rate.copy()
@@ -439,22 +439,22 @@ class CureRecord:
 
     def row(self) -> dict[str, float]:
         """Return the columns of history.csv for the last recorded state; collective."""
-        result: dict[str, float] = {}
+        columns: dict[str, float] = {}
         for name, r in self.regions.items():
-            low, high = self._range(r)
-            result |= {f"{name} degree_min [-]": low, f"{name} degree_max [-]": high}
-        return result
+            lowest, highest = self._range(r)
+            columns |= {f"{name} degree_min [-]": lowest, f"{name} degree_max [-]": highest}
+        return columns
 
     def summary(self) -> dict[str, Numbers]:
         """Return the section ``cure`` of the summary; collective. Times not reached are None."""
-        result: dict[str, Numbers] = {}
+        numbers: dict[str, Numbers] = {}
         for name, r in self.regions.items():
-            low, high = self._range(r)
+            lowest, highest = self._range(r)
             latest = maxima(self._comm, {**r.reached, "rate_max": r.fastest.value})
-            result[name] = {"degree_min": low, "degree_max": high}
+            numbers[name] = {"degree_min": lowest, "degree_max": highest}
             for key, value in latest.items():
-                result[name][key] = value if np.isfinite(value) else None
-        return result
+                numbers[name][key] = value if np.isfinite(value) else None
+        return numbers
 
     def _range(self, r: _CuringRegion) -> tuple[float, float]:
         ends = maxima(self._comm, {"minus lowest": -r.degree, "highest": r.degree})

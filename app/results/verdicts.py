@@ -79,13 +79,13 @@ def check_usable(summaries: Mapping[Path, Summary]) -> None:
         UnusableError: Some results must not be used; the message has the reasons.
     """
     reasons = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
-    bad = [
+    bad_numbers = [
         f"do not use the numbers in {folder}: {reason}"
         for folder, reason in reasons.items()
         if reason
     ]
-    if bad:
-        raise UnusableError(bad)
+    if bad_numbers:
+        raise UnusableError(bad_numbers)
 
 
 def of_numbers(summary: Summary) -> list[Verdict]:
@@ -112,19 +112,19 @@ def of_numbers(summary: Summary) -> list[Verdict]:
     verdicts += [_crack(name, q) for name, q in interfaces.items() if "zone_length" in q]
     far_moved = too_far(summary)
     if far_moved:
-        text = f"larger than a facet on {' and '.join(far_moved)}: small sliding does not hold"
-        verdicts.append(Verdict(text, "slip", "use `sliding: finite`"))
+        message = f"larger than a facet on {' and '.join(far_moved)}: small sliding does not hold"
+        verdicts.append(Verdict(message, "slip", "use `sliding: finite`"))
     for of_package in _JUDGES:
         verdicts += of_package(summary)
     verdicts += _physiology(summary)
     verdicts.append(_mesh_and_step(summary))
     failed = ", ".join(summary.get("error", {}).get("failed", []))
     if failed:
-        text = f"these coarser runs failed and are left out of the estimate: {failed}"
-        verdicts.append(Verdict(text, "error", severity=Severity.WARNING))
+        message = f"these coarser runs failed and are left out of the estimate: {failed}"
+        verdicts.append(Verdict(message, "error", severity=Severity.WARNING))
     if "continued_shaft" in summary:
-        text = summary["continued_shaft"]["sentence"]
-        verdicts.append(Verdict(text, "continued shaft", severity=Severity.PLAIN))
+        message = summary["continued_shaft"]["sentence"]
+        verdicts.append(Verdict(message, "continued shaft", severity=Severity.PLAIN))
     if "accuracy" in summary:
         verdicts.append(Verdict(summary["accuracy"], severity=Severity.PLAIN))
     return [*verdicts, *_peaks(summary)]
@@ -158,15 +158,15 @@ def _balances(summary: Summary) -> Iterator[Verdict]:
         if excess:
             yield Verdict(f"NOT satisfied: {'; '.join(excess.values())}", EQUILIBRIUM)
         else:
-            defects_text = ", ".join(text for name, text in defects.items() if name != "heat")
-            text = f"satisfied to rounding (relative errors: {defects_text})"
-            yield Verdict(text, EQUILIBRIUM, severity=Severity.GOOD)
+            defects_text = ", ".join(defect for name, defect in defects.items() if name != "heat")
+            message = f"satisfied to rounding (relative errors: {defects_text})"
+            yield Verdict(message, EQUILIBRIUM, severity=Severity.GOOD)
     if "heat" in balance:
         if heat:
             yield Verdict(f"NOT balanced: {heat}", HEAT)
         else:
-            text = f"balanced (relative error {balance['heat']:.1e})"
-            yield Verdict(text, HEAT, severity=Severity.GOOD)
+            message = f"balanced (relative error {balance['heat']:.1e})"
+            yield Verdict(message, HEAT, severity=Severity.GOOD)
 
 
 def _physiology(summary: Summary) -> Iterator[Verdict]:
@@ -177,7 +177,7 @@ def _physiology(summary: Summary) -> Iterator[Verdict]:
         return
     head = float(np.linalg.norm(femur["head_displacement"]))
     strains = [1e6 * abs(v) for key, v in femur.items() if re.fullmatch(r"strain.*\d", key)]
-    low, high = STRAINS
+    lowest_usual, highest_usual = STRAINS
     smallest = min(strains)
     largest = max(strains)
     clauses = []
@@ -185,9 +185,11 @@ def _physiology(summary: Summary) -> Iterator[Verdict]:
         clauses.append(f"the head moves {head:.1f} mm (usually at most {MOTION:g} mm)")
     # A stem takes load from the cortex beside it: there the largest strain judges the loads.
     lowest = largest if summary.get("stem") else smallest
-    if lowest < low or largest > high:
-        usual = f"(usually {low:g} to {high:g} um/m)"
-        clauses.append(f"the strain of the cortex is {smallest:.0f} to {largest:.0f} um/m {usual}")
+    if lowest < lowest_usual or largest > highest_usual:
+        usual_range = f"(usually {lowest_usual:g} to {highest_usual:g} um/m)"
+        clauses.append(
+            f"the strain of the cortex is {smallest:.0f} to {largest:.0f} um/m {usual_range}"
+        )
     if clauses:
         yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
 
@@ -196,16 +198,16 @@ def _crack(name: str, q: Numbers) -> Verdict:
     """Return the verdict on damage; a warning if the mesh does not resolve the process zone."""
     table = TABLE["interfaces"]
     keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
-    damaged, broken, never, zone, elements = (table[key].text(q) for key in keys)
-    text = f"{name} is damaged on {damaged} mm^2, of which {broken} are broken"
+    damaged, broken, never_bonded, zone, elements = (table[key].text(q) for key in keys)
+    message = f"{name} is damaged on {damaged} mm^2, of which {broken} are broken"
     if q["unbonded_fraction"]:
-        text += f"; {never} % was never bonded"
+        message += f"; {never_bonded} % was never bonded"
     if q["zone_length"]:
-        text += f"; its process zone is {zone} mm long, {elements} elements"
+        message += f"; its process zone is {zone} mm long, {elements} elements"
     if 0 < q["zone_elements"] < RESOLVED:
-        text += f"; at least {RESOLVED} elements are needed"
-        return Verdict(in_print(text), "cohesion", "reduce mesh.size", Severity.WARNING)
-    return Verdict(in_print(text), "cohesion", severity=Severity.GOOD)
+        message += f"; at least {RESOLVED} elements are needed"
+        return Verdict(in_print(message), "cohesion", "reduce mesh.size", Severity.WARNING)
+    return Verdict(in_print(message), "cohesion", severity=Severity.GOOD)
 
 
 def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
@@ -224,27 +226,27 @@ def _contact(interfaces: Mapping[str, Numbers]) -> Verdict:
     if rims:
         rim = f". Rim and tip are excluded; the rim opens by {', '.join(rims)}"
     if largest["penetration_max"] >= 1e-9:
-        deep = length("penetration_max")
-        text = f"bodies overlap by {deep} at nodes{rim}"
-        return Verdict(text, CONTACT, severity=Severity.WARNING)
-    between = largest["penetration_sampled"] >= 1e-9
+        overlap_length = length("penetration_max")
+        message = f"bodies overlap by {overlap_length} at nodes{rim}"
+        return Verdict(message, CONTACT, severity=Severity.WARNING)
+    overlaps_between_nodes = largest["penetration_sampled"] >= 1e-9
     overlap_text = ""
-    if between:
+    if overlaps_between_nodes:
         overlap_text = f"; between nodes bodies overlap by up to {length('penetration_sampled')}"
-    text = f"satisfied to rounding at nodes{overlap_text}{rim}"
-    return Verdict(text, CONTACT, severity=Severity.GOOD)
+    message = f"satisfied to rounding at nodes{overlap_text}{rim}"
+    return Verdict(message, CONTACT, severity=Severity.GOOD)
 
 
 def _by_facets(name: str, q: Numbers) -> Verdict:
     """Return the verdict on a largest pressure that depends on the facets."""
     largest = TABLE["interfaces"]["pressure_max"].text(q)
-    part = TABLE["interfaces"]["pressure_by_facets"].text(q)
-    text = (
+    facet_pressure = TABLE["interfaces"]["pressure_by_facets"].text(q)
+    message = (
         f"the maximum on {name}, {largest} MPa, depends on the facets of the mesh: slip over their "
-        f"edges causes up to {part} MPa"
+        f"edges causes up to {facet_pressure} MPa"
     )
     cure = "reduce `mesh.size`; if cells are straight, use curved ones (`mesh.order: 2`)"
-    return Verdict(text, "pressure", cure, Severity.WARNING)
+    return Verdict(message, "pressure", cure, Severity.WARNING)
 
 
 def _is_steep(q: Numbers) -> bool:
@@ -257,23 +259,23 @@ def _steep(name: str, q: Numbers) -> Verdict:
     largest, mean = (
         TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max")
     )
-    text = (
+    message = (
         f"the maximum on {name}, {largest} MPa, is at a ridge or an edge; averaged over the area "
         "of a "
         f"node the pressure is at most {mean} MPa"
     )
-    return Verdict(text, "pressure", severity=Severity.WARNING)
+    return Verdict(message, "pressure", severity=Severity.WARNING)
 
 
 def _mesh_and_step(summary: Summary) -> Verdict:
     """Return the verdict on the estimated errors of mesh and step."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
-        text = "errors are not estimated; run with --error"
-        return Verdict(text, BOTH, severity=Severity.PLAIN)
+        message = "errors are not estimated; run with --error"
+        return Verdict(message, BOTH, severity=Severity.PLAIN)
     largest = largest_of_units(summary)
-    shares: dict[str, float] = {}
-    zero: list[str] = []
+    relative_errors: dict[str, float] = {}
+    zero_numbers: list[str] = []
     owners = {"interfaces": summary.get("interfaces", {}), "regions": summary.get("regions", {})}
     for section, numbers_by_owner in owners.items():
         for name, q in numbers_by_owner.items():
@@ -282,24 +284,30 @@ def _mesh_and_step(summary: Summary) -> Verdict:
                 if error is None or not q[key] or key not in TABLE[section]:
                     continue
                 if is_zero(q[key], error, largest[TABLE[section][key].unit]):
-                    zero.append(quantities.in_words(f"{name}.{key}")[0])
+                    zero_numbers.append(quantities.in_words(f"{name}.{key}")[0])
                 else:
-                    shares[quantities.in_words(f"{name}.{key}")[0]] = error / abs(q[key])
-    by_error, text = sorted(shares, key=shares.__getitem__), "± is the estimated error"
+                    relative_errors[quantities.in_words(f"{name}.{key}")[0]] = error / abs(q[key])
+    by_error = sorted(relative_errors, key=relative_errors.__getitem__)
+    message = "± is the estimated error"
     if by_error:
         median_and_worst = (by_error[len(by_error) // 2], by_error[-1])
-        half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in median_and_worst)
-        text = f"half of the percentiles have errors below ± {half} %"
-        text += f", the largest has ± {worst} % ({by_error[-1]})"
-        share = estimated.get("share_within_error")
-        if share:
-            text += f". For about {100 * share:.0f} % of such numbers the true error is smaller"
-    if zero:
-        text += f". Not counted, because close to zero: {', '.join(zero)}"
+        median_error, largest_error = (
+            f"{float(f'{100 * relative_errors[key]:.2g}'):g}" for key in median_and_worst
+        )
+        message = f"half of the percentiles have errors below ± {median_error} %"
+        message += f", the largest has ± {largest_error} % ({by_error[-1]})"
+        share_within_error = estimated.get("share_within_error")
+        if share_within_error:
+            message += (
+                f". For about {100 * share_within_error:.0f} % of such numbers the true error is"
+                " smaller"
+            )
+    if zero_numbers:
+        message += f". Not counted, because close to zero: {', '.join(zero_numbers)}"
     source = estimated.get("sources", BOTH)
     if source != BOTH:
-        text += "; the error of the mesh is not estimated"
-    return Verdict(text, source, severity=Severity.PLAIN)
+        message += "; the error of the mesh is not estimated"
+    return Verdict(message, source, severity=Severity.PLAIN)
 
 
 def _peaks(summary: Summary) -> list[Verdict]:
@@ -308,8 +316,8 @@ def _peaks(summary: Summary) -> list[Verdict]:
     for name, ((finest, value), *coarser) in summary.get("error", {}).get("unsettled", {}).items():
         q = quantities.get(name)
         if q and q.unit != "-":  # a risk stands with the strength
-            words = quantities.in_words(name)[0].removesuffix(" max").removesuffix(",")
-            finest_values = [f"{words} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
+            number_title = quantities.in_words(name)[0].removesuffix(" max").removesuffix(",")
+            finest_values = [f"{number_title} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
                 ", ".join(
                     finest_values + [f"{q.text({q.key: v})} at {size:g}" for size, v in coarser]

@@ -88,9 +88,9 @@ class GridFile:
             on_root(comm, lambda: _cut(path, len(points), len(cells), steps))
             return
         x, nodes = self._gather(grid.points), self._gather(grid.point_keys[grid.cells])
-        data = {name: self._gather(values)[cells] for name, values in grid.cell_data.items()}
+        cell_data = {name: self._gather(values)[cells] for name, values in grid.cell_data.items()}
         cells = np.searchsorted(keys, nodes[cells])
-        full_grid = replace(grid, points=x[points], cells=cells, cell_data=data)
+        full_grid = replace(grid, points=x[points], cells=cells, cell_data=cell_data)
         on_root(comm, lambda: _create(path, full_grid))
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
@@ -108,31 +108,33 @@ class GridFile:
             OSError: The file cannot be written (on every rank).
             ValueError: Names or components of fields differ from those of the first step.
         """
-        names = frozenset(point), frozenset(cell)
-        if self._names not in (None, names) or not self._constant.isdisjoint(cell):
-            raise ValueError(f"{self.path}: every step writes the same fields, once: not {names}")
+        field_names = frozenset(point), frozenset(cell)
+        if self._names not in (None, field_names) or not self._constant.isdisjoint(cell):
+            raise ValueError(
+                f"{self.path}: every step writes the same fields, once: not {field_names}"
+            )
         arrays = {}
-        for kind, fields in (("PointData", point), ("CellData", cell)):
+        for group_name, fields in (("PointData", point), ("CellData", cell)):
             for name, values in fields.items():
-                arrays[f"{kind}/{name}"] = self._gather(values), self._rows[kind]
-        starts = {name: self.steps * len(rows) for name, (_, rows) in arrays.items()}
-        starts |= {f"CellData/{name}": 0 for name in self._constant}
-        starts |= {f"FieldData/{name}": 0 for name in self._texts}
+                arrays[f"{group_name}/{name}"] = self._gather(values), self._rows[group_name]
+        start_rows = {name: self.steps * len(rows) for name, (_, rows) in arrays.items()}
+        start_rows |= {f"CellData/{name}": 0 for name in self._constant}
+        start_rows |= {f"FieldData/{name}": 0 for name in self._texts}
 
         def write() -> None:
             with _edit(self.path, sum(values.nbytes for values, _ in arrays.values())) as root:
                 for name, (values, rows) in arrays.items():
-                    _put(root, name, values[rows], starts[name], chunk=len(rows))
-            _commit(self.path, self.steps, time, starts)
+                    _put(root, name, values[rows], start_rows[name], chunk=len(rows))
+            _commit(self.path, self.steps, time, start_rows)
 
         on_root(self.comm, write, share=False)
-        self._names = names
+        self._names = field_names
         self.steps += 1
 
     def _gather(self, values: Array) -> Array:
         """Return the rows of all ranks on rank 0, nothing on other ranks."""
-        pieces = self.comm.gather(values)
-        return values[:0] if pieces is None else np.concatenate(pieces)
+        rank_values = self.comm.gather(values)
+        return values[:0] if rank_values is None else np.concatenate(rank_values)
 
 
 def _create(path: Path, grid: Grid) -> None:
@@ -153,11 +155,11 @@ def _create(path: Path, grid: Grid) -> None:
             root.create_group(f"Steps/{name}Offsets")
         for name, values in grid.cell_data.items():
             root[f"CellData/{name}"] = values
-        for name, words in grid.texts.items():
+        for name, texts in grid.texts.items():
             # VTK reads only this encoding.
-            ascii_words = [word.encode("ascii", "replace") for word in words]
-            kind = h5py.string_dtype("ascii")
-            root.create_dataset(f"FieldData/{name}", data=ascii_words, dtype=kind)
+            ascii_words = [text.encode("ascii", "replace") for text in texts]
+            text_type = h5py.string_dtype("ascii")
+            root.create_dataset(f"FieldData/{name}", data=ascii_words, dtype=text_type)
         root["Steps"].attrs["NSteps"] = 0
         file.flush()
         files.write_bytes(path, file.id.get_file_image())
@@ -177,10 +179,10 @@ def write_last_step(path: Path, target: Path) -> None:
         root.attrs.update(source.attrs)
         for name in source.keys() - {"Steps", "PointData", "CellData"}:
             source.copy(name, root)
-        for kind, rows in (("PointData", "Points"), ("CellData", "Types")):
-            for name, values in source[kind].items():
-                start = int(source[f"Steps/{kind}Offsets/{name}"][-1])
-                root[f"{kind}/{name}"] = values[start : start + len(source[rows])]
+        for group_name, rows in (("PointData", "Points"), ("CellData", "Types")):
+            for name, values in source[group_name].items():
+                start_row = int(source[f"Steps/{group_name}Offsets/{name}"][-1])
+                root[f"{group_name}/{name}"] = values[start_row : start_row + len(source[rows])]
         new_file.flush()
         files.write_bytes(target, new_file.id.get_file_image())
 
@@ -198,12 +200,12 @@ def _cut(path: Path, points: int, cells: int, steps: int) -> None:
         raise OSError(errno.EIO, str(error), str(path)) from error
 
 
-def _commit(path: Path, step: int, time: float, starts: Mapping[str, int]) -> None:
+def _commit(path: Path, step: int, time: float, start_rows: Mapping[str, int]) -> None:
     """Make a step visible to readers, after its values; they start at a row of each array."""
     rows: dict[str, Array] = {"Values": np.array([float(time)]), "NumberOfParts": np.array([1])}
     rows |= {name: np.array([0]) for name in ("PartOffsets", "PointOffsets")}
     rows |= {name: np.array([[0]]) for name in ("CellOffsets", "ConnectivityIdOffsets")}
-    rows |= {name.replace("/", "Offsets/"): np.array([row]) for name, row in starts.items()}
+    rows |= {name.replace("/", "Offsets/"): np.array([row]) for name, row in start_rows.items()}
     with _edit(path, 0) as root:
         for name, values in rows.items():
             _put(root, f"Steps/{name}", values, step, chunk=64)
@@ -211,35 +213,35 @@ def _commit(path: Path, step: int, time: float, starts: Mapping[str, int]) -> No
         root["Steps"].attrs.modify("NSteps", step + 1)
 
 
-def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> None:
+def _put(root: h5py.Group, name: str, values: Array, start_row: int, chunk: int) -> None:
     """Write rows into a dataset from row ``start`` on; create or enlarge it."""
     shape = values.shape[1:]
     try:
-        data = h5py.h5d.open(root.id, name.encode())
+        data_id = h5py.h5d.open(root.id, name.encode())
     except KeyError:
-        chunks, limit = (max(chunk, 1), *shape), (None, *shape)
+        chunks, largest_shape = (max(chunk, 1), *shape), (None, *shape)
         dataset = root.create_dataset(
-            name, (0, *shape), values.dtype, maxshape=limit, chunks=chunks
+            name, (0, *shape), values.dtype, maxshape=largest_shape, chunks=chunks
         )
-        data = dataset.id
-    if data.shape[1:] != shape:
-        raise ValueError(f"{name}: components {shape} instead of {data.shape[1:]}")
+        data_id = dataset.id
+    if data_id.shape[1:] != shape:
+        raise ValueError(f"{name}: components {shape} instead of {data_id.shape[1:]}")
     # The low-level interface, because h5py's indexing takes longer than writing a small array.
-    data.set_extent((start + len(values), *shape))
-    rows = data.get_space()
-    rows.select_hyperslab((start, *(0 for _ in shape)), values.shape)
-    data.write(h5py.h5s.create_simple(values.shape), rows, values)
+    data_id.set_extent((start_row + len(values), *shape))
+    rows = data_id.get_space()
+    rows.select_hyperslab((start_row, *(0 for _ in shape)), values.shape)
+    data_id.write(h5py.h5s.create_simple(values.shape), rows, values)
 
 
 @contextmanager
 def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
     """Open the file to add arrays of a size [bytes]; OSError if there is no space for them."""
-    with path.open("r+b") as plain:
-        end = plain.seek(0, os.SEEK_END)
+    with path.open("r+b") as plain_file:
+        file_end = plain_file.seek(0, os.SEEK_END)
         try:
-            os.posix_fallocate(plain.fileno(), end, size + _METADATA)
+            os.posix_fallocate(plain_file.fileno(), file_end, size + _METADATA)
         except OSError as error:
-            plain.truncate(end)
+            plain_file.truncate(file_end)
             raise OSError(error.errno, error.strerror, str(path)) from error
     # No lock, because a reader that has the file open must not stop the run. No cache, so that an
     # error occurs where values are written. Closing the file frees unused space.
