@@ -139,9 +139,9 @@ class Case(Section):
             faults = [Fault((name, *f.path), f.text) for f in section.faults(error)]
             notes["faults"] += faults
             if name in TABLES and isinstance(value, dict):
-                wrong = {fault.path[1] for fault in faults}
-                part = handler({k: v for k, v in value.items() if k not in wrong})
-                part |= dict.fromkeys(wrong)
+                wrong_names = {fault.path[1] for fault in faults}
+                part = handler({k: v for k, v in value.items() if k not in wrong_names})
+                part |= dict.fromkeys(wrong_names)
             elif name in ("interfaces", "motions", "loads", "heat"):
                 part = {}
         notes["parts"][name] = part
@@ -291,24 +291,31 @@ def _variations(loaded: LoadedCase) -> list[PlannedRun]:
     # The place of a value set by an option is the key of the option.
     options = [place for place in file.places.values() if isinstance(place, str)]
     faults: list[Fault] = []
-    for name, changes in loaded.config.variations.items():
-        keys = {full: key for key in changes for full in expand(key, file.data)}
-        places: dict[str, yaml_file.Path] = {
-            full: ("variations", name, key) for full, key in keys.items()
+    for name, changed_values in loaded.config.variations.items():
+        keys = {full_key: key for key in changed_values for full_key in expand(key, file.data)}
+        path_of_key: dict[str, yaml_file.Path] = {
+            full_key: ("variations", name, key) for full_key, key in keys.items()
         }
-        faults += points.clashes(options, ((place, full) for full, place in places.items()))
-        overrides = tuple(points.as_overrides({full: changes[key] for full, key in keys.items()}))
-        copy = overlay.changed(file, overrides)
-        del copy.data["variations"]
+        faults += points.clashes(
+            options, ((place, full_key) for full_key, place in path_of_key.items())
+        )
+        overrides = tuple(
+            points.as_overrides({full_key: changed_values[key] for full_key, key in keys.items()})
+        )
+        changed_file = overlay.changed(file, overrides)
+        del changed_file.data["variations"]
         try:
-            case = resolve(copy, loaded.path.parent)
+            case = resolve(changed_file, loaded.path.parent)
         except InputError as error:
             faults += [
-                points.at_override(message, places) or Fault(("variations",), f"{name}: {message}")
+                points.at_override(message, path_of_key)
+                or Fault(("variations",), f"{name}: {message}")
                 for message in error.messages
             ]
             continue
-        point = Point(name, changes, places, ("variations", name), varied=tuple(changes))
+        point = Point(
+            name, changed_values, path_of_key, ("variations", name), varied=tuple(changed_values)
+        )
         runs.append(PlannedRun(loaded.path, (*loaded.overrides, *overrides), case, point))
     file.raise_all(faults)
     return runs
@@ -334,18 +341,18 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         case.geometry.check_fit(mesh)
     time = (case.time or TimeOptions()) if case.conducts else None
     title = title_with_changes(case.title, file)
-    changes = {"title": title, "interfaces": laws, "mesh": mesh, "time": time}
-    return case.model_copy(update=changes)
+    resolved_parts = {"title": title, "interfaces": laws, "mesh": mesh, "time": time}
+    return case.model_copy(update=resolved_parts)
 
 
 def _with_tissues(case: Case, of_materials: Mapping[str, str]) -> Case:
     """Give regions without a tissue that of the geometry, else of the material."""
     if case.geometry is None or case.regions is None:
         return case
-    known = {**of_materials, **case.geometry.tissues}
+    tissue_of_region = {**of_materials, **case.geometry.tissues}
     regions = {
-        name: region.model_copy(update={"tissue": known[name]})
-        if region and region.tissue is None and name in known
+        name: region.model_copy(update={"tissue": tissue_of_region[name]})
+        if region and region.tissue is None and name in tissue_of_region
         else region
         for name, region in case.regions.items()
     }

@@ -123,11 +123,13 @@ def cross_check(case: CaseParts) -> list[Fault]:
     ]
 
 
-def _unknown(path: Path, kind_name: str, name: str, known: Iterable[str], owner: str) -> Fault:
-    known = tuple(known)
-    allowed = f"it has {', '.join(known)}" if known else "it has none"
-    text = f"the geometry ({owner}) has no {kind_name} '{name}'; {allowed}"
-    return Fault(path, text + did_you_mean(name, known))
+def _unknown(
+    path: Path, kind_name: str, name: str, known_names: Iterable[str], owner: str
+) -> Fault:
+    known_names = tuple(known_names)
+    allowed = f"it has {', '.join(known_names)}" if known_names else "it has none"
+    message = f"the geometry ({owner}) has no {kind_name} '{name}'; {allowed}"
+    return Fault(path, message + did_you_mean(name, known_names))
 
 
 def _valid(entries: Mapping[str, T | None] | None) -> Iterator[tuple[str, T]]:
@@ -156,14 +158,18 @@ def _names(case: CaseParts) -> Iterable[Fault]:
     ]
     for section, name, entry in _entries(case, "interfaces", "motions"):
         used_names.append(((section, name, "region"), "region", getattr(entry, "region", None)))
-        between = enumerate(getattr(entry, "between", None) or ())
-        used_names += [((section, name, "between", i), "boundary", face) for i, face in between]
+        numbered_faces = enumerate(getattr(entry, "between", None) or ())
+        used_names += [
+            ((section, name, "between", i), "boundary", face) for i, face in numbered_faces
+        ]
     for section, name, entry in _entries(case, "supports", "loads", "heat"):
         used_names.append(
             ((section, name, "boundary"), "boundary", getattr(entry, "boundary", None))
         )
-        inside = enumerate(getattr(entry, "regions", None) or ())
-        used_names += [((section, name, "regions", i), "region", region) for i, region in inside]
+        numbered_regions = enumerate(getattr(entry, "regions", None) or ())
+        used_names += [
+            ((section, name, "regions", i), "region", region) for i, region in numbered_regions
+        ]
     left_out = case.geometry.left_out
     used_names = [
         entry for entry in used_names if entry[2] not in left_out.get(str(entry[0][0]), ())
@@ -172,55 +178,61 @@ def _names(case: CaseParts) -> Iterable[Fault]:
         for name, probe in (case.output.probes or {}).items():
             for key in ("region", "boundary"):
                 used_names.append((("output", "probes", name, key), key, getattr(probe, key, None)))
-        for name, along in (case.output.paths or {}).items():
+        for name, path_keys in (case.output.paths or {}).items():
             for key in ("region", "interface"):
-                used_names.append((("output", "paths", name, key), key, getattr(along, key, None)))
-    known = {"region": regions, "interface": interfaces, "boundary": boundaries}
+                used_names.append(
+                    (("output", "paths", name, key), key, getattr(path_keys, key, None))
+                )
+    known_names = {"region": regions, "interface": interfaces, "boundary": boundaries}
     for path, kind_name, used_name in used_names:
-        if used_name is not None and used_name not in known[kind_name]:
-            yield _unknown(path, kind_name, used_name, known[kind_name], kind)
+        if used_name is not None and used_name not in known_names[kind_name]:
+            yield _unknown(path, kind_name, used_name, known_names[kind_name], kind)
     if case.regions is None:
         return
-    missing = [name for name in regions if name not in case.regions]
-    if missing:
-        yield Fault(("regions",), f"no material for {', '.join(missing)}; every region needs one")
+    missing_regions = [name for name in regions if name not in case.regions]
+    if missing_regions:
+        yield Fault(
+            ("regions",), f"no material for {', '.join(missing_regions)}; every region needs one"
+        )
     for name, region in _valid(case.regions):
         if region.tissue is None and name in regions:
-            text = "'tissue' is missing; expected bone, cement, implant or other"
-            yield Fault(("regions", name), text)
+            message = "'tissue' is missing; expected bone, cement, implant or other"
+            yield Fault(("regions", name), message)
 
 
 @check("geometry")
 def _cement(case: CaseParts) -> Iterable[Fault]:
     """Names of a base that has cement, or none; interfaces that need a law."""
     geometry = case.geometry
-    missing = {n: law for n, law in geometry.laws_to_write.items() if n not in case.interfaces}
+    missing_laws = {n: law for n, law in geometry.laws_to_write.items() if n not in case.interfaces}
     unused = {
-        section: [name for name in names if name in (getattr(case, section) or {})]
-        for section, names in geometry.left_out.items()
+        section: [name for name in unused_names if name in (getattr(case, section) or {})]
+        for section, unused_names in geometry.left_out.items()
     }
     if any(unused.values()):
         sections = []
         options = []
-        for section, names in unused.items():
-            entries = dict.fromkeys(names, "null")
+        for section, unused_names in unused.items():
+            entry_of_name = dict.fromkeys(unused_names, "null")
             if section == "interfaces":
-                entries |= missing
-            if not entries:
+                entry_of_name |= missing_laws
+            if not entry_of_name:
                 continue
-            written = ", ".join(f"{name}: {entry}" for name, entry in entries.items())
-            sections.append(f"`{section}: {{{written}}}`")
-            for name, entry in entries.items():
+            written_entries = ", ".join(f"{name}: {entry}" for name, entry in entry_of_name.items())
+            sections.append(f"`{section}: {{{written_entries}}}`")
+            for name, entry in entry_of_name.items():
                 option = shlex.quote(f"{section}.{name}={entry}")
                 options.append(f"--set {option}")
         reason = "there is no cement" if "regions" in geometry.left_out else "there is cement"
         in_file = f"in a file, add {' and '.join(sections)}"
-        text = f"{reason}; {in_file}; on the command line, add `{' '.join(options)}`"
-        yield Fault(("geometry", "cement_thickness"), text)
-    elif missing:
-        example = ", ".join(f"{name}: {law}" for name, law in missing.items())
-        text = f"no law for {', '.join(missing)}, so the stem would be bonded (ingrown); set"
-        yield Fault(("interfaces",), f"{text} `{example}`, or `kind: bonded`")
+        message = f"{reason}; {in_file}; on the command line, add `{' '.join(options)}`"
+        yield Fault(("geometry", "cement_thickness"), message)
+    elif missing_laws:
+        example = ", ".join(f"{name}: {law}" for name, law in missing_laws.items())
+        message = (
+            f"no law for {', '.join(missing_laws)}, so the stem would be bonded (ingrown); set"
+        )
+        yield Fault(("interfaces",), f"{message} `{example}`, or `kind: bonded`")
 
 
 @check("geometry")
@@ -229,60 +241,69 @@ def _mesh(case: CaseParts) -> Iterable[Fault]:
     largest = case.geometry.coarsest_size
     if case.mesh is not None:
         if not case.mesh.size and largest:
-            text = "'size' is missing; expected the edge length at the interfaces, e.g. 4 mm"
-            yield Fault(("mesh",), text)
+            message = "'size' is missing; expected the edge length at the interfaces, e.g. 4 mm"
+            yield Fault(("mesh",), message)
         if not case.geometry.spans and 0.0 < largest < case.mesh.size:
-            text = f"{case.mesh.size:g} mm is larger than every part; use at most {largest:g} mm"
-            yield Fault(("mesh", "size"), text)
+            message = f"{case.mesh.size:g} mm is larger than every part; use at most {largest:g} mm"
+            yield Fault(("mesh", "size"), message)
         for key in ("around", "along", "through_cement"):
             if getattr(case.mesh, key) and not case.geometry.grid(case.mesh):
-                text = f"geometry.kind: {case.geometry.kind} is not meshed by lines and layers"
-                yield Fault(("mesh", key), f"{text}; leave {key} out")
+                message = f"geometry.kind: {case.geometry.kind} is not meshed by lines and layers"
+                yield Fault(("mesh", key), f"{message}; leave {key} out")
         if case.mesh.through_cement and "cement" in case.geometry.left_out.get("regions", ()):
             yield Fault(("mesh", "through_cement"), "there is no cement; leave through_cement out")
         yield from _lines(case.geometry, case.mesh)
     size = 0.0 if case.mesh is None else case.mesh.size
     for keys, (length, size_ratio) in case.geometry.spans.items():
         if size > size_ratio * length:
-            text = f"is too small for edges of {size:g} mm (mesh.size)"
-            expected = f"at least {size / size_ratio:.3g} mm, or a mesh.size of at most"
+            message = f"is too small for edges of {size:g} mm (mesh.size)"
+            expected_length = f"at least {size / size_ratio:.3g} mm, or a mesh.size of at most"
             yield Fault(
-                ("geometry", *keys), f"{text}; expected {expected} {size_ratio * length:.3g} mm"
+                ("geometry", *keys),
+                f"{message}; expected {expected_length} {size_ratio * length:.3g} mm",
             )
 
 
 def _lines(geometry: Shape, mesh: MeshOptions) -> Iterable[Fault]:
     """Distances of lines that the stem's section cannot hold, and steps that no part can."""
-    around, length = mesh.around, geometry.stem_perimeter
-    if isinstance(around, float) and length:
+    distance_around, length = mesh.around, geometry.stem_perimeter
+    if isinstance(distance_around, float) and length:
         # Rounded inwards: what the message allows is allowed.
-        shortest, longest = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
-        if not length / MOST_LINES <= around <= length / COMPANION:
-            text = f"{around:g} mm: the section of the stem has a perimeter of {length:.3g} mm"
-            expected = f"expected {shortest:.2g} to {longest:.3g} mm, or a number of lines"
-            yield Fault(("mesh", "around"), f"{text}; {expected}")
-    along, longest = mesh.along, geometry.coarsest_size
-    if along and length and along > longest:
-        text = f"{along:g} mm: is longer than every part; expected at most {longest:g} mm"
-        yield Fault(("mesh", "along"), text)
+        shortest, largest_distance = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
+        if not length / MOST_LINES <= distance_around <= length / COMPANION:
+            message = (
+                f"{distance_around:g} mm: the section of the stem has a perimeter of {length:.3g}"
+                " mm"
+            )
+            expected_distance = (
+                f"expected {shortest:.2g} to {largest_distance:.3g} mm, or a number of lines"
+            )
+            yield Fault(("mesh", "around"), f"{message}; {expected_distance}")
+    distance_along, largest_distance = mesh.along, geometry.coarsest_size
+    if distance_along and length and distance_along > largest_distance:
+        message = (
+            f"{distance_along:g} mm: is longer than every part; expected at most"
+            f" {largest_distance:g} mm"
+        )
+        yield Fault(("mesh", "along"), message)
 
 
 @check("stages")
 def _stages(case: CaseParts) -> Iterable[Fault]:
     """Missing or duplicate stages, load histories of wrong length, unknown stages of supports."""
-    names = [stage.name for stage in case.stages]
-    if not names:
+    stage_names = [stage.name for stage in case.stages]
+    if not stage_names:
         yield Fault(("stages",), "is empty; expected at least one stage")
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            text = f"'{name}' is the name of an earlier stage too; choose another name"
-            yield Fault(("stages", i, "name"), text)
+    for i, name in enumerate(stage_names):
+        if name in stage_names[:i]:
+            message = f"'{name}' is the name of an earlier stage too; choose another name"
+            yield Fault(("stages", i, "name"), message)
     laws = [law for _, law in _valid(case.interfaces)]
     if len(laws) == len(case.interfaces or ()) and not any(w.dissipates for w in laws):
         for i, stage in enumerate(case.stages):
             if stage.fracture_step:
-                text = "no interface can break; expected an interface of kind: cohesive"
-                yield Fault(("stages", i, "fracture_step"), text)
+                message = "no interface can break; expected an interface of kind: cohesive"
+                yield Fault(("stages", i, "fracture_step"), message)
     load_histories: list[tuple[Path, Sequence[float] | None]] = [
         ((section, name, key), getattr(entry, key))
         for section, name, entry in _entries(case, "interfaces", "supports", "loads")
@@ -294,31 +315,33 @@ def _stages(case: CaseParts) -> Iterable[Fault]:
             key = ("regions", name, "eigenstrains", i, "history")
             load_histories.append((key, getattr(strain, "history", None)))
     for path, load_history in load_histories:
-        if load_history is not None and len(load_history) != len(names):
-            expected = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
-            yield Fault(path, f"has {len(load_history)} values; expected {expected}")
+        if load_history is not None and len(load_history) != len(stage_names):
+            expected_values = (
+                f"{len(stage_names)}, one for the end of each stage ({', '.join(stage_names)})"
+            )
+            yield Fault(path, f"has {len(load_history)} values; expected {expected_values}")
     used_stages: list[tuple[Path, str]] = []
     supports: Iterable[tuple[str, AnySupport]] = _valid(case.supports)
     for name, support in supports:
         stages = enumerate(support.stages or ())
         used_stages += [(("supports", name, "stages", i), stage) for i, stage in stages]
     for path, used_stage in used_stages:
-        if used_stage not in names:
-            hint = did_you_mean(used_stage, names)
-            text = f"'{used_stage}' is not one of {', '.join(names)}{hint}"
-            yield Fault(path, text)
+        if used_stage not in stage_names:
+            hint = did_you_mean(used_stage, stage_names)
+            message = f"'{used_stage}' is not one of {', '.join(stage_names)}{hint}"
+            yield Fault(path, message)
 
 
 @check("geometry")
 def _accuracy(case: CaseParts) -> Iterable[Fault]:
     """An accuracy where there is no mesh to choose, or no number that counts."""
-    given = case.geometry.kind == "file" or case.variations
+    has_fixed_mesh = case.geometry.kind == "file" or case.variations
     touches = any(law and law.can_part for law in case.interfaces.values())
-    if case.output and case.output.accuracy and (given or not touches):
-        text = (
+    if case.output and case.output.accuracy and (has_fixed_mesh or not touches):
+        message = (
             "mesh size cannot be chosen; an accuracy needs contact, no variations and no mesh file"
         )
-        yield Fault(("output", "accuracy"), text)
+        yield Fault(("output", "accuracy"), message)
 
 
 @check("geometry")
@@ -332,10 +355,10 @@ def _rigid(case: CaseParts) -> Iterable[Fault]:
         sides = case.geometry.interface_sides.get(name)
         if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
-            text = f"both sides are rigid ({regions})"
+            message = f"both sides are rigid ({regions})"
             cure = "make one side elastic"
             path = ("interfaces", name)
-            yield Fault(path, text, cure=cure, code=Reason.RIGID_CONTACT)
+            yield Fault(path, message, cure=cure, code=Reason.RIGID_CONTACT)
 
 
 @check("supports")
@@ -357,21 +380,21 @@ def _held(case: CaseParts) -> Iterable[Fault]:
         when = f" in stage '{stage}'" if stage else ""
         free_axes = [axis for axis in "xyz" if axis not in held_axes]
         if free_axes:
-            along = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
-            text = f"no support holds the model{along}{when}"
+            along_axes = "" if len(free_axes) == 3 else f" along {' and '.join(free_axes)}"
+            message = f"no support holds the model{along_axes}{when}"
             cure = "expected a support: fixed, roller, displacement or foundation"
-            yield Fault(("supports",), text, cure=cure, code=Reason.LOOSE_BODY)
+            yield Fault(("supports",), message, cure=cure, code=Reason.LOOSE_BODY)
 
 
 @check("geometry")
 def _side(case: CaseParts) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and case.geometry.has_gruen_zones:
-        text = (
+        message = (
             f"the geometry ({case.geometry.kind}) is a left femur; use `side: left`, with the "
             "loads of a right hip mirrored in x"
         )
-        yield Fault(("side",), text)
+        yield Fault(("side",), message)
 
 
 @check("regions")
@@ -400,10 +423,10 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
         if law.finite_sliding:
             faces = law.sliding_boundaries or case.geometry.faces.get(name)
             if not faces:
-                text = "its sides share facets of the mesh; mesh the bodies separately, and set "
-                text += "`between` to two of "
-                text += ", ".join(case.geometry.boundary_names)
-                yield Fault(("interfaces", name, "sliding"), text)
+                message = "its sides share facets of the mesh; mesh the bodies separately, and set "
+                message += "`between` to two of "
+                message += ", ".join(case.geometry.boundary_names)
+                yield Fault(("interfaces", name, "sliding"), message)
             moving_parts += [(("interfaces", name, "between"), face) for face in faces or ()]
     users = dict[tuple[str, str], str]()
     for path, part in moving_parts:
@@ -414,41 +437,41 @@ def _sliding(case: CaseParts) -> Iterable[Fault]:
     for name, motion in _valid(case.motions):
         region = (case.regions or {}).get(motion.region)
         if region is not None and region.moves_rigidly == bool(motion.boundary):
-            text = f"{motion.region} is elastic; expected `boundary`, the surface that moves"
+            message = f"{motion.region} is elastic; expected `boundary`, the surface that moves"
             if motion.boundary:
-                text = f"{motion.region} is rigid and moves as a whole; leave `boundary` out"
-            yield Fault(("motions", name, "region"), text)
+                message = f"{motion.region} is rigid and moves as a whole; leave `boundary` out"
+            yield Fault(("motions", name, "region"), message)
     motions = tuple(case.motions or ())
-    cyclic = any(motion.cycle for _, motion in _valid(case.motions))
+    is_cyclic = any(motion.cycle for _, motion in _valid(case.motions))
     for name, load in _valid(case.loads):
-        cyclic |= load.cycle is not None
-        followed = getattr(load, "follows", None)
-        if followed is not None and followed not in motions:
-            text = f"there is no motion '{followed}'{did_you_mean(followed, motions)}"
-            yield Fault(("loads", name, "follows"), text)
+        is_cyclic |= load.cycle is not None
+        motion_name = getattr(load, "follows", None)
+        if motion_name is not None and motion_name not in motions:
+            message = f"there is no motion '{motion_name}'{did_you_mean(motion_name, motions)}"
+            yield Fault(("loads", name, "follows"), message)
     stages = case.stages or ()
-    if cyclic and stages and all(stage.takes_time for stage in stages):
-        last = "steady" if stages[-1].steady else "duration"
-        text = "cycle tables need a stage without duration; add one before this stage, which "
-        text += "has the mean heat of a cycle"
-        yield Fault(("stages", len(stages) - 1, last), text)
-    through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
+    if is_cyclic and stages and all(stage.takes_time for stage in stages):
+        key_of_end = "steady" if stages[-1].steady else "duration"
+        message = "cycle tables need a stage without duration; add one before this stage, which "
+        message += "has the mean heat of a cycle"
+        yield Fault(("stages", len(stages) - 1, key_of_end), message)
+    last_loading = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
     reasons = NO_CYCLE_TABLE | {kind.key: kind.no_cycle_table for kind in STAGE_KINDS}
-    for key, reason in reasons.items() if cyclic and stages else ():
-        if getattr(stages[through], key):
-            text = f"{reason}, but cycle tables act in this stage, the last one without duration"
-            yield Fault(("stages", through, key), f"{text}; use an earlier stage")
+    for key, reason in reasons.items() if is_cyclic and stages else ():
+        if getattr(stages[last_loading], key):
+            message = f"{reason}, but cycle tables act in this stage, the last one without duration"
+            yield Fault(("stages", last_loading, key), f"{message}; use an earlier stage")
 
 
 def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
     """Quantities, by path in a file, of owners of numbers that a case does not have."""
     geometry = case.geometry
-    added = [owner for section in ADDED.values() for owner in section.owners(case)]
-    known = (*geometry.interface_sides, *geometry.region_names, *added)
+    added_owners = [owner for section in ADDED.values() for owner in section.owners(case)]
+    known_owners = (*geometry.interface_sides, *geometry.region_names, *added_owners)
     for path, quantity in names.items():
         name = quantity.partition(".")[0]
-        if name not in known and quantity not in of_run():
-            yield _unknown(path, "interface or region", name, known, geometry.kind)
+        if name not in known_owners and quantity not in of_run():
+            yield _unknown(path, "interface or region", name, known_owners, geometry.kind)
 
 
 # ------------------------------------------------------------------------------------- heat
@@ -458,14 +481,14 @@ def quantities(case: CaseParts, names: Mapping[Path, str]) -> Iterable[Fault]:
 def _heat(case: CaseParts) -> Iterable[Fault]:
     """Regions with and without heat, and keys that need heat."""
     regions = dict(_valid(case.regions))
-    cold = [name for name, region in regions.items() if region.thermal is None]
-    if len(cold) == len(regions):
+    without_heat = [name for name, region in regions.items() if region.thermal is None]
+    if len(without_heat) == len(regions):
         yield from _without_heat(case, all_valid=len(regions) == len(case.regions))
         return
-    for name in cold:
-        others = " and ".join(n for n in regions if n not in cold)
-        text = f"'thermal' is missing; set it in every region or in none (now in {others})"
-        yield Fault(("regions", name), text)
+    for name in without_heat:
+        with_heat = " and ".join(n for n in regions if n not in without_heat)
+        message = f"'thermal' is missing; set it in every region or in none (now in {with_heat})"
+        yield Fault(("regions", name), message)
     yield from _conductors(case, regions)
     yield from _flow(case, regions)
 
@@ -474,32 +497,34 @@ def _without_heat(case: CaseParts, all_valid: bool) -> Iterable[Fault]:
     """Faults of keys that need a region that conducts heat."""
     if not all_valid or not case.regions:
         return  # an invalid region may be the one that conducts
-    text = "no region conducts heat; expected `thermal` in every region"
+    message = "no region conducts heat; expected `thermal` in every region"
     if case.heat:
-        yield Fault(("heat",), text)
+        yield Fault(("heat",), message)
     if case.time:
-        yield Fault(("time",), text)
+        yield Fault(("time",), message)
     for i, stage in enumerate(case.stages or ()):
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
-            yield Fault(("stages", i, key), f"a stage has a duration only for heat: {text}")
+            yield Fault(("stages", i, key), f"a stage has a duration only for heat: {message}")
     for name, law in case.interfaces.items():
         for key in ("conductance", "friction_heating"):
             if getattr(law, key, None) is not None:
-                yield Fault(("interfaces", name, key), text)
+                yield Fault(("interfaces", name, key), message)
 
 
 def _conductors(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:
     """Mechanical sections where every region is a conductor; conductors beside solids."""
-    solid = [name for name, region in regions.items() if not region.only_conducts]
-    if len(solid) == len(regions):
+    solids = [name for name, region in regions.items() if not region.only_conducts]
+    if len(solids) == len(regions):
         return
-    if solid:
-        text = f"is of kind conductor, but others are solid ({', '.join(solid)}); expected only "
-        text += "conductors, or none"
+    if solids:
+        message = (
+            f"is of kind conductor, but others are solid ({', '.join(solids)}); expected only "
+        )
+        message += "conductors, or none"
         for name in regions:
-            if name not in solid:
-                yield Fault(("regions", name), text)
+            if name not in solids:
+                yield Fault(("regions", name), message)
         return
     for section in ("supports", "loads"):
         for name in getattr(case, section) or {}:
@@ -508,12 +533,12 @@ def _conductors(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fa
             )
     for name, probe in _valid(case.output.probes if case.output else None):
         if isinstance(probe, StrainGauge):
-            text = "every region is a conductor, which is not strained; expected kind: point"
-            yield Fault(("output", "probes", name), text)
+            message = "every region is a conductor, which is not strained; expected kind: point"
+            yield Fault(("output", "probes", name), message)
     for name, law in case.interfaces.items():
         if law is not None and law.can_part:
-            text = "every region is a conductor, which cannot separate; expected kind: bonded"
-            yield Fault(("interfaces", name), text)
+            message = "every region is a conductor, which cannot separate; expected kind: bonded"
+            yield Fault(("interfaces", name), message)
 
 
 def _flow(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:
@@ -521,19 +546,21 @@ def _flow(case: CaseParts, regions: Mapping[str, Material]) -> Iterable[Fault]:
     if not case.stages:
         return
     if not any(stage.takes_time for stage in case.stages):
-        text = "no stage takes time for heat; expected a duration, or steady: true, in at least one"
-        yield Fault(("stages",), text)
+        message = (
+            "no stage takes time for heat; expected a duration, or steady: true, in at least one"
+        )
+        yield Fault(("stages",), message)
     elif all(region.only_conducts for region in regions.values()):
         for i, stage in enumerate(case.stages):
             if not stage.takes_time:
-                text = "heat does not change in this stage; expected a duration, or steady: true"
-                yield Fault(("stages", i), text)
-    drained = any(c is None or c.role != "heats" for c in case.heat.values())
-    setting = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
+                message = "heat does not change in this stage; expected a duration, or steady: true"
+                yield Fault(("stages", i), message)
+    has_heat_sink = any(c is None or c.role != "heats" for c in case.heat.values())
+    curing = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
     for i, stage in enumerate(case.stages):
-        if stage.steady and not drained:
-            text = "no steady state: no temperature is prescribed; expected heat of kind "
-            yield Fault(("stages", i, "steady"), f"{text}temperature, convection or perfusion")
-        if stage.steady and setting:
-            text = f"{', '.join(setting)} cures over time; expected a duration instead of steady"
-            yield Fault(("stages", i, "steady"), text)
+        if stage.steady and not has_heat_sink:
+            message = "no steady state: no temperature is prescribed; expected heat of kind "
+            yield Fault(("stages", i, "steady"), f"{message}temperature, convection or perfusion")
+        if stage.steady and curing:
+            message = f"{', '.join(curing)} cures over time; expected a duration instead of steady"
+            yield Fault(("stages", i, "steady"), message)

@@ -126,13 +126,13 @@ def explained(key: str = "", options: Mapping[str, str] | None = None) -> str:
         return _units()
     if not query:
         return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
-    word = re.sub("[ -]", "_", query.lower().replace("'", ""))
-    texts = _answers(query, word, options or {})
-    if texts:
-        return "\n\n".join(texts)
-    words = key.split()
-    if len(words) > 1:
-        return explained(words[-1], options)
+    lower_word = re.sub("[ -]", "_", query.lower().replace("'", ""))
+    explanations = _answers(query, lower_word, options or {})
+    if explanations:
+        return "\n\n".join(explanations)
+    typed_words = key.split()
+    if len(typed_words) > 1:
+        return explained(typed_words[-1], options)
     nearest = ", ".join(_nearest(query, library.described())) or ", ".join(Case.model_fields)
     raise InputError(f"{key}: is not a key, kind, result or term of mantle; nearest: {nearest}")
 
@@ -147,35 +147,37 @@ def _answers(query: str, word: str, options: Mapping[str, str]) -> list[str]:
     """
     targets = WORDS.get(word, (query,))
     blocks = [block for target in targets for block in (*_keys(target), *_kind(target))]
-    lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
-    blocks += lists
-    entry = library.described().get(query)
-    if entry and not blocks:
-        blocks.append(entry)
+    library_lists = [library.listed(t).replace("`", "") for t in targets if t in library.KINDS]
+    blocks += library_lists
+    library_entry = library.described().get(query)
+    if library_entry and not blocks:
+        blocks.append(library_entry)
     lines = [_results()[target] for target in targets if target in _results()]
     option_lines = list(_options_named([*targets, f"--{word.replace('_', '-')}"], options))
     if not blocks and not lines and not option_lines:
         lines += [_line(k) for k in every() if word in k.name.lower()]
-    if not lists:
+    if not library_lists:
         lines += _lines_with(word)
     if not blocks and not lines and not option_lines:
         lines += list(_lines_on(word.replace("_", " ")))[:MOST_LINES]
-    texts = list(dict.fromkeys(blocks))
+    explanations = list(dict.fromkeys(blocks))
     if lines:
-        texts.append("\n".join(dict.fromkeys(lines)))
+        explanations.append("\n".join(dict.fromkeys(lines)))
     if option_lines:
-        texts.append("\n".join([OPTIONS, *dict.fromkeys(option_lines)]))
-    return texts
+        explanations.append("\n".join([OPTIONS, *dict.fromkeys(option_lines)]))
+    return explanations
 
 
 def _nearest(query: str, names: Iterable[str]) -> list[str]:
     """Keys, names and terms that are spelled like a word, the nearest first."""
-    known = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every())]
-    words = {w: name for name in reversed(known) for w in (name, name.rpartition(".")[2])}
+    known_names = [*names, *WORDS, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every())]
+    name_of_word = {
+        w: name for name in reversed(known_names) for w in (name, name.rpartition(".")[2])
+    }
     close_names = [
-        words[match]
+        name_of_word[match]
         for word in (query, query.rpartition(".")[2])
-        for match in difflib.get_close_matches(word, words, 3)
+        for match in difflib.get_close_matches(word, name_of_word, 3)
     ]
     return list(dict.fromkeys(close_names))
 
@@ -190,14 +192,14 @@ def _units() -> str:
     for key in every():
         if key.unit:
             keys.setdefault(key.unit, []).append(key.name)
-    texts = []
-    for head, names_of_units in ((RESULT_UNITS, results), (KEY_UNITS, keys)):
-        lines = [head]
-        for unit, names in sorted(names_of_units.items()):
-            listed = textwrap.shorten(", ".join(dict.fromkeys(names)), WIDTH - 20)
-            lines.append(f"  {unit:<14} {listed}")
-        texts.append("\n".join(lines))
-    return "\n\n".join(texts)
+    tables = []
+    for heading, names_of_units in ((RESULT_UNITS, results), (KEY_UNITS, keys)):
+        lines = [heading]
+        for unit, key_names in sorted(names_of_units.items()):
+            name_list = textwrap.shorten(", ".join(dict.fromkeys(key_names)), WIDTH - 20)
+            lines.append(f"  {unit:<14} {name_list}")
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
 # ------------------------------------------------------------------------------------ blocks
@@ -209,8 +211,8 @@ def _keys(query: str) -> Iterator[str]:
     heads: dict[str, list[str]] = {}
     for key in keys:
         with_kind = key.kind and key.name != "kind"
-        head = f"{key.path}  (kind {key.kind})" if with_kind else key.path
-        heads.setdefault(_kinds(key.path) if key.name == "kind" else _body(key), []).append(head)
+        heading = f"{key.path}  (kind {key.kind})" if with_kind else key.path
+        heads.setdefault(_kinds(key.path) if key.name == "kind" else _body(key), []).append(heading)
     for body, paths in heads.items():
         yield "\n".join([*dict.fromkeys(paths), body])
 
@@ -233,8 +235,8 @@ def _kinds(path: str) -> str:
     """The kinds of a section, each as an example with its required keys."""
     lines = []
     for section in (s for s in table() if f"{s.path}.kind" == path and s.kind):
-        about = re.split(r"[.] |\n", section.meaning.replace("`", ""))[0]
-        for text in (_example_of(section), f"  {about}"):
+        summary = re.split(r"[.] |\n", section.meaning.replace("`", ""))[0]
+        for text in (_example_of(section), f"  {summary}"):
             lines.append(textwrap.indent(textwrap.fill(text, WIDTH, subsequent_indent="  "), "  "))
     return "\n".join(lines)
 
@@ -248,8 +250,8 @@ def _example_of(section: Keys) -> str:
 
 def _example(key: Key) -> str:
     """A key with a value that it may have; empty if none is known."""
-    text = f"{key.value} such as {key.default} such as {key.value} {key.meaning}"
-    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", text)
+    key_text = f"{key.value} such as {key.default} such as {key.value} {key.meaning}"
+    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", key_text)
     value = "0.3" if key.value.startswith("number") else ""
     if example:
         value = example[1]
@@ -273,11 +275,15 @@ def _table(rows: Mapping[str, str]) -> str:
     """Titles and texts in two columns, without Markdown; empty texts are left out."""
     lines = []
     for name, text in rows.items():
-        plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
-        first = f"  {name:<9}" if name else "  "
-        further = " " * len(first)
+        plain_text = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
+        first_indent = f"  {name:<9}" if name else "  "
+        further_indent = " " * len(first_indent)
         lines += textwrap.wrap(
-            plain, WIDTH, initial_indent=first, subsequent_indent=further, break_on_hyphens=False
+            plain_text,
+            WIDTH,
+            initial_indent=first_indent,
+            subsequent_indent=further_indent,
+            break_on_hyphens=False,
         )
     return "\n".join(lines)
 
@@ -306,9 +312,9 @@ def _lines_on(word: str) -> Iterator[str]:
     """Kinds and keys with a word in their meaning."""
     for section in table():
         if section.kind and word in section.meaning.lower():
-            head = f"{section.path}: {section.kind}"
+            heading = f"{section.path}: {section.kind}"
             meaning = textwrap.shorten(section.meaning.replace("`", ""), WIDTH - 20)
-            yield f"  {head:<44} {meaning}"
+            yield f"  {heading:<44} {meaning}"
         for key in section.keys:
             if word in key.meaning.lower():
                 yield _line(key)
@@ -318,8 +324,10 @@ def _options_named(names: Sequence[str], options: Mapping[str, str]) -> Iterator
     """Lines of the options of a command (``mesh``), or of options by their name (``--restart``)."""
     for option, meaning in options.items():
         if any(name in option.split() for name in names):
-            text = f"  {option:<44} {meaning}"
-            yield textwrap.fill(text, WIDTH, subsequent_indent=" " * 47, break_on_hyphens=False)
+            option_line = f"  {option:<44} {meaning}"
+            yield textwrap.fill(
+                option_line, WIDTH, subsequent_indent=" " * 47, break_on_hyphens=False
+            )
 
 
 def _lines_with(word: str) -> Iterator[str]:
@@ -331,8 +339,8 @@ def _lines_with(word: str) -> Iterator[str]:
         re.IGNORECASE,
     )
 
-    def has_word(text: str) -> bool:
-        return len(word) > 1 and pattern.search(text.replace("_", " ")) is not None
+    def has_word(line: str) -> bool:
+        return len(word) > 1 and pattern.search(line.replace("_", " ")) is not None
 
     for kind in library.KINDS:
         yield from filter(has_word, library.listed(kind).splitlines()[1:])
@@ -341,10 +349,10 @@ def _lines_with(word: str) -> Iterator[str]:
         label = line.removesuffix(RESULT).removeprefix(f"  {name} ")
         if has_word(key) or has_word(label) or (has_word(section) and name in BY_ZONE):
             yield line
-    text = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
+    glossary = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
     # Term, symbol and unit, meaning, place in the code, other words.
     row = r"^\| ([^|]+) \|[^|]*\| ([^|]+) \|[^|]*\|([^|]*)\|$"
-    for term, meaning, other_words in re.findall(row, text, re.MULTILINE):
+    for term, meaning, other_words in re.findall(row, glossary, re.MULTILINE):
         if has_word(term) or has_word(other_words):
-            plain = re.sub("[*$`]", "", f"  {term}: {meaning}")
-            yield textwrap.fill(plain, WIDTH, subsequent_indent="    ")
+            plain_text = re.sub("[*$`]", "", f"  {term}: {meaning}")
+            yield textwrap.fill(plain_text, WIDTH, subsequent_indent="    ")

@@ -43,46 +43,52 @@ class FemurResection(Section):
     """Angle to the transverse plane (rad)."""
 
 
-def _with_present_keys(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+def _with_present_keys(given_keys: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Keys of a femur with their present names, and the former names with the present ones.
 
     Levels of section and head were those of the model. They are now depth below the shoulder and
     height above it.
     """
-    replaced = {old: key for old, key in FORMER_KEYS_OF_FEMURS.items() if old in given}
+    replaced = {
+        former_key: key
+        for former_key, key in FORMER_KEYS_OF_FEMURS.items()
+        if former_key in given_keys
+    }
     if not replaced:
-        return given, {}
-    keys = {key: value for key, value in given.items() if key not in replaced}
-    if "stem_tip_z" in given:
-        if "tip_z" in given:
+        return given_keys, {}
+    keys = {key: value for key, value in given_keys.items() if key not in replaced}
+    if "stem_tip_z" in given_keys:
+        if "tip_z" in given_keys:
             fail("is the former name of tip_z; keep one", at=("stem_tip_z",))
-        keys["tip_z"] = given["stem_tip_z"]
+        keys["tip_z"] = given_keys["stem_tip_z"]
     numbers = {
-        key.removeprefix("stem."): given[old]
-        for old, key in replaced.items()
+        key.removeprefix("stem."): given_keys[former_key]
+        for former_key, key in replaced.items()
         if key.startswith("stem.")
     }
-    stem = given.get("stem")
+    stem = given_keys.get("stem")
     if numbers and stem is not None:
-        old = next(key for key in replaced if key != "stem_tip_z")
+        former_key = next(key for key in replaced if key != "stem_tip_z")
         is_file = isinstance(stem, StemFile) or (isinstance(stem, dict) and "step" in stem)
-        text = f"is the former name of {replaced[old]}; write it below `stem`"
+        message = f"is the former name of {replaced[former_key]}; write it below `stem`"
         if is_file:
-            text = "is given by the file of the stem; leave it out"
-        fail(text, at=(old,))
-    if stem is None and (numbers or "stem_tip_z" in given):
+            message = "is given by the file of the stem; leave it out"
+        fail(message, at=(former_key,))
+    if stem is None and (numbers or "stem_tip_z" in given_keys):
         shoulder = SHOULDER
         if "tip_z" in keys:
             shoulder = _LEVEL.read(keys["tip_z"])
             shoulder += _LEVEL.read(numbers.get("length", f"{STEM_LENGTH} mm"))
-        section = _LEVEL.read(given.get("stem_section_z", f"{OLD_SECTION} mm"))
-        head = _LEVEL.read(given.get("head_height", f"{OLD_HEAD} mm"))
-        if not section < shoulder < head:
-            text = f"puts the shoulder at z = {shoulder:g} mm; expected it between the proximal"
-            text += f" section at {section:g} mm and the head's centre at {head:g} mm"
-            fail(text, at=(next(iter(replaced)),))
-        numbers["section_depth"] = f"{shoulder - section!r} mm"
-        numbers["head_height"] = f"{head - shoulder!r} mm"
+        section_level = _LEVEL.read(given_keys.get("stem_section_z", f"{OLD_SECTION} mm"))
+        head_level = _LEVEL.read(given_keys.get("head_height", f"{OLD_HEAD} mm"))
+        if not section_level < shoulder < head_level:
+            message = f"puts the shoulder at z = {shoulder:g} mm; expected it between the proximal"
+            message += (
+                f" section at {section_level:g} mm and the head's centre at {head_level:g} mm"
+            )
+            fail(message, at=(next(iter(replaced)),))
+        numbers["section_depth"] = f"{shoulder - section_level!r} mm"
+        numbers["head_height"] = f"{head_level - shoulder!r} mm"
         keys["stem"] = numbers
     return keys, replaced
 
@@ -125,32 +131,39 @@ class _Femur(Hip):
     @model_validator(mode="after")
     def _consistent(self) -> _Femur:
         implant = self.implant
-        for field, text in implant.faults(spread(self.cement_thickness)[0]):
-            fail(text, at=("stem", field))
+        for field, message in implant.faults(spread(self.cement_thickness)[0]):
+            fail(message, at=("stem", field))
         if self.distal_cut_z >= implant.plug:
-            text = f"is not below {self.plug_end}; expected below {implant.plug:g} mm"
-            fail(text, at=("distal_cut_z",))
+            message = f"is not below {self.plug_end}; expected below {implant.plug:g} mm"
+            fail(message, at=("distal_cut_z",))
         self.check_end()
         if not 0.0 <= self.resection.angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection", "angle"))
         if not HEAD[0] <= implant.head_height <= HEAD[1]:
-            text = f"puts the head's centre at z = {implant.head_height:.3g} mm"
-            fail(f"{text}; expected {HEAD[0]:g} to {HEAD[1]:g} mm", at=("stem", "head_height"))
+            message = f"puts the head's centre at z = {implant.head_height:.3g} mm"
+            fail(f"{message}; expected {HEAD[0]:g} to {HEAD[1]:g} mm", at=("stem", "head_height"))
         if self.cut_height >= implant.head_height:
-            text = f"puts the neck cut at z = {self.cut_height:.3g} mm on the shaft's axis, above"
-            text += f" the head's centre at {implant.head_height:g} mm"
-            fail(text, at=("resection", "height"))
+            message = (
+                f"puts the neck cut at z = {self.cut_height:.3g} mm on the shaft's axis, above"
+            )
+            message += f" the head's centre at {implant.head_height:g} mm"
+            fail(message, at=("resection", "height"))
         inside = (self.cut_height - implant.tip_z) / implant.length
         if inside < INSIDE:
-            text = f"the stem is at z = {implant.tip_z:g} to {implant.shoulder:g} mm; {inside:.0%}"
-            text += f" of its length are below the neck cut, expected at least {INSIDE:.0%}"
-            fail(text, at=("tip_z",))
+            message = (
+                f"the stem is at z = {implant.tip_z:g} to {implant.shoulder:g} mm; {inside:.0%}"
+            )
+            message += f" of its length are below the neck cut, expected at least {INSIDE:.0%}"
+            fail(message, at=("tip_z",))
         return self
 
     @property
     def former_keys(self) -> list[Verdict]:
         """Notes on former names of keys that were given."""
-        return [new_name(f"geometry.{old}", new) for old, new in self._replaced.items()]
+        return [
+            new_name(f"geometry.{former_key}", present_key)
+            for former_key, present_key in self._replaced.items()
+        ]
 
     @property
     def content(self) -> str:
@@ -172,8 +185,8 @@ class _Femur(Hip):
     @property
     def more_room(self) -> tuple[str, str]:
         """The key that says where the stem is, and what to change where it has no room."""
-        text = "widen the canal (canal_widening), narrow the stem or move it proximally"
-        return "geometry", f"{text} (tip_z)"
+        remedy = "widen the canal (canal_widening), narrow the stem or move it proximally"
+        return "geometry", f"{remedy} (tip_z)"
 
     def surfaces(self, mesh: MeshOptions) -> LayeredSurfaces:
         """The nested surfaces that are meshed."""
@@ -227,8 +240,8 @@ class Femur(_Femur, OperatedHip):
         try:
             self.search()
         except GeometryError as error:
-            key, _, text = str(error).removeprefix("geometry.").partition(": ")
-            fail(text, at=tuple(key.split(".")))
+            key, _, message = str(error).removeprefix("geometry.").partition(": ")
+            fail(message, at=tuple(key.split(".")))
         return self
 
     def without_effect(self, mesh: MeshOptions) -> dict[tuple[str, ...], str]:
@@ -280,8 +293,10 @@ class IntactFemur(_Femur):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 12 %."""
-        cells, _, whole = self._cells(mesh)
+        cells, _, whole_cells = self._cells(mesh)
         implant = self.implant
         length = implant.head_offset / math.sin(implant.neck_angle)
         neck = mesh.steps(length - 1.07 * self.head_radius)
-        return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.step_along)))
+        return round(
+            cells + whole_cells * (neck + max(5, 1.4 * self.head_radius / mesh.step_along))
+        )

@@ -47,8 +47,8 @@ class FitKey(Range):
             unit = f"the unit {self.unit}" if self.unit else "no unit"
             fail(f"{show(self.start)} is not a number with {unit} of the bounds", at=("start",))
         if not self.number(0.0) <= float(match[1]) <= self.number(1.0):
-            text = f"{show(self.start)} is not within the bounds, {self.low} to {self.high}"
-            fail(text, at=("start",))
+            message = f"{show(self.start)} is not within the bounds, {self.low} to {self.high}"
+            fail(message, at=("start",))
         return self
 
     @property
@@ -58,10 +58,10 @@ class FitKey(Range):
             return 0.5
         match = NUMBER.fullmatch(str(self.start))
         assert match is not None  # `_start_within`
-        low, high, start = self.number(0.0), self.number(1.0), float(match[1])
+        lower_bound, upper_bound, start = self.number(0.0), self.number(1.0), float(match[1])
         if self.scale == "logarithmic":
-            return math.log(start / low) / math.log(high / low)
-        return (start - low) / (high - low)
+            return math.log(start / lower_bound) / math.log(upper_bound / lower_bound)
+        return (start - lower_bound) / (upper_bound - lower_bound)
 
 
 class Target(Section):
@@ -122,11 +122,11 @@ class FitSearch(Section):
         if sum(aims) != 1:
             fail("expected one of targets, minimise and maximise")
         if self.targets and self.constraints:
-            text = "need minimise or maximise; to reach a value, make it one of the targets"
-            fail(text, at=("constraints",))
+            message = "need minimise or maximise; to reach a value, make it one of the targets"
+            fail(message, at=("constraints",))
         if self.runs < len(self.keys) + 1:
-            text = f"{self.runs} runs are too few for the start and one change of each key"
-            fail(f"{text}; expected at least {len(self.keys) + 1}", at=("runs",))
+            message = f"{self.runs} runs are too few for the start and one change of each key"
+            fail(f"{message}; expected at least {len(self.keys) + 1}", at=("runs",))
         if self.objective and self.objective not in self.keys:
             path = ("minimise",) if self.minimise else ("maximise",)
             _check_name(self.objective, path)
@@ -136,12 +136,12 @@ class FitSearch(Section):
             _check_name(name, ("constraints", name))
         for name, target in self.number_targets.items():
             if target.uncertainty <= 0:
-                text = f"{show(self.targets[name].uncertainty)} is not positive"
-                fail(text, at=("targets", name, "uncertainty"))
-        for name, (low, high) in self.limits.items():
-            if low > high:
-                text = f"{show(self.constraints[name].at_least)} is above at_most"
-                fail(text, at=("constraints", name, "at_least"))
+                message = f"{show(self.targets[name].uncertainty)} is not positive"
+                fail(message, at=("targets", name, "uncertainty"))
+        for name, (lower_bound, upper_bound) in self.limits.items():
+            if lower_bound > upper_bound:
+                message = f"{show(self.constraints[name].at_least)} is above at_most"
+                fail(message, at=("constraints", name, "at_least"))
         return self
 
     @property
@@ -152,10 +152,10 @@ class FitSearch(Section):
     @property
     def numbers(self) -> list[str]:
         """Numbers of ``summary.json`` that are read from each run."""
-        names = [*self.targets]
+        read_numbers = [*self.targets]
         if self.objective and self.objective not in self.keys:
-            names.append(self.objective)
-        return list(dict.fromkeys([*names, *self.constraints]))
+            read_numbers.append(self.objective)
+        return list(dict.fromkeys([*read_numbers, *self.constraints]))
 
     @cached_property
     def number_targets(self) -> dict[str, NumberTarget]:
@@ -171,16 +171,16 @@ class FitSearch(Section):
     @cached_property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Lower and upper bound by number; infinite without one."""
-        limits = {}
-        for name, limit in self.constraints.items():
+        bounds_of_number = {}
+        for name, constraint in self.constraints.items():
             path = ("constraints", name)
-            low, high = -math.inf, math.inf
-            if limit.at_least is not None:
-                low = _value(name, limit.at_least, (*path, "at_least"))
-            if limit.at_most is not None:
-                high = _value(name, limit.at_most, (*path, "at_most"))
-            limits[name] = (low, high)
-        return limits
+            lower_bound, upper_bound = -math.inf, math.inf
+            if constraint.at_least is not None:
+                lower_bound = _value(name, constraint.at_least, (*path, "at_least"))
+            if constraint.at_most is not None:
+                upper_bound = _value(name, constraint.at_most, (*path, "at_most"))
+            bounds_of_number[name] = (lower_bound, upper_bound)
+        return bounds_of_number
 
 
 def _check_name(name: str, path: tuple[str, ...]) -> None:
@@ -258,20 +258,22 @@ class FitProblem:
         """Overrides of the case for values of the keys."""
         return {**self.content.set, **values}
 
-    def values(self, shares: Floats) -> dict[str, object]:
+    def values(self, fractions: Floats) -> dict[str, object]:
         """Values of the keys at fractions of their ranges (keys,)."""
-        items = zip(self.fit.keys.items(), shares, strict=True)
-        return {key: bounds.value_at(float(share)) for (key, bounds), share in items}
+        keys_and_fractions = zip(self.fit.keys.items(), fractions, strict=True)
+        return {
+            key: bounds.value_at(float(fraction)) for (key, bounds), fraction in keys_and_fractions
+        }
 
     def plan(
-        self, name: str, shares: Floats, end: str = ""
+        self, name: str, fractions: Floats, end: str = ""
     ) -> tuple[list[PlannedRun], list[Fault]]:
         """Plan the run with the keys at fractions of their ranges; return faults if refused.
 
         Faults of a key are placed at it, or at an ``end`` of its range: low or high.
         """
         common = points.overriding(self.content.set, ("set",))
-        values = self.values(shares)
+        values = self.values(fractions)
         places = {key: (*KEYS, key, end) if end else (*KEYS, key) for key in values}
         point = Point(
             name,
@@ -293,23 +295,23 @@ def read(path: Path, overrides: Sequence[str] = ()) -> FitProblem:
         InputError: Every error of the file and these runs, at its place.
     """
     of_fit = [o for o in overrides if re.match(r"\s*fit\b", o)]
-    others = tuple(o for o in overrides if o not in of_fit)
+    other_overrides = tuple(o for o in overrides if o not in of_fit)
     file = yaml_file.read(path)
     overlay.apply(file, of_fit)
     if "fit" not in file.data or "geometry" in file.data:
-        text = "expected a fit file: base: CASE, and fit with keys and targets"
-        file.raise_all([Fault(("fit",) if "fit" in file.data else (), text)])
-    problem = FitProblem(sweep.content(file, FitFile), file, path, others)
+        message = "expected a fit file: base: CASE, and fit with keys and targets"
+        file.raise_all([Fault(("fit",) if "fit" in file.data else (), message)])
+    problem = FitProblem(sweep.content(file, FitFile), file, path, other_overrides)
     fit = problem.fit
-    first = np.array([key.first for key in fit.keys.values()])
-    runs, faults = problem.plan("start", first)
+    start_fractions = np.array([key.first for key in fit.keys.values()])
+    runs, faults = problem.plan("start", start_fractions)
     if runs:
         paths = {problem.path_of(number): number for number in fit.numbers}
         faults += checks.quantities(runs[0].case, paths)
         for k, key in enumerate(fit.keys):
-            for end, share in (("low", 0.0), ("high", 1.0)):
-                at_end = first.copy()
-                at_end[k] = share
+            for end, fraction in (("low", 0.0), ("high", 1.0)):
+                at_end = start_fractions.copy()
+                at_end[k] = fraction
                 of_key = problem.plan(f"{key} at {end}", at_end, end)[1]
                 faults += [fault for fault in of_key if fault.path[-1:] == (end,)]
     file.raise_all(faults)

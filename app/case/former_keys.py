@@ -60,8 +60,8 @@ FORMER_KEYS_OF_FEMURS: dict[str, str] = {
 
 def new_name(former: str, present: str) -> Verdict:
     """Note on a former key: the whole key, and its present name in the same section."""
-    last = key_parts(former)[-1]
-    return note(f"the key '{last}' has a new name", former, f"use {present}")
+    last_part = key_parts(former)[-1]
+    return note(f"the key '{last_part}' has a new name", former, f"use {present}")
 
 
 def of_this_version(file: CaseFile) -> None:
@@ -82,15 +82,15 @@ def check_version(file: CaseFile) -> None:
     """
     version = file.data.get(KEY, 1)
     if type(version) is not int or version < 1:
-        text = f"{show(version)} is not a version of case files; expected {VERSION}"
-        file.raise_all([Fault((KEY,), text)])
+        message = f"{show(version)} is not a version of case files; expected {VERSION}"
+        file.raise_all([Fault((KEY,), message)])
     if version > VERSION:
-        text = (
+        message = (
             f"the file is of version {version}, and mantle {__version__} reads versions up to "
             f"{VERSION}; install a newer mantle, or run the file with the mantle that it was "
             "written for"
         )
-        file.raise_all([Fault((KEY,), text)])
+        file.raise_all([Fault((KEY,), message)])
 
 
 def present_name(path: Path, former: Mapping[tuple[str, ...], str] = FORMER_KEYS) -> str:
@@ -115,27 +115,27 @@ def with_present_names(
     """
     if not isinstance(value, dict):
         return value
-    result: dict[str, Any] = {}
+    present_data: dict[str, Any] = {}
     former_names: dict[str, str] = {}
     for key, inner in value.items():
         key_path = (*path, key)
         name = present_name(key_path, former)
         if name == key:
-            result[key] = with_present_names(file, inner, key_path, former)
+            present_data[key] = with_present_names(file, inner, key_path, former)
         else:
             former_names[key] = name
     for key, name in former_names.items():
         key_path = (*path, key)
         file.notes.append(new_name(path_text(key_path), name))
-        section, _, last = name.rpartition(".")
-        new_path = (*path, section, last) if section else (*path, last)
-        holder = result.setdefault(section, {}) if section else result
-        if not isinstance(holder, dict) or last in holder:
+        section, _, last_part = name.rpartition(".")
+        new_path = (*path, section, last_part) if section else (*path, last_part)
+        holder = present_data.setdefault(section, {}) if section else present_data
+        if not isinstance(holder, dict) or last_part in holder:
             file.complaints.append(Fault(key_path, f"is the former name of {name}; keep one"))
             continue
         move_places(file, key_path, new_path)
-        holder[last] = with_present_names(file, value[key], new_path, former)
-    return result
+        holder[last_part] = with_present_names(file, value[key], new_path, former)
+    return present_data
 
 
 def move_places(file: CaseFile, old: Path, new: Path) -> None:

@@ -59,16 +59,16 @@ class Blocks(Shape):
             fail("is empty; expected at least one block", at=("blocks",))
         for i, block in enumerate(self.blocks):
             if block.name in [b.name for b in self.blocks[:i]]:
-                text = f"'{block.name}' is the name of an earlier block too; choose another name"
-                fail(text, at=("blocks", i, "name"))
+                message = f"'{block.name}' is the name of an earlier block too; choose another name"
+                fail(message, at=("blocks", i, "name"))
             if block.size[:2] != self.blocks[0].size[:2]:
                 fail(
                     "differs in x or y from the first block; all need the same cross-section",
                     at=("blocks", i, "size"),
                 )
         if len({*self.region_names, *self.interface_sides}) < 2 * len(self.blocks) - 1:
-            text = "two interfaces would have the same name, <block>_<block>; rename a block"
-            fail(text, at=("blocks",))
+            message = "two interfaces would have the same name, <block>_<block>; rename a block"
+            fail(message, at=("blocks",))
         rise = 0.5 * self.blocks[0].size[0] * math.tan(abs(self.tilt))
         if abs(self.tilt) >= math.pi / 4 or rise >= 0.5 * min(b.size[2] for b in self.blocks):
             fail(
@@ -92,8 +92,8 @@ class Blocks(Shape):
     @property
     def interface_sides(self) -> dict[str, Sides]:
         """``<lower>_<upper>`` for each pair of neighbours."""
-        names = self.region_names
-        return {f"{a}_{b}": ((a,), (b,)) for a, b in itertools.pairwise(names)}
+        region_names = self.region_names
+        return {f"{a}_{b}": ((a,), (b,)) for a, b in itertools.pairwise(region_names)}
 
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
@@ -103,13 +103,13 @@ class Blocks(Shape):
     @property
     def interface_area(self) -> float:
         """Area of all interfaces (mm2)."""
-        lx, ly, _ = self.blocks[0].size
-        return (len(self.blocks) - 1) * lx * ly / math.cos(self.tilt)
+        width, depth, _ = self.blocks[0].size
+        return (len(self.blocks) - 1) * width * depth / math.cos(self.tilt)
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra."""
-        lx, ly, _ = self.blocks[0].size
-        volume = lx * ly * sum(b.size[2] for b in self.blocks)
+        width, depth, _ = self.blocks[0].size
+        volume = width * depth * sum(b.size[2] for b in self.blocks)
         return graded_cells(self.interface_area, volume, mesh)
 
 
@@ -239,14 +239,14 @@ class MeshFile(Shape):
     def _declared(self) -> MeshFile:
         if self.parameters and not self.is_script:
             fail("are constants of a .geo script, and this file is none", at=("parameters",))
-        names = constants(self.path) if self.parameters else ()
+        declared_names = constants(self.path) if self.parameters else ()
         for name in self.parameters:
             if name in ("size", "far_size"):
                 fail(
                     "is set by the mesh section: mesh.size, mesh.far_size", at=("parameters", name)
                 )
-            if name not in names:
-                fail(not_one_of(name, names), at=("parameters", name))
+            if name not in declared_names:
+                fail(not_one_of(name, declared_names), at=("parameters", name))
         return self
 
     @model_validator(mode="after")
@@ -307,9 +307,9 @@ class MeshFile(Shape):
 
     def parted(self, names: Iterable[str]) -> MeshFile:
         """The same with the interfaces that have finite sliding."""
-        copy = self.model_copy()
-        copy._apart = tuple(names)
-        return copy
+        parted_file = self.model_copy()
+        parted_file._apart = tuple(names)
+        return parted_file
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Number of elements of any dimension in the file, an upper bound; 0 for a script."""

@@ -41,8 +41,12 @@ def physical_names(path: Path, dimension: int, pick: Pick = EVERYTHING) -> tuple
     if path.suffix.lower() in mesh_files.READERS:
         mesh_file = mesh_files.read(path, pick)
         return tuple(mesh_file.sets if dimension == 3 else mesh_file.triangles | mesh_file.nodes)
-    groups = _groups(path, path.stat().st_mtime_ns)
-    return tuple(mesh_files.case_names(name for d, name in groups if d == dimension).values())
+    dimensions_and_names = _groups(path, path.stat().st_mtime_ns)
+    return tuple(
+        mesh_files.case_names(
+            name for group_dimension, name in dimensions_and_names if group_dimension == dimension
+        ).values()
+    )
 
 
 @lru_cache(maxsize=8)
@@ -51,8 +55,8 @@ def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     readers = {".geo": _groups_of_script, ".msh": _groups_of_mesh}
     suffix = path.suffix.lower()
     if suffix not in readers:
-        others = ", ".join([*readers, *mesh_files.READERS])
-        raise ValueError(f"is not one of {others}; gmsh or ParaView can convert it")
+        other_formats = ", ".join([*readers, *mesh_files.READERS])
+        raise ValueError(f"is not one of {other_formats}; gmsh or ParaView can convert it")
     return tuple(dict.fromkeys(readers[suffix](path)))
 
 
@@ -79,10 +83,10 @@ def _groups_of_script(path: Path) -> list[tuple[int, str]]:
         raise ValueError(
             "a gmsh script is a program that can change files; add --allow-scripts to run it"
         )
-    text = _script(path)
-    if not re.search(r"\bsize\b", text):
+    script_text = _script(path)
+    if not re.search(r"\bsize\b", script_text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
-    return [(DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(text)]
+    return [(DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(script_text)]
 
 
 def _script(path: Path) -> str:
@@ -100,12 +104,14 @@ def content(path: Path, copies: Path | None = None) -> str:
     """Hash of a file and of the files that it names; copy them to a folder on demand."""
     digest = hashlib.sha256()
     for name in named.names(path):
-        raw = (path.parent / name).read_bytes()
-        digest.update(f"{len(raw)} {name if name != path.name else ''}\0".encode() + raw)
+        file_bytes = (path.parent / name).read_bytes()
+        digest.update(
+            f"{len(file_bytes)} {name if name != path.name else ''}\0".encode() + file_bytes
+        )
         if copies:
-            copy = copies / name
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            copy.write_bytes(raw)
+            copied_file = copies / name
+            copied_file.parent.mkdir(parents=True, exist_ok=True)
+            copied_file.write_bytes(file_bytes)
     return digest.hexdigest()
 
 

@@ -75,8 +75,10 @@ def point(x: Floats) -> Point3:
 def _interpolated(position: float, values: tuple[float, ...]) -> float:
     """Linear interpolation of values at 0, 1, 2, ..., constant beyond."""
     position = min(max(position, 0.0), len(values) - 1.0)
-    low = min(int(position), len(values) - 2)
-    return values[low] + (position - low) * (values[low + 1] - values[low])
+    lower_index = min(int(position), len(values) - 2)
+    return values[lower_index] + (position - lower_index) * (
+        values[lower_index + 1] - values[lower_index]
+    )
 
 
 class Resection(Section):
@@ -297,8 +299,10 @@ class Hip(Shape):
         if 0.0 < self.void < FLAT:
             fail("must be 0 or at least 1 mm", at=("tip_void",))
         if self.void and self.void > self.plug_length - FLAT:
-            text = f"{self.void:g} mm leaves less than 1 mm of plug_length, {self.plug_length:g} mm"
-            fail(text, at=("tip_void",))
+            message = (
+                f"{self.void:g} mm leaves less than 1 mm of plug_length, {self.plug_length:g} mm"
+            )
+            fail(message, at=("tip_void",))
 
     def _section(self) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius a quarter of the way from cut to tip (mm)."""
@@ -312,8 +316,8 @@ class Hip(Shape):
 
     def interface_nodes(self, mesh: MeshOptions) -> float:
         """Number of nodes on each interface: lines around at steps along."""
-        around, stem, *_ = self.grid(mesh).values()
-        return float(around * stem)
+        lines_around, stem, *_ = self.grid(mesh).values()
+        return float(lines_around * stem)
 
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along the stem and below it, cells through the layers."""
@@ -321,17 +325,17 @@ class Hip(Shape):
         stem, further_steps, _ = mesh.graded(
             self.cut_height - implant.tip_z - implant.tip_height, "stem"
         )
-        ends = 2.0 * (self.plug_length - self.void), implant.tip_height, self.void
+        lengths_of_ends = 2.0 * (self.plug_length - self.void), implant.tip_height, self.void
         below, equal, _ = mesh.graded(implant.plug - self.distal_height, "below")
-        through = mesh.cells_through(self.cement_thickness)
+        cells_through = mesh.cells_through(self.cement_thickness)
         return {
             "lines around": mesh.lines_around(self._section()),
             "steps along the stem": len(stem)
             - 1
             + further_steps
-            + sum(map(mesh.steps, filter(None, ends))),
+            + sum(map(mesh.steps, filter(None, lengths_of_ends))),
             "steps below": len(below) - 1 + equal,
-            "cells through cement, cancellous and cortical bone": through,
+            "cells through cement, cancellous and cortical bone": cells_through,
         }
 
     def _cells(self, mesh: MeshOptions) -> tuple[float, float, float]:
@@ -342,15 +346,13 @@ class Hip(Shape):
         thinner cortical bone. Of 370 random hips, 367 have the number of cells within 12 %, and all
         within 18 %.
         """
-        around, stem, below, (_, *bone) = self.grid(mesh).values()
+        lines_around, stem, below, (_, *bone) = self.grid(mesh).values()
         cells_through = (mesh.along_cement(self.cement_thickness), *bone)
-        core = 3.0 * max(around - 2.0, 0.041 * around**2 + 1.5 * around - 6.0)
+        core = 3.0 * max(lines_around - 2.0, 0.041 * lines_around**2 + 1.5 * lines_around - 6.0)
         cement = spread(self.cement_thickness)[1]
-        filled = cement - self.widening
-        open_, unfilled_below = (
-            1.0 - _interpolated(filled, FILLED),
-            1.0 - _interpolated(filled, FILLED_BELOW),
-        )
+        filled_thickness = cement - self.widening
+        open_ = 1.0 - _interpolated(filled_thickness, FILLED)
+        unfilled_below = 1.0 - _interpolated(filled_thickness, FILLED_BELOW)
         widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.widening)
         through, cancellous, cortical = (
             min(cells, max(1.0, width / length))
@@ -359,8 +361,8 @@ class Hip(Shape):
         layers = stem * (through + cortical + cancellous * open_)
         layers += below * (through + cortical + cancellous * unfilled_below)
         # In neck and head cancellous bone is wide, cortical bone thin.
-        full_section = 6.0 * around * (through + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
-        return (stem + below) * core + 6.0 * around * layers, core, core + full_section
+        full_section = 6.0 * lines_around * (through + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
+        return (stem + below) * core + 6.0 * lines_around * layers, core, core + full_section
 
 
 class OperatedHip(Hip):
@@ -410,8 +412,8 @@ class OperatedHip(Hip):
         """Keys of the case that do nothing beside others, with the reason; given ones or not."""
         keys = super().without_effect(mesh)
         if self.void and not isinstance(self.stem, StemFile):
-            text = f"the end of the stem is flat above a void of {self.void:g} mm (tip_void)"
-            keys["geometry", "stem", "tip_rounding"] = text
+            reason = f"the end of the stem is flat above a void of {self.void:g} mm (tip_void)"
+            keys["geometry", "stem", "tip_rounding"] = reason
         longest = max(step for _, step, _ in GRADING.values()) * mesh.step_along
         if mesh.far >= longest:
             keys["mesh", "far_size"] = f"no step along a femur is longer than {longest:g} mm"
@@ -457,8 +459,8 @@ class OperatedHip(Hip):
         if insertion and insertion.best:
             from meshes.best_position import searched
 
-            best, self._gain = searched(self, insertion, folders.cache("positions"))
-            self.__dict__["insertion"] = best
+            best_insertion, self._gain = searched(self, insertion, folders.cache("positions"))
+            self.__dict__["insertion"] = best_insertion
 
     @property
     def placement_details(self) -> dict[str, str]:
@@ -482,9 +484,9 @@ class OperatedHip(Hip):
     @property
     def interface_area(self) -> float:
         """Approximate area of all interfaces (mm2): the flanks, and their offset in cement."""
-        half, depth, _ = self._section()
+        half_width, depth, _ = self._section()
         length = self.implant.length
-        flanks = 3.25 * (half + depth) * length
+        flanks = 3.25 * (half_width + depth) * length
         if not self.is_cemented:
             return flanks
         return 2.0 * flanks + 2.0 * math.pi * spread(self.cement_thickness)[1] * length

@@ -35,11 +35,11 @@ class _Generator(GenerateJsonSchema):
         return super().default_schema(schema)
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
-        result = super().model_schema(schema)
-        for name, text in docstrings(schema["cls"]).items():
-            if name in result.get("properties", {}):
-                result["properties"][name]["description"] = text
-        return result
+        schema_of_model = super().model_schema(schema)
+        for name, docstring in docstrings(schema["cls"]).items():
+            if name in schema_of_model.get("properties", {}):
+                schema_of_model["properties"][name]["description"] = docstring
+        return schema_of_model
 
     def tagged_union_schema(self, schema: core_schema.TaggedUnionSchema) -> JsonSchemaValue:
         """Allow any of the kinds: without required keys a section may match several."""
@@ -100,20 +100,20 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
     """
     root_schema = root.model_json_schema(schema_generator=_Generator)
     schemas: Schema = {"": root_schema} | root_schema["$defs"]
-    places: dict[str, Keys] = {}
+    keys_of_section: dict[str, Keys] = {}
 
     def visit(path: str, name: str) -> None:
         schema = schemas[name]
-        places[name] = Keys(path, _kind(schema), prose(schema.get("description", "")), [])
+        keys_of_section[name] = Keys(path, _kind(schema), prose(schema.get("description", "")), [])
         for key, field in schema["properties"].items():
             for place, nested in _sections(field, f"{path}.{key}".removeprefix(".")):
-                if nested not in places:
+                if nested not in keys_of_section:
                     visit(place, nested)
 
     visit("", "")
-    for name, section in places.items():
+    for name, section in keys_of_section.items():
         for key, field in schemas[name]["properties"].items():
-            value, unit = _value(field, places)
+            value, unit = _value(field, keys_of_section)
             meaning = prose(field.get("description", ""))
             if key == "kind":
                 meaning = "Says that it is of this kind."
@@ -124,7 +124,7 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
             )
             path = f"{section.path}.{key}".removeprefix(".")
             section.keys.append(Key(path, section.kind, key, value, unit, default, meaning, inner))
-    return list(places.values())
+    return list(keys_of_section.values())
 
 
 def _kind(schema: Schema) -> str:
@@ -151,36 +151,41 @@ def _sections(schema: Schema, path: str) -> Iterator[tuple[str, str]]:
             yield from _sections(inner, path + end)
 
 
-def _value(schema: Schema, places: dict[str, Keys]) -> tuple[str, str]:
+def _value(schema: Schema, keys_of_section: dict[str, Keys]) -> tuple[str, str]:
     """Type of a value, in words, and the unit in which it is kept."""
     match schema:
         case {"x-value": str(text)}:
             return text, schema.get("x-unit", "")
         case {"$ref": str(ref)}:
-            section = places[ref.rpartition("/")[2]]
+            section = keys_of_section[ref.rpartition("/")[2]]
             # Anchor of a heading, as GitHub and MyST make it.
             link = re.sub(r"[^\w\- ]", "", section.heading.lower()).replace(" ", "-")
             kind = section.kind
             return f"kind [`{kind}`](#{link})" if kind else f"[section](#{link})", ""
         case {"anyOf": list(parts)}:
-            return _union([_value(p, places) for p in parts if p != {"type": "null"}])
+            return _union([_value(p, keys_of_section) for p in parts if p != {"type": "null"}])
         case {"const": value}:
             return f"`{_yaml(value)}`", ""
         case {"enum": list(values)}:
             return ", ".join(f"`{_yaml(value)}`" for value in values), ""
         case {"additionalProperties": dict(inner)}:
-            text, unit = _value(inner, places)
+            text, unit = _value(inner, keys_of_section)
             return f"by name: {text}", unit
         case {"prefixItems": list(items)}:
-            entries = [_value(item, places) for item in items]
-            if len(set(entries)) == 1:
-                return f"list of {NUMBERS[len(entries)]}: {entries[0][0]}", entries[0][1]
-            units = ", ".join(dict.fromkeys(unit for _, unit in entries if unit))
-            words = [text.partition(", e.g.")[0].replace(", ", " ") for text, _ in entries]
-            kind = "pair" if len(words) == 2 else "row"
-            return f"{kind} [{', '.join(words)}]", units
+            types_and_units = [_value(item, keys_of_section) for item in items]
+            if len(set(types_and_units)) == 1:
+                return (
+                    f"list of {NUMBERS[len(types_and_units)]}: {types_and_units[0][0]}",
+                    types_and_units[0][1],
+                )
+            units = ", ".join(dict.fromkeys(unit for _, unit in types_and_units if unit))
+            value_types = [
+                text.partition(", e.g.")[0].replace(", ", " ") for text, _ in types_and_units
+            ]
+            kind = "pair" if len(value_types) == 2 else "row"
+            return f"{kind} [{', '.join(value_types)}]", units
         case {"items": dict(inner)}:
-            text, unit = _value(inner, places)
+            text, unit = _value(inner, keys_of_section)
             if text.startswith(("pair [", "row [")):
                 return f"list of {text.replace(' ', 's ', 1)}", unit
             return f"list of: {text}", unit
@@ -193,12 +198,12 @@ def _value(schema: Schema, places: dict[str, Keys]) -> tuple[str, str]:
 def _union(values: list[tuple[str, str]]) -> tuple[str, str]:
     """Types of a value that may have several, in words, and the first unit among them."""
     kinds = [text.removeprefix("kind ") for text, _ in values if text.startswith("kind ")]
-    others = list(dict.fromkeys(text for text, _ in values if not text.startswith("kind ")))
-    if {"text", "whole number", "number"} <= set(others):
-        others = ["number, text" + (", `true`, `false`" if len(others) > 3 else "")]
-    parts = [*filter(None, others), *([f"kind {', '.join(kinds)}"] if kinds else [])]
-    separator = "; or " if any("," in part for part in parts) else " or "
-    return separator.join(parts), next((unit for _, unit in values if unit), "")
+    other_types = list(dict.fromkeys(text for text, _ in values if not text.startswith("kind ")))
+    if {"text", "whole number", "number"} <= set(other_types):
+        other_types = ["number, text" + (", `true`, `false`" if len(other_types) > 3 else "")]
+    all_types = [*filter(None, other_types), *([f"kind {', '.join(kinds)}"] if kinds else [])]
+    separator = "; or " if any("," in part for part in all_types) else " or "
+    return separator.join(all_types), next((unit for _, unit in values if unit), "")
 
 
 def _default(key: str, field: Schema) -> str:

@@ -50,18 +50,22 @@ def read(path: Path = SHIPPED) -> CaseFile:
     file.data.pop(KEY, None)
     file.data = with_present_names(file, file.data, (), FORMER_KEYS_OF_LIBRARIES)
     faults = []
-    for kind, entries in file.data.items():
+    for kind, values_by_name in file.data.items():
         if kind not in KINDS:
             faults.append(Fault((kind,), f"unknown key; allowed: {', '.join(KINDS)}"))
-        elif not isinstance(entries, dict):
-            faults.append(Fault((kind,), f"{show(entries)} is not a mapping of names to entries"))
+        elif not isinstance(values_by_name, dict):
+            faults.append(
+                Fault((kind,), f"{show(values_by_name)} is not a mapping of names to entries")
+            )
         else:
-            for name, entry in entries.items():
-                if not (isinstance(entry, dict) and isinstance(entry.get(SOURCE), str)):
-                    text = (
+            for name, entry_values in values_by_name.items():
+                if not (
+                    isinstance(entry_values, dict) and isinstance(entry_values.get(SOURCE), str)
+                ):
+                    message = (
                         f"expected a mapping with '{SOURCE}', a text with the origin of its values"
                     )
-                    faults.append(Fault((kind, name), text))
+                    faults.append(Fault((kind, name), message))
     file.raise_all(faults)
     return file
 

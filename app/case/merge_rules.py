@@ -68,15 +68,15 @@ def _region(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[o
     name = upper.get("material")
     if isinstance(name, str):
         upper = _without_keys(upper, "material")
-        entry = _entry(case, "materials", name, (*path, "material"), path)
-        if entry:
-            _check_kind(case, name, kind_of(entry, path), ("conductor",), upper, path)
+        material = _entry(case, "materials", name, (*path, "material"), path)
+        if material:
+            _check_kind(case, name, kind_of(material, path), ("conductor",), upper, path)
             case.tissues.pop(str(path[1]), None)
-            tissue = entry.pop("tissue", None)
+            tissue = material.pop("tissue", None)
             if isinstance(tissue, str):
                 case.tissues[str(path[1])] = tissue
             region = lower if isinstance(lower, dict) else {}
-            lower = _material(region, entry, upper)
+            lower = _material(region, material, upper)
     if isinstance(lower, dict) and "kind" in upper and kind_of(lower, path) != kind_of(upper, path):
         lower = None
     if upper.get("kind") == "rigid":
@@ -90,43 +90,47 @@ def _interface(case: CaseFile, lower: object, upper: object, path: Path) -> tupl
         return lower, upper
     name = upper["finish"]
     upper = _without_keys(upper, "finish")
-    entry = _entry(case, "finishes", name, (*path, "finish"), path)
-    if not entry:
+    finish = _entry(case, "finishes", name, (*path, "finish"), path)
+    if not finish:
         return lower, upper
-    _check_kind(case, name, entry["kind"], (), upper, path)
-    if isinstance(lower, dict) and lower.get("kind") == entry["kind"]:
-        return lower | entry, upper
-    return entry, upper
+    _check_kind(case, name, finish["kind"], (), upper, path)
+    if isinstance(lower, dict) and lower.get("kind") == finish["kind"]:
+        return lower | finish, upper
+    return finish, upper
 
 
 def _credibility(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve ``library: NAME``, a context of use in place of that of the base."""
     if not isinstance(upper, dict) or not isinstance(upper.get("library"), str):
         return lower, upper
-    entry = _entry(case, "contexts", upper["library"], (*path, "library"), path)
-    return entry or lower, _without_keys(upper, "library")
+    context = _entry(case, "contexts", upper["library"], (*path, "library"), path)
+    return context or lower, _without_keys(upper, "library")
 
 
 def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
     """Resolve ``library: NAME``, a body weight, a tilt and a history of all loads."""
     if not isinstance(upper, dict):
         return lower, upper
-    sets = upper.get("library")
-    if sets is not None:
+    set_names = upper.get("library")
+    if set_names is not None:
         upper = _without_keys(upper, "library")
-        if not isinstance(sets, str | dict):
-            text = f"{show(sets)} is not the name of a set, nor names with histories"
-            case.complaints.append(Fault((*path, "library"), f"{text}, e.g. {{gait: [1, 0]}}"))
+        if not isinstance(set_names, str | dict):
+            message = f"{show(set_names)} is not the name of a set, nor names with histories"
+            case.complaints.append(Fault((*path, "library"), f"{message}, e.g. {{gait: [1, 0]}}"))
             return lower, upper
-        entry = _activities(case, sets, path) if isinstance(sets, dict) else _set(case, sets, path)
-        lower = entry or lower
+        loads_of_sets = (
+            _activities(case, set_names, path)
+            if isinstance(set_names, dict)
+            else _set(case, set_names, path)
+        )
+        lower = loads_of_sets or lower
     loads = lower if isinstance(lower, dict) else {}
     if MEASURED.keys() & upper:
         lower = loads = _scaled_loads(case, loads, upper)
         upper = _without_keys(upper, *MEASURED)
     if upper.keys() >= {*TIME_KEYS}:
-        text = f"the loads have a {TIME_KEYS[1]}, too; leave one of the two out"
-        case.complaints.append(Fault((*path, TIME_KEYS[0]), text))
+        message = f"the loads have a {TIME_KEYS[1]}, too; leave one of the two out"
+        case.complaints.append(Fault((*path, TIME_KEYS[0]), message))
     for key in TIME_KEYS:
         if isinstance(upper.get(key), list) or (key == "cycle_table" and key in upper):
             lower = loads = _loads_with_history(case, loads, key, upper[key])
@@ -144,14 +148,14 @@ def _set(case: CaseFile, name: str, path: Path) -> dict[str, Any]:
     return loads
 
 
-def _activities(case: CaseFile, sets: Mapping[str, object], path: Path) -> dict[str, Any]:
+def _activities(case: CaseFile, history_of_set: Mapping[str, object], path: Path) -> dict[str, Any]:
     """Loads of several sets, each with its history; those of `walking` are `walking_hip` and so on.
 
     Sets for another body weight than that of the first are scaled to it.
     """
     loads: dict[str, Any] = {}
     weight = None
-    for name, history in sets.items():
+    for name, history in history_of_set.items():
         forces = _set(case, str(name), path)
         weight = weight or case.measured.get("body_weight")
         if forces and weight and "body_weight" in case.measured:
@@ -184,14 +188,14 @@ def _check_kind(
     case: CaseFile,
     name: str,
     kind: object,
-    others: Sequence[str],
+    other_kinds: Sequence[str],
     upper: Mapping[str, object],
     path: Path,
 ) -> None:
     """Complain of a kind that is neither the kind of the library's entry nor one of others."""
-    if upper.get("kind", kind) not in (kind, *others):
-        text = f"{name} is of kind {kind}; leave `kind` out"
-        case.complaints.append(Fault((*path, "kind"), text))
+    if upper.get("kind", kind) not in (kind, *other_kinds):
+        message = f"{name} is of kind {kind}; leave `kind` out"
+        case.complaints.append(Fault((*path, "kind"), message))
 
 
 def _force(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[object, object]:
@@ -201,20 +205,20 @@ def _force(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
     if not (magnitude and vector):
         return lower, upper
     try:
-        parts = _vector(lower)
+        components = _vector(lower)
         size = FORCE.read(upper)
-        length = hypot(*parts)
+        length = hypot(*components)
         if length > 0.0 and size >= 0.0:
-            return None, [f"{part * size / length!r} N" for part in parts]
+            return None, [f"{component * size / length!r} N" for component in components]
         reason = (
             "a magnitude cannot be negative"
             if length
             else "a force of zero has no direction to scale"
         )
-        text = f"{show(upper)}: {reason}; expected a vector"
+        message = f"{show(upper)}: {reason}; expected a vector"
     except PydanticCustomError as error:
-        text = (error.context or {})["text"]
-    case.complaints.append(Fault(path, text))
+        message = (error.context or {})["text"]
+    case.complaints.append(Fault(path, message))
     return None, lower
 
 
@@ -231,25 +235,31 @@ def _scaled_loads(
     case: CaseFile, loads: dict[str, object], keys: Mapping[str, object]
 ) -> dict[str, object]:
     """The loads with all forces scaled to a body weight and turned by a sagittal tilt."""
-    old = dict(case.measured)
+    measured_before = dict(case.measured)
     for key in MEASURED.keys() & keys:
-        if key in old and loads:
+        if key in measured_before and loads:
             _measure(case, key, keys[key])
         else:
-            text = f"no forces here depend on {key}; expected `library: NAME` in the same section"
-            case.complaints.append(Fault(("loads", key), text))
-    new = case.measured
-    factor = new["body_weight"] / old["body_weight"] if "body_weight" in old else 1.0
-    rotation = new["sagittal_tilt"] - old["sagittal_tilt"]
+            message = (
+                f"no forces here depend on {key}; expected `library: NAME` in the same section"
+            )
+            case.complaints.append(Fault(("loads", key), message))
+    measured_now = case.measured
+    factor = (
+        measured_now["body_weight"] / measured_before["body_weight"]
+        if "body_weight" in measured_before
+        else 1.0
+    )
+    rotation = measured_now["sagittal_tilt"] - measured_before["sagittal_tilt"]
     c, s = factor * cos(rotation), factor * sin(rotation)
-    result = dict(loads)
+    scaled_loads = dict(loads)
     for name, load in loads.items():
         if isinstance(load, dict) and "force" in load:
             with suppress(PydanticCustomError):  # reported where the load is read
                 x, y, z = _vector(load["force"])
                 rotated = (factor * x, c * y + s * z, c * z - s * y)
-                result[name] = load | {"force": [f"{part!r} N" for part in rotated]}
-    return result
+                scaled_loads[name] = load | {"force": [f"{component!r} N" for component in rotated]}
+    return scaled_loads
 
 
 def _loads_with_history(
@@ -257,13 +267,13 @@ def _loads_with_history(
 ) -> dict[str, Any]:
     """Return the loads of a base or a library, all with the same history or cycle table."""
     if not loads:
-        text = f"this section has no loads of a library or a base; set the {key} of each load"
-        case.complaints.append(Fault(("loads", key), text))
+        message = f"this section has no loads of a library or a base; set the {key} of each load"
+        case.complaints.append(Fault(("loads", key), message))
     if key == "cycle_table":
         _, value = _cycle_table(case, None, value, ("loads", key))
-    others = [other_key for other_key in TIME_KEYS if other_key != key]
+    other_keys = [other_key for other_key in TIME_KEYS if other_key != key]
     return {
-        name: _without_keys(load, *others) | {key: deepcopy(value)}
+        name: _without_keys(load, *other_keys) | {key: deepcopy(value)}
         if isinstance(load, dict)
         else load
         for name, load in loads.items()
@@ -302,9 +312,9 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dic
                 return values
             origin = {k: values.pop(k) for k in library.ORIGIN if k in values}
             return {k: origin | v if isinstance(v, dict) else v for k, v in values.items()}
-    known = [n for file in case.libraries for n in file.data.get(kind, {})]
-    text = f"{show(name)} is not in the library; {kind}: {', '.join(known)}"
-    case.complaints.append(Fault(path, text + did_you_mean(name, known)))
+    known_names = [n for file in case.libraries for n in file.data.get(kind, {})]
+    message = f"{show(name)} is not in the library; {kind}: {', '.join(known_names)}"
+    case.complaints.append(Fault(path, message + did_you_mean(name, known_names)))
     return {}
 
 
@@ -322,20 +332,20 @@ def _material(
 
     ``upper_keys`` are the other keys of the region above.
     """
-    new = {k: v for k, v in region.items() if k in KEPT_REGION_KEYS}
-    new |= {k: v for k, v in entry.items() if k in library.ORIGIN}
+    new_region = {k: v for k, v in region.items() if k in KEPT_REGION_KEYS}
+    new_region |= {k: v for k, v in entry.items() if k in library.ORIGIN}
     conductor = "conductor" in (region.get("kind"), upper_keys.get("kind"))
     solid = not conductor and not upper_keys.get("rigid")
     if conductor:
-        new["kind"] = "conductor"
+        new_region["kind"] = "conductor"
     if solid:
-        new |= _without_keys(entry, "thermal")
+        new_region |= _without_keys(entry, "thermal")
     if "thermal" in entry and ("thermal" in region or "thermal" in upper_keys):
-        old, of_material = region.get("thermal"), entry["thermal"]
+        thermal_before, of_material = region.get("thermal"), entry["thermal"]
         thermal: dict[str, object] = {}
         if isinstance(of_material, dict):
             thermal = {k: v for k, v in of_material.items() if solid or k != "thermal_expansion"}
-        if isinstance(old, dict):
-            thermal |= {k: v for k, v in old.items() if k in KEPT_THERMAL_KEYS}
-        new["thermal"] = thermal
-    return new
+        if isinstance(thermal_before, dict):
+            thermal |= {k: v for k, v in thermal_before.items() if k in KEPT_THERMAL_KEYS}
+        new_region["thermal"] = thermal
+    return new_region

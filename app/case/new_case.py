@@ -43,11 +43,11 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
         raise InputError(f"--stem {stem}: geometries of kind {kind} have no stem; leave --stem out")
     path = yaml(path)
     if kind == "file":
-        text = _of_mesh_file(path.with_suffix(".msh"), meeting)
+        case_text = _of_mesh_file(path.with_suffix(".msh"), meeting)
     else:
-        text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
-        text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
-    save(path, text)
+        case_text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
+        case_text = case_text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
+    save(path, case_text)
     return path
 
 
@@ -106,7 +106,7 @@ def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
     """Case on a mesh file beside it, with its regions and boundaries if it exists."""
     regions: tuple[str, ...] = ("NAME_OF_A_REGION",)
     boundaries: tuple[str, ...] = ("NAME_OF_A_SURFACE", "NAME_OF_ANOTHER")
-    about, pairs = MISSING, list[tuple[str, str]]()
+    description, pairs = MISSING, list[tuple[str, str]]()
     if mesh.is_file():
         try:
             regions, surfaces = (gmsh_header.physical_names(mesh, d) for d in (3, 2))
@@ -114,8 +114,10 @@ def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
             raise InputError(f"{mesh}: {error}") from error
         if not regions:
             raise InputError(f"{mesh}: has no named region; name its physical volumes in gmsh")
-        names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
-        about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
+        boundary_note = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
+        description = (
+            textwrap.indent(textwrap.fill(boundary_note, 90, break_on_hyphens=False), "  # ") + "\n"
+        )
         inside: list[str] = []
         # `check --mesh` reports a mesh that cannot be read here.
         with suppress(MantleError, ModuleNotFoundError, ValueError):
@@ -130,7 +132,7 @@ def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
         .format(
             title=_word(mesh.stem),
             path=_word(mesh.name),
-            about=about,
+            about=description,
             regions="".join(lines),
             sides=_section("  interfaces:", (f"    {a}_{b}: [{a}, {b}]" for a, b in pairs)),
             laws=_section("interfaces:", (f"  {a}_{b}: {LAW}" for a, b in pairs)),
@@ -141,8 +143,8 @@ def _of_mesh_file(mesh: Path, meeting: Meeting | None) -> str:
 
 
 def _section(head: str, lines: Iterable[str]) -> str:
-    entries = list(lines)
-    return "\n".join([head, *entries, ""]) if entries else ""
+    entry_lines = list(lines)
+    return "\n".join([head, *entry_lines, ""]) if entry_lines else ""
 
 
 def _word(text: str) -> str:

@@ -56,7 +56,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         case.digests |= file.digests
         case.complaints += file.complaints
         case.notes += file.notes
-    before = len(case.complaints)
+    complaints_before = len(case.complaints)
     for file in reversed(chain):
         if file.data.get("library") is not None:
             case.libraries.append(library.read(_named_file(file, "library")))
@@ -72,7 +72,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             place = file.places.get(("loads", key))
             if place:
                 _place_in_time(case, key, place, file.places)
-    if len(case.complaints) > before:
+    if len(case.complaints) > complaints_before:
         case.raise_all([])  # what they leave incomplete has other errors
     apply(case, overrides)
     if case.data.pop("study", None) is not None:
@@ -112,8 +112,8 @@ def base_file(folder: FilePath, base: str) -> FilePath:
     """Path of a base: a file relative to a folder, or a shipped case by its name alone."""
     shipped = configs.FOLDER / f"{base}.yaml"
     # `isfile` is False for a name that the system refuses.
-    word = base.replace("_", "").isalnum()  # not a path
-    return shipped if word and isfile(shipped) else folder / expanduser(base)
+    is_word = base.replace("_", "").isalnum()  # not a path
+    return shipped if is_word and isfile(shipped) else folder / expanduser(base)
 
 
 def _chain(path: FilePath) -> list[CaseFile]:
@@ -126,14 +126,19 @@ def _chain(path: FilePath) -> list[CaseFile]:
     of_this_version(chain[0])
     for file_kind, keys in (("sweep", AXES), ("study", {"study"}), ("fit", {"fit"})):
         if "base" in chain[0].data and keys & chain[0].data.keys():
-            text = f"is a {file_kind} file, not a case; use mantle {file_kind} {path}"
-            chain[0].raise_all([Fault(("base",), text)])
+            message = f"is a {file_kind} file, not a case; use mantle {file_kind} {path}"
+            chain[0].raise_all([Fault(("base",), message)])
     while chain[-1].data.get("base") is not None:
         below = _named_file(chain[-1], "base")
-        names = [file.name for file in chain]
-        if len(chain) > MOST_BASES or below.resolve() in [FilePath(n).resolve() for n in names]:
-            text = f"a circle of bases, or more than {MOST_BASES}: {' -> '.join(names)} -> {below}"
-            chain[-1].raise_all([Fault(("base",), text)])
+        file_names = [file.name for file in chain]
+        if len(chain) > MOST_BASES or below.resolve() in [
+            FilePath(n).resolve() for n in file_names
+        ]:
+            message = (
+                f"a circle of bases, or more than {MOST_BASES}: {' -> '.join(file_names)} ->"
+                f" {below}"
+            )
+            chain[-1].raise_all([Fault(("base",), message)])
         chain.append(yaml_file.read(below))
         of_this_version(chain[-1])
     return chain
@@ -150,13 +155,13 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
         file.raise_all([Fault((key,), f"{show(name)} is not text; expected a file")])
     path = base_file(FilePath(file.name).parent, name)
     try:
-        readable = path.is_file()
+        is_readable = path.is_file()
     except OSError as error:
         file.raise_all([Fault((key,), f"{show(name)} cannot be read: {error.strerror}")])
-    if not readable:
+    if not is_readable:
         if key == "base":
-            known = shipped_cases()
-            hint = did_you_mean(name, known) or f"; cases by name: {', '.join(known)}"
+            known_cases = shipped_cases()
+            hint = did_you_mean(name, known_cases) or f"; cases by name: {', '.join(known_cases)}"
         file.raise_all([Fault((key,), f"no such file: {path}{hint}")])
     return path
 
@@ -177,29 +182,34 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
         return upper
     if isinstance(lower, dict) and "kind" in upper and kind_of(lower, path) != kind_of(upper, path):
         lower = None
-    known = lower if isinstance(lower, dict) else {}
-    result = {}
-    for key, value in known.items():
+    lower_values = lower if isinstance(lower, dict) else {}
+    merged_values = {}
+    for key, value in lower_values.items():
         if key not in upper:
-            result[key] = value
+            merged_values[key] = value
         elif upper[key] is not None:
-            result[key] = _merged(case, value, upper[key], (*path, key))
+            merged_values[key] = _merged(case, value, upper[key], (*path, key))
     for key in upper:
-        if key in known:
+        if key in lower_values:
             continue
         if upper[key] is None and lower is not None:
-            text = f"is not in the base, so null cannot remove it{did_you_mean(key, list(known))}"
-            case.complaints.append(Fault((*path, key), text))
+            message = (
+                "is not in the base, so null cannot remove"
+                f" it{did_you_mean(key, list(lower_values))}"
+            )
+            case.complaints.append(Fault((*path, key), message))
         else:
-            result[key] = _merged(case, None, upper[key], (*path, key))
-    return result
+            merged_values[key] = _merged(case, None, upper[key], (*path, key))
+    return merged_values
 
 
-def _place_in_time(case: CaseFile, key: str, place: Any, given: Mapping[Path, object]) -> None:
+def _place_in_time(
+    case: CaseFile, key: str, place: Any, given_places: Mapping[Path, object]
+) -> None:
     """Give the history or cycle table of each load the place in the file of the common one."""
     for name in case.data.get("loads") or {}:
         path = ("loads", name, key)
-        if path not in given:
+        if path not in given_places:
             case.places[path] = place
 
 
@@ -208,7 +218,7 @@ def _place_in_time(case: CaseFile, key: str, place: Any, given: Mapping[Path, ob
 
 def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
     """A copy with more overrides, without reading the file again."""
-    copy = replace(
+    changed_case = replace(
         case,
         data=deepcopy(case.data),
         places=dict(case.places),
@@ -218,8 +228,8 @@ def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
         notes=list(case.notes),
         complaints=[],
     )
-    apply(copy, overrides)
-    return copy
+    apply(changed_case, overrides)
+    return changed_case
 
 
 def apply(case: CaseFile, overrides: Iterable[str]) -> None:
@@ -238,50 +248,52 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     Raises:
         BadYaml: Malformed, or it goes through something that is not a mapping or list.
     """
-    _, equals, text = override.partition("=")
-    items = key_parts(key)
-    present = present_name(tuple(items))
-    if present != items[-1]:
-        case.notes.append(new_name(key, present))
-        items[-1:] = present.split(".")
-    if not equals or not all(items):
+    _, equals, value_text = override.partition("=")
+    path_parts = key_parts(key)
+    present_key = present_name(tuple(path_parts))
+    if present_key != path_parts[-1]:
+        case.notes.append(new_name(key, present_key))
+        path_parts[-1:] = present_key.split(".")
+    if not equals or not all(path_parts):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
-    if len(items) > yaml_file.DEEPEST:
-        raise BadYaml(f"{len(items)} nested keys; at most {yaml_file.DEEPEST}")
-    if items[0] in ("base", "library"):
+    if len(path_parts) > yaml_file.DEEPEST:
+        raise BadYaml(f"{len(path_parts)} nested keys; at most {yaml_file.DEEPEST}")
+    if path_parts[0] in ("base", "library"):
         raise BadYaml("--set cannot change it; change it in the file")
     target: Any = case.data
     path: Path = ()
-    for n, item in enumerate(items):
-        step: str | int = item
+    for n, path_part in enumerate(path_parts):
+        step: str | int = path_part
         if isinstance(target, list):
-            if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
-                raise BadYaml(f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'")
-            step = int(item)
+            if not re.fullmatch("[0-9]{1,6}", path_part) or int(path_part) >= len(target):
+                raise BadYaml(
+                    f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{path_part}'"
+                )
+            step = int(path_part)
         elif not isinstance(target, dict):
-            raise BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
-        elif not re.fullmatch(r"[\w-]+", item):
-            known = f"; expected one of {', '.join(target)}" if target else ""
-            raise BadYaml(f"'{item}' is not a name{known}")
+            raise BadYaml(f"{path_text(path)} is a single value: it has no '{path_part}'")
+        elif not re.fullmatch(r"[\w-]+", path_part):
+            allowed = f"; expected one of {', '.join(target)}" if target else ""
+            raise BadYaml(f"'{path_part}' is not a name{allowed}")
         path = (*path, step)
-        if n < len(items) - 1:
-            if isinstance(target, dict) and target.get(item) is None:
-                target[item] = [{}] if items[n + 1] == "0" else {}
+        if n < len(path_parts) - 1:
+            if isinstance(target, dict) and target.get(path_part) is None:
+                target[path_part] = [{}] if path_parts[n + 1] == "0" else {}
                 case.places[path] = key
             target = target[step]
-    for old in [p for p in case.places if p[: len(path)] == path]:
-        del case.places[old]
+    for old_path in [p for p in case.places if p[: len(path)] == path]:
+        del case.places[old_path]
     case.places[path] = key
-    value: object = text
+    value: object = value_text
     try:
-        node = yaml_file.compose(text)
+        node = yaml_file.compose(value_text)
         if node is None:  # KEY= without a value is not the null that removes an entry
             case.given[key] = target[step] = None
             return
         value = with_present_names(case, Reader(case, key).value(node, path), path)
     except BadYaml:
         # "[0, 0, -1] N" is no YAML without the quotes, which the shell has removed.
-        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
+        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", value_text):
             raise
     case.given[key] = value
     _put(case, target, path, value)
@@ -294,8 +306,8 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
         for key in holder.keys() - {"tissue", "thermal"}:
             del holder[key]
         step, value = "rigid", True
-    old = holder.get(step) if isinstance(holder, dict) else None
-    if value is None and old is not None:
+    old_value = holder.get(step) if isinstance(holder, dict) else None
+    if value is None and old_value is not None:
         del holder[step]
         return
     if path[0] in ("regions", "loads") and not KEYS_OF_USE.issuperset(path[2:3]):
@@ -306,14 +318,14 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     if (of_entry and isinstance(value, str)) or (
         path == ("loads", step) and (step in MEASURED or step in TIME_KEYS)
     ):
-        new = _merged(case, holder, {step: value}, path[:-1])
+        new_values = _merged(case, holder, {step: value}, path[:-1])
     else:
-        new = {step: _merged(case, old if step == "force" else None, value, path)}
+        new_values = {step: _merged(case, old_value if step == "force" else None, value, path)}
     case.places |= given_here  # over those of the entry
     if len(case.complaints) > complaints:
         return
-    if step in new:
-        holder[step] = new[step]
+    if step in new_values:
+        holder[step] = new_values[step]
     else:
         holder.clear()
-        holder.update(new)
+        holder.update(new_values)

@@ -54,12 +54,12 @@ class Point:
 def _check_equal_lengths(runs: dict[str, object]) -> dict[str, object]:
     """Check that lists, which vary together, have equal lengths."""
     lengths = {key: len(values) for key, values in _lists(runs).items()}
-    first = next(iter(lengths), "")
+    first_key = next(iter(lengths), "")
     for key, length in lengths.items():
         if not length:
             fail("is an empty list", at=(key,))
-        if length != lengths[first]:
-            fail(f"has {length} values where {first} has {lengths[first]}", at=(key,))
+        if length != lengths[first_key]:
+            fail(f"has {length} values where {first_key} has {lengths[first_key]}", at=(key,))
     return runs
 
 
@@ -70,9 +70,9 @@ def _check_varies(runs: dict[str, object]) -> dict[str, object]:
 
 
 def _check_distinct(values: list[object]) -> list[object]:
-    names = _labels(values)
-    for i, name in enumerate(names):
-        if name in names[:i]:
+    labels = _labels(values)
+    for i, name in enumerate(labels):
+        if name in labels[:i]:
             fail(f"{name} is listed twice", at=(i,))
     return values
 
@@ -114,12 +114,15 @@ class Range(Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> Range:
-        (low, unit), (high, other_unit) = _parsed_number(self.low), _parsed_number(self.high)
+        (lower_bound, unit), (upper_bound, other_unit) = (
+            _parsed_number(self.low),
+            _parsed_number(self.high),
+        )
         if unit != other_unit:
             fail(f"'{unit}' and '{other_unit}': both ends of the range need the same unit")
-        if not low < high:
+        if not lower_bound < upper_bound:
             fail(f"{show(self.low)} is not below {show(self.high)}")
-        if self.scale == "logarithmic" and low <= 0:
+        if self.scale == "logarithmic" and lower_bound <= 0:
             fail(f"{show(self.low)} is not positive, so it has no logarithm", at=("low",))
         return self
 
@@ -128,16 +131,16 @@ class Range(Section):
         """Unit of both ends; empty for a plain number."""
         return _parsed_number(self.low)[1]
 
-    def number(self, share: float) -> float:
+    def number(self, fraction: float) -> float:
         """Value at a fraction of the range, without its unit; defined beyond the range, too."""
-        low, high = _parsed_number(self.low)[0], _parsed_number(self.high)[0]
+        lower_bound, upper_bound = _parsed_number(self.low)[0], _parsed_number(self.high)[0]
         if self.scale == "logarithmic":
-            return low * (high / low) ** share
-        return low + share * (high - low)
+            return lower_bound * (upper_bound / lower_bound) ** fraction
+        return lower_bound + fraction * (upper_bound - lower_bound)
 
-    def value_at(self, share: float) -> str | float:
+    def value_at(self, fraction: float) -> str | float:
         """Value at a fraction of the range, to six digits."""
-        number = float(f"{self.number(share):.6g}")
+        number = float(f"{self.number(fraction):.6g}")
         return f"{number:g} {self.unit}" if self.unit else number
 
 
@@ -147,24 +150,24 @@ class Choice(Section):
     values: Values
     """The values: numbers, names or sections."""
 
-    def value_at(self, share: float) -> object:
+    def value_at(self, fraction: float) -> object:
         """Value at a fraction of the list."""
-        return self.values[int(share * len(self.values))]
+        return self.values[int(fraction * len(self.values))]
 
 
 Inputs = Annotated[dict[str, Annotated[Range | Choice, Kinds(".low")]], Field(min_length=1)]
 
 
 def _overrides_of_samples(
-    inputs: Mapping[str, Range | Choice], shares: Floats
+    inputs: Mapping[str, Range | Choice], fractions: Floats
 ) -> list[dict[str, object]]:
     """Overrides of samples, from fractions of the ranges of the inputs (samples, inputs)."""
     return [
         {
-            key: input.value_at(float(share))
-            for (key, input), share in zip(inputs.items(), row, strict=True)
+            key: input.value_at(float(fraction))
+            for (key, input), fraction in zip(inputs.items(), row, strict=True)
         }
-        for row in shares
+        for row in fractions
     ]
 
 
@@ -218,17 +221,17 @@ class Sobol(SampledInputs):
         from scipy.stats import qmc
 
         number = len(self.inputs)
-        shares = qmc.Sobol(2 * number, seed=self.seed).random(self.samples)
-        first = _overrides_of_samples(self.inputs, shares[:, :number])
-        second = _overrides_of_samples(self.inputs, shares[:, number:])
-        short = short_keys(list(self.inputs))
+        fractions = qmc.Sobol(2 * number, seed=self.seed).random(self.samples)
+        first_points = _overrides_of_samples(self.inputs, fractions[:, :number])
+        second_points = _overrides_of_samples(self.inputs, fractions[:, number:])
+        short_names = short_keys(list(self.inputs))
         digits = len(str(self.samples))
         runs = {}
-        for k, (a, b) in enumerate(zip(first, second, strict=True), start=1):
+        for k, (a, b) in enumerate(zip(first_points, second_points, strict=True), start=1):
             name = f"sample{k:0{digits}d}"
             runs[f"{name}_A"] = a
             runs[f"{name}_B"] = b
-            runs |= {f"{name}_A_{short[key]}": a | {key: b[key]} for key in self.inputs}
+            runs |= {f"{name}_A_{short_names[key]}": a | {key: b[key]} for key in self.inputs}
         return runs
 
 
@@ -261,8 +264,8 @@ class SweepPart(Section):
 
     @model_validator(mode="after")
     def _sobol_alone(self) -> SweepPart:
-        others = (self.table, self.grid, self.lists, self.latin_hypercube)
-        if self.sobol is not None and any(axis is not None for axis in others):
+        other_axes = (self.table, self.grid, self.lists, self.latin_hypercube)
+        if self.sobol is not None and any(axis is not None for axis in other_axes):
             fail("cannot be combined with other axes; put it into a separate part", at=("sobol",))
         return self
 
@@ -277,16 +280,16 @@ class SweepPart(Section):
 
     def axes(self, path: Path) -> Iterator[list[Point]]:
         """Axes of the part at a path of the file: table, grid, lists, samples."""
-        short = short_keys([*(self.grid or {}), *(self.lists or {})])
+        short_names = short_keys([*(self.grid or {}), *(self.lists or {})])
         if self.table is not None:
             key_path = (*path, "table")
             yield [
                 overriding(changes, (*key_path, name), name) for name, changes in self.table.items()
             ]
         for key, values in (self.grid or {}).items():
-            yield along({key: values}, (*path, "grid"), short)
+            yield along({key: values}, (*path, "grid"), short_names)
         if self.lists is not None:
-            yield along(self.lists, (*path, "lists"), short)
+            yield along(self.lists, (*path, "lists"), short_names)
         hypercube = self.latin_hypercube
         if hypercube is not None:
             digits, key_path = len(str(hypercube.samples)), (*path, "latin_hypercube", "inputs")
@@ -303,13 +306,16 @@ class SweepPart(Section):
 
 def along(runs: Mapping[str, object], path: Path, short: Mapping[str, str]) -> list[Point]:
     """One axis: lists that vary together, and single values, by override key with short names."""
-    lists = _lists(runs)
-    labels = {key: _labels(values) for key, values in lists.items()}
+    values_of_key = _lists(runs)
+    labels = {key: _labels(values) for key, values in values_of_key.items()}
     return [
         Point(
-            "_".join(f"{short[key]}={names[i]}" for key, names in labels.items()),
-            {key: lists[key][i] if key in lists else value for key, value in runs.items()},
-            {key: (*path, key, i) if key in lists else (*path, key) for key in runs},
+            "_".join(f"{short[key]}={labels_of_key[i]}" for key, labels_of_key in labels.items()),
+            {
+                key: values_of_key[key][i] if key in values_of_key else value
+                for key, value in runs.items()
+            },
+            {key: (*path, key, i) if key in values_of_key else (*path, key) for key in runs},
         )
         for i in range(len(next(iter(labels.values()), [""])))
     ]
@@ -322,8 +328,8 @@ def varying(runs: Mapping[str, object]) -> list[str]:
 
 def _lists(runs: Mapping[str, object]) -> dict[str, list[object]]:
     """The lists of values by key, mesh.size first."""
-    lists = {key: value for key, value in runs.items() if isinstance(value, list)}
-    return dict(sorted(lists.items(), key=lambda item: item[0] != "mesh.size"))
+    values_of_key = {key: value for key, value in runs.items() if isinstance(value, list)}
+    return dict(sorted(values_of_key.items(), key=lambda item: item[0] != "mesh.size"))
 
 
 def overriding(changes: dict[str, object], path: Path, name: str = "") -> Point:
@@ -340,23 +346,23 @@ def combine(
     """
     part = str(path[-1]) if path else ""
     for values in itertools.product(*axes):
-        changes, places = dict[str, object](), dict[str, Path]()
+        changed_values, path_of_key = dict[str, object](), dict[str, Path]()
         for value in (*common, *values):
-            changes |= value.changes
-            places |= value.places
+            changed_values |= value.changes
+            path_of_key |= value.places
         label = "_".join(value.name for value in values if value.name)
         name = "/".join(filter(None, (part, label))) or "base"
         varied = tuple(key for value in values for key in value.changes)
-        yield Point(name, changes, places, path, base, varied)
+        yield Point(name, changed_values, path_of_key, path, base, varied)
 
 
 def _labels(values: Sequence[object]) -> list[str]:
     """Names of values: text, number, kind or index in the list."""
     singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
     singles = [v.get("kind") if isinstance(v, dict) else v for v in singles]
-    texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
-    plain_texts = [text.replace(" ", "") for text in texts]
-    numbers = [text.partition(" ")[0] for text in texts]
+    value_texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
+    plain_texts = [text.replace(" ", "") for text in value_texts]
+    numbers = [text.partition(" ")[0] for text in value_texts]
     if all(map(LABEL.fullmatch, plain_texts)) and (
         len(set(plain_texts)) == len(plain_texts) or not any(isinstance(v, dict) for v in values)
     ):
@@ -368,13 +374,15 @@ def _labels(values: Sequence[object]) -> list[str]:
 
 def short_keys(keys: Sequence[str]) -> dict[str, str]:
     """Shorten keys to their last words as far as they stay unique."""
-    split = {key: key_parts(key) for key in keys}
-    short = {}
-    for key, words in split.items():
+    key_words = {key: key_parts(key) for key in keys}
+    short_names = {}
+    for key, words in key_words.items():
         endings = (words[-n:] for n in range(1, len(words)) if not words[-n].isdigit())
-        unique_endings = (e for e in endings if sum(w[-len(e) :] == e for w in split.values()) == 1)
-        short[key] = ".".join(next(unique_endings, words))
-    return short
+        unique_endings = (
+            e for e in endings if sum(w[-len(e) :] == e for w in key_words.values()) == 1
+        )
+        short_names[key] = ".".join(next(unique_endings, words))
+    return short_names
 
 
 def as_overrides(changes: Mapping[str, object]) -> list[str]:
@@ -385,18 +393,18 @@ def as_overrides(changes: Mapping[str, object]) -> list[str]:
 def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
     """Locate a message about an override in the file; None if it is about something else."""
     for key, place in places.items():
-        text = message.removeprefix("--set ")
-        if text.startswith(f"{key}: "):
-            return Fault(place, text.removeprefix(f"{key}: "))
+        located_message = message.removeprefix("--set ")
+        if located_message.startswith(f"{key}: "):
+            return Fault(place, located_message.removeprefix(f"{key}: "))
     return None
 
 
 def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
     """Errors for ``--set`` keys that the file varies too, each at the path of its list or value."""
-    places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
+    lists_and_keys = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
     return [
-        Fault(place, f"varies, but --set {given} fixes it for every case; leave one out")
-        for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
-        for place, key in places
-        if all(a == b for a, b in zip(key_parts(given), key_parts(key), strict=False))
+        Fault(place, f"varies, but --set {given_key} fixes it for every case; leave one out")
+        for given_key in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
+        for place, key in lists_and_keys
+        if all(a == b for a, b in zip(key_parts(given_key), key_parts(key), strict=False))
     ]

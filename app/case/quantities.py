@@ -157,13 +157,13 @@ class Quantity:
         if error < 10.0 ** -(self.digits + 2):
             return f"{self.factor * value:.{self.digits}f}"
         digits = max(self.digits, -math.floor(math.log10(error)))
-        text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
-        return text + (NOT_RESOLVED if error > self.factor * abs(value) else "")
+        number_text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
+        return number_text + (NOT_RESOLVED if error > self.factor * abs(value) else "")
 
     def with_unit(self, numbers: Numbers, unit: str) -> str:
         """Format the number with a unit: ``41.3 ± 1.8 um``, ``0.3 ± 0.5 um (not resolved)``."""
-        value, mark, _ = self.text(numbers).partition(NOT_RESOLVED)
-        return f"{value} {unit}".removesuffix(" -") + mark
+        value, not_resolved, _ = self.text(numbers).partition(NOT_RESOLVED)
+        return f"{value} {unit}".removesuffix(" -") + not_resolved
 
 
 @dataclass(frozen=True)
@@ -697,8 +697,10 @@ def find(name: str) -> Quantity:
     owner, _, key = name.partition(".")
     if owner in RUN:
         fail(f"{show(name)} is not one of {', '.join(of_run())}")
-    known = dict.fromkeys(n for rows in _tables(owner) for q in rows.values() for n in q.names)
-    hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
+    known_names = dict.fromkeys(
+        n for rows in _tables(owner) for q in rows.values() for n in q.names
+    )
+    hint = did_you_mean(key, tuple(known_names)) or f"; one of {', '.join(known_names)}"
     fail(f"{show(name)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
 
 
@@ -713,17 +715,17 @@ def place_in_words(place: str) -> str:
 def in_words(name: str) -> tuple[str, str]:
     """A number's label, e.g. stem-cement slip, p99, and its unit as printed."""
     place, _, key = name.partition(".")
-    words = place_in_words(place)
+    place_words = place_in_words(place)
     q = get(name)
     if q is None:
-        return f"{words} {key}".replace("_", " "), ""
-    return f"{words} {key.replace(q.key, q.label)}", printed(q.shown)
+        return f"{place_words} {key}".replace("_", " "), ""
+    return f"{place_words} {key.replace(q.key, q.label)}", printed(q.shown)
 
 
 def titled(name: str) -> str:
     """A number's label with its unit in brackets, if it has one."""
-    words, unit = in_words(name)
-    return f"{words} ({unit})" if unit else words
+    number_title, unit = in_words(name)
+    return f"{number_title} ({unit})" if unit else number_title
 
 
 def known_value(name: str, value: object, difference: bool = False) -> float:
@@ -748,8 +750,10 @@ def numbers_of(
 ) -> Iterator[tuple[str, str, Numbers]]:
     """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
-        content: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
-        named: Numbers = {section: content} if section in WHOLE else content
+        section_content: Any = reduce(
+            lambda part, key: part.get(key, {}), section.split("."), summary
+        )
+        named: Numbers = {section: section_content} if section in WHOLE else section_content
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers

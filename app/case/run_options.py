@@ -80,13 +80,15 @@ class Stage(Section):
                 at=("fracture_step",),
             )
         if self.takes_time and self.other:
-            text = "is the time of the stage; leave `duration` and `steady` out"
-            fail(text, at=(self.other.key,))
+            message = "is the time of the stage; leave `duration` and `steady` out"
+            fail(message, at=(self.other.key,))
         if self.creep_cycles and self.creep_time:
             fail("a stage has `creep_cycles` or `creep_time`; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
-            text = "loads are constant in a stage with creep; leave duration, steady and cycles out"
-            fail(text, at=(self.creep_key,))
+            message = (
+                "loads are constant in a stage with creep; leave duration, steady and cycles out"
+            )
+            fail(message, at=(self.creep_key,))
         return self
 
     @property
@@ -178,13 +180,13 @@ def add_stage_kind(kind: StageKind) -> None:
 
 
 def _petsc(value: dict[str, object]) -> object:
-    for name, entry in value.items():
+    for name, option in value.items():
         if name.startswith("-"):
             fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))
         if name.split() != [name]:
             fail(f"{show(name)} is not the name of an option", at=(name,))
-        if not isinstance(entry, str | int | float | bool):
-            fail(f"{show(entry)} is not a single value", at=(name,))
+        if not isinstance(option, str | int | float | bool):
+            fail(f"{show(option)} is not a single value", at=(name,))
     return value
 
 

@@ -111,9 +111,11 @@ class GradedThickness(Section):
 
     @model_validator(mode="after")
     def _possible(self) -> GradedThickness:
-        given = [[k for k in keys if getattr(self, k) is not None] for keys in (HEIGHTS, SIDES)]
-        for keys, keys_given in zip((HEIGHTS, SIDES), given, strict=True):
-            if len(keys_given) == 1 or not any(given):
+        given_keys = [
+            [k for k in keys if getattr(self, k) is not None] for keys in (HEIGHTS, SIDES)
+        ]
+        for keys, keys_given in zip((HEIGHTS, SIDES), given_keys, strict=True):
+            if len(keys_given) == 1 or not any(given_keys):
                 fail(
                     f"is not enough; expected at least two of {', '.join(keys)}",
                     at=tuple(keys_given),
@@ -441,12 +443,12 @@ class MeshOptions(Section):
         Returns:
             Distances from 0 where steps grow, and the number and size of equal steps after them.
         """
-        first, longest, growth = GRADING[part]
-        largest = min(longest * self.step_along, self.far)
-        distances, step = [0.0], first * self.step_along
+        first_size, largest_size, growth = GRADING[part]
+        largest = min(largest_size * self.step_along, self.far)
+        distances, step = [0.0], first_size * self.step_along
         while step < largest and distances[-1] + 0.5 * step < length:
             distances.append(distances[-1] + step)
-            step = first * self.step_along + growth * distances[-1]
+            step = first_size * self.step_along + growth * distances[-1]
         return (
             distances,
             max(round((length - distances[-1]) / largest), int(len(distances) == 1)),
@@ -458,17 +460,20 @@ class MeshOptions(Section):
 
         A number of lines that is a multiple of 4 stays one.
         """
-        changed: dict[str, float] = {"size": factor * self.size, "far_size": factor * self.far}
+        changed_sizes: dict[str, float] = {
+            "size": factor * self.size,
+            "far_size": factor * self.far,
+        }
         if self.along is not None:
-            changed["along"] = factor * self.along
+            changed_sizes["along"] = factor * self.along
         if isinstance(self.around, float):
-            changed["around"] = factor * self.around
+            changed_sizes["around"] = factor * self.around
         elif self.around is not None:
             multiple = 1 if self.around % 4 else 4
-            changed["around"] = max(4, multiple * round(self.around / factor / multiple))
+            changed_sizes["around"] = max(4, multiple * round(self.around / factor / multiple))
         if self.through_cement is not None:
-            changed["through_cement"] = max(1, round(self.through_cement / factor))
-        return self.model_copy(update=changed)
+            changed_sizes["through_cement"] = max(1, round(self.through_cement / factor))
+        return self.model_copy(update=changed_sizes)
 
     @model_serializer(mode="wrap")
     def _known(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -50,9 +50,9 @@ class Collar(Section):
 
     @model_validator(mode="after")
     def _beside_the_resection(self) -> Collar:
-        low, high = ANGLES
-        if not low <= round(math.degrees(self.angle), 9) <= high:
-            fail(f"is not between {low:g} and {high:g} deg", at=("angle",))
+        least_angle, largest_angle = ANGLES
+        if not least_angle <= round(math.degrees(self.angle), 9) <= largest_angle:
+            fail(f"is not between {least_angle:g} and {largest_angle:g} deg", at=("angle",))
         return self
 
 
@@ -108,8 +108,8 @@ class Stem(Section):
         if not self.section_depth < self.length:
             set_keys = self.model_fields_set
             if "length" in set_keys and "section_depth" not in set_keys:
-                text = "puts the tip above the proximal section, which is at section_depth ="
-                fail(f"{text} {self.section_depth:g} mm; set section_depth too", at=("length",))
+                message = "puts the tip above the proximal section, which is at section_depth ="
+                fail(f"{message} {self.section_depth:g} mm; set section_depth too", at=("length",))
             fail(f"must be below the stem's length, {self.length:g} mm", at=("section_depth",))
         return self
 
@@ -160,8 +160,8 @@ class StemFile(Section):
     @cached_property
     def content(self) -> str:
         """Hash of the file and of what is given beside it, at the first access."""
-        given = json.dumps(self.model_dump(exclude={"step", "collar"})).encode()
-        return hashlib.sha256(self.step.read_bytes() + given).hexdigest()
+        key_text = json.dumps(self.model_dump(exclude={"step", "collar"})).encode()
+        return hashlib.sha256(self.step.read_bytes() + key_text).hexdigest()
 
     @property
     def shape(self) -> dict[str, Any]:
@@ -210,9 +210,11 @@ class StemFile(Section):
     ) -> Implant:
         """The implant with its tip at a level, or with its shoulder at one (mm)."""
         tip = shoulder - round(float(self.shape["shoulder"]), 2) if tip_z is None else tip_z
-        unknown: dict[str, Any] = dict.fromkeys(field.name for field in fields(Implant))
+        unset_fields: dict[str, Any] = dict.fromkeys(field.name for field in fields(Implant))
         cement = {"plug_length": plug_length, "tip_void": tip_void}
-        numbers: dict[str, Any] = unknown | self.values(tip) | cement | collar_numbers(self.collar)
+        numbers: dict[str, Any] = (
+            unset_fields | self.values(tip) | cement | collar_numbers(self.collar)
+        )
         return Implant(**(numbers | {"tip_z": tip, "cad": self.shape}))
 
 

@@ -32,11 +32,11 @@ def _quantity(value: object) -> object:
 def _values(value: object) -> object:
     if not isinstance(value, dict):
         fail(f"{show(value)} is not a mapping of quantities to values")
-    for quantity, entry in value.items():
+    for quantity, reference_value in value.items():
         if quantity in quantities.of_run():
             fail("has no reference value, as it describes the run; leave it out", at=(quantity,))
         try:
-            quantities.known_value(quantity, entry)
+            quantities.known_value(quantity, reference_value)
         except PydanticCustomError as error:
             fail((error.context or {})["text"], at=(quantity,))
     return value
@@ -56,8 +56,8 @@ class Reference(Section):
         if (self.values is None) == (self.run is None):
             fail("expected either values or run")
         if any(isinstance(value, list) and len(value) < 2 for value in (self.run or {}).values()):
-            text = "is a list with one value, so that the error of the reference is unknown; "
-            fail(f"{text}expected at least two values, or one without a list", at=("run",))
+            message = "is a list with one value, so that the error of the reference is unknown; "
+            fail(f"{message}expected at least two values, or one without a list", at=("run",))
         return self
 
 
@@ -81,9 +81,11 @@ class Study(Section):
                 fail("is empty", at=(key,))
         values = self.reference.values
         if values is not None:
-            missing = [q for q in self.quantities if q not in values and self.compares(q)]
-            if missing:
-                fail(f"no value for {', '.join(missing)}", at=("reference", "values"))
+            missing_quantities = [
+                q for q in self.quantities if q not in values and self.compares(q)
+            ]
+            if missing_quantities:
+                fail(f"no value for {', '.join(missing_quantities)}", at=("reference", "values"))
         return self
 
     def compares(self, quantity: str) -> bool:
@@ -130,30 +132,37 @@ def line_of(run: PlannedRun) -> str:
 
 def _density(case: Case) -> tuple[float, str]:
     """Lines around the stem, else cells per mm, and both in words."""
-    around = case.geometry.grid(case.mesh).get("lines around")
-    if around or not case.mesh.size:
-        return around or 0.0, f"{around} lines around" if around else "the mesh of the file"
+    lines_around = case.geometry.grid(case.mesh).get("lines around")
+    if lines_around or not case.mesh.size:
+        return (
+            lines_around or 0.0,
+            f"{lines_around} lines around" if lines_around else "the mesh of the file",
+        )
     return 1.0 / case.mesh.size, f"size {case.mesh.size:g} mm"
 
 
 def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
     """Faults of a reference of several meshes: one that is judged too, or none that is finer."""
     ladder = [r for r in runs if not line_of(r)]
-    judged = {_density(r.case): r for r in reversed(runs) if line_of(r)}
-    if not judged or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
+    judged_runs = {_density(r.case): r for r in reversed(runs) if line_of(r)}
+    if not judged_runs or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
         return
     key = points.varying(study.reference.run or {})[0]
-    below = f"below {min(r.case.mesh.size for r in judged.values()):g} mm"
+    below_text = f"below {min(r.case.mesh.size for r in judged_runs.values()):g} mm"
     for r in ladder:
         density = _density(r.case)
-        if density in judged:
-            text = f"has the mesh of {judged[density].name} ({density[1]}) and cannot be its "
-            text += f"reference; expected sizes that no line has, the last {below}"
-            yield Fault(r.point.places[key], text)
-    finest = max(judged)
+        if density in judged_runs:
+            message = (
+                f"has the mesh of {judged_runs[density].name} ({density[1]}) and cannot be its "
+            )
+            message += f"reference; expected sizes that no line has, the last {below_text}"
+            yield Fault(r.point.places[key], message)
+    finest = max(judged_runs)
     if finest > _density(ladder[-1].case):
-        text = f"is not finer than {judged[finest].name} ({finest[1]}); expected a last size"
-        yield Fault(ladder[-1].point.places[key], f"{text} {below}")
+        message = (
+            f"is not finer than {judged_runs[finest].name} ({finest[1]}); expected a last size"
+        )
+        yield Fault(ladder[-1].point.places[key], f"{message} {below_text}")
 
 
 def read(
@@ -168,25 +177,31 @@ def read(
         InputError: Every error of the file and its runs, at its place.
     """
     of_study = [o for o in overrides if re.match(r"\s*study\b", o)]
-    others = [o for o in overrides if o not in of_study]
+    other_overrides = [o for o in overrides if o not in of_study]
     file = yaml_file.read(path)
     overlay.apply(file, of_study)
     if "study" not in file.data or "geometry" in file.data:
-        text = "expected a study file: base: CASE, set, and study with quantities, lines, reference"
-        file.raise_all([Fault(("study",) if "study" in file.data else (), text)])
+        message = (
+            "expected a study file: base: CASE, set, and study with quantities, lines, reference"
+        )
+        file.raise_all([Fault(("study",) if "study" in file.data else (), message)])
     content = sweep.content(file, StudyFile)
     study = content.study
-    runs, problems = sweep.plan(file, path.parent, list(content.points()), others)
+    runs, problems = sweep.plan(file, path.parent, list(content.points()), other_overrides)
     if runs:
-        names: dict[yaml_file.Path, str] = {
+        quantity_of_path: dict[yaml_file.Path, str] = {
             ("study", "quantities", i): name for i, name in enumerate(study.quantities)
         }
-        problems += checks.quantities(runs[0].case, names)
+        problems += checks.quantities(runs[0].case, quantity_of_path)
     problems += _shared_meshes(study, runs)
     if CONDITION in study.quantities and not all(r.case.output.condition for r in runs):
         key_path = ("study", "quantities", study.quantities.index(CONDITION))
         problems.append(Fault(key_path, "needs output.condition: true"))
     file.raise_all(problems)
-    keys = {o.partition("=")[0].strip() for o in others}
+    keys = {o.partition("=")[0].strip() for o in other_overrides}
     common = points.as_overrides({k: v for k, v in content.set.items() if k not in keys})
-    return study, [replace(run, needs_idle_machine=True) for run in runs], (*common, *others)
+    return (
+        study,
+        [replace(run, needs_idle_machine=True) for run in runs],
+        (*common, *other_overrides),
+    )

@@ -38,8 +38,8 @@ class Sweep(SweepPart):
                 fail("cannot be combined with parts; put it into each part", at=(key,))
         for _, path, part in self._parts():
             if (part.base or self.base) is None:
-                text = "missing; expected the case that is varied, relative to this file"
-                fail(text, at=(*path, "base"))
+                message = "missing; expected the case that is varied, relative to this file"
+                fail(message, at=(*path, "base"))
             number = math.prod(map(len, part.axes(path)))
             if number > MOST_CASES:
                 fail(f"{number} combinations; at most {MOST_CASES} are allowed", at=path)
@@ -60,8 +60,8 @@ class Sweep(SweepPart):
 
     def uncertain_inputs(self) -> dict[str, UncertainInputs]:
         """Uncertain inputs by part, of parts that have any."""
-        parts = {name: part.uncertain for name, _, part in self._parts()}
-        return {name: samples for name, samples in parts.items() if samples}
+        samples_of_parts = {name: part.uncertain for name, _, part in self._parts()}
+        return {name: samples for name, samples in samples_of_parts.items() if samples}
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:
@@ -71,12 +71,12 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         InputError: Every error of the file and its cases, at its place.
     """
     file = yaml_file.read(path)
-    others = {
+    kind_of_key = {
         "geometry": "case: use mantle run",
         "study": "study: use mantle study",
         "fit": "fit: use mantle fit",
     }
-    for key, kind_and_command in others.items():
+    for key, kind_and_command in kind_of_key.items():
         if key in file.data:
             raise InputError(f"{path}: this is a {kind_and_command} {path}")
     sweep = content(file, Sweep)
@@ -111,34 +111,36 @@ def plan(
     problems = points.clashes(overrides, ((p.places[k], k) for p in all_points for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]
     # A value that cannot be read is None here, and reported where the case is read.
-    given = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
+    given_values = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
     other_overrides = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
-    failed: dict[tuple[Path, str], list[Point]] = {}
+    points_of_failure: dict[tuple[Path, str], list[Point]] = {}
     bases = Counter(overlay.base_file(folder, p.base) for p in all_points)
     for point in all_points:
-        base, all_changes = overlay.base_file(folder, point.base), point.changes | given
+        base, all_changes = overlay.base_file(folder, point.base), point.changes | given_values
         ranks = all_changes.get("ranks", 1)
         if not isinstance(ranks, int) or isinstance(ranks, bool) or ranks < 1:
-            text = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."
-            if "ranks" in given:
-                raise InputError(f"--set ranks: {text}")
-            problems.append(Fault(point.places["ranks"], text))
+            problem = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."
+            if "ranks" in given_values:
+                raise InputError(f"--set ranks: {problem}")
+            problems.append(Fault(point.places["ranks"], problem))
             ranks = 1
-        of_case = {k: v for k, v in point.changes.items() if k not in ("ranks", *given)}
-        changes = (*points.as_overrides(of_case), "variations={}", *other_overrides)
+        of_case = {k: v for k, v in point.changes.items() if k not in ("ranks", *given_values)}
+        overrides_of_run = (*points.as_overrides(of_case), "variations={}", *other_overrides)
         try:
-            case = load(base, changes).config
+            case = load(base, overrides_of_run).config
         except InputError as error:
             for message in error.messages:
                 fault = points.at_override(message, {key: point.places[key] for key in of_case})
                 if fault:
                     problems.append(fault)
                 else:
-                    failed.setdefault((base, message), []).append(point)
+                    points_of_failure.setdefault((base, message), []).append(point)
             continue
-        planned.append(PlannedRun(base, changes, case, replace(point, changes=all_changes), ranks))
-    for (base, message), failed_points in failed.items():
+        planned.append(
+            PlannedRun(base, overrides_of_run, case, replace(point, changes=all_changes), ranks)
+        )
+    for (base, message), failed_points in points_of_failure.items():
         base_path = (*failed_points[0].path, "base")
         if len(failed_points) < bases[base]:
             problems.append(Fault(failed_points[0].path, f"{failed_points[0].name}: {message}"))

@@ -36,19 +36,19 @@ CHANGED = "; changed: "
 
 
 def _section(value: dict[str, object]) -> dict[str, object]:
-    for name, changes in value.items():
+    for name, changed_values in value.items():
         if name == "grid":
             fail(NO_GRID, at=(name,))
-        if not isinstance(changes, dict):
-            fail(f"{show(changes)} is not a mapping of keys to values", at=(name,))
-        for key in changes:
+        if not isinstance(changed_values, dict):
+            fail(f"{show(changed_values)} is not a mapping of keys to values", at=(name,))
+        for key in changed_values:
             if not MAY_VARY.fullmatch(key):
                 path = key.split(".")
-                known = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(path[0], ())
-                text = (
+                known_keys = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(path[0], ())
+                message = (
                     "cannot vary between runs that share a mesh (it may change mesh or stiffness)"
                 )
-                fail(f"{text}; {ALLOWED}{did_you_mean(path[-1], known)}", at=(name, key))
+                fail(f"{message}; {ALLOWED}{did_you_mean(path[-1], known_keys)}", at=(name, key))
     return value
 
 
@@ -58,7 +58,7 @@ Variations = Annotated[dict[Name, dict[str, object]], BeforeValidator(_section),
 
 def split(data: YamlMapping) -> tuple[dict[str, object], dict[str, object]]:
     """Split a resolved case into the data that variations share and those that may vary, by key."""
-    shared = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
+    shared_data = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
     varied: dict[str, object] = {
         f"interfaces.{name}": law for name, law in data.get("interfaces", {}).items()
     }
@@ -69,7 +69,7 @@ def split(data: YamlMapping) -> tuple[dict[str, object], dict[str, object]]:
         varied |= {f"loads.{name}.{key}": load[key] for key in OF_LOADS if key in load}
     solver = dict(data.get("solver", {}))
     varied |= {f"solver.{key}": solver.pop(key) for key in OF_SOLVER if key in solver}
-    return shared | {"loads": loads, "solver": solver}, varied
+    return shared_data | {"loads": loads, "solver": solver}, varied
 
 
 def expand(key: str, data: YamlMapping) -> list[str]:
@@ -86,8 +86,8 @@ def title_with_changes(title: str, file: CaseFile) -> str:
     keys = {place: key_parts(place) for place in file.places.values() if isinstance(place, str)}
     if not title or ["title"] in keys.values():
         return title
-    changed = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
-    short = short_keys(list(changed))
-    given = {name: file.given[key] for key, name in short.items()}
-    values = (f"without {k}" if v is None else f"{k} {plain(v)}" for k, v in given.items())
-    return f"{title}{CHANGED}{', '.join(values)}" if changed else title
+    changed_keys = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
+    short_names = short_keys(list(changed_keys))
+    given_values = {name: file.given[key] for key, name in short_names.items()}
+    values = (f"without {k}" if v is None else f"{k} {plain(v)}" for k, v in given_values.items())
+    return f"{title}{CHANGED}{', '.join(values)}" if changed_keys else title
