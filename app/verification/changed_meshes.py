@@ -28,24 +28,24 @@ def flattened(data: MeshData, worst: float) -> MeshData:
     """
     random = np.random.default_rng(1)
     x = data.points.copy()
-    free = np.ones(x.shape, dtype=bool)
-    low = x.min(axis=0)
-    high = x.max(axis=0)
-    free[np.isclose(x, low) | np.isclose(x, high)] = False
+    is_free = np.ones(x.shape, dtype=bool)
+    lower_corner = x.min(axis=0)
+    upper_corner = x.max(axis=0)
+    is_free[np.isclose(x, lower_corner) | np.isclose(x, upper_corner)] = False
     nodes = [np.unique(data.cells[data.cell_tags == tag]) for tag in data.regions.values()]
-    shared = np.bincount(np.concatenate(nodes), minlength=len(x)) > 1
-    free[shared, 2] = False
-    size = np.cbrt(6 * np.sqrt(2) * np.prod(high - low) / len(data.cells))
+    is_shared = np.bincount(np.concatenate(nodes), minlength=len(x)) > 1
+    is_free[is_shared, 2] = False
+    size = np.cbrt(6 * np.sqrt(2) * np.prod(upper_corner - lower_corner) / len(data.cells))
     touching: list[list[int]] = [[] for _ in x]
     for (c, _), n in np.ndenumerate(data.cells):
         touching[n].append(c)
-    for n in np.tile(np.flatnonzero(free.any(axis=1)), ROUNDS):
+    for n in np.tile(np.flatnonzero(is_free.any(axis=1)), ROUNDS):
         cells = data.cells[touching[n]]
-        old = x[n].copy()
-        before = sicn(x, cells).min()
-        x[n] += 0.5 * size * random.standard_normal(3) * free[n]
-        if not worst <= sicn(x, cells).min() < before:
-            x[n] = old
+        old_position = x[n].copy()
+        quality_before = sicn(x, cells).min()
+        x[n] += 0.5 * size * random.standard_normal(3) * is_free[n]
+        if not worst <= sicn(x, cells).min() < quality_before:
+            x[n] = old_position
     return replace(data, points=x)
 
 
@@ -58,23 +58,23 @@ def mirrored(data: MeshData) -> MeshData:
     marks = data.facet_tags
     planes = [data.boundaries[f"symmetry_{a}"][0] for a in "xy"]
     for axis in (0, 1):
-        other = x * np.where(np.arange(3) == axis, -1.0, 1.0)
-        on = np.abs(x[:, axis]) < 1e-9
-        number = np.where(on, np.arange(len(x)), len(x) + np.cumsum(~on) - 1)
-        x = np.concatenate([x, other[~on]])
+        mirrored_points = x * np.where(np.arange(3) == axis, -1.0, 1.0)
+        on_plane = np.abs(x[:, axis]) < 1e-9
+        number = np.where(on_plane, np.arange(len(x)), len(x) + np.cumsum(~on_plane) - 1)
+        x = np.concatenate([x, mirrored_points[~on_plane]])
         cells = np.concatenate([cells, number[cells][:, [1, 0, 2, 3]]])
         facets = np.concatenate([facets, number[facets][:, [1, 0, 2]]])
         tags = np.tile(tags, 2)
         marks = np.tile(marks, 2)
-    keep = ~np.isin(marks, planes)
+    is_kept = ~np.isin(marks, planes)
     boundaries = {n: t for n, t in data.boundaries.items() if not n.startswith("symmetry")}
     return replace(
         data,
         points=x,
         cells=cells,
         cell_tags=tags,
-        facets=facets[keep],
-        facet_tags=marks[keep],
+        facets=facets[is_kept],
+        facet_tags=marks[is_kept],
         boundaries=boundaries,
     )
 

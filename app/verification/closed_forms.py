@@ -75,15 +75,22 @@ class CantileverBar:
             + 1.2 * (force[0] ** 2 + force[1] ** 2) / (shear_modulus * area)
             + twist**2 / (shear_modulus * self.torsion_constant())
         )
-        along = 0.5 * self.length * float(weight @ twice_energy)
-        return along / float(np.linalg.norm(force))
+        force_times_deflection = 0.5 * self.length * float(weight @ twice_energy)
+        return force_times_deflection / float(np.linalg.norm(force))
 
     def torsion_constant(self) -> float:
         """Torsion constant of a rectangle [mm^4], by Saint-Venant's series."""
-        long, short = max(self.width, self.depth), min(self.width, self.depth)
-        odd = np.arange(1, 40, 2)
-        series = (np.tanh(odd * math.pi * long / (2.0 * short)) / odd**5).sum()
-        return float(long * short**3 / 3.0 * (1.0 - 192.0 * short / (math.pi**5 * long) * series))
+        long_side, short_side = max(self.width, self.depth), min(self.width, self.depth)
+        odd_numbers = np.arange(1, 40, 2)
+        series = (
+            np.tanh(odd_numbers * math.pi * long_side / (2.0 * short_side)) / odd_numbers**5
+        ).sum()
+        return float(
+            long_side
+            * short_side**3
+            / 3.0
+            * (1.0 - 192.0 * short_side / (math.pi**5 * long_side) * series)
+        )
 
 
 @dataclass(frozen=True)
@@ -105,12 +112,12 @@ class Fibrous:
         Written down from uniaxial and shear tests, one column each (Lekhnitskii, Theory of
         Elasticity of an Anisotropic Body, section 4); nothing of eq. 50 enters.
         """
-        across = 1 / self.E_t
-        along = 1 / self.E_l
-        S = np.diag([across, across, along, 1 / self.mu_l, 1 / self.mu_l, 0])
-        S[0, 1] = S[1, 0] = -self.nu_t * across
-        S[:2, 2] = S[2, :2] = -self.nu_l * along
-        S[5, 5] = 2 * (1 + self.nu_t) * across
+        across_fibre = 1 / self.E_t
+        along_fibre = 1 / self.E_l
+        S = np.diag([across_fibre, across_fibre, along_fibre, 1 / self.mu_l, 1 / self.mu_l, 0])
+        S[0, 1] = S[1, 0] = -self.nu_t * across_fibre
+        S[:2, 2] = S[2, :2] = -self.nu_l * along_fibre
+        S[5, 5] = 2 * (1 + self.nu_t) * across_fibre
         return S
 
     def stress(self, strain: Floats, fibre: Sequence[float]) -> Floats:
@@ -252,8 +259,8 @@ class Layers:
 
     def state_at(self, i: int, r: float) -> Floats:
         """Displacement [mm], radial and hoop stress [MPa] of layer i at r (3,)."""
-        terms, free = self._terms(i, r)
-        return np.asarray(terms @ self._constants()[i] - free)
+        terms, free_terms = self._terms(i, r)
+        return np.asarray(terms @ self._constants()[i] - free_terms)
 
     def gap(self, i: int) -> float:
         """Gap between layers i and i + 1 [mm]."""
@@ -275,20 +282,20 @@ class Layers:
         M[0, 0, 1] = 1.0
         for i, r in enumerate(self.radii):
             row = 2 * i + 1
-            fixed, free = self._terms(i, r)
-            M[row, i] = fixed[1]
-            f[row] = free[1]
+            terms, free_terms = self._terms(i, r)
+            M[row, i] = terms[1]
+            f[row] = free_terms[1]
             if i + 1 == n:
                 continue
-            other, its = self._terms(i + 1, r)
+            next_terms, next_free_terms = self._terms(i + 1, r)
             if self.joined[i]:
-                M[row, i + 1] = -other[1]
-                f[row] -= its[1]
-                M[row + 1, i] = fixed[0]
-                M[row + 1, i + 1] = -other[0]
+                M[row, i + 1] = -next_terms[1]
+                f[row] -= next_free_terms[1]
+                M[row + 1, i] = terms[0]
+                M[row + 1, i + 1] = -next_terms[0]
             else:
-                M[row + 1, i + 1] = other[1]
-                f[row + 1] = its[1]
+                M[row + 1, i + 1] = next_terms[1]
+                f[row + 1] = next_free_terms[1]
         return np.asarray(np.linalg.solve(M.reshape(2 * n, 2 * n), f).reshape(n, 2))
 
 
@@ -405,9 +412,9 @@ class FibreRing:
         ρ = r / self.b
         c = self.a / self.b
         A = self.pressure * c ** (k + 1) / (1 - c ** (2 * k))
-        up = A * ρ ** (k - 1)
-        down = A * ρ ** (-k - 1)
-        return up - down, k * (up + down)
+        rising_terms = A * ρ ** (k - 1)
+        falling_terms = A * ρ ** (-k - 1)
+        return rising_terms - falling_terms, k * (rising_terms + falling_terms)
 
     def displacement(self, x: Floats) -> Floats:
         """Displacement (n, 3) [mm] at points (n, 3), the axis along z."""

@@ -41,9 +41,9 @@ def two_bars(
     Returns:
         Heat flux, temperatures of the first and of the second side of the interface.
     """
-    first, second = resistances
-    q = (hot - cold) / (first + 1 / conductance + second)
-    return q, hot - q * first, cold + q * second
+    first_resistance, second_resistance = resistances
+    q = (hot - cold) / (first_resistance + 1 / conductance + second_resistance)
+    return q, hot - q * first_resistance, cold + q * second_resistance
 
 
 def two_rings(
@@ -55,9 +55,9 @@ def two_rings(
 ) -> tuple[float, float, float]:
     """Heat flow per length [N/s] and interface temperatures of two rings, as `two_bars`."""
     a, b, c = radii
-    first = math.log(b / a) / (2 * math.pi * conductivities[0])
+    first_resistance = math.log(b / a) / (2 * math.pi * conductivities[0])
     second = math.log(c / b) / (2 * math.pi * conductivities[1])
-    return two_bars(hot, cold, (first, second), 2 * math.pi * b * conductance)
+    return two_bars(hot, cold, (first_resistance, second), 2 * math.pi * b * conductance)
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ class Slab:
         h = self.h
         L = self.L
         m = math.sqrt(self.w / k)
-        far = self.T_b + self.s / self.w
-        # T = far + A exp(m (x - L)) + B exp(-m x)
+        far_temperature = self.T_b + self.s / self.w
+        # T = far_temperature + A exp(m (x - L)) + B exp(-m x)
         e = math.exp(-m * L)
         rows = [[-k * m * e, k * m], [k * m + h, (h - k * m) * e]]
-        A, B = np.linalg.solve(rows, [self.q, h * (self.T_a - far)])
-        return np.asarray(far + A * np.exp(m * (x - L)) + B * np.exp(-m * x))
+        A, B = np.linalg.solve(rows, [self.q, h * (self.T_a - far_temperature)])
+        return np.asarray(far_temperature + A * np.exp(m * (x - L)) + B * np.exp(-m * x))
 
 
 # Transient conduction
@@ -218,13 +218,13 @@ def hot_fit_pressure(
         conductance: Of the interface.
         temperatures: Of the core, of the outer surface, and without strain.
     """
-    (b, c), (hot, cold, free) = radii, temperatures
+    (b, c), (hot, cold, stress_free) = radii, temperatures
     wall = math.log(c / b) * b / conductivity
     inner = cold + (hot - cold) * wall / (wall + 1 / conductance)
     # The mean over the section of T = cold + (inner - cold) ln(c/r) / ln(c/b).
     part = 1 / (2 * math.log(c / b)) - b * b / (c * c - b * b)
     mean = cold + (inner - cold) * part
-    strains = (core[1] * (hot - free), ring[1] * (mean - free))
+    strains = (core[1] * (hot - stress_free), ring[1] * (mean - stress_free))
     return float(-Layers(radii, (core[0], ring[0]), strains, (True,)).state_at(0, b)[1])
 
 
@@ -278,11 +278,11 @@ class HeatedWalls:
 
     def excess(self, p: float) -> float:
         """Length of both bars under a pressure, without walls, minus the walls' distance [mm]."""
-        hot, cold, free = self.temperatures
+        hot, cold, stress_free = self.temperatures
         state = self.state(p)
-        means = ((hot + state.first) / 2 - free, (cold + state.second) / 2 - free)
-        each = zip(self.lengths, self.moduli, self.expansions, means, strict=True)
-        return sum(L * (a * mean - p / E) for L, E, a, mean in each) - self.gap
+        means = ((hot + state.first) / 2 - stress_free, (cold + state.second) / 2 - stress_free)
+        walls = zip(self.lengths, self.moduli, self.expansions, means, strict=True)
+        return sum(L * (a * mean - p / E) for L, E, a, mean in walls) - self.gap
 
     def states(self) -> tuple[Wall, ...]:
         """All states in equilibrium, by pressure; the excess times 1 + R h is quadratic in it."""

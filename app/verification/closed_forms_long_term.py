@@ -42,11 +42,11 @@ def relaxed(law: Law, s: float, N: float) -> float:
     m = m0 + m1 * math.log10(s)
     z = np.linspace(0, (0.999 * s / E) ** (1 / m), 200_001)[1:]
     e = z**m
-    now = s - E * e
-    m_now = m0 + m1 * np.log10(now)
-    slope = (A * now**p) ** (-1 / m_now) * e ** (1 / m_now - 1 / m) * m / m_now
-    spent = np.concatenate([[0], np.cumsum((slope[1:] + slope[:-1]) / 2) * z[0]]) + slope[0] * z[0]
-    return float(s - E * np.interp(N, spent, e))
+    stress = s - E * e
+    m_now = m0 + m1 * np.log10(stress)
+    slope = (A * stress**p) ** (-1 / m_now) * e ** (1 / m_now - 1 / m) * m / m_now
+    cycles = np.concatenate([[0], np.cumsum((slope[1:] + slope[:-1]) / 2) * z[0]]) + slope[0] * z[0]
+    return float(s - E * np.interp(N, cycles, e))
 
 
 def shrink_fit(a: float, b: float, δ: float, ν: float, t: float) -> float:
@@ -63,9 +63,9 @@ def shrink_fit(a: float, b: float, δ: float, ν: float, t: float) -> float:
     N0 = K * b * b * a
     D1 = a * a * G + b * b * (K + G / 3)
     s2 = -K * b * b / D1
-    one = (N0 - N1) / (-1 - s2)
-    two = (N1 * s2 + N0) / (1 + s2)
-    return float(c / D1 * (one * math.exp(-t) + two * math.exp(s2 * t)))
+    first_factor = (N0 - N1) / (-1 - s2)
+    second_factor = (N1 * s2 + N0) / (1 + s2)
+    return float(c / D1 * (first_factor * math.exp(-t) + second_factor * math.exp(s2 * t)))
 
 
 def stationary_ring(r: Floats, n: float, pressure: float, a: float, b: float) -> Floats:
@@ -97,8 +97,8 @@ def column_density(
     first. A bound of the density may stop it before.
     """
     zone = np.array([1 + lazy, 1 - lazy])
-    ends = (stress**2 / (2 * PER_DENSITY * STIMULUS * zone)) ** (1 / (exponent + 1))
-    return float(np.clip(start, *np.clip(ends, *BOUNDS)))
+    end_density = (stress**2 / (2 * PER_DENSITY * STIMULUS * zone)) ** (1 / (exponent + 1))
+    return float(np.clip(start, *np.clip(end_density, *BOUNDS)))
 
 
 def column_density_at(time: float, stress: float) -> float:

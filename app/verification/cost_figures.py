@@ -150,10 +150,10 @@ def variations(runs: Sequence[Run]) -> Comparison:
 
 def later_steps(run: Run, *, setup: bool = False) -> Comparison:
     """The longest later load step of a run over its first, or all before the later ones."""
-    first, *later = run.step_record["step [s]"]
+    first_step, *later_seconds = run.step_record["step [s]"]
     if setup:
-        first = wall(run) - sum(later)
-    return Comparison(float(max(later) / first))
+        first_step = wall(run) - sum(later_seconds)
+    return Comparison(float(max(later_seconds) / first_step))
 
 
 def equal_error(runs: Sequence[Run]) -> Comparison:
@@ -163,14 +163,20 @@ def equal_error(runs: Sequence[Run]) -> Comparison:
     none of the others is as good, the finest is taken: a run as good takes longer, so the ratio is
     smaller.
     """
-    two, reference, *others = runs
-    ones = {unknowns(run): run for run in reversed(others)}
-    known = numbers_of(reference, "slip_p99")
+    second_order, reference, *first_order_runs = runs
+    run_of_size = {unknowns(run): run for run in reversed(first_order_runs)}
+    reference_numbers = numbers_of(reference, "slip_p99")
 
     def error(run: Run) -> float:
-        have = numbers_of(run, "slip_p99")
-        return max(abs(have[name] / known[name] - 1) for name in known)
+        run_numbers = numbers_of(run, "slip_p99")
+        return max(
+            abs(run_numbers[name] / reference_numbers[name] - 1) for name in reference_numbers
+        )
 
-    finest_first = [ones[n] for n in sorted(ones, reverse=True)]
-    errors, times = (np.log([figure(one) for one in finest_first]) for figure in (error, cpu))
-    return Comparison(cpu(two) / float(np.exp(np.interp(np.log(error(two)), errors, times))))
+    finest_first = [run_of_size[n] for n in sorted(run_of_size, reverse=True)]
+    errors, times = (
+        np.log([figure(run_of_rung) for run_of_rung in finest_first]) for figure in (error, cpu)
+    )
+    return Comparison(
+        cpu(second_order) / float(np.exp(np.interp(np.log(error(second_order)), errors, times)))
+    )

@@ -50,7 +50,7 @@ def number(run: Run, name: str, reference: float) -> Comparison:
 
 def largest(errors: Mapping[str, float]) -> Comparison:
     """The largest of errors by what they are of."""
-    return worst([Comparison(error, note=what) for what, error in errors.items()])
+    return worst([Comparison(error, note=quantity) for quantity, error in errors.items()])
 
 
 def off(values: Floats, reference: Floats, scale: float | None = None) -> float:
@@ -66,8 +66,10 @@ def step_at(run: Run, time: float) -> int:
 
 def work_lost(run: Run, interface: str, times: ArrayLike) -> Floats:
     """Work that an interface loses from each of n times to the next (n - 1,) [N mm]."""
-    work = run.step_record[f"{interface} dissipation [N mm]"]
-    return np.diff(np.interp(np.asarray(times, dtype=float), run.step_record["time [-]"], work))
+    dissipation = run.step_record[f"{interface} dissipation [N mm]"]
+    return np.diff(
+        np.interp(np.asarray(times, dtype=float), run.step_record["time [-]"], dissipation)
+    )
 
 
 # Fields
@@ -96,9 +98,9 @@ def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
         # The two sides of an interface are at one place and in different regions, which a mesh
         # file may number in another order: they are identified by their number of cells.
         cells = np.bincount(r.region)[r.region].astype(float)
-        first = np.full(len(x), len(r.cells) + 1.0)
-        np.minimum.at(first, r.cells, np.repeat(cells[:, None], r.cells.shape[1], axis=1))
-        return np.column_stack([x, first * 10 * np.ptp(other.points)])
+        first_cell = np.full(len(x), len(r.cells) + 1.0)
+        np.minimum.at(first_cell, r.cells, np.repeat(cells[:, None], r.cells.shape[1], axis=1))
+        return np.column_stack([x, first_cell * 10 * np.ptp(other.points)])
 
     distance, nodes = cKDTree(labelled(other, other.points)).query(labelled(run, points))
     if distance.max() > 1e-6 * np.ptp(other.points):
@@ -156,7 +158,7 @@ def lawful(run: Run) -> Comparison:
     """Balance, no tension, no penetration, no more friction than Coulomb's, none created."""
     errors = {f"balance of {key}": abs(value) for key, value in run.summary["balance"].items()}
     interfaces = run.summary["interfaces"]
-    moved = float(np.abs(run.displacement()).max())
+    largest_displacement = float(np.abs(run.displacement()).max())
     for name, q in interfaces.items():
         p, t, gap = (run.at_interface(name, key) for key in ("pressure", "shear", "gap"))
         peak = float(p.max())
@@ -164,22 +166,27 @@ def lawful(run: Run) -> Comparison:
             continue
         law = law_of(run, name)
         errors[f"friction of {name}"] = float((t - law.friction * p).max()) / peak
-        errors[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
+        errors[f"pressure across a gap of {name}"] = float((p * gap).max()) / (
+            peak * largest_displacement
+        )
         if law.layer:  # of one stiffness across and along
             borne = p + law.layer[0] * np.minimum(gap, 0)
             errors[f"layer of {name}"] = float(np.abs(borne).max()) / peak
         else:
-            errors[f"penetration of {name}"] = q["penetration_max"] / moved
-        lost = abs(q["dissipation"]) or 1.0
-        errors[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
-    most = largest(errors)
+            errors[f"penetration of {name}"] = q["penetration_max"] / largest_displacement
+        dissipation = abs(q["dissipation"]) or 1.0
+        errors[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / dissipation
+    largest_error = largest(errors)
     limits = {name: q.get("critical_friction", np.inf) for name, q in interfaces.items()}
-    beyond = ", ".join(n for n, limit in limits.items() if law_of(run, n).friction > limit)
-    if not beyond:
-        return most
+    above_critical = ", ".join(
+        n for n, critical in limits.items() if law_of(run, n).friction > critical
+    )
+    if not above_critical:
+        return largest_error
     if Reason.NOT_UNIQUE not in Reason.within(run.log):
-        text = f"friction beyond the critical one of {beyond} and no warning"
-        return Comparison(np.inf, note=text)
+        message = f"friction beyond the critical one of {above_critical} and no warning"
+        return Comparison(np.inf, note=message)
     return Comparison(
-        most.error, note=f"{most.note}; warns that {beyond} may have several solutions"
+        largest_error.error,
+        note=f"{largest_error.note}; warns that {above_critical} may have several solutions",
     )

@@ -37,9 +37,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     else:
         figure = figures.new(7.5, 1.6 + 0.36 * len(groups))
         cells = figure.add_gridspec(1, 1)
-    for k, members in enumerate(ladders.values()):
+    for k, rows_of_ladder in enumerate(ladders.values()):
         axes = figure.add_subplot(cells[k, 0])
-        draw_panel(axes, _orders(members))
+        draw_panel(axes, _orders(rows_of_ladder))
         axes.legend(fontsize=8, frameon=False)
     axes = figure.add_subplot(cells[:, -1])
     by_name = {name: [_dot(row) for row in group] for name, group in groups.items()}

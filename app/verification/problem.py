@@ -353,13 +353,15 @@ class KnownProblem:
         assert row.comparison is not None
         assert row.tolerance is not None
         error = row.comparison.error
-        text = f"{row.name}: error {error:.3g}, tolerance {row.tolerance:g}; {row.comparison.note}"
+        message = (
+            f"{row.name}: error {error:.3g}, tolerance {row.tolerance:g}; {row.comparison.note}"
+        )
         passes = error <= row.tolerance  # False for NaN
         if row.order is not None:
-            text += f"; order {row.fitted}, expected {row.order:g}"
+            message += f"; order {row.fitted}, expected {row.order:g}"
             passes &= row.fitted is not None and abs(row.fitted - row.order) <= ORDER_TOLERANCE
         if not passes:
-            raise Missed(text)
+            raise Missed(message)
 
 
 @contextmanager
@@ -400,8 +402,8 @@ def name_of(item: pytest.Function) -> str:
 
 def tier_of(item: pytest.Function) -> str:
     """The first tier with a problem."""
-    marks = [tier for tier in ("quick", "long") if item.get_closest_marker(tier)]
-    return marks[0] if marks else "default"
+    marked_tiers = [tier for tier in ("quick", "long") if item.get_closest_marker(tier)]
+    return marked_tiers[0] if marked_tiers else "default"
 
 
 def within(tier: str, chosen_tier: str) -> bool:

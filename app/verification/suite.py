@@ -109,15 +109,15 @@ class Suite:
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Function]) -> None:
         """Choose the problems by a part of their name, and plan their runs."""
-        chosen = []
+        chosen_items = []
         for item in items:
             row = row_of(item, self.name)
             self.allowed.append(row)
             if self.options.pattern in row.name:
                 runs = planned_runs(item, row, self.options.tier)
                 self.problems[item.nodeid] = PlannedProblem(row, runs)
-                chosen.append(item)
-        items[:] = chosen
+                chosen_items.append(item)
+        items[:] = chosen_items
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self) -> bool | None:
@@ -153,12 +153,16 @@ def _pytest(suite: Suite) -> Suite:
     if suite.error:
         raise suite.error
     if not suite.problems:
-        names = [row.name for row in suite.allowed]
+        allowed_names = [row.name for row in suite.allowed]
         shown_names = (
-            names if len(names) <= MOST_NAMES else dict.fromkeys(r.group for r in suite.allowed)
+            allowed_names
+            if len(allowed_names) <= MOST_NAMES
+            else dict.fromkeys(r.group for r in suite.allowed)
         )
-        text = f"-k {suite.options.pattern}: no problem of this tier has this in its name; allowed"
-        raise InputError(f"{text}: {', '.join(shown_names)}")
+        message = (
+            f"-k {suite.options.pattern}: no problem of this tier has this in its name; allowed"
+        )
+        raise InputError(f"{message}: {', '.join(shown_names)}")
     return suite
 
 
@@ -225,9 +229,9 @@ def solve(problems: Iterable[PlannedProblem], options: Options, *, timed: bool) 
     """
     problems = list(problems)
     plan(problems, options.folder, timed=timed)
-    groups = [[problem] for problem in problems] if timed else [problems]
+    solved_together = [[problem] for problem in problems] if timed else [problems]
     results: dict[tuple[object, int], Result] = {}
-    for group in groups:
+    for group in solved_together:
         runs_and_times = [
             (planned, run.times)
             for problem in group
@@ -282,21 +286,21 @@ def _solved(
 
 def table(rows: Sequence[Row]) -> str:
     """A line for each problem, one for each group if there are several, and the failures."""
-    head = (
+    titles_of_rows = (
         *("problem", "computed", "exact", "error", "tolerance", "order", "expected", "seconds"),
         *("outcome", "number", "source", ""),
     )
-    text = [layout.table(head, map(_line, rows))]
+    tables = [layout.table(titles_of_rows, map(_line, rows))]
     groups = by_group(rows)
     if len(groups) > 1:
         titles = ("group", "problems", *OUTCOMES, "seconds", "worst", "of", "")
-        text.append(
+        tables.append(
             layout.table(titles, (_summed(name, members) for name, members in groups.items()))
         )
     for row in rows:
         if row.outcome in (MISSED, FAILED) and row.message:
-            text.append(f"{row.name} {row.outcome}: {row.message}".replace("\n", "\n  "))
-    return "\n\n".join(text)
+            tables.append(f"{row.name} {row.outcome}: {row.message}".replace("\n", "\n  "))
+    return "\n\n".join(tables)
 
 
 def _line(row: Row) -> Sequence[object]:
@@ -325,21 +329,25 @@ def _summed(name: str, rows: Sequence[Row]) -> Sequence[object]:
     judged = [row for row in rows if row.comparison]
     worst_columns: Sequence[object] = ("", "", "")
     if judged:
-        worst = max(judged, key=lambda row: row.ratio)
-        assert worst.comparison
-        worst_columns = (f"{worst.comparison.error:.1e}", f"{worst.tolerance:.1e}", worst.name)
+        worst_row = max(judged, key=lambda row: row.ratio)
+        assert worst_row.comparison
+        worst_columns = (
+            f"{worst_row.comparison.error:.1e}",
+            f"{worst_row.tolerance:.1e}",
+            worst_row.name,
+        )
     seconds = f"{sum(row.seconds for row in rows):.1f}"
     return (name, len(rows), *(counts[x] or "" for x in OUTCOMES), seconds, *worst_columns)
 
 
 def verdict(rows: Sequence[Row]) -> str:
     """Number of problems passed, and names of the others."""
-    names = {x: [row.name for row in rows if row.outcome == x] for x in OUTCOMES}
-    counts = ", ".join(f"{len(rows_of)} {x}" for x, rows_of in names.items() if rows_of)
+    names_by_outcome = {x: [row.name for row in rows if row.outcome == x] for x in OUTCOMES}
+    counts = ", ".join(f"{len(rows_of)} {x}" for x, rows_of in names_by_outcome.items() if rows_of)
     plural = "s" if len(rows) > 1 else ""
-    text = f"{len(rows)} problem{plural}: {counts}"
-    others = names[MISSED] + names[FAILED]
-    return f"{text}: {', '.join(others)}" if others else text
+    sentence = f"{len(rows)} problem{plural}: {counts}"
+    not_passed = names_by_outcome[MISSED] + names_by_outcome[FAILED]
+    return f"{sentence}: {', '.join(not_passed)}" if not_passed else sentence
 
 
 def as_json(row: Row) -> dict[str, object]:
@@ -394,8 +402,8 @@ def write(name: str, options: Options, rows: Sequence[Row]) -> None:
 
 def costs(rows: Iterable[Row]) -> Iterator[dict[str, object]]:
     """Cost of each finished run, a row for each."""
-    done = {r.folder: r for row in rows for r in row.results if r.summary}
-    for r in done.values():
+    results_of_folder = {r.folder: r for row in rows for r in row.results if r.summary}
+    for r in results_of_folder.values():
         solver = r.summary.get("solver", {})
         yield {
             "run": r.name,

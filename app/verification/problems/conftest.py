@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def _condensed(item: pytest.Function) -> list[pytest.Function]:
     """The first run of a problem, condensed onto the jumps and by a Krylov method with factors."""
     row = row_of(item, "stress")
-    first = planned_runs(item, row, "default")[0]
+    first_run = planned_runs(item, row, "default")[0]
     if row.tolerance is None:
         return []
 
@@ -95,11 +95,11 @@ def _condensed(item: pytest.Function) -> list[pytest.Function]:
             source="the other solver",
             or_refusal=row.refusal,
         )
-        both = [
-            replace(first, overrides=(*first.overrides, f"solver.linear={way}"))
-            for way in ("condensed", "direct")
+        both_ways = [
+            replace(first_run, overrides=(*first_run.overrides, f"solver.linear={linear_solver}"))
+            for linear_solver in ("condensed", "direct")
         ]
-        problem.compare(same(*problem.solve_all(both)))
+        problem.compare(same(*problem.solve_all(both_ways)))
 
     name = f"test_condensed[{name_of(item)}]"
     return [pytest.Function.from_parent(item.parent, name=name, callobj=solvers)]

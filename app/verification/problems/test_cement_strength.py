@@ -80,9 +80,9 @@ def test_weibull_corner(problem: KnownProblem) -> None:
     solved = problem.solve("verification/corner.yaml")
     unsettled = solved.summary["error"]["unsettled"]
     (_, fine), (_, coarse) = unsettled.get("corner_edge.failure_risk", ((1, 0), (2, 0)))
-    wrong = "corner.failure_risk" in unsettled or not fine > 3 * coarse
+    is_unsettled = "corner.failure_risk" in unsettled or not fine > 3 * coarse
     note = f"from {coarse:.2g} to {fine:.2g} at half the mesh size"
-    problem.compare(Comparison(float(wrong), note=note))
+    problem.compare(Comparison(float(is_unsettled), note=note))
 
 
 # Damage of walking, stairs and stumbling
@@ -118,9 +118,9 @@ LAWS = {"power": power_law, "logarithmic": logarithmic_law}
     [pytest.param(name, law, id=f"{name}_{law}") for name in SPECTRA for law in LAWS],
 )
 def test_miner(problem: KnownProblem, name: str, law: str) -> None:
-    of = f"{law}.damage_p99"
-    problem.expects(f"{of}, relative", tolerance=1e-9, source="Miner's sum of n / N(s)")
+    damage_name = f"{law}.damage_p99"
+    problem.expects(f"{damage_name}, relative", tolerance=1e-9, source="Miner's sum of n / N(s)")
     stairs, changes = SPECTRA[name]
     solved = problem.solve("verification/spectrum.yaml", *changes)
     damage = sum(n / LAWS[law](stress) for n, stress in (*FROM_ZERO, stairs))
-    problem.compare(number(solved, of, damage))
+    problem.compare(number(solved, damage_name, damage))

@@ -35,7 +35,7 @@ def test_collar_in_parallel(problem: KnownProblem) -> None:
         source="springs in parallel",
     )
     layer = f"compliance: {{normal: 10 MPa/mm, tangential: {BESIDE} MPa/mm}}"
-    under = f"compliance: {{normal: {UNDER} MPa/mm, tangential: {BESIDE} MPa/mm}}"
+    compliance_under = f"compliance: {{normal: {UNDER} MPa/mm, tangential: {BESIDE} MPa/mm}}"
     solved = problem.solve(
         COLLARED,
         "geometry.resection.angle=0 deg",
@@ -46,7 +46,7 @@ def test_collar_in_parallel(problem: KnownProblem) -> None:
         ),
         "interfaces.stem_bone="
         f"{{kind: contact, friction_coefficient: 5, interference: 0.1 mm, {layer}}}",
-        f"interfaces.collar_bone={{kind: contact, friction_coefficient: 0, {under}}}",
+        f"interfaces.collar_bone={{kind: contact, friction_coefficient: 0, {compliance_under}}}",
         "loads=null",
         "stages=[{name: insertion}, {name: shift}]",
         "supports.stem={kind: displacement, boundary: stem_trunnion, x: 0 mm, y: 0 mm,"
@@ -55,5 +55,5 @@ def test_collar_in_parallel(problem: KnownProblem) -> None:
     q = solved.summary["interfaces"]
     flanks = sum(part["area"] for part in (q["stem_bone"], q["stem_bone"]["rim"]))
     springs = UNDER * q["collar_bone"]["area"], BESIDE * flanks
-    share = solved.summary["stem"]["collar_share"]
-    problem.compare(relative(share, springs[0] / sum(springs)))
+    collar_share = solved.summary["stem"]["collar_share"]
+    problem.compare(relative(collar_share, springs[0] / sum(springs)))

@@ -189,8 +189,10 @@ def test_friction_bar_pulled_off(problem: KnownProblem, μ: float) -> None:
 
 def cycles_of(count: int, low: str) -> tuple[str, str]:
     """Stages and load history of a first load and a number of cycles down to a part of it."""
-    names = ["first", "back"] + [f"{way}{k}" for k in range(count) for way in ("up", "down")]
-    stages = ", ".join(f"{{name: {name}, increments: 4}}" for name in names)
+    stage_names = ["first", "back"] + [
+        f"{direction}{k}" for k in range(count) for direction in ("up", "down")
+    ]
+    stages = ", ".join(f"{{name: {name}, increments: 4}}" for name in stage_names)
     return stages, ", ".join(f"1, {low}" for _ in range(count + 1))
 
 
@@ -215,14 +217,17 @@ def test_cycles_bar_on_a_bed(problem: KnownProblem, count: int) -> None:
     )
     law = exact.FoundationBar(500.0, 6.0, STIFFNESS)
     unloaded = np.arange(count + 1) * 2 + 3.0
-    lost = work_lost(solved, "base_bar", unloaded)
-    ends = [end_of_bar(solved, time) for time in unloaded]
-    creep = float(np.abs(np.diff(ends)).max()) / law.end
+    lost_work = work_lost(solved, "base_bar", unloaded)
+    end_positions = [end_of_bar(solved, time) for time in unloaded]
+    creep = float(np.abs(np.diff(end_positions)).max()) / law.end
     note = (
-        f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}; "
+        f"{count} cycles, {lost_work[0]:.5g} to {lost_work[-1]:.5g} N mm each, exact"
+        f" {law.cycle:.5g}; "
         f"the end creeps by {creep:.1e} of its stroke in a cycle"
     )
-    problem.compare(Comparison(max(float(np.abs(lost / law.cycle - 1).max()), creep), note=note))
+    problem.compare(
+        Comparison(max(float(np.abs(lost_work / law.cycle - 1).max()), creep), note=note)
+    )
 
 
 # A block on a slope
@@ -315,14 +320,14 @@ def compare_wedge(problem: KnownProblem, friction: float, left: float) -> None:
         for step in (step_at(solved, 1.0), -1)
     )
     into = abs(100 / (pushed * (s + friction * c)) - 1)
-    words = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"
+    note = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"
     if friction <= s / c:
-        out = abs(100 * left / (now * (s - friction * c)) - 1)
-        problem.compare(Comparison(max(into, out), note=f"{words}, sliding out by {out:.1e}"))
+        error = abs(100 * left / (now * (s - friction * c)) - 1)
+        problem.compare(Comparison(max(into, error), note=f"{note}, sliding out by {error:.1e}"))
     elif now > 0.1 * pushed:
-        problem.compare(Comparison(lawful(solved).error, note=f"held; {words}"))
+        problem.compare(Comparison(lawful(solved).error, note=f"held; {note}"))
     else:
-        problem.compare(Comparison(np.inf, note=f"held; {words}"))
+        problem.compare(Comparison(np.inf, note=f"held; {note}"))
 
 
 WEDGE = "forces on a cone: sin a +- mu cos a"
@@ -354,12 +359,12 @@ def test_taper_let_go(problem: KnownProblem, μ: float) -> None:
 )
 def test_taper_pulled(problem: KnownProblem, μ: float, back: float) -> None:
     """Of the force that pushed it in, (m - tan a) / (m + tan a) pulls it out."""
-    what = "violation of balance and friction of a cone pulled back"
-    limit = (μ - np.tan(HALF_ANGLE)) / (μ + np.tan(HALF_ANGLE))
-    if -back < limit:
-        problem.expects(what, tolerance=1e-7, source=WEDGE)
+    description = "violation of balance and friction of a cone pulled back"
+    limit_ratio = (μ - np.tan(HALF_ANGLE)) / (μ + np.tan(HALF_ANGLE))
+    if -back < limit_ratio:
+        problem.expects(description, tolerance=1e-7, source=WEDGE)
     else:
-        problem.expects_refusal(what, Reason.LOOSE_BODY)
+        problem.expects_refusal(description, Reason.LOOSE_BODY)
     compare_wedge(problem, μ, back)
 
 
@@ -375,13 +380,16 @@ def test_cycles_taper(problem: KnownProblem, count: int) -> None:
     stages, history = cycles_of(count, "0.1")
     solved = problem.solve(TAPER, f"stages=[{stages}]", f"loads.push.history=[{history}]")
     x, y, z = solved.points.T
-    top = (z > z.max() - 1e-6) & (np.hypot(x, y) < 1.0)
+    on_top = (z > z.max() - 1e-6) & (np.hypot(x, y) < 1.0)
     pushed = np.arange(count + 1) * 2 + 1.0
-    down = np.array([-solved.displacement(step_at(solved, t))[top, 2].mean() for t in pushed])
-    sunk = np.diff(down)
-    lost = work_lost(solved, "stem_cement", pushed)
-    note = (
-        f"sinks {1e3 * down[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um in a "
-        f"cycle; loses {lost[0]:.3g} .. {lost[-1]:.3g} N mm"
+    settlement = np.array(
+        [-solved.displacement(step_at(solved, t))[on_top, 2].mean() for t in pushed]
     )
-    problem.compare(Comparison(abs(sunk[-1]) / down[0], note=note))
+    sunk = np.diff(settlement)
+    lost_work = work_lost(solved, "stem_cement", pushed)
+    note = (
+        f"sinks {1e3 * settlement[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um"
+        " in a "
+        f"cycle; loses {lost_work[0]:.3g} .. {lost_work[-1]:.3g} N mm"
+    )
+    problem.compare(Comparison(abs(sunk[-1]) / settlement[0], note=note))

@@ -45,8 +45,8 @@ STEM_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
 @quick
 @pytest.mark.parametrize("name", STEM_GOALS)
 def test_stem(problem: KnownProblem, name: str) -> None:
-    what, figure, most = STEM_GOALS[name]
-    goal(problem, what, most)
+    quantity, figure, limit = STEM_GOALS[name]
+    goal(problem, quantity, limit)
     runs = problem.solve_all([ProblemRun(STEM, times=figures.TIMES)])
     if name == "penetration":
         problem.compare(Comparison(max(map(figure, runs))))
@@ -65,8 +65,8 @@ def test_stem(problem: KnownProblem, name: str) -> None:
     ],
 )
 def test_contact_over_bonded(problem: KnownProblem, rung: str) -> None:
-    most = 2.0 if rung in figures.SMALL else 1.25
-    goal(problem, "CPU time of contact over that of bonded interfaces", most)
+    limit = 2.0 if rung in figures.SMALL else 1.25
+    goal(problem, "CPU time of contact over that of bonded interfaces", limit)
     problem.compare(ratio(problem.solve_all([femur("contact", rung), femur("bonded", rung)])))
 
 
@@ -74,11 +74,11 @@ def test_contact_over_bonded(problem: KnownProblem, rung: str) -> None:
 @pytest.mark.parametrize("rung", STEM_RUNGS)
 def test_moderate_over_bonded(problem: KnownProblem, rung: str) -> None:
     goal(problem, "the same of a stem pressed in, of which a quarter slips", 1.2)
-    both = [
+    both_runs = [
         figures.cemented_stem(rung, figures.MODERATE),
         figures.cemented_stem(rung, figures.BONDED),
     ]
-    problem.compare(ratio(problem.solve_all(both)))
+    problem.compare(ratio(problem.solve_all(both_runs)))
 
 
 @bench
@@ -99,15 +99,15 @@ def test_newton_spread(problem: KnownProblem) -> None:
 def test_ranks_2_over_1(problem: KnownProblem) -> None:
     goal(problem, "wall time over one rank", 1 / 1.7)
     largest = femur("contact", "170k")
-    two = ProblemRun(FEMUR, largest.overrides, ranks=2)
-    problem.compare(ratio(problem.solve_all([two, largest]), figures.wall))
+    on_two_ranks = ProblemRun(FEMUR, largest.overrides, ranks=2)
+    problem.compare(ratio(problem.solve_all([on_two_ranks, largest]), figures.wall))
 
 
 @bench
 def test_variations_12(problem: KnownProblem) -> None:
     goal(problem, "CPU time over that of one", 2.5)
-    first = femur("contact", "100k")
-    problem.compare(figures.variations(problem.solve_all([first, *figures.varied(first)])))
+    first_run = femur("contact", "100k")
+    problem.compare(figures.variations(problem.solve_all([first_run, *figures.varied(first_run)])))
 
 
 @bench
@@ -135,8 +135,8 @@ def second_order(rung: str, *overrides: str) -> ProblemRun:
 )
 def test_condensed(problem: KnownProblem, rung: str, most: float) -> None:
     goal(problem, "over multigrid", most)
-    both = [second_order(rung), second_order(rung, "solver.linear=multigrid")]
-    problem.compare(ratio(problem.solve_all(both)))
+    both_runs = [second_order(rung), second_order(rung, "solver.linear=multigrid")]
+    problem.compare(ratio(problem.solve_all(both_runs)))
 
 
 @bench
@@ -151,18 +151,18 @@ def test_later_2(problem: KnownProblem, rung: str) -> None:
 @pytest.mark.parametrize("rung", figures.CONDENSED)
 def test_variations_2(problem: KnownProblem, rung: str) -> None:
     goal(problem, "over one", 2.5)
-    first = second_order(rung)
-    problem.compare(figures.variations(problem.solve_all([first, *figures.varied(first)])))
+    first_run = second_order(rung)
+    problem.compare(figures.variations(problem.solve_all([first_run, *figures.varied(first_run)])))
 
 
 @bench
 @pytest.mark.parametrize("rung", figures.CONDENSED)
 def test_cycles_2(problem: KnownProblem, rung: str) -> None:
     goal(problem, "ten over the first load", 2.5)
-    ten = ProblemRun(
+    ten_cycles = ProblemRun(
         FEMUR, (f"mesh.size={figures.CONDENSED[rung]}", figures.STANCE[0], figures.TEN)
     )
-    problem.compare(ratio(problem.solve_all([ten, second_order(rung)])))
+    problem.compare(ratio(problem.solve_all([ten_cycles, second_order(rung)])))
 
 
 @bench
@@ -181,8 +181,8 @@ def test_order_2_over_1(problem: KnownProblem) -> None:
         ProblemRun(FEMUR, (f"mesh.size={h}", *figures.STANCE))
         for h in (figures.SECOND, figures.REFERENCE)
     ]
-    first = [femur("contact", rung) for rung in RUNGS if rung != LONG]
-    problem.compare(figures.equal_error(problem.solve_all([*second, *first])))
+    first_order = [femur("contact", rung) for rung in RUNGS if rung != LONG]
+    problem.compare(figures.equal_error(problem.solve_all([*second, *first_order])))
 
 
 @bench
@@ -205,6 +205,6 @@ MILLION_GOALS: dict[str, tuple[str, Callable[[Run], float], float]] = {
 @long
 @pytest.mark.parametrize("name", MILLION_GOALS)
 def test_million(problem: KnownProblem, name: str) -> None:
-    what, figure, most = MILLION_GOALS[name]
-    goal(problem, what, most)
+    quantity, figure, limit = MILLION_GOALS[name]
+    goal(problem, quantity, limit)
     problem.compare(figures.median_of(figure, problem.solve_all([femur("contact", LONG)])))

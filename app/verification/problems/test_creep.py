@@ -35,8 +35,8 @@ def test_creep_constant_stress(problem: KnownProblem) -> None:
         source=POWER_LAW,
     )
     fine = "stages.0.creep_tolerance=1e-6"
-    changes = [("stages.0.adaptive=false", "stages.0.increments=3", fine), (fine,)]
-    runs = problem.solve_each(BAR, changes)
+    changes_of_runs = [("stages.0.adaptive=false", "stages.0.increments=3", fine), (fine,)]
+    runs = problem.solve_each(BAR, changes_of_runs)
     reference = exact.strain(CEMENT, 5, CYCLES)
     problem.compare(*(number(solved, STRAIN, reference) for solved in runs))
 
@@ -53,8 +53,8 @@ def test_creep_order(problem: KnownProblem) -> None:
     norton = "regions.bar.creep={A: 1e-6, p: 4, m0: 1, per: 1 s}"
     stage = "stages.0={{name: hold, creep_time: 1 s, adaptive: false, increments: {}}}"
     steps = problem.rungs((1 / 20, 1 / 40, 1 / 80, 1 / 160))
-    changes = [(*held(10), norton, stage.format(round(1 / step))) for step in steps]
-    runs = problem.solve_each(BAR, changes)
+    changes_of_runs = [(*held(10), norton, stage.format(round(1 / step))) for step in steps]
+    runs = problem.solve_each(BAR, changes_of_runs)
     reference = (1e-3 + 3 * E * 1e-6) ** (-1 / 3)
     problem.converges([number(solved, MISES, reference) for solved in runs])
 
@@ -120,7 +120,9 @@ def test_creep_ring(problem: KnownProblem, n: int, A: float) -> None:
     radial = np.column_stack([x[:, 0], x[:, 1], 0 * r]) / r[:, None]
     hoop = np.column_stack([-x[:, 1], x[:, 0], 0 * r]) / r[:, None]
     σ = solved.stress()
-    along_hoop, along_radius = (np.einsum("ci,cij,cj->c", d, σ, d) for d in (hoop, radial))
+    along_hoop, along_radius = (
+        np.einsum("ci,cij,cj->c", direction, σ, direction) for direction in (hoop, radial)
+    )
     reference = exact.stationary_ring(r, n, pressure=10.0, a=5.0, b=10.0)
     volume = solved.volumes()
     error = np.average((along_hoop - along_radius - reference) ** 2, weights=volume)

@@ -43,16 +43,16 @@ def test_patch_fibre(problem: KnownProblem, fibre: Sequence[int]) -> None:
         tolerance=1e-10,
         source=LEKHNITSKII,
     )
-    changes = [(f"regions.cube.fibre={fibre}", f"mesh.order={order}") for order in (1, 2)]
-    runs = problem.solve_each("verification/patch.yaml", changes)
+    changes_of_runs = [(f"regions.cube.fibre={fibre}", f"mesh.order={order}") for order in (1, 2)]
+    runs = problem.solve_each("verification/patch.yaml", changes_of_runs)
     gradient = 1e-3 * np.array([[1, 0.4, -0.2], [0.2, -0.5, 0.6], [0.3, -0.1, 0.8]])
     σ = BONE.stress((gradient + gradient.T) / 2, fibre)
 
     def component(run: Run) -> Comparison:
         computed = run.stress()
-        wrong = np.abs(computed - σ)
-        cell, i, j = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
-        error = float(wrong.max() / np.abs(σ).max())
+        errors = np.abs(computed - σ)
+        cell, i, j = np.unravel_index(int(np.argmax(errors)), errors.shape)
+        error = float(errors.max() / np.abs(σ).max())
         return Comparison(error, float(computed[cell, i, j]), float(σ[i, j]))
 
     problem.compare(*map(component, runs))
@@ -71,17 +71,17 @@ def test_uniaxial(problem: KnownProblem, fibre: Sequence[int], across: tuple[flo
     problem.expects(
         "strains under tension, over the largest; P1 and P2", tolerance=1e-10, source=LEKHNITSKII
     )
-    changes = [(f"regions.bone.fibre={fibre}", f"mesh.order={order}") for order in (1, 2)]
-    runs = problem.solve_each("verification/uniaxial.yaml", changes)
-    along = 1 / (BONE.E_l if fibre[2] else BONE.E_t)
-    ε = 10.0 * np.array([*across, along])
+    changes_of_runs = [(f"regions.bone.fibre={fibre}", f"mesh.order={order}") for order in (1, 2)]
+    runs = problem.solve_each("verification/uniaxial.yaml", changes_of_runs)
+    strain_along = 1 / (BONE.E_l if fibre[2] else BONE.E_t)
+    ε = 10.0 * np.array([*across, strain_along])
 
     def strains(run: Run) -> Comparison:
         u = run.displacement()
-        wrong = np.abs(u - ε * run.points).max() / run.points.max()
-        top = int(np.argmax(run.points[:, 2]))
-        computed = float(u[top, 2] / run.points[top, 2])
-        return Comparison(float(wrong / np.abs(ε).max()), computed, float(ε[2]))
+        error = np.abs(u - ε * run.points).max() / run.points.max()
+        top_node = int(np.argmax(run.points[:, 2]))
+        computed = float(u[top_node, 2] / run.points[top_node, 2])
+        return Comparison(float(error / np.abs(ε).max()), computed, float(ε[2]))
 
     problem.compare(*map(strains, runs))
 
@@ -101,8 +101,8 @@ def test_sine(problem: KnownProblem, order: int, sizes: Sequence[float], toleran
         order=order + 1.0,
         source="manufactured: sin(pi x/L) sin(pi y/L) sin(pi z/L) along x",
     )
-    changes = [(f"mesh.order={order}", f"mesh.size={h!r} mm") for h in problem.rungs(sizes)]
-    runs = problem.solve_each("verification/sine.yaml", changes)
+    changes_of_runs = [(f"mesh.order={order}", f"mesh.size={h!r} mm") for h in problem.rungs(sizes)]
+    runs = problem.solve_each("verification/sine.yaml", changes_of_runs)
     field = partial(exact.sine, amplitude=0.01, side=2.0)
     problem.converges([in_l2(run, [field]) for run in runs])
 
@@ -116,11 +116,11 @@ def test_fibre_ring(problem: KnownProblem, lay: str) -> None:
         order=2.0,
         source="Lekhnitskii, Anisotropic Plates, section 24",
     )
-    changes = [
+    changes_of_runs = [
         (f"regions.ring.fibre.kind={lay}", f"mesh.size={h} mm")
         for h in problem.rungs((1, 0.5, 0.35, 0.25))
     ]
-    runs = problem.solve_each("verification/fibre_ring.yaml", changes)
+    runs = problem.solve_each("verification/fibre_ring.yaml", changes_of_runs)
     ring = exact.FibreRing(5, 10, 10.0, WOOD, lay == "radial")
     problem.converges([in_l2(run, [ring.displacement]) for run in runs])
 
@@ -134,8 +134,8 @@ TAYLOR_HOOD = (
 
 def corner(run: Run, ν: float) -> Comparison:
     """Rise of the corner (48, 60) of Cook's membrane [mm]."""
-    at = int(np.argmin(np.linalg.norm(run.points[:, :2] - (48, 60), axis=1)))
-    return relative(float(run.displacement()[at, 1]), exact.COOK[ν][1])
+    nearest_node = int(np.argmin(np.linalg.norm(run.points[:, :2] - (48, 60), axis=1)))
+    return relative(float(run.displacement()[nearest_node, 1]), exact.COOK[ν][1])
 
 
 @verify
@@ -190,9 +190,9 @@ def stack(run: Run, moduli: Sequence[float], ratios: Sequence[float]) -> Compari
     should[:, 2] = np.interp(run.points[:, 2], levels, falls)
     errors = {"displacement": off(u, should)}
     for name in run.contacts:
-        on = run.on_interface(name)
-        pressure = run.at_interface(name, "pressure")[on]
-        errors[f"pressure of {name}"] = off(pressure, np.full(on.sum(), p))
+        on_interface = run.on_interface(name)
+        pressure = run.at_interface(name, "pressure")[on_interface]
+        errors[f"pressure of {name}"] = off(pressure, np.full(on_interface.sum(), p))
     return largest(errors)
 
 

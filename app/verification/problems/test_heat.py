@@ -62,9 +62,15 @@ def temperatures(
         for region, field in enumerate(fields, start=1):
             nodes = run.nodes_of(region)
             should = field(run.points[nodes], seconds)
-            wrong = np.abs(T[nodes] - should) / scale
-            at = int(np.argmax(wrong))
-            comparisons.append(Comparison(float(wrong[at]), float(T[nodes[at]]), float(should[at])))
+            errors = np.abs(T[nodes] - should) / scale
+            worst_node = int(np.argmax(errors))
+            comparisons.append(
+                Comparison(
+                    float(errors[worst_node]),
+                    float(T[nodes[worst_node]]),
+                    float(should[worst_node]),
+                )
+            )
     return worst(comparisons)
 
 
@@ -104,12 +110,12 @@ def test_heat_bars(problem: KnownProblem) -> None:
     )
     conductances = {f"{h} W/(m^2 K)": h for h in (0.2, 1.0, 300.0, 1e6, 1e9, 1e12)}
     conductances["perfect"] = math.inf
-    changes = [(f"interfaces.cement_bone.conductance={h}",) for h in conductances]
-    runs = problem.solve_each("verification/two_bars.yaml", changes)
+    changes_of_runs = [(f"interfaces.cement_bone.conductance={h}",) for h in conductances]
+    runs = problem.solve_each("verification/two_bars.yaml", changes_of_runs)
     comparisons = []
     for solved, h in zip(runs, conductances.values(), strict=True):
-        q, hot, cold = exact.two_bars(100, 37, (5 / CEMENT[0], 5 / BONE[0]), 1e-3 * h)
-        comparisons.append(temperatures(solved, between_walls(100, hot, cold, 37), 63.0))
+        q, hot_side, cold_side = exact.two_bars(100, 37, (5 / CEMENT[0], 5 / BONE[0]), 1e-3 * h)
+        comparisons.append(temperatures(solved, between_walls(100, hot_side, cold_side, 37), 63.0))
         if math.isfinite(h):  # perfect contact has no flux law
             flux = solved.summary["thermal"]["interfaces"]["cement_bone"]["heat_flux_max"]
             comparisons.append(relative(flux, 1e3 * q))
@@ -131,11 +137,11 @@ def test_heat_rings(problem: KnownProblem) -> None:
     )
     sizes = problem.rungs((1, 0.5, 0.35, 0.25))
     runs = problem.solve_each("verification/two_rings.yaml", [slice_of(h) for h in sizes])
-    _, hot, cold = exact.two_rings(100, 37, (10, 14, 18), (CEMENT[0], BONE[0]), 0.5)
+    _, hot_side, cold_side = exact.two_rings(100, 37, (10, 14, 18), (CEMENT[0], BONE[0]), 0.5)
     fields: list[HeatField] = [
         lambda x, t: np.full(len(x), 100.0),
-        lambda x, t: 100 + (hot - 100) * np.log(radius(x) / 10) / math.log(14 / 10),
-        lambda x, t: 37 + (cold - 37) * np.log(18 / radius(x)) / math.log(18 / 14),
+        lambda x, t: 100 + (hot_side - 100) * np.log(radius(x) / 10) / math.log(14 / 10),
+        lambda x, t: 37 + (cold_side - 37) * np.log(18 / radius(x)) / math.log(18 / 14),
     ]
     problem.converges([mean_square(solved, fields, 37.0) for solved in runs])
 
@@ -162,8 +168,8 @@ def test_heat_fibre(problem: KnownProblem) -> None:
         source="manufactured: 310 K + x^2 + 2 x y",
     )
     sizes = problem.rungs((1 / 3, 1 / 4, 1 / 6, 1 / 8))
-    changes = [(f"mesh.size={h!r} mm",) for h in sizes]
-    runs = problem.solve_each("verification/fibre_heat.yaml", changes)
+    changes_of_runs = [(f"mesh.size={h!r} mm",) for h in sizes]
+    runs = problem.solve_each("verification/fibre_heat.yaml", changes_of_runs)
     zero = 310 - KELVIN
     fields: list[HeatField] = [lambda x, t: zero + x[:, 0] ** 2 + 2 * x[:, 0] * x[:, 1]]
     problem.converges([mean_square(solved, fields, zero) for solved in runs])
@@ -255,8 +261,8 @@ def test_rubbing(problem: KnownProblem, what: str, share: float, changes: Sequen
         lambda x, t: 37 + exact.heated_half_space(x[:, 2] - 8, t, 75 * (1 - share), BONE),
     ]
     surface = np.array([[0.0, 0.0, 8.0]])
-    most = float(np.max([field(surface, 10) for field in fields])) - 37
-    problem.compare(temperatures(solved, fields, most, (0, 0, 10), since=2.4))
+    largest_rise = float(np.max([field(surface, 10) for field in fields])) - 37
+    problem.compare(temperatures(solved, fields, largest_rise, (0, 0, 10), since=2.4))
 
 
 @verify
@@ -269,9 +275,9 @@ def test_rubbing_energy(problem: KnownProblem) -> None:
     solved = problem.solve(RUBBING)
     capacity = np.array([CEMENT[1], BONE[1]])[solved.region - 1]
     rise = (solved.temperature() - 37)[solved.cells[:, :4]].mean(axis=1)
-    stored = float((capacity * rise * solved.volumes()).sum())
-    work = solved.summary["interfaces"]["cement_bone"]["dissipation"]
-    problem.compare(relative(stored, work))
+    stored_heat = float((capacity * rise * solved.volumes()).sum())
+    dissipation = solved.summary["interfaces"]["cement_bone"]["dissipation"]
+    problem.compare(relative(stored_heat, dissipation))
 
 
 # Heated elastic bodies
@@ -325,9 +331,9 @@ def layer_stresses(run: Run, joined: tuple[bool, bool]) -> Comparison:
     comparisons = []
     for k, values in ((1, radial), (2, hoop)):
         A, B = np.linalg.lstsq(rows, values * weights, rcond=None)[0]
-        for at in (6.0, 10.0):
-            computed = float(A + B / at**2)
-            reference = float(law.state_at(1, at)[k])
+        for radius in (6.0, 10.0):
+            computed = float(A + B / radius**2)
+            reference = float(law.state_at(1, radius)[k])
             comparisons.append(Comparison(abs(computed - reference) / scale, computed, reference))
     return worst(comparisons)
 
@@ -404,8 +410,8 @@ def test_wavy(problem: KnownProblem, field: str) -> None:
         source="manufactured: pressure p0 + p1 cos(pi x/L), temperature jump g",
     )
     sizes = problem.rungs((0.125, 0.0833, 0.0625, 0.05))
-    changes = [(f"mesh.size={h} mm", f"mesh.far_size={h} mm") for h in sizes]
-    runs = problem.solve_each("verification/wavy_contact.yaml", changes)
+    changes_of_runs = [(f"mesh.size={h} mm", f"mesh.far_size={h} mm") for h in sizes]
+    runs = problem.solve_each("verification/wavy_contact.yaml", changes_of_runs)
     law = exact.WavyContact()
     if field == "temperature":
         temperature: list[HeatField] = [
@@ -414,8 +420,8 @@ def test_wavy(problem: KnownProblem, field: str) -> None:
         ]
         problem.converges([mean_square(solved, temperature, 37.0) for solved in runs])
     else:
-        moved = [lambda x: law.displacement(x, False), lambda x: law.displacement(x, True)]
-        problem.converges([in_l2(solved, moved) for solved in runs])
+        displacements = [lambda x: law.displacement(x, False), lambda x: law.displacement(x, True)]
+        problem.converges([in_l2(solved, displacements) for solved in runs])
 
 
 # Stiff cases: heat balance and bounds of temperatures and degrees of cure
@@ -436,12 +442,12 @@ def endured(run: Run, low: float, high: float) -> Comparison:
     coldest = min(r["temperature_min"] for r in regions)
     hottest = max(r["temperature_max"] for r in regions)
     cures = [a for q in cured for a in (-q["degree_min"], q["degree_max"] - 1)]
-    beyond = max(0.0, (low - coldest) / span, (hottest - high) / span, *cures)
+    excess = max(0.0, (low - coldest) / span, (hottest - high) / span, *cures)
     solver = summary["solver"]
     steps = f"steps {solver['steps']}, rejected {solver['rejected_steps']}"
     note = f"{steps}, balance {balance:.0e}, {coldest:.2f} to {hottest:.2f} degC"
     return worst(
-        [Comparison(abs(balance), balance, 0.0, note), Comparison(beyond, hottest, high, note)]
+        [Comparison(abs(balance), balance, 0.0, note), Comparison(excess, hottest, high, note)]
     )
 
 
@@ -462,8 +468,8 @@ def forced(step: float, count: int) -> tuple[str]:
 
 def conducts(h: float) -> tuple[str, ...]:
     """Overrides for the conductance of both interfaces [W/(m^2 K)]."""
-    names = ("stem_cement", "cement_bone")
-    return tuple(f"interfaces.{name}.conductance={h} W/(m^2 K)" for name in names)
+    interface_names = ("stem_cement", "cement_bone")
+    return tuple(f"interfaces.{name}.conductance={h} W/(m^2 K)" for name in interface_names)
 
 
 EULER = "time.method=backward_euler"
@@ -505,8 +511,10 @@ def test_stiff(problem: KnownProblem, name: str) -> None:
         source=BOUNDS,
     )
     changes, high = STIFF[name]
-    low = 23.0 if any("23 degC" in change for change in changes) else 37.0
-    problem.compare(endured(problem.solve("verification/stiff.yaml", *changes), low, high))
+    initial_temperature = 23.0 if any("23 degC" in change for change in changes) else 37.0
+    problem.compare(
+        endured(problem.solve("verification/stiff.yaml", *changes), initial_temperature, high)
+    )
 
 
 def compare_stiff_contact(problem: KnownProblem, high: float, *changes: str) -> None:

@@ -69,10 +69,12 @@ def test_augmentation(problem: KnownProblem, ratio: int, μ: float, factor: floa
         f"interfaces.stem_cement.friction_coefficient={μ}",
         *(SMALL_LOADS if ratio == 1000 else ()),
     )
-    chosen = f"solver.augmentation_factor={0.2 * factor!r}"
-    solved, default = problem.solve_each(STEM, [(*base, chosen), base])
-    used, default_r = (r.summary["solver"]["augmentation"] for r in (solved, default))
-    multiple = ", ".join(sorted({f"{used[name] / default_r[name]:.3g}" for name in used}))
+    augmentation = f"solver.augmentation_factor={0.2 * factor!r}"
+    solved, default = problem.solve_each(STEM, [(*base, augmentation), base])
+    augmentation_used, default_r = (r.summary["solver"]["augmentation"] for r in (solved, default))
+    multiple = ", ".join(
+        sorted({f"{augmentation_used[name] / default_r[name]:.3g}" for name in augmentation_used})
+    )
     newton, by_default = (r.summary["solver"]["newton_iterations"] for r in (solved, default))
     difference = same(solved, default)
     note = (
@@ -150,8 +152,10 @@ def test_loads_reversed_bar(problem: KnownProblem) -> None:
         "displacement along a reversed load", tolerance=1e-2, source="the reversed displacement"
     )
     runs = problem.solve_each(BAR, [("loads.pull.force=[-500 N, 0 N, 0 N]",), ()])
-    ours, theirs = (np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs)
-    problem.compare(Comparison(off(ours, -theirs), note="displacement along the load"))
+    forward, backward = (
+        np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs
+    )
+    problem.compare(Comparison(off(forward, -backward), note="displacement along the load"))
 
 
 @stress
@@ -235,14 +239,14 @@ FLOATING = {
 @pytest.mark.parametrize("name", FLOATING)
 def test_floating(problem: KnownProblem, name: str) -> None:
     reason = Reason.RIGID_CONTACT if name.startswith("rigid") else Reason.LOOSE_BODY
-    what = f"a stem in its cement and bone: {name}"
+    description = f"a stem in its cement and bone: {name}"
     answers = {"both open, pushed aside": lawful, "both open, no load": nothing_moves}
     if name not in answers:
-        problem.expects_refusal(what, reason)
+        problem.expects_refusal(description, reason)
         problem.solve(STEM, *FLOATING[name])
         return
     problem.expects(
-        f"violation of balance and of the laws, {what}",
+        f"violation of balance and of the laws, {description}",
         tolerance=1e-7,
         source="Signorini's conditions and Coulomb's law",
         or_refusal=reason,
@@ -302,12 +306,12 @@ def test_increments_two_paths(problem: KnownProblem) -> None:
     )
     paths = (("[1, 0]", 64), ("[1, 0]", 32), ("[0, 0]", 64))
     runs = problem.solve_each(STEM, [carried_round(first, n) for first, n in paths])
-    one, coarse, other = map(final, runs)
-    size = np.linalg.norm(one)
-    apart = np.linalg.norm(one - other)
-    wrong = np.linalg.norm(one - coarse)
-    note = f"{apart / size:.1e} apart, steps wrong by {wrong / size:.1e}"
-    problem.compare(Comparison(float(wrong / apart), note=note))
+    first_path, coarse_path, second_path = map(final, runs)
+    size = np.linalg.norm(first_path)
+    path_difference = np.linalg.norm(first_path - second_path)
+    step_error = np.linalg.norm(first_path - coarse_path)
+    note = f"{path_difference / size:.1e} apart, steps wrong by {step_error / size:.1e}"
+    problem.compare(Comparison(float(step_error / path_difference), note=note))
 
 
 # Symmetry
@@ -325,7 +329,7 @@ def test_symmetry_whole_and_quarter(problem: KnownProblem) -> None:
     planes = "".join(
         f"symmetry_{a}: {{kind: roller, boundary: symmetry_{a}, axis: {a}}}, " for a in "xy"
     )
-    held = (
+    supports = (
         "table: {kind: roller, boundary: bone_bottom, axis: z}, "
         "mantle: {kind: roller, boundary: cement_bottom, axis: z}, "
         "bed: {kind: foundation, boundary: bone_surface, stiffness: "
@@ -334,8 +338,8 @@ def test_symmetry_whole_and_quarter(problem: KnownProblem) -> None:
     )
     whole, quarter = problem.solve_all(
         [
-            run("cylinders.yaml", *mesh, f"supports={{{held}}}", mesh="mirrored"),
-            run("cylinders.yaml", *mesh, f"supports={{{planes}{held}}}"),
+            run("cylinders.yaml", *mesh, f"supports={{{supports}}}", mesh="mirrored"),
+            run("cylinders.yaml", *mesh, f"supports={{{planes}{supports}}}"),
         ]
     )
     problem.compare(close(whole, quarter, factor=4.0))
@@ -344,11 +348,13 @@ def test_symmetry_whole_and_quarter(problem: KnownProblem) -> None:
 def close(run: Run, other: Run, *, factor: float) -> Comparison:
     """Numbers of each interface equal those of another run, forces multiplied by a factor."""
     errors = {}
-    for name, theirs in other.summary["interfaces"].items():
-        ours = run.summary["interfaces"][name]
+    for name, other_numbers in other.summary["interfaces"].items():
+        run_numbers = run.summary["interfaces"][name]
         for key in ("slip_path_mean", "pressure_mean", "shear_mean"):
-            errors[f"{key} of {name}"] = abs(ours[key] - theirs[key]) / (abs(theirs[key]) or 1.0)
-        force = ours["force"][2] / (factor * theirs["force"][2])
+            errors[f"{key} of {name}"] = abs(run_numbers[key] - other_numbers[key]) / (
+                abs(other_numbers[key]) or 1.0
+            )
+        force = run_numbers["force"][2] / (factor * other_numbers["force"][2])
         errors[f"force of {name}"] = abs(force - 1)
     return largest(errors)
 

@@ -38,7 +38,9 @@ def test_wall_augmented(problem: KnownProblem) -> None:
         tolerance=1e-10,
         source="a bar in compression; no penetration",
     )
-    changes = [(f"interfaces.wall_bar.augmentation={r} MPa/mm",) for r in 10.0 ** np.arange(0, 7)]
+    changes_of_runs = [
+        (f"interfaces.wall_bar.augmentation={r} MPa/mm",) for r in 10.0 ** np.arange(0, 7)
+    ]
 
     def force(run: Run) -> Comparison:
         q = run.summary["interfaces"]["wall_bar"]
@@ -46,7 +48,7 @@ def test_wall_augmented(problem: KnownProblem) -> None:
         deep = q["penetration_max"] / MOTION
         return Comparison(max(stiffness.error, deep), stiffness.computed, stiffness.exact)
 
-    problem.compare(*map(force, problem.solve_each("verification/wall.yaml", changes)))
+    problem.compare(*map(force, problem.solve_each("verification/wall.yaml", changes_of_runs)))
 
 
 @verify
@@ -58,8 +60,8 @@ def test_wall_penalty(problem: KnownProblem) -> None:
     )
     penalties = 10.0 ** np.arange(2, 9)
     law = "{{kind: penalty, friction_coefficient: 0.3, penalty: {} MPa/mm}}"
-    changes = [(f"interfaces.wall_bar={law.format(r)}",) for r in penalties]
-    runs = problem.solve_each("verification/wall.yaml", changes)
+    changes_of_runs = [(f"interfaces.wall_bar={law.format(r)}",) for r in penalties]
+    runs = problem.solve_each("verification/wall.yaml", changes_of_runs)
     problem.compare(
         *(
             relative(
@@ -83,10 +85,10 @@ def orders(runs: Sequence[Run], stiffnesses: Sequence[float]) -> Comparison:
     """Orders of penetration and of the pressure's error against the last run, which has none."""
     *soft, hard = (run.summary["interfaces"]["stem_cement"] for run in runs)
     errors = [abs(q["pressure_mean"] / hard["pressure_mean"] - 1) for q in soft]
-    first = fitted_order(stiffnesses, errors)
+    first_order = fitted_order(stiffnesses, errors)
     second = fitted_order(stiffnesses, [q["penetration_max"] for q in soft])
-    note = f"order of the pressure's error {first:.3f}, of the penetration {second:.3f}"
-    return Comparison(max(abs(first + 1), abs(second + 1)), note=note)
+    note = f"order of the pressure's error {first_order:.3f}, of the penetration {second:.3f}"
+    return Comparison(max(abs(first_order + 1), abs(second + 1)), note=note)
 
 
 @stress
@@ -96,8 +98,8 @@ def test_penalty_order_shrink_fit(problem: KnownProblem) -> None:
     problem.expects("orders of a penalty, from -1", tolerance=0.05, source=FIRST_ORDER)
     law = "{{kind: penalty, friction_coefficient: 0, gap: -0.01 mm, penalty: {!r} MPa/mm}}"
     penalties = POWERS[4:8]
-    changes = [(f"interfaces.stem_cement={law.format(r)}",) for r in penalties]
-    runs = problem.solve_each("verification/lame_plane_strain.yaml", [*changes, ()])
+    changes_of_runs = [(f"interfaces.stem_cement={law.format(r)}",) for r in penalties]
+    runs = problem.solve_each("verification/lame_plane_strain.yaml", [*changes_of_runs, ()])
     problem.compare(orders(runs, penalties))
 
 
@@ -180,14 +182,14 @@ def test_layer(
     """A number of history.csv at the end of a stage."""
     problem.expects(f"{what}, relative", tolerance=2e-6, source=SERIES)
     solved = problem.solve(CASE, *changes)
-    at = np.argmin(np.abs(solved.step_record["time [-]"] - time))
-    problem.compare(relative(float(solved.step_record[f"wall_bar {key}"][at]), reference))
+    step = np.argmin(np.abs(solved.step_record["time [-]"] - time))
+    problem.compare(relative(float(solved.step_record[f"wall_bar {key}"][step]), reference))
 
 
 def moved(x: float, z: float) -> tuple[str, ...]:
     """Overrides for one step that moves the top [mm]."""
-    top = f"kind: displacement, boundary: top, x: {x!r} mm, y: 0 mm, z: {z!r} mm"
-    return f"supports.press={{{top}}}", "supports.push=null", "stages=[{name: all}]"
+    top_support = f"kind: displacement, boundary: top, x: {x!r} mm, y: 0 mm, z: {z!r} mm"
+    return f"supports.press={{{top_support}}}", "supports.push=null", "stages=[{name: all}]"
 
 
 @verify

@@ -51,12 +51,12 @@ def test_potted_axial(problem: KnownProblem, name: str) -> None:
 @verify
 def test_potted_order(problem: KnownProblem) -> None:
     expect(problem, "deflection of the same bar, shorter, by P1", 0.03, order=2.0)
-    changes = [
+    changes_of_runs = [
         (ALONG, *SHORTER, "mesh.order=1", f"mesh.size={h} mm")
         for h in problem.rungs((1.4, 1.0, 0.7), finest="default")
     ]
     answer = exact.CantileverBar(E, *SECTION, SHORT).deflection(AXIAL, HEAD)
-    runs = problem.solve_each(BAR, changes)
+    runs = problem.solve_each(BAR, changes_of_runs)
     problem.converges([number(run, "stem.deflection", answer) for run in runs])
 
 

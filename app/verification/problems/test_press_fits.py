@@ -43,8 +43,8 @@ PRESSURE = "stem_cement.pressure_mean"
 def halves(thickness: float) -> tuple[str, str]:
     """Overrides for a ring of a thickness [mm] in two equal halves."""
     keys = ("geometry.cement_thickness", "geometry.bone_thickness")
-    first, second = (f"{key}={thickness / 2} mm" for key in keys)
-    return first, second
+    first_half, second_half = (f"{key}={thickness / 2} mm" for key in keys)
+    return first_half, second_half
 
 
 def lame_pressure(kind: str, thickness: float) -> float:
@@ -75,8 +75,8 @@ def test_lame(problem: KnownProblem, kind: str, t: int) -> None:
         source=LAME,
     )
     sizes = problem.rungs(SIZES) if ordered else (0.4,)
-    changes = [(*halves(t), *slice_of(h)) for h in sizes]
-    runs = problem.solve_each(f"verification/lame_{kind}.yaml", changes)
+    changes_of_runs = [(*halves(t), *slice_of(h)) for h in sizes]
+    runs = problem.solve_each(f"verification/lame_{kind}.yaml", changes_of_runs)
     pressures = [number(solved, PRESSURE, lame_pressure(kind, t)) for solved in runs]
     if ordered:
         problem.converges(pressures)
@@ -198,8 +198,8 @@ def test_oval_fit(problem: KnownProblem, cells: str) -> None:
         order=2.0,
         source=MICHELL,
     )
-    changes = oval_changes(cells, problem.rungs(SIZES))
-    runs = problem.solve_each("verification/oval_fit.yaml", changes)
+    changes_of_runs = oval_changes(cells, problem.rungs(SIZES))
+    runs = problem.solve_each("verification/oval_fit.yaml", changes_of_runs)
     fields = [partial(OVAL.displacement, in_core=core) for core in (True, False)]
     problem.converges([in_l2(solved, fields) for solved in runs])
 

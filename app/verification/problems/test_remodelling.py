@@ -25,8 +25,8 @@ LAZY_ZONE = "stimulus P^2 / (2 C rho^(g + 1)) on the edge of the lazy zone"
 def densities(run: Run, **expected: float) -> Comparison:
     """Density of regions against what is expected of them everywhere [g/cm3]."""
     rho = run.on_cells("density")
-    parts = [rho[run.region == run.regions[name]] - value for name, value in expected.items()]
-    return Comparison(max(float(np.abs(part).max()) for part in parts))
+    deviations = [rho[run.region == run.regions[name]] - value for name, value in expected.items()]
+    return Comparison(max(float(np.abs(part).max()) for part in deviations))
 
 
 @verify
@@ -37,13 +37,13 @@ def test_remodelling_ends(problem: KnownProblem) -> None:
         source=LAZY_ZONE,
     )
     # Pressure [MPa], density at the start [g/cm3], and Young's modulus that gives it [MPa].
-    ends = [(3.0, START, 64), (8.0, START, 64), (3.0, 0.3, 9)]
-    changes = [(PRESS.format(p), MODULUS.format("bone", e)) for p, _, e in ends]
-    runs = problem.solve_each(BLOCK, changes)
+    end_states = [(3.0, START, 64), (8.0, START, 64), (3.0, 0.3, 9)]
+    changes_of_runs = [(PRESS.format(p), MODULUS.format("bone", e)) for p, _, e in end_states]
+    runs = problem.solve_each(BLOCK, changes_of_runs)
     problem.compare(
         *(
             densities(solved, bone=column_density(p, start))
-            for solved, (p, start, _) in zip(runs, ends, strict=True)
+            for solved, (p, start, _) in zip(runs, end_states, strict=True)
         )
     )
 
@@ -63,8 +63,10 @@ def test_remodelling_course(problem: KnownProblem) -> None:
         source="integration of the differential equation",
     )
     steps = (1e-2, 1e-3, 1e-4)
-    changes = [("stages.1.remodels=2 s", f"remodelling.tolerance={t} g/cm^3") for t in steps]
-    runs = problem.solve_each(BLOCK, changes)
+    changes_of_runs = [
+        ("stages.1.remodels=2 s", f"remodelling.tolerance={t} g/cm^3") for t in steps
+    ]
+    runs = problem.solve_each(BLOCK, changes_of_runs)
     exact = column_density_at(2.0, stress=3.0)
     comparisons = []
     for solved, step in zip(runs, steps, strict=True):
@@ -82,8 +84,8 @@ def test_remodelling_two_stay(problem: KnownProblem) -> None:
     )
     law = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, 0.9]]}"
     solved = problem.solve(COLUMNS, law, MODULUS.format("one", 83), MODULUS.format("other", 70))
-    half = column_density(3.0, lazy=0.0, exponent=0.9)
-    problem.compare(densities(solved, one=half, other=half))
+    half_density = column_density(3.0, lazy=0.0, exponent=0.9)
+    problem.compare(densities(solved, one=half_density, other=half_density))
 
 
 @verify
@@ -122,8 +124,8 @@ def test_remodelling_plate(problem: KnownProblem) -> None:
         source="the finer mesh",
     )
     counts = (10, 20)  # of cells a side
-    changes = [run("verification/plate.yaml", f"mesh.size={1 / n} mm") for n in counts]
-    runs = problem.solve_all(changes)
+    planned_runs = [run("verification/plate.yaml", f"mesh.size={1 / n} mm") for n in counts]
+    runs = problem.solve_all(planned_runs)
     errors = {}
     for solved, n in zip(runs, counts, strict=True):
         x = np.floor(n * solved.points[solved.cells].mean(axis=1)).astype(int)

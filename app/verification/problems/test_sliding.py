@@ -30,7 +30,10 @@ WHOLE = "motions.ball.largest_step=30 deg"
 
 def cycle_table(*angles: Sequence[float] | Floats) -> str:
     """Override for the angles of the ball about x, y and z [deg] at equal times."""
-    rows = [", ".join(repr(float(v)) for v in (k, *of)) for k, of in enumerate(angles)]
+    rows = [
+        ", ".join(repr(float(v)) for v in (k, *angle_values))
+        for k, angle_values in enumerate(angles)
+    ]
     lines = ["time [s], rotation x [deg], rotation y [deg], rotation z [deg]", *rows]
     return f"motions.ball.rotation.cycle_table={lines}"
 
@@ -59,7 +62,7 @@ def test_slip_cup(problem: KnownProblem) -> None:
         source="separate axisymmetric program (tests/reference/axisymmetric.py)",
     )
     smooth = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
-    changes = [
+    changes_of_runs = [
         (
             "mesh.size=1.4 mm",
             smooth,
@@ -70,16 +73,16 @@ def test_slip_cup(problem: KnownProblem) -> None:
         )
         for c in exact.CUP
     ]
-    runs = problem.solve_each(CUP, changes)
+    runs = problem.solve_each(CUP, changes_of_runs)
 
     def pressed(run: Run, clearance: float) -> Comparison:
         """Way of the ball after first touch; mean pressure within 20 degrees of the pole."""
         area, p, r = pressures(run)
-        near = area * (r < np.tan(np.radians(20)) * run.points[:, 2])
-        way = run.step_record["bearing centre.z [mm]"][-1] - clearance
+        area_near_pole = area * (r < np.tan(np.radians(20)) * run.points[:, 2])
+        travel = run.step_record["bearing centre.z [mm]"][-1] - clearance
         sink, mean = exact.CUP[clearance]
-        pressure = float(near @ p / near.sum())
-        return worst([relative(1e3 * float(way), sink), relative(pressure, mean)])
+        pressure = float(area_near_pole @ p / area_near_pole.sum())
+        return worst([relative(1e3 * float(travel), sink), relative(pressure, mean)])
 
     problem.compare(*(pressed(*pair) for pair in zip(runs, exact.CUP, strict=True)))
 
@@ -108,10 +111,11 @@ def test_slip_steady(problem: KnownProblem) -> None:
     )
     solved = problem.solve(CUP)
     energy, torque = (
-        solved.step_record[f"bearing {of} [N mm]"] for of in ("dissipation", "torque_along")
+        solved.step_record[f"bearing {quantity} [N mm]"]
+        for quantity in ("dissipation", "torque_along")
     )
-    work = float(-torque[-1] * np.radians(5))
-    problem.compare(relative(float(energy[-1] - energy[-2]), work))
+    expected_work = float(-torque[-1] * np.radians(5))
+    problem.compare(relative(float(energy[-1] - energy[-2]), expected_work))
 
 
 @verify
@@ -128,9 +132,9 @@ def test_slip_wear(problem: KnownProblem) -> None:
     ball = nodal_areas(solved, np.isclose(np.linalg.norm(solved.points, axis=1), 14))
     volume = 0.0
     for k in range(1, len(solved.times)):
-        now, before = (solved.at_interface("bearing", "slip_path", s) for s in (k, k - 1))
+        path_now, path_before = (solved.at_interface("bearing", "slip_path", s) for s in (k, k - 1))
         pressure = solved.at_interface("bearing", "pressure", k)
-        volume += 1.07e-9 * float(area @ (pressure * (now - before)))
+        volume += 1.07e-9 * float(area @ (pressure * (path_now - path_before)))
     depth = solved.at_interface("bearing", "wear")
     reported = solved.summary["interfaces"]["bearing"]["wear_volume"]
     volumes = (reported, float(area @ depth), float(ball @ depth))
@@ -157,8 +161,8 @@ def test_slip_cycle(problem: KnownProblem) -> None:
         source="the finest steps",
     )
     stages = "stages=[{{name: press}}, {{name: turn, increments: {}, cycles: 2}}]"
-    changes = [(COARSE, CYCLE, WHOLE, stages.format(n)) for n in (4, 8, 20, 80)]
-    compare_energies(problem, problem.solve_each(CUP, changes))
+    changes_of_runs = [(COARSE, CYCLE, WHOLE, stages.format(n)) for n in (4, 8, 20, 80)]
+    compare_energies(problem, problem.solve_each(CUP, changes_of_runs))
 
 
 @verify
@@ -166,8 +170,8 @@ def test_slip_ball_mesh(problem: KnownProblem) -> None:
     problem.expects(
         "energy by another mesh of the ball, relative", tolerance=1e-9, source="the other mesh"
     )
-    changes = [(COARSE, "geometry.head_size=0.7"), (COARSE,)]
-    compare_energies(problem, problem.solve_each(CUP, changes))
+    changes_of_runs = [(COARSE, "geometry.head_size=0.7"), (COARSE,)]
+    compare_energies(problem, problem.solve_each(CUP, changes_of_runs))
 
 
 @verify
@@ -177,15 +181,17 @@ def test_slip_turned(problem: KnownProblem) -> None:
         tolerance=1e-8,
         source="the model rotated back",
     )
-    about = np.radians(np.outer(range(0, 30, 5), ROTATION[:, 1]))
-    turned = Rotation.from_rotvec(about).as_euler("YXZ", degrees=True)[:, [1, 0, 2]]
+    rotation_vectors = np.radians(np.outer(range(0, 30, 5), ROTATION[:, 1]))
+    euler_angles = Rotation.from_rotvec(rotation_vectors).as_euler("YXZ", degrees=True)[
+        :, [1, 0, 2]
+    ]
     rotated = run(
         CUP,
         COARSE,
         "motions.ball.about=[0 mm, 0 mm, 0 mm]",
         "interfaces.bearing.between=[head_surface, liner_inner]",
         f'loads.press.force="{(2000 * ROTATION[:, 2]).tolist()} N"',
-        cycle_table(*turned),
+        cycle_table(*euler_angles),
         mesh="turned",
     )
     runs = problem.solve_all([rotated, run(CUP, COARSE)])
@@ -208,10 +214,10 @@ def test_slip_hertz(problem: KnownProblem) -> None:
     solved = problem.solve("verification/ball_on_block.yaml")
     area, p, r = pressures(solved)
     shape = np.sqrt(1 - np.minimum(r / HERTZ.a, 1) ** 2)
-    near = area * (r < 0.6 * HERTZ.a)
+    area_near_centre = area * (r < 0.6 * HERTZ.a)
     radius = float(np.sqrt(2.5 * (area @ (p * r**2)) / (area @ p)))
     problem.compare(
-        relative(float((near @ p) / (near @ shape)), HERTZ.p0),
+        relative(float((area_near_centre @ p) / (area_near_centre @ shape)), HERTZ.p0),
         relative(radius, HERTZ.a),
         number(solved, "contact.torque.z", -3 * np.pi / 16 * 0.3 * 100 * HERTZ.a),
     )
@@ -225,8 +231,8 @@ def test_slip_ball_rolls(problem: KnownProblem) -> None:
         source="Coulomb's law: 1, 0, -1",
     )
     forces = {0: 1, 1: 0, 1.1: -1}  # by the speed of the ball over that of rolling
-    changes = [(cycle_table((0, 0, 0), (0, np.degrees(c * 4 / 60), 0)),) for c in forces]
-    runs = problem.solve_each("verification/rolling_ball.yaml", changes)
+    changes_of_runs = [(cycle_table((0, 0, 0), (0, np.degrees(c * 4 / 60), 0)),) for c in forces]
+    runs = problem.solve_each("verification/rolling_ball.yaml", changes_of_runs)
     comparisons = []
     for solved, force in zip(runs, forces.values(), strict=True):
         x, _, z = solved.summary["interfaces"]["contact"]["force"]
@@ -245,11 +251,13 @@ def test_slip_drawn(problem: KnownProblem) -> None:
         source="Coulomb's law",
     )
     solved = problem.solve("verification/drawn_block.yaml")
-    names = ("force.x [N]", "force.z [N]", "dissipation [N mm]", "centre.z [mm]")
-    x, z, energy, height = (solved.step_record[f"contact {name}"] for name in names)
-    work = np.diff(energy).reshape(4, 3)[:, 1:] / 3000
-    way = np.repeat([-1, 1, -1, 1], 3)
-    first, last = (solved.at_interface("contact", "pressure", k) for k in (6, 12))
-    drift = [*(last - first) / first.max(), height[12] / height[6] - 1]
-    wrong = np.concatenate([(x / z / 0.3)[1:] - way, work.ravel() - 1, np.multiply(100, drift)])
-    problem.compare(Comparison(float(np.abs(wrong).max())))
+    column_names = ("force.x [N]", "force.z [N]", "dissipation [N mm]", "centre.z [mm]")
+    x, z, energy, height = (solved.step_record[f"contact {name}"] for name in column_names)
+    work_of_slides = np.diff(energy).reshape(4, 3)[:, 1:] / 3000
+    directions = np.repeat([-1, 1, -1, 1], 3)
+    first_pressure, last_pressure = (solved.at_interface("contact", "pressure", k) for k in (6, 12))
+    drift = [*(last_pressure - first_pressure) / first_pressure.max(), height[12] / height[6] - 1]
+    errors = np.concatenate(
+        [(x / z / 0.3)[1:] - directions, work_of_slides.ravel() - 1, np.multiply(100, drift)]
+    )
+    problem.compare(Comparison(float(np.abs(errors).max())))
