@@ -201,10 +201,10 @@ class BodyForms:
         """Volume measure by region tag, over all owned cells."""
         return ufl.Measure("dx", domain=self.mesh, subdomain_data=self._domains())
 
-    def _domains(self, picked: NDArray[np.bool_] | None = None) -> Domains:
+    def _domains(self, is_picked: NDArray[np.bool_] | None = None) -> Domains:
         """Owned cells of each region tag, all or those picked."""
         owned = self.mesh.topology.index_map(3).size_local
-        mask = np.ones(owned, dtype=bool) if picked is None else picked[:owned]
+        mask = np.ones(owned, dtype=bool) if is_picked is None else is_picked[:owned]
         return [
             (tag, np.flatnonzero(mask & (self._tags[:owned] == tag)).astype(np.int32))
             for tag in sorted(self.tagged.regions.values())
@@ -381,7 +381,7 @@ class BodyForms:
         points, weights = (np.asarray(a) for a in rule)
         L = linear_shape_functions(points)
         _, size = surface(x, L)
-        at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
+        positions = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
 
         def integral(values: Floats) -> Floats:
             local = np.einsum("q,fq,fq...->...", weights, size, values)
@@ -390,8 +390,8 @@ class BodyForms:
         area = float(integral(np.ones(size.shape)))
         if area <= 0:
             raise InputError(f"boundary '{boundary}' has no facets on this mesh")
-        centroid = np.asarray(integral(at) / area, dtype=np.float64)
-        arm = at - centroid
+        centroid = np.asarray(integral(positions) / area, dtype=np.float64)
+        arm = positions - centroid
         second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
         return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
 
@@ -413,9 +413,9 @@ class BodyForms:
 
     def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> fem.Form:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
-        near = dofs[self.space.dofmap.list].any(axis=1)
-        near &= self.bodies.of_tag[self._tags] == body
-        return self._stiffness_on(self._domains(near), self._surface.facets_on(body))
+        holds_dofs = dofs[self.space.dofmap.list].any(axis=1)
+        holds_dofs &= self.bodies.of_tag[self._tags] == body
+        return self._stiffness_on(self._domains(holds_dofs), self._surface.facets_on(body))
 
     def _stiffness_on(self, cells: Domains, facets: Domains) -> fem.Form:
         """Stiffness of some cells and of the foundations on some facets (cell, local facet)."""

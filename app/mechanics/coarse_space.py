@@ -27,8 +27,8 @@ BOX_SHRINKAGE = 0.95
 def free_directions(slope: Floats) -> Floats:
     """Projectors on the jumps that a law of slope P' does not resist; both (n, 3, 3)."""
     values, vectors = np.linalg.eigh(slope.transpose(0, 2, 1) @ slope)
-    free = np.where(values < FREE_SLOPE**2, 1.0, 0.0)
-    return np.asarray(np.einsum("pik,pk,pjk->pij", vectors, free, vectors))
+    is_free = np.where(values < FREE_SLOPE**2, 1.0, 0.0)
+    return np.asarray(np.einsum("pik,pk,pjk->pij", vectors, is_free, vectors))
 
 
 class Boxes:
@@ -40,14 +40,14 @@ class Boxes:
     """
 
     def __init__(self, x: Floats, edge: float = 0.0) -> None:
-        low, high = x.min(axis=0), x.max(axis=0)
-        longest = np.max(high - low) or 1.0
+        lower_corner, upper_corner = x.min(axis=0), x.max(axis=0)
+        longest = np.max(upper_corner - lower_corner) or 1.0
         edges = longest * BOX_SHRINKAGE ** np.arange(100)
-        counts = np.maximum(1, np.ceil((high - low) / edges[:, None])).astype(int)
-        last = np.flatnonzero(counts.prod(axis=1) <= max(LARGE_BOXES * np.cbrt(len(x)), 1))[-1]
-        self.edge = edge or edges[last]
-        self._count = np.maximum(1, np.ceil((high - low) / self.edge)).astype(int)
-        self._low = (low + high - self._count * self.edge) / 2
+        counts = np.maximum(1, np.ceil((upper_corner - lower_corner) / edges[:, None])).astype(int)
+        finest = np.flatnonzero(counts.prod(axis=1) <= max(LARGE_BOXES * np.cbrt(len(x)), 1))[-1]
+        self.edge = edge or edges[finest]
+        self._count = np.maximum(1, np.ceil((upper_corner - lower_corner) / self.edge)).astype(int)
+        self._low = (lower_corner + upper_corner - self._count * self.edge) / 2
         self.size = int((self._count + 1).prod())
 
     def __call__(self, x: Floats) -> tuple[Ints, Floats]:
@@ -81,10 +81,10 @@ def _hat_entries(
     return rows[nonzero], columns[nonzero], entries[nonzero]
 
 
-def _dense_entries(values: Floats, first: int) -> Triplets:
+def _dense_entries(values: Floats, first_column: int) -> Triplets:
     """All entries of columns (rows, m), from a column on."""
     rows, columns = np.nonzero(values)
-    return rows, first + columns, values[rows, columns]
+    return rows, first_column + columns, values[rows, columns]
 
 
 def sliding_motions(problem: Problem) -> CoarseSpace:
@@ -135,14 +135,15 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
                 _hat_entries(at_points, first_column, is_used, np.repeat(sign[:, None], 3, axis=1))
             )
             next_column += 3 * int(is_used.sum())
-    entries = [tuple(map(np.concatenate, zip(*parts, strict=True))) for parts in triplets]
+    entries = [
+        tuple(map(np.concatenate, zip(*blocks_of_matrix, strict=True)))
+        for blocks_of_matrix in triplets
+    ]
     # A motion belongs to the rank that has most of it; columns are in the order of the ranks.
     votes = sum(np.bincount(j, minlength=next_column) for _, j, _ in entries)
     owner = np.argmax(comm.allgather(votes), axis=0)
-    column_number, columns = (
-        np.argsort(np.argsort(owner, kind="stable")),
-        int((owner == comm.rank).sum()),
-    )
+    column_number = np.argsort(np.argsort(owner, kind="stable"))
+    columns = int((owner == comm.rank).sum())
     of_nodes, of_others, of_jumps = (
         from_triplets(comm, rows, columns, i, column_number[j], v)
         for rows, (i, j, v) in zip((3 * nodes, modes.shape[1], 3 * len(y)), entries, strict=True)
@@ -198,11 +199,11 @@ def _unmoved_components(problem: Problem, contact: ContactInterfaces, body: int)
 
 def _unknowns_of_components(problem: Problem, components: Bools) -> Bools:
     """Owned unknowns that the given nodal components depend on."""
-    reached = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
+    is_reached = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
     vector = problem.stiffness.K.createVecLeft()
     for mode in problem.stiffness.constraints.modes:
         vector.array[:] = mode
         nodal = problem.stiffness.constraints.expand(vector)
         nodal.array[~components.ravel()] = 0
-        reached |= problem.stiffness.constraints.vector(nodal).array != 0
-    return reached
+        is_reached |= problem.stiffness.constraints.vector(nodal).array != 0
+    return is_reached

@@ -43,7 +43,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
     scene, tagged, bodies = body_forms.scene, body_forms.tagged, body_forms.bodies
     space, index_map = body_forms.space, body_forms.space.dofmap.index_map
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
-    rows, places = frames.owned(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
+    rows, frame_rows = frames.owned(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
     support_of_frames = support[rows]
     active_supports = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
     tags = cell_tags(tagged)
@@ -52,9 +52,9 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
     for body in reversed(range(len(bodies.names))):
         # Supports of other bodies do not hold the nodes of a rigid region: they give jumps.
         for region in sorted(rigid.intersection(bodies.names[body].split(" + "))):
-            moved = touched_nodes(space, tags == tagged.regions[region])
-            support[: len(moved)][moved] = -1
-            support_of_frames[moved[rows]] = -1
+            rigid_nodes = touched_nodes(space, tags == tagged.regions[region])
+            support[: len(rigid_nodes)][rigid_nodes] = -1
+            support_of_frames[rigid_nodes[rows]] = -1
         for s in active_supports:
             patch = patches[s]
             facets_of_body = patch.facets[bodies.of_tag[tags[patch.cells]] == body]
@@ -62,7 +62,7 @@ def _support_of_dofs(body_forms: BodyForms, stage: int, frames: Frames | None) -
             for c in np.flatnonzero(scene.supports[s].components):
                 support[nodes, c] = s
         if frames:
-            facets_of_body = frames.support(places, body, active_supports)
+            facets_of_body = frames.support(frame_rows, body, active_supports)
             support_of_frames = np.where(facets_of_body >= 0, facets_of_body, support_of_frames)
     support[rows] = support_of_frames
     return support[: index_map.size_local]
@@ -82,14 +82,14 @@ def _prescribed_values(
     x = space.tabulate_dof_coordinates()[: len(support_of)]
 
     def values() -> Floats:
-        result = np.zeros((len(scene.supports), *support_of.shape))
+        displacements = np.zeros((len(scene.supports), *support_of.shape))
         for s, term in enumerate(scene.supports):
             rows = np.flatnonzero((support_of == s).any(axis=1))
             values = term.values(x[rows])
             if axes is not None:
                 values = np.einsum("nic,ni->nc", axes[rows], values)
-            result[s, rows] = np.where(support_of[rows] == s, values, 0.0)
-        return result
+            displacements[s, rows] = np.where(support_of[rows] == s, values, 0.0)
+        return displacements
 
     return everywhere(space.mesh.comm, values)
 
@@ -149,25 +149,27 @@ class Constraints:
         x = space.tabulate_dof_coordinates()[:nodes]
         region = self._rigid_region_of(body_forms, nodes)
         moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
-        free = np.flatnonzero(region == FREE)
-        free_unknowns = 3 * len(free)
+        free_nodes = np.flatnonzero(region == FREE)
+        free_unknowns = 3 * len(free_nodes)
         unknowns = free_unknowns + (6 * len(moving) if comm.rank == 0 else 0)
         start, first_rigid = comm.exscan(unknowns) or 0, comm.bcast(free_unknowns)
 
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         oblique = np.zeros(nodes, dtype=bool)
         if frames:
-            rows, places = frames.owned(space.dofmap.index_map)
-            axes[rows], oblique[rows] = frames.axes[places], region[rows] == FREE
+            rows, entry_columns = frames.owned(space.dofmap.index_map)
+            axes[rows], oblique[rows] = frames.axes[entry_columns], region[rows] == FREE
 
         # Free nodes: supports, prescribed values and rigid modes.
         prescribed = _prescribed_values(scene, space, support_of, axes)
         self.constrained = np.zeros(unknowns, dtype=bool)
-        self.constrained[:free_unknowns] = (support_of[free] >= 0).ravel()
+        self.constrained[:free_unknowns] = (support_of[free_nodes] >= 0).ravel()
         self.unit = np.zeros((len(prescribed), unknowns))
-        self.unit[:, :free_unknowns] = prescribed[:, free].reshape(len(prescribed), free_unknowns)
+        self.unit[:, :free_unknowns] = prescribed[:, free_nodes].reshape(
+            len(prescribed), free_unknowns
+        )
         self.modes = np.zeros((6, unknowns))
-        modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
+        modes = axes[free_nodes].swapaxes(1, 2) @ rigid_modes(x[free_nodes])
         self.modes[:, :free_unknowns] = modes.reshape(-1, 6).T
         reacting = (support_of >= 0) & (region == FREE)[:, None]
         reacting[oblique] = reacting[oblique].any(axis=1, keepdims=True)
@@ -175,8 +177,8 @@ class Constraints:
         # Rows of P by node and component: one entry, with local axes three, in a rigid region six.
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
         entries = np.zeros((nodes, 3, 6))
-        columns[free, :, 0] = start + np.arange(free_unknowns).reshape(-1, 3)
-        entries[free, :, 0] = 1
+        columns[free_nodes, :, 0] = start + np.arange(free_unknowns).reshape(-1, 3)
+        entries[free_nodes, :, 0] = 1
         columns[oblique, :, :3] = columns[oblique, :, 0][:, None]
         entries[oblique, :, :3] = axes[oblique]
         for k, name in enumerate(moving):
@@ -197,8 +199,8 @@ class Constraints:
 
         is_entry = columns.reshape(-1, 6) >= 0
         pointer = np.concatenate([[0], np.cumsum(is_entry.sum(axis=1))])
-        places, values = columns.reshape(-1, 6)[is_entry], entries.reshape(-1, 6)[is_entry]
-        self._P = from_rows(comm, (3 * nodes, unknowns), pointer, places, values)
+        entry_columns, values = columns.reshape(-1, 6)[is_entry], entries.reshape(-1, 6)[is_entry]
+        self._P = from_rows(comm, (3 * nodes, unknowns), pointer, entry_columns, values)
 
     def _rigid_region_of(self, body_forms: BodyForms, nodes: int) -> Ints:
         """Rigid region or driven boundary of owned nodes by number, FREE or FOLLOWS (nodes,)."""
@@ -343,11 +345,13 @@ class Constraints:
         """P ũ, a new vector."""
         return self._P * u if self._P else u.copy()
 
-    def transfer_rotated_axes(self, u: PETSc.Vec, old: Constraints) -> None:
+    def transfer_rotated_axes(self, u: PETSc.Vec, old_constraints: Constraints) -> None:
         """Transform the motions of rigid regions from the old axes to these."""
         for place, basis in self._rigid_bases.items():
-            six = slice(place, place + 6)
-            u.array[six] = basis.T @ old._rigid_bases[place] @ u.array[six]
+            six_motions = slice(place, place + 6)
+            u.array[six_motions] = (
+                basis.T @ old_constraints._rigid_bases[place] @ u.array[six_motions]
+            )
 
     def contract(self, nodal: Floats) -> PETSc.Vec:
         """Find ũ from U = P ũ at owned nodes (3 nodes) by the normal equations; collective.
@@ -395,11 +399,12 @@ def _constrained_motions(
         if np.abs(rows @ motion - prescribed_sum).max() > 1e-9 * max(
             np.abs(prescribed_sum).max(), 1.0
         ):
-            names = ", ".join(
+            support_names = ", ".join(
                 scene.supports[s].name for s in same_history if prescribed_values[s].any()
             )
             raise InputError(
-                f"supports.{names}: the rigid region '{region}' cannot satisfy these values "
+                f"supports.{support_names}: the rigid region '{region}' cannot satisfy these"
+                " values "
                 "together with its other supports; expected values of one rigid motion"
             )
         amounts[same_history[0]] = basis.T @ motion

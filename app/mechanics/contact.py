@@ -152,12 +152,10 @@ class TrialState:
         steps in which points close or open. It contains the normal energy of a layer, which is
         released when the layer opens.
         """
-        contact, law, before, weight = (
-            self.contact,
-            self.law,
-            self.contact.state,
-            self.contact.local.weight,
-        )
+        contact = self.contact
+        law = self.law
+        state_before = self.contact.state
+        weight = self.contact.local.weight
         step, opening = self.jump - contact.reference, contact.opening(self.jump)
         force = contact.forces(self.equilibrium) + contact.local.tangential_held(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
@@ -166,30 +164,34 @@ class TrialState:
         friction_work = np.einsum("pi,pi->p", *self.friction_and_slip())
         dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
         layer_energy = np.einsum("pi,pij,pj->p", force, contact.law.compliance, force) / 2
-        slip_length = self.sliding(step - self._layer_stretch(friction - before.friction))
+        slip_length = self.sliding(step - self._layer_stretch(friction - state_before.friction))
         slip_length = np.linalg.norm(
-            np.where(contact.law.slides[:, None], slip_length, slip - before.slip), axis=1
+            np.where(contact.law.slides[:, None], slip_length, slip - state_before.slip), axis=1
         )
         contact_work = (
-            np.einsum("pi,pi->p", before.force - before.friction - normal, opening - before.opening)
+            np.einsum(
+                "pi,pi->p",
+                state_before.force - state_before.friction - normal,
+                opening - state_before.opening,
+            )
             / 2
         )
         return ContactState(
             jump=self.jump.copy(),
-            inserted=before.inserted,
+            inserted=state_before.inserted,
             force=force,
             friction=friction,
             opening=opening,
             slip=slip,
             step_slip=slip_length,
-            path=before.path + slip_length,
+            path=state_before.path + slip_length,
             stored=weight * (outputs["stored"] + layer_energy),
-            dissipation=before.dissipation + dissipated,
-            smallest_dissipation=np.minimum(before.smallest_dissipation, dissipated),
-            contact_work=before.contact_work + weight * contact_work,
-            work=before.work
+            dissipation=state_before.dissipation + dissipated,
+            smallest_dissipation=np.minimum(state_before.smallest_dissipation, dissipated),
+            contact_work=state_before.contact_work + weight * contact_work,
+            work=state_before.work
             + weight
-            * np.einsum("pi,pi->p", (force + before.force) / 2, self.jump - contact.carried),
+            * np.einsum("pi,pi->p", (force + state_before.force) / 2, self.jump - contact.carried),
             internal_variables=law.internal_variables,
         )
 
@@ -434,10 +436,12 @@ class ContactInterfaces:
 
         Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
         """
-        free = self._weakly_resisted_motions(
+        free_motions = self._weakly_resisted_motions(
             touched & self._resists_all_jumps, touched & ~self._resists_all_jumps, FREE_RESISTANCE
         )
-        takes_part = np.linalg.norm(free.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
+        takes_part = (
+            np.linalg.norm(free_motions.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
+        )
         return {int(body) for body in np.flatnonzero(takes_part)}
 
     def free_motions(self, status: Ints) -> Floats:
@@ -618,16 +622,16 @@ class ContactInterfaces:
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
         """Residual e + W P at local points (n, 3) [N]; prescribed jumps where supports hold."""
-        local, free = self.local, self.local.project_free
+        local, project_free = self.local, self.local.project_free
         r = e + local.weight[:, None] * law.force
         scale = self.law.stiffness * local.weight
-        return free(r) + scale[:, None] * (q - free(q) - self.prescribed)
+        return project_free(r) + scale[:, None] * (q - project_free(q) - self.prescribed)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
         """Factors (n, 3, 3) of [C^T, D] in the Jacobian rows, and blocks (n, 3, 3) added to D."""
-        held, weight = self.local.projector, self.local.weight
-        free = np.eye(3) - held
-        P = free @ law.by_multiplier @ self.law.multiplier_share @ free
-        by_jump = free @ law.by_jump @ free
+        held_projector, weight = self.local.projector, self.local.weight
+        free_projector = np.eye(3) - held_projector
+        P = free_projector @ law.by_multiplier @ self.law.multiplier_share @ free_projector
+        by_jump = free_projector @ law.by_jump @ free_projector
         scale = (self.law.stiffness * weight)[:, None, None]
-        return free - P, weight[:, None, None] * by_jump + scale * held
+        return free_projector - P, weight[:, None, None] * by_jump + scale * held_projector

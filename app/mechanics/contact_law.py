@@ -89,8 +89,8 @@ class PointForces:
         """
         of_law, r = self.by_law, self.stiffness[:, None]
         sizes, axes = np.linalg.eigh((of_law + of_law.transpose(0, 2, 1)) / 2)
-        shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
-        return self.by_multiplier + (axes * shares[:, None, :]) @ axes.transpose(0, 2, 1)
+        resisted_shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
+        return self.by_multiplier + (axes * resisted_shares[:, None, :]) @ axes.transpose(0, 2, 1)
 
 
 # Rows of points with the same number of faces and laws of the same form, with their compiled law
@@ -186,7 +186,7 @@ class PointLaw:
             for face_count, form_number in zip(points.faces, form_of_point, strict=True)
             if face_count
         }
-        groups = []
+        compiled_groups = []
         for face_count, form_number in sorted(set().union(*self._comm.allgather(local_groups))):
             rows = np.flatnonzero((points.faces == face_count) & (form_of_point == form_number))
             law = next(law for law in laws if law.form == forms[form_number])
@@ -197,8 +197,8 @@ class PointLaw:
                 if law.debonded_contact is None
                 else _compile_law(self._comm, normals, law.debonded_contact)
             )
-            groups.append((rows, law, compiled, debonded))
-        return groups
+            compiled_groups.append((rows, law, compiled, debonded))
+        return compiled_groups
 
     def set_normals(self, points: Ints) -> None:
         """Set the normals of points of one face to their current values."""
@@ -277,7 +277,7 @@ class PointLaw:
             "r": r,
             "live": np.full(n, float(not self.frozen)),
         }
-        out = PointForces(
+        point_forces = PointForces(
             force=np.zeros((n, 3)),
             by_multiplier=np.zeros((n, 3, 3)),
             by_jump=np.zeros((n, 3, 3)),
@@ -296,28 +296,35 @@ class PointLaw:
             }
             law_inputs = {k: v[rows] for k, v in law_inputs.items()}
             response = self._evaluate_law(rows, compiled, law_inputs, state.friction[rows])
-            out.force[rows] = response["force"]
+            point_forces.force[rows] = response["force"]
             by_multiplier = response.get("by_multiplier", 0.0)
-            out.by_multiplier[rows] = by_multiplier
-            out.by_jump[rows] = response.get("by_jump", r[rows, None, None] * by_multiplier)
+            point_forces.by_multiplier[rows] = by_multiplier
+            point_forces.by_jump[rows] = response.get(
+                "by_jump", r[rows, None, None] * by_multiplier
+            )
             pressures = response["pressures"]
-            out.pressures[rows, : pressures.shape[1]] = pressures
-            out.status[rows] = np.rint(response["status"]).astype(np.int64)
+            point_forces.pressures[rows, : pressures.shape[1]] = pressures
+            point_forces.status[rows] = np.rint(response["status"]).astype(np.int64)
             for name in law.internal_variables:
-                out.internal_variables[name][rows] = response[f"new {name}"]
+                point_forces.internal_variables[name][rows] = response[f"new {name}"]
             for name in OUTPUTS.keys() & response.keys():
-                out.outputs[name][rows] = response[name]
+                point_forces.outputs[name][rows] = response[name]
             if debonded is not None:
                 contact_inputs = {name: law_inputs[name] for name in inputs}
-                self._add_debonded_contact(rows, law, debonded, contact_inputs, state, out)
+                self._add_debonded_contact(rows, law, debonded, contact_inputs, state, point_forces)
         if self.constrained.any():
-            self._constrain(out, force, jump + gap, state.jump)
+            self._constrain(point_forces, force, jump + gap, state.jump)
         is_opened = self.opened & self.slides
         if is_opened.any():
-            for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
+            for values in (
+                point_forces.force,
+                point_forces.by_multiplier,
+                point_forces.by_jump,
+                point_forces.pressures,
+            ):
                 values[is_opened] = 0.0
-            out.status[is_opened] = OPEN
-        return out
+            point_forces.status[is_opened] = OPEN
+        return point_forces
 
     def _evaluate_law(
         self, rows: Ints, compiled: Pointwise, inputs: dict[str, Floats], last_friction: Floats
@@ -371,7 +378,7 @@ class PointLaw:
         contact: Pointwise,
         inputs: dict[str, Floats],
         state: ContactState,
-        out: PointForces,
+        point_forces: PointForces,
     ) -> None:
         r"""Add contact on the broken share s of a law of traction T.
 
@@ -380,53 +387,59 @@ class PointLaw:
         Its code is that of contact alone: one kernel for T and P together takes ffcx minutes.
         """
         points, r = self._points, inputs["r"]
-        share = out.outputs["broken"][rows]
-        in_contact = (share > 0) & ~self.opened[rows]
-        traction, traction_by_jump = out.force[rows], out.by_jump[rows]
-        free = np.eye(3) - points.held_tangents[rows]
-        inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, traction)
+        broken_share = point_forces.outputs["broken"][rows]
+        in_contact = (broken_share > 0) & ~self.opened[rows]
+        traction, traction_by_jump = point_forces.force[rows], point_forces.by_jump[rows]
+        free_projector = np.eye(3) - points.held_tangents[rows]
+        inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free_projector, traction)
         if law.friction > 0:
-            inputs["μ"] = self._friction[rows] * share
+            inputs["μ"] = self._friction[rows] * broken_share
         response = self._evaluate_law(rows, contact, inputs, state.friction[rows])
-        contact_force, by_multiplier, pressures = (
-            response["force"],
-            response["by_multiplier"],
-            response["pressures"],
-        )
+        contact_force = response["force"]
+        by_multiplier = response["by_multiplier"]
+        pressures = response["pressures"]
         status = np.rint(response["status"]).astype(np.int64)
         friction = contact_force + np.einsum(
             "pk,pki->pi", pressures, points.normals[rows, : pressures.shape[1]]
         )
         is_slipping = in_contact & (status == SLIP)
-        by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - free @ traction_by_jump)
+        by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - free_projector @ traction_by_jump)
         # The disc of friction grows with the broken share.
-        by_share = np.where(is_slipping, 1 / np.where(in_contact, share, 1.0), 0.0)[:, None, None]
-        by_jump += by_share * friction[:, :, None] * out.outputs["broken_by_jump"][rows][:, None, :]
+        by_share = np.where(is_slipping, 1 / np.where(in_contact, broken_share, 1.0), 0.0)[
+            :, None, None
+        ]
+        by_jump += (
+            by_share
+            * friction[:, :, None]
+            * point_forces.outputs["broken_by_jump"][rows][:, None, :]
+        )
         contact_rows = rows[in_contact]
-        out.force[contact_rows] += contact_force[in_contact]
-        out.by_multiplier[contact_rows] = by_multiplier[in_contact]
-        out.by_jump[contact_rows] += by_jump[in_contact]
-        out.pressures[contact_rows, : pressures.shape[1]] += pressures[in_contact]
-        out.status[contact_rows] = status[in_contact]
-        force_deficit = np.einsum("pij,pj->pi", free, inputs["force"] - contact_force)
+        point_forces.force[contact_rows] += contact_force[in_contact]
+        point_forces.by_multiplier[contact_rows] = by_multiplier[in_contact]
+        point_forces.by_jump[contact_rows] += by_jump[in_contact]
+        point_forces.pressures[contact_rows, : pressures.shape[1]] += pressures[in_contact]
+        point_forces.status[contact_rows] = status[in_contact]
+        force_deficit = np.einsum("pij,pj->pi", free_projector, inputs["force"] - contact_force)
         slip = inputs["jump"] - inputs["old"] + force_deficit / r[:, None]
-        out.debonded_friction_work[rows] = np.where(
+        point_forces.debonded_friction_work[rows] = np.where(
             is_slipping, np.einsum("pi,pi->p", friction, slip), 0.0
         )
-        motion = np.zeros_like(out.force)
+        motion = np.zeros_like(point_forces.force)
         motion[rows] = inputs["jump"] + inputs["gap"]
-        tangential_motion = points.tangential(motion, out.pressures > 0)
+        tangential_motion = points.tangential(motion, point_forces.pressures > 0)
         closed = contact_rows[status[in_contact] != OPEN]
-        out.outputs["slip"][closed] = tangential_motion[closed]
+        point_forces.outputs["slip"][closed] = tangential_motion[closed]
 
-    def _constrain(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
+    def _constrain(
+        self, point_forces: PointForces, force: Floats, opening: Floats, old_jump: Floats
+    ) -> None:
         points, constrained = self._points, self.constrained
-        old_slip = points.tangential(old, np.ones((len(points), 3), dtype=bool))
+        old_slip = points.tangential(old_jump, np.ones((len(points), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - old_slip)
-        out.force[constrained] = points.project_free(trial)[constrained]
-        out.by_multiplier[constrained] = np.eye(3)
-        out.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
-        out.status[constrained] = STICK
+        point_forces.force[constrained] = points.project_free(trial)[constrained]
+        point_forces.by_multiplier[constrained] = np.eye(3)
+        point_forces.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
+        point_forces.status[constrained] = STICK
 
 
 def _start_of_held_force(
@@ -445,11 +458,11 @@ def _start_of_held_force(
         Mask of the points whose prescribed jump changes (n,), size of the trial force (n,) [MPa],
         and first force (n, 3) [MPa]. At points at rest this is the last friction.
     """
-    jump, old = inputs["jump"], inputs["old"]
-    slip = np.einsum("pij,pj->pi", H, jump - old)
+    jump, old_jump = inputs["jump"], inputs["old"]
+    slip = np.einsum("pij,pj->pi", H, jump - old_jump)
     size = np.linalg.norm(slip, axis=1)
     is_sliding = size > REST_TOLERANCE * (
-        np.linalg.norm(jump, axis=1) + np.linalg.norm(old, axis=1)
+        np.linalg.norm(jump, axis=1) + np.linalg.norm(old_jump, axis=1)
     )
     opening = np.linalg.norm(jump + inputs["gap"], axis=1)
     scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
@@ -473,10 +486,10 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
         internal_variables = {name: x[name] for name in law.internal_variables}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
         normals_of_point = contact.Faces.of([x[f] for f in faces], [x[d] for d in duals])
-        at = AtPoint(*state, normals_of_point, x["r"], values, internal_variables, x["live"])
-        response = law.response(at)
-        names = ("force", "by_multiplier", "by_jump", "pressures", "status", *OUTPUTS)
-        outputs = {name: getattr(response, name) for name in names}
+        at_point = AtPoint(*state, normals_of_point, x["r"], values, internal_variables, x["live"])
+        response = law.response(at_point)
+        output_names = ("force", "by_multiplier", "by_jump", "pressures", "status", *OUTPUTS)
+        outputs = {name: getattr(response, name) for name in output_names}
         outputs |= {f"new {name}": as_ufl(e) for name, e in response.internal_variables.items()}
         return {name: e for name, e in outputs.items() if e is not None}
 
@@ -493,8 +506,8 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
 
 def _note(law: InterfaceLaw, key: str) -> Path | None:
     module = sys.modules[type(law).__module__]
-    known = getattr(module, "__file__", None) is not None
-    return pointwise.note_of(key, (*SOURCES, module)) if known else None
+    has_file = getattr(module, "__file__", None) is not None
+    return pointwise.note_of(key, (*SOURCES, module)) if has_file else None
 
 
 def _compliance(normals: Floats, faces: Ints, across: float, along: float) -> Floats:

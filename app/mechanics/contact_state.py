@@ -48,9 +48,17 @@ class LocalPoints:
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> LocalPoints:
         """Select the points that a rank owns."""
-        names = ("interface", "x", "bodies", "faces", "normals", "weight", "held_tangents")
-        kept = {name: getattr(points, name)[rows] for name in names}
-        return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **kept)
+        attribute_names = (
+            "interface",
+            "x",
+            "bodies",
+            "faces",
+            "normals",
+            "weight",
+            "held_tangents",
+        )
+        attributes = {name: getattr(points, name)[rows] for name in attribute_names}
+        return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **attributes)
 
     def __len__(self) -> int:
         """Number of points."""
@@ -113,14 +121,14 @@ class ContactState:
     @classmethod
     def at_rest(cls, gap: Floats, shapes: Mapping[str, tuple[int, ...]]) -> ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' internal variables."""
-        zero, none = np.zeros_like(gap), np.zeros(len(gap))
+        zero, zero_sizes = np.zeros_like(gap), np.zeros(len(gap))
         values = {name: np.zeros((len(gap), *shape)) for name, shape in shapes.items()}
-        steps = (none, none, none, none, none, none, none)
+        steps = (zero_sizes, zero_sizes, zero_sizes, zero_sizes, zero_sizes, zero_sizes, zero_sizes)
         return cls(zero, zero, zero, zero, gap, zero, *steps, values)
 
 
 def prescribed_jump(
-    points: ContactPoints, rows: Ints, number: int, support: Support, moved: Floats
+    points: ContactPoints, rows: Ints, number: int, support: Support, rigid_displacement: Floats
 ) -> Floats:
     """Jump prescribed by a support at full amplitude, at local points (n, 3) [mm].
 
@@ -129,19 +137,27 @@ def prescribed_jump(
         rows: Local points (n,).
         number: Index of the support.
         support: The support.
-        moved: Displacement of the nodes of local points that it prescribes (n, 3) [mm].
+        rigid_displacement: Displacement of the nodes of local points that it prescribes (n, 3) [mm].
     """
-    given, axes, x = points.given[rows], points.axes[rows], points.x[rows]
+    support_of_component, axes, x = points.given[rows], points.axes[rows], points.x[rows]
     jump = np.zeros(x.shape)
     for side, sign in ((0, -1.0), (1, 1.0)):
-        for support_index, values in ((number, None), (RIGIDLY, moved)):
-            rows_of_side = np.flatnonzero((given[:, :, side] == support_index).any(axis=1))
+        for support_index, values in ((number, None), (RIGIDLY, rigid_displacement)):
+            rows_of_side = np.flatnonzero(
+                (support_of_component[:, :, side] == support_index).any(axis=1)
+            )
             if not len(rows_of_side):
                 continue
             of_side = support.values(x[rows_of_side]) if values is None else values[rows_of_side]
-            along = np.einsum("pic,pi->pc", axes[rows_of_side], of_side)
-            along = np.where(given[rows_of_side][:, :, side] == support_index, along, 0.0)
-            jump[rows_of_side] += sign * np.einsum("pic,pc->pi", axes[rows_of_side], along)
+            component_values = np.einsum("pic,pi->pc", axes[rows_of_side], of_side)
+            component_values = np.where(
+                support_of_component[rows_of_side][:, :, side] == support_index,
+                component_values,
+                0.0,
+            )
+            jump[rows_of_side] += sign * np.einsum(
+                "pic,pc->pi", axes[rows_of_side], component_values
+            )
     return jump
 
 
@@ -158,31 +174,31 @@ def with_rigid_regions(
     the vertex under all constraints.
     """
     scene, bodies, space = body_forms.scene, body_forms.bodies, body_forms.space
-    tags, low = cell_tags(body_forms.tagged), space.dofmap.index_map.local_range[0]
+    tags, first_owned = cell_tags(body_forms.tagged), space.dofmap.index_map.local_range[0]
     dof, first = np.unique(facets.dofs[:, :3], return_index=True)
     vertex = facets.vertices.ravel()[first]
-    parts = [(holds.vertex, holds.body, holds.support, holds.rigid)]
+    all_holds = [(holds.vertex, holds.body, holds.support, holds.rigid)]
     for rigid in scene.rigid:
         region = rigid.region
         region_nodes = np.flatnonzero(
             touched_nodes(space, tags == body_forms.tagged.regions[region])
         )
-        held_vertices = np.flatnonzero(np.isin(dof, region_nodes + low))
+        held_vertices = np.flatnonzero(np.isin(dof, region_nodes + first_owned))
         of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[held_vertices]]).reshape(
             -1, 3, 3
         )
         is_prescribed = np.ones((len(held_vertices), 3), dtype=bool)
         for stage_constraints in constraints:
             is_prescribed &= stage_constraints.prescribed_components(
-                dof[held_vertices] - low, of_node
+                dof[held_vertices] - first_owned, of_node
             )
         body = np.full(len(held_vertices), bodies.of_region[region])
         support = np.where(is_prescribed, RIGIDLY, -1)
         rows = vertex[held_vertices], body, support, np.ones(len(held_vertices), dtype=bool)
         vertices, of_bodies, supports, at_rigid = gather(body_forms.mesh.comm, *rows)
-        parts.append((vertices, of_bodies, supports, at_rigid))
+        all_holds.append((vertices, of_bodies, supports, at_rigid))
     # A rigid region replaces supports of its body at the same vertex.
-    columns = [np.concatenate(column) for column in zip(*reversed(parts), strict=True)]
+    columns = [np.concatenate(column) for column in zip(*reversed(all_holds), strict=True)]
     sides = np.column_stack(columns[:2])
     first_rows = np.unique(sides, axis=0, return_index=True)[1]
     return Holds(*(column[first_rows] for column in columns))

@@ -79,8 +79,8 @@ class CreepState:
         self.measure, self.unit = ("cycles", "-") if laws[0].per is None else ("time", "s")
         self.rows = np.concatenate([rows[c.region].ravel() for c in laws])
         sizes = [rows[c.region].size for c in laws]
-        ends = np.cumsum([0, *sizes])
-        self.points_of_region = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(laws)}
+        row_ends = np.cumsum([0, *sizes])
+        self.points_of_region = {c.region: slice(*row_ends[k : k + 2]) for k, c in enumerate(laws)}
         volumes = [body_forms.places(c.region, points, weights)[1].ravel() for c in laws]
         self._volumes = np.concatenate(volumes)
         self._shape_functions = linear_shape_functions(points)
@@ -91,8 +91,8 @@ class CreepState:
         self._final_three_G = np.repeat(
             [1.5 * elastic[c.region].coefficients[1] for c in laws], sizes
         )
-        self.strain: Floats = np.zeros(ends[-1])
-        self.relaxed_stress: Floats = np.zeros((ends[-1], 6))
+        self.strain: Floats = np.zeros(row_ends[-1])
+        self.relaxed_stress: Floats = np.zeros((row_ends[-1], 6))
         self.elapsed = self.dissipated = self.length = 0.0
 
     def elastic_strain(self, stress: Floats) -> float:
@@ -100,9 +100,9 @@ class CreepState:
         strain = (von_mises(stress) / self._modulus).max(initial=0.0)
         return float(self._comm.allreduce(max(strain, NO_STRAIN), MPI.MAX))
 
-    def equivalent_strain(self, taken: Floats) -> Floats:
+    def equivalent_strain(self, relaxed_stress: Floats) -> Floats:
         """Equivalent creep strain (n,) that takes a stress (n, 6) [MPa]."""
-        return von_mises(taken) / self.three_G
+        return von_mises(relaxed_stress) / self.three_G
 
     def numbers(self, region: str) -> dict[str, float]:
         """Published creep strain of a region that creeps; collective."""
@@ -181,11 +181,11 @@ class CreepState:
         )
         return float(self._comm.allreduce(N.min(initial=np.inf), MPI.MIN))
 
-    def commit(self, before: Floats, after: Floats) -> None:
+    def commit(self, stress_before: Floats, stress_after: Floats) -> None:
         """Commit the current step, between two stresses (n, 6) [MPa]; collective."""
         self.strain = self.strain + self.equivalent_strain(self.relaxed_stress)
         strain = 1.5 * self.relaxed_stress / self.three_G[:, None]
-        work = self._volumes * ((before + after) / 2 * strain @ COMPONENT_WEIGHTS)
+        work = self._volumes * ((stress_before + stress_after) / 2 * strain @ COMPONENT_WEIGHTS)
         self.dissipated += float(self._comm.allreduce(work.sum()))
         self.elapsed += self.length
 

@@ -74,10 +74,10 @@ class Forces:
         part.scale(-1)
         return self.action([(body, part)])
 
-    def action(self, parts: Iterable[tuple[int, PETSc.Vec]]) -> Action:
+    def action(self, forces_on_bodies: Iterable[tuple[int, PETSc.Vec]]) -> Action:
         """Forces on displacement and jumps, of nodal forces on bodies by number; collective."""
         total = self._sum([])
-        for body, nodal_vector in parts:
+        for body, nodal_vector in forces_on_bodies:
             nodal = nodal_vector.array_r[: len(total.nodal)].copy()
             total.nodal[:] += nodal
             if self._contact and body in self._contact.coupling.jump_to_displacement:
@@ -96,9 +96,9 @@ class Forces:
             total.jump[:] += factor * action.jump
         return total
 
-    def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
+    def set_eigenforces(self, cause: str, forces_on_bodies: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
-        self._free_strain_actions[cause] = self.action(parts.items())
+        self._free_strain_actions[cause] = self.action(forces_on_bodies.items())
 
     def total_at(self, time: float) -> Action:
         """All forces at a time [N]."""
@@ -121,10 +121,12 @@ class Forces:
     def work_on_bodies(self, time: float, motions: Floats) -> Floats:
         """Work of the loads in motions (n, 3, k) of owned nodes, (bodies, k); collective."""
         work = np.zeros((len(self._bodies.names), motions.shape[2]))
-        flat = motions.reshape(-1, motions.shape[2])
+        motion_rows = motions.reshape(-1, motions.shape[2])
         for load in self._scene_loads:
             for body, nodal in nodal_forces(at_full_amplitude(load), self._body_forms).items():
-                work[body] += load.amplitude(time) * (nodal.array_r[: len(flat)] @ flat)
+                work[body] += load.amplitude(time) * (
+                    nodal.array_r[: len(motion_rows)] @ motion_rows
+                )
         return np.asarray(self.comm.allreduce(work))
 
     def work_bound(self, time: float, motion: Floats) -> float:

@@ -113,20 +113,22 @@ class FiniteSliding:
     def pair(self, jump: Floats) -> Paired:
         """Pair the points, at jumps of all points of this rank (n, 3) [mm]; collective."""
         self.paired = self._pair_with_surfaces(jump)
-        places = self.places(jump)
+        positions = self.places(jump)
         for i in self.followers.deformable:
             at_interface = self.interface_of_point == i
             point_number = self._points.rows[
                 self.rows[at_interface]
             ]  # in the order of the vertices
-            point_number, x = gather(self._comm, point_number, places[at_interface])
+            point_number, x = gather(self._comm, point_number, positions[at_interface])
             self.followers.pair(i, x[np.argsort(point_number)])
         return self.paired
 
     def touching(self, time: float) -> Floats:
         """Points of the surfaces touched last, in axes of the bodies at a time (m, 3) [mm]."""
-        R = self._of_points({i: self._scene.rotation(m, time) for i, m in self._motion.items()})
-        return self._centre + np.einsum("pji,pj->pi", R, self.paired.arm)
+        rotations = self._of_points(
+            {i: self._scene.rotation(m, time) for i, m in self._motion.items()}
+        )
+        return self._centre + np.einsum("pji,pj->pi", rotations, self.paired.arm)
 
     def places(self, jump: Floats) -> Floats:
         """Points in the axes of the bodies that they slide on (m, 3) [mm]."""
@@ -148,8 +150,8 @@ class FiniteSliding:
         reference[self.rows] += np.cross(self.step_rotation, self.paired.arm)
         return reference
 
-    def error(self, before: Floats, jump: Floats) -> Floats:
+    def error(self, jump_before: Floats, jump: Floats) -> Floats:
         """Error at jumps (n, 3) of the gap linearized about jumps before (n, 3): (m,) [mm]."""
-        paired, change = self.paired, (jump - before)[self.rows]
+        paired, change = self.paired, (jump - jump_before)[self.rows]
         linear_gap = paired.gap + np.einsum("pi,pi->p", paired.normal, change)
         return np.abs(self._pair_with_surfaces(jump).gap - linear_gap)

@@ -115,9 +115,9 @@ class Followers:
         self.rotating: dict[str, tuple[Ints, Ints]] = {}
         for m in scene.driven:
             of_body = bodies.of_tag[cell_tags(tagged)] == bodies.of_region[m.region]
-            moved = np.flatnonzero(touched_nodes(space, of_body))
-            driven = nodes_on(tagged, space, str(m.boundary))
-            self.rotating[m.name] = moved, driven[driven < nodes]
+            nodes_of_body = np.flatnonzero(touched_nodes(space, of_body))
+            driven_nodes = nodes_on(tagged, space, str(m.boundary))
+            self.rotating[m.name] = nodes_of_body, driven_nodes[driven_nodes < nodes]
         motions = {i: scene.motion_of(interfaces[i].master) for i in self.deformable}
         self._motions = {i: m.name for i, m in motions.items() if m}
         self.rotations: dict[str, Floats] = dict.fromkeys(self.rotating, np.eye(3))
@@ -135,16 +135,16 @@ class Followers:
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
         points = self._scene.contacts[i].law.mortar_points
         pairs = mortar(x, slave.triangles, master.smooth, points, MORTAR_REACH * float(edge))
-        before = self.pairs.get(i)
-        if before:
-            parts = zip(pairs[:3], before[:3], strict=True)
-            self.changed |= not all(np.array_equal(a, b) for a, b in parts)
+        pairs_before = self.pairs.get(i)
+        if pairs_before:
+            arrays_now_and_before = zip(pairs[:3], pairs_before[:3], strict=True)
+            self.changed |= not all(np.array_equal(a, b) for a, b in arrays_now_and_before)
         self.pairs[i] = pairs
 
     def _owned(self, dofs: Ints) -> Ints:
         """Local numbers of the owned nodes among global dofs."""
-        low, high = self._map.local_range
-        return dofs[(dofs >= low) & (dofs < high)] - low
+        first_owned, after_owned = self._map.local_range
+        return dofs[(dofs >= first_owned) & (dofs < after_owned)] - first_owned
 
     @property
     def owned_followers(self) -> Ints:
@@ -154,9 +154,9 @@ class Followers:
     def set_time(self, time: float) -> None:
         """Set the rotations to a time."""
         for m in self._scene.driven:
-            R, before = self._scene.rotation(m, time), self.rotations[m.name]
-            self.changed |= not np.array_equal(R, before)
-            self.rotations[m.name] = R
+            rotation, rotation_before = self._scene.rotation(m, time), self.rotations[m.name]
+            self.changed |= not np.array_equal(rotation, rotation_before)
+            self.rotations[m.name] = rotation
 
     def split_translations(self, nodal: Floats) -> tuple[Floats, dict[str, Floats]]:
         """Split displacements of owned nodes (n, 3) [mm] from translations of rotating bodies.
@@ -166,18 +166,20 @@ class Followers:
             body along x, y, z (3,), by motion; collective.
         """
         displacements, translations = nodal.copy(), {}
-        for name, (moved, driven) in self.rotating.items():
+        for name, (nodes_of_body, driven_nodes) in self.rotating.items():
             R = self.rotations[name]
-            total = self._comm.allreduce(np.append(nodal[driven].sum(axis=0), len(driven)))
+            total = self._comm.allreduce(
+                np.append(nodal[driven_nodes].sum(axis=0), len(driven_nodes))
+            )
             translations[name] = R @ total[:3] / total[3]
-            displacements[moved] -= R.T @ translations[name]
+            displacements[nodes_of_body] -= R.T @ translations[name]
         return displacements, translations
 
     def totals(self, forces: Floats) -> dict[str, Floats]:
         """Sum of forces on each rotating body along x, y, z (3,), by motion; collective."""
         return {
-            name: self._comm.allreduce(self.rotations[name] @ forces[moved].sum(axis=0))
-            for name, (moved, _) in self.rotating.items()
+            name: self._comm.allreduce(self.rotations[name] @ forces[nodes_of_body].sum(axis=0))
+            for name, (nodes_of_body, _) in self.rotating.items()
         }
 
     def join_translations(
@@ -185,16 +187,16 @@ class Followers:
     ) -> Floats:
         """Add translations to displacements of owned nodes (n, 3): inverse `split_translations`."""
         nodal = displacements.copy()
-        for name, (moved, _) in self.rotating.items():
-            nodal[moved] += self.rotations[name].T @ translations[name]
+        for name, (nodes_of_body, _) in self.rotating.items():
+            nodal[nodes_of_body] += self.rotations[name].T @ translations[name]
         return nodal
 
     def move_with_boundaries(self, nodal: Floats) -> Floats:
         """Displacements (n, 3) [mm] with rotating bodies moved like their driven boundaries."""
-        rest, translations = nodal.copy(), self.split_translations(nodal)[1]
-        for moved, _ in self.rotating.values():
-            rest[moved] = 0
-        return self.join_translations(rest, translations)
+        others_moved, translations = nodal.copy(), self.split_translations(nodal)[1]
+        for nodes_of_body, _ in self.rotating.values():
+            others_moved[nodes_of_body] = 0
+        return self.join_translations(others_moved, translations)
 
     def zero_elsewhere(self, nodal: Floats) -> Floats:
         """Vectors at owned nodes (3 nodes), set to zero at nodes that follow no others."""
@@ -214,29 +216,33 @@ class Followers:
     def to_global_axes(self, nodal: Floats) -> Floats:
         """Vectors at owned nodes (3 nodes), from the axes of their bodies to x, y, z."""
         vectors = nodal.reshape(-1, 3).copy()
-        for name, (moved, _) in self.rotating.items():
-            vectors[moved] = vectors[moved] @ self.rotations[name].T
+        for name, (nodes_of_body, _) in self.rotating.items():
+            vectors[nodes_of_body] = vectors[nodes_of_body] @ self.rotations[name].T
         return vectors.ravel()
 
     def places(self, x: Floats) -> Floats:
         """Positions of owned nodes (n, 3) [mm] after the rotations."""
         rotated = x.copy()
         for m in self._scene.driven:
-            moved, about = self.rotating[m.name][0], np.array(m.about)
-            rotated[moved] = about + (x[moved] - about) @ self.rotations[m.name].T
+            nodes_of_body, centre = self.rotating[m.name][0], np.array(m.about)
+            rotated[nodes_of_body] = centre + (x[nodes_of_body] - centre) @ self.rotations[m.name].T
         return rotated
 
     def matrix(self) -> PETSc.Mat:
         """G: displacements of all nodes from those that follow no other; collective."""
         self.changed = False
-        low, high = self._map.local_range
-        free = np.setdiff1d(np.arange(low, high), self.follower_dofs)
-        rows, columns, blocks = [free], [free], [np.broadcast_to(np.eye(3), (len(free), 3, 3))]
+        first_owned, after_owned = self._map.local_range
+        free_nodes = np.setdiff1d(np.arange(first_owned, after_owned), self.follower_dofs)
+        rows = [free_nodes]
+        columns = [free_nodes]
+        blocks = [np.broadcast_to(np.eye(3), (len(free_nodes), 3, 3))]
 
         def add(row: Ints, column: Ints, block: Floats) -> None:
-            owned = (row >= low) & (row < high)
-            for part, values in zip((rows, columns, blocks), (row, column, block), strict=True):
-                part.append(values[owned])
+            owned = (row >= first_owned) & (row < after_owned)
+            for collected, values in zip(
+                (rows, columns, blocks), (row, column, block), strict=True
+            ):
+                collected.append(values[owned])
 
         for i, (master, slave) in self.sides.items():
             pairs, R = self.pairs[i], self.rotations.get(self._motions.get(i, ""), np.eye(3))
@@ -248,21 +254,26 @@ class Followers:
             first_entry = np.cumsum(count) - count
             for end in (1, 2):
                 if i in self.deformable:
-                    ends = master.dofs[master.edges[:, end]]
-                    add(master.edges[:, 0], ends, master.halves[end - 1])
+                    end_dofs = master.dofs[master.edges[:, end]]
+                    add(master.edges[:, 0], end_dofs, master.halves[end - 1])
                 end_vertex = slave.edges[:, end]
                 edge = np.repeat(np.arange(len(end_vertex)), count[end_vertex])
-                entry = np.arange(len(edge)) + np.repeat(
+                entries = np.arange(len(edge)) + np.repeat(
                     first_entry[end_vertex] - (np.cumsum(count[end_vertex]) - count[end_vertex]),
                     count[end_vertex],
                 )
                 half_block = slave.halves[end - 1, edge]
-                add(slave.edges[edge, 0], master_dofs[entry], half_block @ blocks_of[entry])
+                add(slave.edges[edge, 0], master_dofs[entries], half_block @ blocks_of[entries])
         row, column = np.concatenate(rows), np.concatenate(columns)
         block: Floats = np.concatenate(blocks)
         k, i3, j3 = np.nonzero(block)  # most blocks are multiples of the identity
-        size = 3 * (high - low)
+        size = 3 * (after_owned - first_owned)
         self._G = from_triplets(
-            self._comm, size, size, 3 * (row[k] - low) + i3, 3 * column[k] + j3, block[k, i3, j3]
+            self._comm,
+            size,
+            size,
+            3 * (row[k] - first_owned) + i3,
+            3 * column[k] + j3,
+            block[k, i3, j3],
         )
         return self._G

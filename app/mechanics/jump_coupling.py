@@ -43,11 +43,9 @@ class JumpCoupling:
         self._strips: dict[int, fem.Form] = {}
         for body in map(int, np.unique(entries.body)):
             of_body = entries.body == body
-            row, column, value = (
-                entries.row[of_body],
-                entries.column[of_body],
-                entries.value[of_body],
-            )
+            row = entries.row[of_body]
+            column = entries.column[of_body]
+            value = entries.value[of_body]
             column = 3 * number[column // 3] + column % 3
             local = (row >= start) & (row < end)
             self.jump_to_displacement[body] = from_triplets(
@@ -75,8 +73,8 @@ class JumpCoupling:
 
     def update(self, constraints: Constraints, paired: bool = False) -> None:
         """Reassemble, in the same matrices, for changed stiffness, supports, or pairs alone."""
-        new = self._assemble(constraints, paired)
-        for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
+        new_coupling = self._assemble(constraints, paired)
+        for matrix, values in zip((self.C, self.D, self.Ct), new_coupling, strict=True):
             renew(matrix, values, constraints.follows)
 
     def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:

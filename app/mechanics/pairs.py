@@ -131,10 +131,8 @@ class SmoothSurface:
 
     def distance_beyond_rim(self, points: Floats, facet: Ints, barycentric: Floats) -> Floats:
         """Distance of points beyond the rim, along the surface, 0 if above it (p,) [mm]."""
-        normal, offset = (
-            self.normal(facet, barycentric),
-            points - self._mean(self.x, facet, barycentric),
-        )
+        normal = self.normal(facet, barycentric)
+        offset = points - self._mean(self.x, facet, barycentric)
         tangential = offset - np.einsum("pi,pi,pj->pj", offset, normal, normal)
         at_rim = ((barycentric == 0) & self._rim_edge[facet]).any(axis=1)
         at_rim |= ((barycentric == 1) & self._rim_node[self.triangles[facet]]).any(axis=1)
@@ -150,10 +148,8 @@ class SmoothSurface:
         vertices. On spheres and cylinders the formula is exact.
         """
         facet, barycentric, _ = self.closest(points)
-        mean, p = (
-            self._mean(self.normals, facet, barycentric),
-            self._mean(self.x, facet, barycentric),
-        )
+        mean = self._mean(self.normals, facet, barycentric)
+        p = self._mean(self.x, facet, barycentric)
         size, nodes = np.linalg.norm(mean, axis=1), self.triangles[facet]
         rise = np.einsum(
             "pk,pki,pki->p", barycentric, self.x[nodes] - p[:, None], self.normals[nodes]
@@ -184,10 +180,10 @@ class SmoothSurface:
         has_density = density[self.triangles].any(axis=(1, 2))
         triangles = self.triangles[has_density]
         points = np.einsum("qk,fki->fqi", barycentric, (self.x if x is None else x)[triangles])
-        parts = np.einsum(
+        facet_parts = np.einsum(
             "f,q,qk,fkv->fqv", self._area[has_density], weight, barycentric, density[triangles]
         )
-        return points.reshape(-1, 3), parts.reshape(-1, density.shape[1])
+        return points.reshape(-1, 3), facet_parts.reshape(-1, density.shape[1])
 
 
 def orient(x: Floats, triangles: Ints, outward: Floats) -> Ints:
@@ -223,7 +219,7 @@ def mortar(
     covered_area = np.einsum(
         "f,q,qk,fq->fk", area, weight, barycentric, faces.reshape(-1, point_count)
     )
-    covered = _sum_by_node(triangles, covered_area, node_count) / node_area
+    covered_fraction = _sum_by_node(triangles, covered_area, node_count) / node_area
     is_near = (faces & (np.abs(distance) <= reach)).reshape(-1, point_count).all(axis=1)
     is_mortar = ~np.isin(np.arange(node_count), triangles[~is_near])
     dual = (
@@ -236,11 +232,13 @@ def mortar(
     facet, master_barycentric, _ = master.closest(x[other_nodes])
     key = np.concatenate([rows[in_mortar_row], np.repeat(other_nodes, 3)]) * len(master.x)
     key += np.concatenate([columns[in_mortar_row], master.triangles[facet].ravel()])
-    pair, entry = np.unique(key, return_inverse=True)
+    pair, entry_of_pair = np.unique(key, return_inverse=True)
     values = _sum_by_node(
-        entry, np.concatenate([entries[in_mortar_row], master_barycentric.ravel()]), len(pair)
+        entry_of_pair,
+        np.concatenate([entries[in_mortar_row], master_barycentric.ravel()]),
+        len(pair),
     )
-    return Pairs(*np.divmod(pair, len(master.x)), values, covered, is_mortar)
+    return Pairs(*np.divmod(pair, len(master.x)), values, covered_fraction, is_mortar)
 
 
 def triangle_rule(points: int) -> tuple[Floats, Floats]:
@@ -251,10 +249,10 @@ def triangle_rule(points: int) -> tuple[Floats, Floats]:
     orbits = [sorted(set(permutations((a, b, 1 - a - b)))) for _, a, b in DEGREE_6]
     barycentric = np.concatenate(orbits)
     weight = np.repeat([w for w, _, _ in DEGREE_6], [len(orbit) for orbit in orbits])
-    parts = [(1 - np.eye(3)) / 2, *((np.eye(3) + corner) / 2 for corner in np.eye(3))]
+    sub_triangles = [(1 - np.eye(3)) / 2, *((np.eye(3) + corner) / 2 for corner in np.eye(3))]
     while len(barycentric) < points:
         barycentric, weight = (
-            np.concatenate([barycentric @ part for part in parts]),
+            np.concatenate([barycentric @ sub_triangle for sub_triangle in sub_triangles]),
             np.tile(weight / 4, 4),
         )
     return barycentric, weight / weight.sum()

@@ -98,7 +98,9 @@ class Extrapolation:
         self._past_states = [*[p for p in self._past_states if p[0] != time][-KEPT_STATES:], state]
 
 
-def least_residual_mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
+def least_residual_mixture(
+    solver: Solver, x: PETSc.Vec, other_states: Sequence[PETSc.Vec]
+) -> PETSc.Vec:
     r"""State of least linearized residual in the span of a state and others; collective.
 
     With x the state and d_i the differences of the others from it, it is x + sum s_i d_i with the
@@ -108,12 +110,12 @@ def least_residual_mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.
     """
     x = x.copy()
     residual = solver.residual(x)
-    steps = [x - state for state in others]
-    changes = [solver.residual(x + step) - residual for step in steps]
-    gram = np.array([[a.dot(b) for b in changes] for a in changes])
-    shares, *_ = np.linalg.lstsq(gram, [-a.dot(residual) for a in changes], rcond=1e-12)
-    for share, step in zip(shares, steps, strict=True):
-        x.axpy(share, step)
+    steps = [x - state for state in other_states]
+    residual_changes = [solver.residual(x + step) - residual for step in steps]
+    gram = np.array([[a.dot(b) for b in residual_changes] for a in residual_changes])
+    weights, *_ = np.linalg.lstsq(gram, [-a.dot(residual) for a in residual_changes], rcond=1e-12)
+    for weight, step in zip(weights, steps, strict=True):
+        x.axpy(weight, step)
     return x
 
 
@@ -195,8 +197,8 @@ class WarmStart:
         """A state times the factor that brings its loads and gaps nearest to those here."""
         x, causes = state
         square, product = (
-            float((self._inner_products(causes, other) / sizes)[:2].sum())
-            for other in (causes, target)
+            float((self._inner_products(causes, vector) / sizes)[:2].sum())
+            for vector in (causes, target)
         )
         factor = product / square if square > 0 and product > 0 else 1.0
         forces, gaps, friction = causes

@@ -94,9 +94,9 @@ class Problem:
         self.comm = tagged.mesh.comm
         points = tagged.mesh.geometry.x
         # A rank may be without cells, and then it has no points.
-        low = self.comm.allreduce(points.min(axis=0, initial=np.inf), np.minimum)
-        high = self.comm.allreduce(points.max(axis=0, initial=-np.inf), np.maximum)
-        self.size = float(np.linalg.norm(high - low))
+        lower_corner = self.comm.allreduce(points.min(axis=0, initial=np.inf), np.minimum)
+        upper_corner = self.comm.allreduce(points.max(axis=0, initial=-np.inf), np.maximum)
+        self.size = float(np.linalg.norm(upper_corner - lower_corner))
         self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
         self.body_forms = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.body_forms.space
@@ -269,8 +269,8 @@ class Problem:
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the constrained unknowns of a displacement to their current values."""
-        held = self.stiffness.constraints.constrained
-        u.array[held] = self.prescribed[held]
+        is_constrained = self.stiffness.constraints.constrained
+        u.array[is_constrained] = self.prescribed[is_constrained]
 
     # Residual and Jacobian
 
@@ -292,8 +292,10 @@ class Problem:
         if self.contact:
             self.contact.coupling.C.multAdd(q, r_u, r_u)
         r_u.axpy(-1.0, self.f)
-        held = self.stiffness.constraints.constrained
-        r_u.array[held] = self.stiffness.mean_diagonal * (u.array_r - self.prescribed)[held]
+        is_constrained = self.stiffness.constraints.constrained
+        r_u.array[is_constrained] = (
+            self.stiffness.mean_diagonal * (u.array_r - self.prescribed)[is_constrained]
+        )
         if self.contact is None or q is None or r_q is None:
             return None
         # Interfaces: equilibrium of the contact points, and the forces of their laws.
@@ -330,8 +332,8 @@ class Problem:
     def interface_scale(self, e: Floats) -> float:
         """Size of loads and interface forces, from equilibrium e (n, 3) [N]; collective."""
         assert self.contact is not None
-        parts = [float(np.sum(v**2)) for v in (self.contact.local.project_free(e), self.f_q)]
-        return self.load_size + float(np.sqrt(self.comm.allreduce(np.array(parts))).sum())
+        squared_sums = [float(np.sum(v**2)) for v in (self.contact.local.project_free(e), self.f_q)]
+        return self.load_size + float(np.sqrt(self.comm.allreduce(np.array(squared_sums))).sum())
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
         """Residual by rounding alone, large for a stiff body that moves [N]."""

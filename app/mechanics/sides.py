@@ -46,14 +46,14 @@ class Side:
         # The same on any number of ranks.
         order = np.lexsort(np.sort(numbers, axis=1).T)
         numbers, dofs, x, inside = numbers[order], dofs[order], x[order], inside[order]
-        _, first, vertex = np.unique(numbers, return_index=True, return_inverse=True)
-        vertices, triangles = dofs[:, :3].ravel()[first], vertex.reshape(-1, 3)
+        _, first_rows, vertex = np.unique(numbers, return_index=True, return_inverse=True)
+        vertices, triangles = dofs[:, :3].ravel()[first_rows], vertex.reshape(-1, 3)
         # The middle of an edge of a facet is opposite its vertex of the same number.
-        ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
-        edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
+        edge_ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
+        edges = np.concatenate([dofs[:, 3:, None], edge_ends[:, : dofs.shape[1] - 3]], axis=2)
         _, first_edge = np.unique(edges[..., 0], return_index=True)
         edges, middle = edges.reshape(-1, 3)[first_edge], x[:, 3:].reshape(-1, 3)
-        outward, x = x[:, 0] - inside, x[:, :3].reshape(-1, 3)[first]
+        outward, x = x[:, 0] - inside, x[:, :3].reshape(-1, 3)[first_rows]
         a, b = x[edges[:, 1:]].transpose(1, 0, 2)
         bending = bends(a, b, middle[first_edge] if len(middle) else (a + b) / 2)
         halves = np.eye(3) / 2 + np.stack([-bending, bending])

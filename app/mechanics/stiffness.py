@@ -118,13 +118,13 @@ class Stiffness:
 
         The displacement of the unknowns u is kept.
         """
-        before, self.stage = self.stage, stage
+        stage_before, self.stage = self.stage, stage
         scene = self._body_forms.scene
-        if all(scene.holds(s, before) == scene.holds(s, stage) for s in scene.supports):
+        if all(scene.holds(s, stage_before) == scene.holds(s, stage) for s in scene.supports):
             return False
-        old = self.constraints
+        old_constraints = self.constraints
         self.constraints = Constraints(self._body_forms, stage, self.frames, self.followers)
-        self.constraints.transfer_rotated_axes(u, old)
+        self.constraints.transfer_rotated_axes(u, old_constraints)
         self.update()
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
         return True
@@ -176,8 +176,8 @@ def support_resistance(
             nodes = np.asarray(fem.locate_dofs_topological(space, 2, facets), dtype=np.int64)
             P = np.tile(directions, (len(nodes), 1, 1))
             if k >= 0 and frames is not None:
-                rows, places = _rows_with_axes(frames.node, space.dofmap.index_map, nodes)
-                P[rows] = projectors(frames.axes[places], frames.along[places, k])
+                rows, frame_rows = _rows_with_axes(frames.node, space.dofmap.index_map, nodes)
+                P[rows] = projectors(frames.axes[frame_rows], frames.along[frame_rows, k])
             R = rigid_modes((x[nodes] - centre) / size)
             motion_resistance = comm.allreduce(np.einsum("nia,nij,njb->ab", R, P, R))
             resistance[body] = resistance.get(body, 0.0) + motion_resistance / (

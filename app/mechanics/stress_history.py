@@ -87,8 +87,10 @@ class StressHistory:
         self._initial_stress = fem.Function(space) if scene.creeps else self.stress_at_points
         self._committed_displacements = {b: fem.Function(body_forms.space) for b in self.bodies}
         self._displacement_steps = {b: fem.Function(body_forms.space) for b in self.bodies}
-        free = {*body_forms.growth, *body_forms.free_strain}
-        self._free_strain_step = {r: fem.Function(body_forms.scalars) for r in regions if r in free}
+        with_free_strain = {*body_forms.growth, *body_forms.free_strain}
+        self._free_strain_step = {
+            r: fem.Function(body_forms.scalars) for r in regions if r in with_free_strain
+        }
         # Growth and free strain of the last converged state, and those to come.
         nodes = (
             len(next(iter(self._free_strain_step.values())).x.array)
@@ -243,10 +245,8 @@ class StressHistory:
         Args:
             displacements: Of each body, ghosts included.
         """
-        increment, σ = (
-            self._stress_increment(displacements),
-            self.stress_at_points.x.array.reshape(-1, 6),
-        )
+        increment = self._stress_increment(displacements)
+        σ = self.stress_at_points.x.array.reshape(-1, 6)
         for b in self.bodies:
             self._committed_displacements[b].x.array[:] = displacements[b].x.array
         creep = self.creep
@@ -283,12 +283,12 @@ class StressHistory:
         σ = self.stress_at_points.x.array.reshape(-1, 6) + self._stress_increment(displacements)
         return np.asarray(σ[self.creep.rows])
 
-    def relax(self, taken: Floats, length: float) -> None:
+    def relax(self, relaxed_stress: Floats, length: float) -> None:
         """Set the stress that creep takes in a step of some cycles or seconds (n, 6) [MPa]."""
         assert self.creep is not None
-        self.creep.relaxed_stress, self.creep.length = taken, length
+        self.creep.relaxed_stress, self.creep.length = relaxed_stress, length
         self._initial_stress.x.array[:] = self.stress_at_points.x.array
-        self._initial_stress.x.array.reshape(-1, 6)[self.creep.rows] -= taken
+        self._initial_stress.x.array.reshape(-1, 6)[self.creep.rows] -= relaxed_stress
 
     def begin(self) -> None:
         """Return to rest, where nothing sets."""

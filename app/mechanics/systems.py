@@ -183,8 +183,8 @@ class ContactSystem(BondedSystem):
         # Forces at the points that do the work of the loads in these motions.
         borne_forces = w[:, None] * (jumps @ np.linalg.lstsq(products, work, rcond=None)[0])
         squared = self.comm.allreduce(np.einsum("pi,pi->", borne_forces, borne_forces))
-        limit = UNCERTAINTY_FACTOR**2 * weighted_doubt / np.trace(products) * forces
-        return (r + borne_forces if squared <= limit else r).ravel()
+        largest_squared = UNCERTAINTY_FACTOR**2 * weighted_doubt / np.trace(products) * forces
+        return (r + borne_forces if squared <= largest_squared else r).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
@@ -267,8 +267,8 @@ class ContactSystem(BondedSystem):
         if sliding is None or not sliding.followers.deformable:
             return None
         constraints, points = self._problem.stiffness.constraints, self.contact.points
-        low = self._problem.space.dofmap.index_map.local_range[0]
-        Q = constraints.rows_of(points.dof[self.contact.local.rows] - low)
+        first_owned = self._problem.space.dofmap.index_map.local_range[0]
+        Q = constraints.rows_of(points.dof[self.contact.local.rows] - first_owned)
         follows = Q.createVecLeft()
         follows.array.reshape(-1, 3)[sliding.rows[sliding.on_deformable]] = 1.0
         Q.diagonalScale(follows)
@@ -276,10 +276,10 @@ class ContactSystem(BondedSystem):
 
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
         """Residual of displacement and jumps without the law, and size of the forces [N]."""
-        out = x[0].duplicate()
-        self._problem.residual(x[0], x[1], out)
+        residual = x[0].duplicate()
+        self._problem.residual(x[0], x[1], residual)
         e = self.contact.coupling.equilibrium(x[0], x[1], self._problem.f_q)
-        return out.array, e.ravel(), self._problem.interface_scale(e)
+        return residual.array, e.ravel(), self._problem.interface_scale(e)
 
     def law(self, e: Floats, q: Floats) -> tuple[Floats, float]:
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
@@ -336,8 +336,10 @@ class ContactSystem(BondedSystem):
             self._coarse_motions, self._coarse_version = sliding_motions(self._problem), version
         free_projector, law = np.eye(3) - self.contact.local.projector, self.trial.law
         resisted = law.resisted @ self.contact.law.layer_share
-        free = free_projector @ free_directions(resisted) @ free_projector
-        self._coarse_motions.update(free, np.linalg.norm(law.by_law, axis=(1, 2)))
+        free_directions_of_points = free_projector @ free_directions(resisted) @ free_projector
+        self._coarse_motions.update(
+            free_directions_of_points, np.linalg.norm(law.by_law, axis=(1, 2))
+        )
         return self._coarse_motions
 
     @property

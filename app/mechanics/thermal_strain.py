@@ -54,14 +54,14 @@ class ThermalStrain:
 
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces of the present thermal strain on each body [N]."""
-        parts: dict[int, PETSc.Vec] = {}
+        forces_on_bodies: dict[int, PETSc.Vec] = {}
         for region, G in self._force_matrices.items():
             e, body = self._body_forms.free_strain[region], self.body[region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
-            parts.setdefault(body, G.createVecLeft())
-            G.multAdd(nodal, parts[body], parts[body])
-        return parts
+            forces_on_bodies.setdefault(body, G.createVecLeft())
+            G.multAdd(nodal, forces_on_bodies[body], forces_on_bodies[body])
+        return forces_on_bodies
 
     def stiffness(
         self,
@@ -87,14 +87,22 @@ class ThermalStrain:
         }
         columns = []
         for of_region in (scaled, by_jumps):
-            parts: dict[int, PETSc.Mat] = {}
-            for region, part in of_region.items():
+            matrices_of_bodies: dict[int, PETSc.Mat] = {}
+            for region, matrix in of_region.items():
                 body = self.body[region]
-                parts[body] = parts[body] + part if body in parts else part
+                matrices_of_bodies[body] = (
+                    matrices_of_bodies[body] + matrix if body in matrices_of_bodies else matrix
+                )
             by_body = contact.coupling.jump_to_displacement if contact else {}
-            jump_forces = [B.transposeMatMult(parts[b]) for b, B in by_body.items() if b in parts]
+            jump_forces = [
+                B.transposeMatMult(matrices_of_bodies[b])
+                for b, B in by_body.items()
+                if b in matrices_of_bodies
+            ]
             displacement_forces = (
-                stiffness.constraints.rows(reduce(add, parts.values())) if parts else None
+                stiffness.constraints.rows(reduce(add, matrices_of_bodies.values()))
+                if matrices_of_bodies
+                else None
             )
             if displacement_forces is not None:
                 displacement_forces.zeroRows(stiffness.rows, diag=0.0)
@@ -104,12 +112,12 @@ class ThermalStrain:
 
 def _force_matrix(body_forms: BodyForms, e: Elastic) -> PETSc.Mat:
     """Nodal forces of the bodies by the nodal thermal strain of a region, both of this rank."""
-    v, free = ufl.TestFunction(body_forms.space), ufl.TrialFunction(body_forms.scalars)
+    v, free_strain = ufl.TestFunction(body_forms.space), ufl.TrialFunction(body_forms.scalars)
     # One constant for any region: all isotropic ones share a compiled form.
     cells = [(1, body_forms.region_cells(e.region))]
     dx = ufl.Measure("dx", domain=body_forms.mesh, subdomain_data=cells)
     strain = body_forms.elastic_strain(e, body_forms.u)
     energy = body_forms.energy_density(e, strain) * body_forms.over(e, dx, 1)
     forces = -ufl.derivative(energy, body_forms.u, v)
-    form = ufl.derivative(forces, body_forms.free_strain[e.region], free)
+    form = ufl.derivative(forces, body_forms.free_strain[e.region], free_strain)
     return assemble_form_matrix(body_forms.form(form))

@@ -106,6 +106,6 @@ class SolverChoice:
         if self.limit == 0.0:
             return f"at first order condensation is faster from {FIRST_ORDER_SOLVES} solves on"
         if self.size > self.limit:
-            limit = f"{count(self.limit)}, the limit of condensation"
-            return f"{count(self.size)} displacement unknowns exceed {limit}"
+            limit_text = f"{count(self.limit)}, the limit of condensation"
+            return f"{count(self.size)} displacement unknowns exceed {limit_text}"
         return f"condensation is not faster for {count(self.size)} displacement unknowns"

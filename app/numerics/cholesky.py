@@ -150,9 +150,9 @@ class Cholesky:
         common.method[0].ordering = self._lib.CHOLMOD_GIVEN
         common.postorder, common.zrelax[2] = 0, 0.0
         matrix, referenced = self._sparse(self._with_empty_columns(rows))
-        none = self._ffi.NULL
+        null = self._ffi.NULL
         L = self._lib.cholmod_l_analyze_p(
-            matrix, self._int_pointer(self._elimination_order), none, 0, common
+            matrix, self._int_pointer(self._elimination_order), null, 0, common
         )
         # Nothing that refers to this object: in a circle the factors would never be freed.
         self._L = self._ffi.gc(L, partial(_free_factors, self._ffi, self._lib, common))
@@ -161,12 +161,12 @@ class Cholesky:
         self.operations = float(common.fl) - last_size**3 / 3
         self.entries = float(common.lnz)
         last_starts = (self._array("int64_t", p, L.nsuper + 1) for p in (L.super, L.px))
-        (first, start) = (int(v[-2]) for v in last_starts)
-        if first != self._eliminated:
+        (last_supernode, block_start) = (int(v[-2]) for v in last_starts)
+        if last_supernode != self._eliminated:
             raise ArithmeticError(
-                f"CHOLMOD: the last supernode begins at {first}, not {self._eliminated}"
+                f"CHOLMOD: the last supernode begins at {last_supernode}, not {self._eliminated}"
             )
-        self._last_block_start = start
+        self._last_block_start = block_start
 
     def _int_pointer(self, values: Ints) -> Any:
         return self._ffi.cast("int64_t *", values.ctypes.data)
@@ -219,13 +219,13 @@ class Cholesky:
         )
         graph.sum_duplicates()
         order, parent, postorder = np.empty((3, nodes), dtype=np.int64)
-        none = self._ffi.NULL
+        null = self._ffi.NULL
         matrix, referenced = self._sparse(graph, pattern=True)
-        self._lib.cholmod_l_metis(matrix, none, 0, 1, self._int_pointer(order), self._common)
+        self._lib.cholmod_l_metis(matrix, null, 0, 1, self._int_pointer(order), self._common)
         matrix, referenced = self._sparse(graph[:, order][order], pattern=True)
         self._lib.cholmod_l_etree(matrix, self._int_pointer(parent), self._common)
         self._lib.cholmod_l_postorder(
-            self._int_pointer(parent), nodes, none, self._int_pointer(postorder), self._common
+            self._int_pointer(parent), nodes, null, self._int_pointer(postorder), self._common
         )
         del referenced
         unknowns = (3 * order[postorder][:, None] + np.arange(3)).ravel()

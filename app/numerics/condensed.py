@@ -148,8 +148,12 @@ class Condensed:
         pair_matrices = self._contact.pair_matrices()
         if pair_matrices is None:
             return None
-        parts = self._comm.gather(owned_rows(pair_matrices[0]))
-        return vstack(parts, format="csr")[:, unknowns_of(self._followed_nodes)] if parts else None
+        rows_of_ranks = self._comm.gather(owned_rows(pair_matrices[0]))
+        return (
+            vstack(rows_of_ranks, format="csr")[:, unknowns_of(self._followed_nodes)]
+            if rows_of_ranks
+            else None
+        )
 
     def renew(self) -> None:
         """Condense the bodies if their stiffness has changed; collective."""
@@ -250,7 +254,7 @@ class Condensed:
 
     def forces(self, dq: Floats) -> Floats:
         """S dq, the forces at local points by jumps of the bodies in equilibrium; collective."""
-        return self._solve_on_root(lambda every: self._S @ every, dq)
+        return self._solve_on_root(lambda jumps: self._S @ jumps, dq)
 
     def _solve_on_root(self, function: Callable[..., Floats], *local: Floats) -> Floats:
         """Owned part of jumps that rank 0 computes from the values of all ranks; collective."""
@@ -307,8 +311,8 @@ class Condensed:
 
     def _is_solution(self, dq: Floats, r: Floats, tolerance: float) -> bool:
         """Return True if the residual of a step is a small part of r."""
-        remaining = np.linalg.norm(r - self._times(dq))
-        return bool(remaining <= tolerance * np.linalg.norm(r))  # False if it is not finite
+        residual_norm = np.linalg.norm(r - self._times(dq))
+        return bool(residual_norm <= tolerance * np.linalg.norm(r))  # False if it is not finite
 
     def _times(self, dq: Floats) -> Floats:
         return np.asarray(self._T @ (self._S @ dq) + self._B @ dq)
@@ -319,8 +323,8 @@ class Condensed:
         if self._coupled.shape[0]:
             # Beyond the range of single precision no step solves, and double precision takes over.
             with np.errstate(over="ignore", invalid="ignore"):
-                remaining = (self._coupled @ (r - self._times(dq))).astype(self._lu_factors.dtype)
-            solved, _ = self._getrs(self._lu_factors, self._pivots, remaining, trans=1)
+                residual = (self._coupled @ (r - self._times(dq))).astype(self._lu_factors.dtype)
+            solved, _ = self._getrs(self._lu_factors, self._pivots, residual, trans=1)
             dq += self._coupled.T @ solved.astype(float)
         return np.asarray(dq)
 

@@ -53,31 +53,33 @@ class CoarseSpace:
         self._forces, self._all_jump_motion = jump.createVecLeft(), jump.createVecLeft()
         self.version = 0
 
-    def update(self, free: Floats, stiffness: Floats) -> None:
+    def update(self, free_projectors: Floats, stiffness: Floats) -> None:
         """Set the free directions (as `set_free_directions`) if many points changed; collective.
 
         A bond that breaks does not change its free directions, but the stiffness (n,) of its point.
         """
-        differs = np.abs(free - self._free_directions).max(axis=(1, 2)) > CHANGED_POINT
+        differs = np.abs(free_projectors - self._free_directions).max(axis=(1, 2)) > CHANGED_POINT
         larger = np.maximum(stiffness, self._stiffness)
         differs |= np.abs(stiffness - self._stiffness) > CHANGED_POINT * larger
-        changed, points = self._comm.allreduce(np.array([differs.sum(), len(free)]))
-        if changed > CHANGED_SHARE * points or (changed and not self.version):
-            self.set_free_directions(free)
+        changed_points, points = self._comm.allreduce(
+            np.array([differs.sum(), len(free_projectors)])
+        )
+        if changed_points > CHANGED_SHARE * points or (changed_points and not self.version):
+            self.set_free_directions(free_projectors)
             self._stiffness = stiffness
 
-    def set_free_directions(self, free: Floats) -> None:
+    def set_free_directions(self, free_projectors: Floats) -> None:
         """Restrict jumps to free directions, by projectors at local points (n, 3, 3)."""
         self.version += 1
-        self._free_directions = free
-        fill(self._projector, free)
+        self._free_directions = free_projectors
+        fill(self._projector, free_projectors)
         self._projector.matMult(self._all_jumps, result=self.jump)
 
-    def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
+    def work(self, u: PETSc.Vec, q: PETSc.Vec, work_of_motions: PETSc.Vec) -> None:
         """Work of forces on displacement and jumps in each motion: Z^T r."""
         self._projector.mult(q, self._forces)
-        self._all_jumps.multTranspose(self._forces, out)
-        self.displacement.multTransposeAdd(u, out, out)
+        self._all_jumps.multTranspose(self._forces, work_of_motions)
+        self.displacement.multTransposeAdd(u, work_of_motions, work_of_motions)
 
     def combine(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Displacement and jumps of a combination of motions: Z w."""
@@ -144,20 +146,20 @@ class Deflated:
         products["Zu C"].matMult(Zq, result=products["uq"])
         self._Zqt.matMult(products["A Zu"], result=products["qu"])
         self._Zqt.matMult(products["A Zq"], result=products["qq"])
-        parts = [products[name] for name in ("uu", "uq", "qu", "qq")]
-        shift = np.abs(sum(P.getDiagonal().array for P in parts))
+        terms = [products[name] for name in ("uu", "uq", "qu", "qq")]
+        shift = np.abs(sum(P.getDiagonal().array for P in terms))
         comm = A.comm.tompi4py()
         largest = comm.allreduce(shift.max(initial=0.0), MPI.MAX)
         # Motions without stiffness are left out.
         shift = np.where(shift <= ZERO_STIFFNESS * largest, largest or 1.0, DIAGONAL_SHIFT * shift)
-        parts.append(diagonal(comm, shift))
+        terms.append(diagonal(comm, shift))
         if self._coarse_matrix is None:
-            self._coarse_matrix = matrix_sum(parts)
+            self._coarse_matrix = matrix_sum(terms)
         else:
             self._coarse_matrix.zeroEntries()
-            for part in parts:
+            for term in terms:
                 self._coarse_matrix.axpy(
-                    1.0, part, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+                    1.0, term, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
                 )
         self._coarse_factors.setOperators(self._coarse_matrix)
         self._coarse_factors.setUp()
@@ -172,10 +174,8 @@ class Deflated:
             self._coarse_solution, self._remaining = r.duplicate(), r.duplicate()
             for block in self._coarse_solution.getNestSubVecs():
                 block.zeroEntries()
-        residual_blocks, solution_blocks = (
-            r.getNestSubVecs(),
-            self._coarse_solution.getNestSubVecs(),
-        )
+        residual_blocks = r.getNestSubVecs()
+        solution_blocks = self._coarse_solution.getNestSubVecs()
         motions.work(
             residual_blocks[self._displacement_block], residual_blocks[self._jump_block], self._work
         )

@@ -212,8 +212,8 @@ def _slope(start: State, end: State, h: float) -> State:
 
 
 def _add(y: State, weights: Floats, slopes: Sequence[State]) -> State:
-    new = [part.copy() for part in y]
+    sums = [part.copy() for part in y]
     for w, k in zip(weights, slopes, strict=True):
-        for total, part in zip(new, k, strict=True):
+        for total, part in zip(sums, k, strict=True):
             total += w * part
-    return new
+    return sums

@@ -111,18 +111,21 @@ class Linear:
         self._system.jacobian(x)
         self.matrix.assemble()
         options = PETSc.Options(ksp.getOptionsPrefix()).getAll()
-        reused: list[PETSc.PC] = []
+        reused_solvers: list[PETSc.PC] = []
         with self._timing.phase("factorize"):
             if self._is_split and pc.getType() == "fieldsplit":
-                parts = self._set_up_gauss_seidel(pc, options)
-                reused = [
-                    parts[n] for n in REUSED_BLOCKS if n in parts and n not in self._system.inverses
+                block_solvers = self._set_up_gauss_seidel(pc, options)
+                reused_solvers = [
+                    block_solvers[n]
+                    for n in REUSED_BLOCKS
+                    if n in block_solvers and n not in self._system.inverses
                 ]
             elif len(self._names) == 1 and self._system.inverses:
                 pc = self._use_shared_inverse(self._names[0], options)
-                parts = {self._names[0]: pc}
+                block_solvers = {self._names[0]: pc}
             else:
-                reused, parts = [pc], {" and ".join(BLOCK_NAMES.get(n, n) for n in self._names): pc}
+                reused_solvers = [pc]
+                block_solvers = {" and ".join(BLOCK_NAMES.get(n, n) for n in self._names): pc}
             coarse = self._system.coarse_space() if self._is_split else None
             if coarse is not None:
                 self._deflated = Deflated(pc, self._names, self._system.coarse_space)
@@ -131,18 +134,20 @@ class Linear:
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
-        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
-        for part in reused:
+        self._swept = [
+            part for part in block_solvers.values() if part.getType() == SWEEP["pc_type"]
+        ]
+        for part in reused_solvers:
             part.setReusePreconditioner(True)
-        self._reused = reused
+        self._reused = reused_solvers
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
-        log.info("solver: %s%s", self._description(parts), deflated)
+        log.info("solver: %s%s", self._description(block_solvers), deflated)
 
     def _set_up_gauss_seidel(self, pc: PETSc.PC, options: Options) -> dict[str, PETSc.PC]:
         """Gauss-Seidel over the blocks, each with a separate or a shared preconditioner."""
         fields = self.matrix.getNestISs()[0]
         pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
-        parts = {}
+        block_solvers = {}
         for name, block_solver in zip(self._names, pc.getFieldSplitSubKSP(), strict=True):
             if name in self._system.inverses:
                 prefix = f"fieldsplit_{name}_"
@@ -152,8 +157,8 @@ class Linear:
                     if key.startswith(prefix)
                 }
                 block_solver.setPC(self._use_shared_inverse(name, block_options))
-            parts[name] = block_solver.getPC()
-        return parts
+            block_solvers[name] = block_solver.getPC()
+        return block_solvers
 
     def _use_shared_inverse(self, name: str, options: Options) -> PETSc.PC:
         inverse = self._system.inverses[name]
@@ -186,17 +191,17 @@ class Linear:
         if not self._is_unrated:
             return
         self._is_unrated = False
-        failed = self._ksp.getConvergedReason() < 0
+        has_failed = self._ksp.getConvergedReason() < 0
         norms = self._ksp.getConvergenceHistory()
         iterations = max(len(norms) - 1, 0)
         if self._version == self._system.version:
-            remedy = self._fall_back() if failed else ""
+            remedy = self._fall_back() if has_failed else ""
             if remedy:
                 log.info("     linear solver did not converge: %s", remedy)
             if iterations and norms[-1] > 0:
                 self._iterations += iterations
                 self._digits += math.log10(norms[0] / norms[-1])
-        elif failed:
+        elif has_failed:
             self._excess_iterations = math.inf
         elif iterations and norms[-1] > 0:
             usual_iterations = (
@@ -234,17 +239,19 @@ class Linear:
             return "factorizing the stiffness"
         return ""
 
-    def _description(self, parts: Mapping[str, PETSc.PC]) -> str:
+    def _description(self, block_solvers: Mapping[str, PETSc.PC]) -> str:
         krylov, *kinds = [
             METHOD_NAMES.get(kind, kind)
-            for kind in (self._ksp.getType(), *(pc.getType() for pc in parts.values()))
+            for kind in (self._ksp.getType(), *(pc.getType() for pc in block_solvers.values()))
         ]
         sizes = dict(zip(self._names, self._sizes, strict=True))
         blocks = [
             f"{BLOCK_NAMES.get(name, name)} ({sizes.get(name, sum(self._sizes)):,} dofs): {kind}"
-            for name, kind in zip(parts, kinds, strict=True)
+            for name, kind in zip(block_solvers, kinds, strict=True)
         ]
-        return "; ".join([krylov + (" with field split" if len(parts) > 1 else ""), *blocks])
+        return "; ".join(
+            [krylov + (" with field split" if len(block_solvers) > 1 else ""), *blocks]
+        )
 
 
 def condition_number(A: PETSc.Mat) -> float:
@@ -264,11 +271,14 @@ def condition_number(A: PETSc.Mat) -> float:
         raise MemoryError(f"factorization of a matrix of {A.getSize()[0]:,} unknowns")
     x, y = A.createVecs()
     sizes = []
-    for apply, back in ((A.mult, A.multTranspose), (factors.apply, factors.applyTranspose)):
+    for apply, apply_transpose in (
+        (A.mult, A.multTranspose),
+        (factors.apply, factors.applyTranspose),
+    ):
         x.setRandom()
         for _ in range(CONDITION_ITERATIONS):
             x.normalize()
             apply(x, y)
-            back(y, x)
+            apply_transpose(y, x)
         sizes.append(math.sqrt(x.norm()))
     return sizes[0] * sizes[1]

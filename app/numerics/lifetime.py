@@ -136,7 +136,7 @@ def release(comm: MPI.Comm) -> None:
         if owner_is_gone:
             keeper.destroy()
     _communicators[:] = [
-        entry
-        for entry, owner_is_gone in zip(_communicators, is_gone, strict=True)
+        communicator
+        for communicator, owner_is_gone in zip(_communicators, is_gone, strict=True)
         if not owner_is_gone
     ]

@@ -65,8 +65,8 @@ class Mumps:
         F = self._F = ctypes.c_void_p()
         _call("MatGetFactor", _pointer(A.handle), b"mumps", FACTOR_CHOLESKY, ctypes.byref(F))
         weakref.finalize(self, _destroy, F)
-        last = PETSc.IS().createStride(self._kept, self._eliminated, 1, A.comm)
-        _call("MatFactorSetSchurIS", F, _pointer(last.handle))
+        kept_rows = PETSc.IS().createStride(self._kept, self._eliminated, 1, A.comm)
+        _call("MatFactorSetSchurIS", F, _pointer(kept_rows.handle))
         for control, value in ((ORDERING_CONTROL, METIS), (SPACE_CONTROL, EXTRA_SPACE)):
             _call("MatMumpsSetIcntl", F, control, value)
         self._info = (ctypes.c_double * 32)()  # longer than PETSc's MatFactorInfo
@@ -83,11 +83,13 @@ class Mumps:
         """The whole matrix, its upper triangle right."""
         n, m = self._eliminated, self._kept
         diagonal = csr_array((np.zeros(m), np.arange(n, n + m), np.arange(m + 1)), shape=(m, n + m))
-        whole = vstack([rows, diagonal], format="csr")
-        whole.sort_indices()
-        starts, columns = (v.astype(PETSc.IntType) for v in (whole.indptr, whole.indices))
-        arrays = starts, columns, whole.data
-        A = PETSc.Mat().createAIJ(whole.shape, csr=arrays, comm=PETSc.COMM_SELF)
+        whole_matrix = vstack([rows, diagonal], format="csr")
+        whole_matrix.sort_indices()
+        row_starts, columns = (
+            v.astype(PETSc.IntType) for v in (whole_matrix.indptr, whole_matrix.indices)
+        )
+        arrays = row_starts, columns, whole_matrix.data
+        A = PETSc.Mat().createAIJ(whole_matrix.shape, csr=arrays, comm=PETSc.COMM_SELF)
         A.setOption(PETSc.Mat.Option.SPD, True)
         return A
 
@@ -137,7 +139,10 @@ class Mumps:
         """Solution of A x = b."""
         if not self._eliminated:
             return b
-        right = np.concatenate([b, np.zeros(self._kept)])
-        x, y = (PETSc.Vec().createWithArray(v, comm=PETSc.COMM_SELF) for v in (right, right * 0))
+        right_side = np.concatenate([b, np.zeros(self._kept)])
+        x, y = (
+            PETSc.Vec().createWithArray(v, comm=PETSc.COMM_SELF)
+            for v in (right_side, right_side * 0)
+        )
         _call("MatSolve", self._F, _pointer(x.handle), _pointer(y.handle))
         return np.array(y.array_r[: self._eliminated])

@@ -100,8 +100,10 @@ class ActiveSet:
 
     def changes(self) -> int:
         """Number of points whose state changed between the last two iterates; collective."""
-        changed = int((self._states[-1] != self._states[-2]).sum()) if len(self._states) > 1 else 0
-        return int(self._comm.allreduce(changed, MPI.SUM))
+        changed_points = (
+            int((self._states[-1] != self._states[-2]).sum()) if len(self._states) > 1 else 0
+        )
+        return int(self._comm.allreduce(changed_points, MPI.SUM))
 
     def period(self) -> int:
         """Length of the cycle in which all states repeat, seen twice; 0 without; collective."""
@@ -111,8 +113,8 @@ class ActiveSet:
                 np.array_equal(states[-1 - k], states[-1 - k - period]) for k in range(period + 1)
             )
             if self._comm.allreduce(repeats, MPI.LAND):
-                changes = not np.array_equal(states[-1], states[-2])
-                return period if self._comm.allreduce(changes, MPI.LOR) else 0
+                alternates = not np.array_equal(states[-1], states[-2])
+                return period if self._comm.allreduce(alternates, MPI.LOR) else 0
         return 0
 
     def oscillating(self) -> list[tuple[int, int, int, tuple[int, ...]]]:
@@ -124,20 +126,20 @@ class ActiveSet:
         if len(self._states) < 2:
             return []
         states = np.array(self._states)
-        changes = (states[1:] != states[:-1]).sum(axis=0)
+        change_counts = (states[1:] != states[:-1]).sum(axis=0)
         # Points without recent changes are left out.
         changed_recently = (
-            (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
+            (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else change_counts > 0
         )
         rows = np.flatnonzero(changed_recently)
         return [
             (
                 int(k),
-                int(changes[k]),
+                int(change_counts[k]),
                 len(states) - 1,
                 tuple(sorted(s for s, _ in Counter(map(int, states[:, k])).most_common(3))),
             )
-            for k in rows[np.argsort(-changes[rows], kind="stable")]
+            for k in rows[np.argsort(-change_counts[rows], kind="stable")]
         ]
 
 
@@ -300,11 +302,11 @@ class Solver:
 
     def measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
         """Residual by part, with the scale of this state or of earlier converged ones."""
-        parts = self.system.measure(self.blocks(x), self.blocks(f))
-        earlier_scales = self.scales or [0.0] * len(parts)
+        measures = self.system.measure(self.blocks(x), self.blocks(f))
+        earlier_scales = self.scales or [0.0] * len(measures)
         return [
             replace(p, scale=max(p.scale, s)) if p.lasting else p
-            for p, s in zip(parts, earlier_scales, strict=True)
+            for p, s in zip(measures, earlier_scales, strict=True)
         ]
 
     # Iterations
@@ -377,30 +379,30 @@ class Solver:
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         # Every rank sees the same signal, so that none is left waiting for the others.
-        names = [name for name in self.system.comm.allgather(self.stop()) if name]
-        if names:
-            raise StoppedError(f"stopped by {names[0]}")
+        signal_names = [name for name in self.system.comm.allgather(self.stop()) if name]
+        if signal_names:
+            raise StoppedError(f"stopped by {signal_names[0]}")
         log.debug("     Newton iteration %d, residual %.1e", iteration, self.residuals[-1])
 
     def _test(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
         """Test whether each part is below its tolerance or its rounding, and no body runs away."""
-        parts = self.measure(snes.getSolution(), snes.getFunction()[0])
-        self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
+        measures = self.measure(snes.getSolution(), snes.getFunction()[0])
+        self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in measures))
         self.active.add(self.system.status)
         self.changes.append(self.active.changes())
-        limits = [p.limit(self.tolerance) for p in parts]
-        is_small = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
+        limits = [p.limit(self.tolerance) for p in measures]
+        is_small = all(p.norm <= limit for p, limit in zip(measures, limits, strict=True))
         if iteration < self.system.min_iterations:
-            is_small = all(p.norm == 0.0 for p in parts)
+            is_small = all(p.norm == 0.0 for p in measures)
         self.converged = is_small and not self.system.runs_away(self.blocks(snes.getSolution()))
         if self.converged:
             return REASONS.CONVERGED_FNORM_ABS
         if "ksp_atol" not in self.options:
             snes.getKSP().setTolerances(atol=ABSOLUTE_TOLERANCE * min(limits))
         if self._adapts_tolerance:
-            snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
+            snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, measures))
         return REASONS.DIVERGED_LINE_SEARCH if self._has_stalled(iteration) else REASONS.ITERATING
 
     def _has_stalled(self, iteration: int) -> bool:
@@ -422,7 +424,7 @@ class Solver:
         """True if the tolerance of the linear solver follows the residual."""
         return self.system.contact is not None and "ksp_rtol" not in self.options
 
-    def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
+    def _linear_tolerance(self, iteration: int, measures: list[Measure]) -> float:
         """Relative tolerance of the next linear solve, looser if a step changes contact states."""
         residuals = self.residuals
         if not iteration or self.changes[-1] >= FEW_POINTS * self.active.points():
@@ -430,7 +432,7 @@ class Solver:
         tolerance = min(FINE_TOLERANCE, (residuals[-1] / residuals[-2]) ** TOLERANCE_POWER)
         if self.changes[-1] or residuals[-1] > QUADRATIC_RANGE:
             return tolerance
-        last_tolerance = LAST_TOLERANCE / max(p.norm / p.limit(self.tolerance) for p in parts)
+        last_tolerance = LAST_TOLERANCE / max(p.norm / p.limit(self.tolerance) for p in measures)
         return min(tolerance, max(last_tolerance, QUADRATIC_FACTOR * residuals[-1]))
 
 
@@ -444,10 +446,10 @@ def raw_options(arguments: Sequence[str]) -> dict[str, str]:
     """PETSc options from the command line: ``-name value`` or ``-name``."""
     options: dict[str, str] = {}
     key = ""
-    for word in arguments:
-        if word.startswith("-") and not word[1:2].isdigit():
-            key = word.lstrip("-")
+    for argument in arguments:
+        if argument.startswith("-") and not argument[1:2].isdigit():
+            key = argument.lstrip("-")
             options[key] = ""
         elif key:
-            options[key], key = word, ""
+            options[key], key = argument, ""
     return options

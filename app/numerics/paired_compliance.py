@@ -44,9 +44,9 @@ class PairedCompliance:
 
     def constrain(self, Q: csr_array) -> Floats:
         """Return the stiffness S of the jumps for other pairs Q (p, p) [N/mm]."""
-        self._Q, n, followed = Q, Q.shape[1], np.unique(Q.indices)
-        V = Q[:, followed] @ self._compliance[np.ix_(followed, followed)]
-        half_term = Q[:, followed] @ V.T / 2 - Q @ self._compliance[:n, n:]
+        self._Q, n, followed_unknowns = Q, Q.shape[1], np.unique(Q.indices)
+        V = Q[:, followed_unknowns] @ self._compliance[np.ix_(followed_unknowns, followed_unknowns)]
+        half_term = Q[:, followed_unknowns] @ V.T / 2 - Q @ self._compliance[:n, n:]
         S = _inverse(self._compliance[n:, n:] + half_term + half_term.T)
         N = self._jumps_by_motions(self._compliance[:, self._spring_rows])
         self._Y = S @ N
@@ -85,8 +85,8 @@ def _inverse(S: Floats) -> Floats:
     Raises:
         ArithmeticError: It is not positive definite.
     """
-    L, bad = lapack.dpotrf(S)
-    if bad:
+    L, failed_pivot = lapack.dpotrf(S)
+    if failed_pivot:
         raise ArithmeticError("LAPACK: bodies have no stiffness")
     A, _ = lapack.dpotri(L, overwrite_c=True)
     return np.asarray(A + np.triu(A, 1).T)  # entries below the diagonal are zero

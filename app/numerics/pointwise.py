@@ -131,12 +131,12 @@ class Pointwise:
         options = {"scalar_type": np.float64}
         symbol, module, _ = jit.ffcx_jit(comm, (all_components, np.array([[0.5]])), options)
         coefficients = extract_coefficients(all_components)
-        names = {function: name for name, function in self._inputs.items()}
+        name_of_function = {function: name for name, function in self._inputs.items()}
         kernel = Kernel(
             module=module.__name__,
             symbol=next(name for name in dir(module.lib) if name.startswith("expression_")),
             inputs=tuple(
-                names[coefficients[symbol.original_coefficient_positions[i]]]
+                name_of_function[coefficients[symbol.original_coefficient_positions[i]]]
                 for i in range(symbol.num_coefficients)
             ),
             shapes=tuple(e.ufl_shape for e in built.values()),
@@ -165,12 +165,14 @@ class Pointwise:
         values_at = np.zeros((len(cells), self._size))
         if len(cells):
             self._expression.evaluate(self._mesh, cells, values_at)
-        parts, begin = [], 0
+        expression_values, first_column = [], 0
         for shape in self._shapes:
-            end = begin + math.prod(shape)
-            parts.append(values_at[:, begin:end].reshape(len(cells), *shape))
-            begin = end
-        return parts
+            after_column = first_column + math.prod(shape)
+            expression_values.append(
+                values_at[:, first_column:after_column].reshape(len(cells), *shape)
+            )
+            first_column = after_column
+        return expression_values
 
 
 class _WithoutVariables(MultiFunction):  # type: ignore[misc]
@@ -226,8 +228,8 @@ def load_noted(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleTy
 
 def _load_kernel(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
     shapes = tuple(tuple(int(k) for k in shape) for shape in noted["shapes"])
-    names = tuple(noted["inputs"]), shapes, tuple(noted["outputs"])
-    kernel = Kernel(noted["module"], noted["symbol"], *names)
+    described = tuple(noted["inputs"]), shapes, tuple(noted["outputs"])
+    kernel = Kernel(noted["module"], noted["symbol"], *described)
     if not (MODULE.fullmatch(kernel.module) and SYMBOL.fullmatch(kernel.symbol)):
         return None
     folder = Path(jit.get_options()["cache_dir"])

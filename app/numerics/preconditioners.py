@@ -155,8 +155,8 @@ def near_null_space(K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
     for values in modes:
         vector = K.createVecLeft()
         vector.array[:] = values
-        for other in vectors:
-            vector.axpy(-vector.dot(other), other)
+        for earlier_vector in vectors:
+            vector.axpy(-vector.dot(earlier_vector), earlier_vector)
         vector.normalize()
         vectors.append(vector)
     return PETSc.NullSpace().create(vectors=vectors, comm=K.comm)

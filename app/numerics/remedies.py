@@ -40,25 +40,25 @@ def solve(solver: Solver) -> NewtonResult:
     runs.append(solver.run())
     solver.x.copy(solver.first_state)
     tried: list[tuple[str, float]] = []
-    for text in remedies(solver, start):
-        log.info("     %s: %s", failure_text(solver), text)
+    for remedy in remedies(solver, start):
+        log.info("     %s: %s", failure_text(solver), remedy)
         runs.append(solver.run())
-        tried.append((text, solver.residuals[-1]))
+        tried.append((remedy, solver.residuals[-1]))
     augmentation = solver.augmentation
     if (
         contact
         and solver.converged
         and augmentation < SMALL_AUGMENTATION * contact.law.default_augmentation_ratio()
     ):
-        augmentation, spent = _refine(solver, contact)
-        runs.append(spent)
+        augmentation, iterations = _refine(solver, contact)
+        runs.append(iterations)
     if solver.converged and solver.system.settle(solver.blocks()):
         runs.append(solver.run())
     solver.use_search(solver.usual_search)
     if solver.converged:
         solver.linear.sweep_interfaces()
-        parts = solver.measure(solver.x, solver.snes.getFunction()[0])
-        solver.scales = [p.scale for p in parts]
+        measures = solver.measure(solver.x, solver.snes.getFunction()[0])
+        solver.scales = [p.scale for p in measures]
     else:
         solver.x.copy(solver.failed_state)
         solver.augmentation = 1.0
@@ -87,14 +87,14 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
     default = contact.law.default_augmentation_ratio()
     contact.law.scale_augmentation(default)
     log.info("     converged: refining with augmentation %.3g r, the default", default)
-    spent = solver.run()
+    iterations = solver.run()
     if solver.converged:
-        return default, spent
+        return default, iterations
     coarse.copy(solver.x)
     contact.law.scale_augmentation(solver.augmentation)
     del solver.residuals[iterations_before:], solver.changes[iterations_before:]
     solver.converged = True
-    return solver.augmentation, spent
+    return solver.augmentation, iterations
 
 
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
@@ -159,7 +159,11 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 
 
 def _with_switched_interfaces(
-    solver: Solver, start: PETSc.Vec, switch: Callable[[bool], bool], first: str, then: str
+    solver: Solver,
+    start: PETSc.Vec,
+    switch: Callable[[bool], bool],
+    switched_remedy: str,
+    usual_remedy: str,
 ) -> Iterator[str]:
     """Solve from the start with switched interfaces, then from this state with the usual ones.
 
@@ -167,28 +171,28 @@ def _with_switched_interfaces(
         solver: The solver. If a body has run away, its state is the start again.
         start: The state from which to start.
         switch: Constrains or opens interfaces, or ends that; returns True if there are any.
-        first: Name of the remedy with switched interfaces.
-        then: Name of the remedy after that.
+        switched_remedy: Name of the remedy with switched interfaces.
+        usual_remedy: Name of the remedy after that.
     """
     if solver.converged or not switch(True):
         return
     start.copy(solver.x)
     try:
-        yield first
+        yield switched_remedy
     finally:
         switch(False)
     if solver.system.runs_away(solver.blocks()):
         start.copy(solver.x)
     else:
-        yield then
+        yield usual_remedy
 
 
 def _with_other_search(solver: Solver) -> Iterator[str]:
     """Continue with full steps instead of a line search, or with a search instead of full steps."""
     if not cannot_continue(solver):
-        other = "basic" if solver.usual_search == "bt" else "bt"
-        solver.use_search(other)
-        yield "full Newton steps" if other == "basic" else "line search"
+        other_search = "basic" if solver.usual_search == "bt" else "bt"
+        solver.use_search(other_search)
+        yield "full Newton steps" if other_search == "basic" else "line search"
     solver.use_search(solver.usual_search)
 
 

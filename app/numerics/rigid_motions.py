@@ -25,11 +25,11 @@ SUBSET_BODIES = 6
 
 def rigid_modes(x: NDArray[np.floating]) -> Floats:
     """Translations along and rotations about the axes at points x (n, 3) -> (n, 3, 6)."""
-    result = np.zeros((len(x), 3, 6))
-    result[:, :, :3] = np.eye(3)
+    modes = np.zeros((len(x), 3, 6))
+    modes[:, :, :3] = np.eye(3)
     for k in range(3):
-        result[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
-    return result
+        modes[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
+    return modes
 
 
 def rotation_vector(R: Floats) -> Floats:
@@ -60,31 +60,32 @@ def relative_resistance(resistance: Floats, bodies: Ints, count: int) -> Floats:
     return A
 
 
-def motions_outside(motions: Floats, others: Floats) -> Floats:
+def motions_outside(motions: Floats, other_motions: Floats) -> Floats:
     """Return the motions (m, k) that are not in the span of others (m, l).
 
     All are orthonormal columns.
     """
-    remaining = motions - others @ (others.T @ motions)
-    parts, sizes, _ = np.linalg.svd(remaining, full_matrices=False)
-    return np.asarray(parts[:, sizes > INDEPENDENT_SIZE])
+    outside = motions - other_motions @ (other_motions.T @ motions)
+    directions, sizes, _ = np.linalg.svd(outside, full_matrices=False)
+    return np.asarray(directions[:, sizes > INDEPENDENT_SIZE])
 
 
 def describe(
-    free: Floats, names: Sequence[str], centres: Floats, origin: Floats, size: float
+    free_motions: Floats, names: Sequence[str], centres: Floats, origin: Floats, size: float
 ) -> list[str]:
     """Sentences on motions without resistance, one for each set of bodies that share them.
 
     Args:
-        free: Free motions (6 n, k): translation and rotation x size of each body, about the origin.
+        free_motions: Translation and rotation x size of each body about the origin, in each free
+            motion (6 n, k).
         names: Names of the n bodies, in quotes.
         centres: A point on the axis of each body's rotations (n, 3) [mm].
         origin: Origin of the motions (3,) [mm].
         size: Length that scales rotations to translations [mm].
     """
-    if not free.shape[1]:
+    if not free_motions.shape[1]:
         return []
-    Q = np.linalg.qr(free)[0]
+    Q = np.linalg.qr(free_motions)[0]
     named = np.zeros((len(Q), 0))
     motions_of: dict[tuple[int, ...], list[str]] = {}
     for bodies, k, v in _named_motions(centres, origin, size):
@@ -107,8 +108,8 @@ def describe(
         body = int(np.argmax(np.linalg.norm(v.reshape(-1, 6), axis=1)))
         motions_of.setdefault((body,), []).append(_oblique_motion(v[6 * body : 6 * body + 6]))
     return [
-        _free_body_sentence([names[b] for b in bodies], words)
-        for bodies, words in motions_of.items()
+        _free_body_sentence([names[b] for b in bodies], directions_of_bodies)
+        for bodies, directions_of_bodies in motions_of.items()
     ]
 
 
@@ -136,8 +137,8 @@ def _oblique_motion(v: Floats) -> str:
     axis = axis / np.linalg.norm(axis)
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))]) + 0.0
     k = int(np.argmax(axis))
-    text = "xyz"[k] if axis[k] > ALIGNED_COSINE else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
-    return f"rotate about an axis along {text}" if rotates else f"move along {text}"
+    axis_text = "xyz"[k] if axis[k] > ALIGNED_COSINE else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
+    return f"rotate about an axis along {axis_text}" if rotates else f"move along {axis_text}"
 
 
 def _free_body_sentence(names: Sequence[str], directions: Sequence[str]) -> str:
@@ -146,7 +147,7 @@ def _free_body_sentence(names: Sequence[str], directions: Sequence[str]) -> str:
         axes = [w.removeprefix(verb).strip() for w in directions if w.startswith(verb)]
         if axes:
             motions.append(f"{verb} {', '.join(axes)}")
-    text = " and to ".join(motions)
+    motions_text = " and to ".join(motions)
     if len(names) == 1:
-        return f"nothing holds body {names[0]}: it is free to {text}"
-    return f"nothing holds bodies {' and '.join(names)}: they are free to {text} together"
+        return f"nothing holds body {names[0]}: it is free to {motions_text}"
+    return f"nothing holds bodies {' and '.join(names)}: they are free to {motions_text} together"

@@ -64,10 +64,12 @@ def collect(value: Any, keys: Any = None) -> Any:
         return {name: collect(v, _inner_keys(keys, name)) for name, v in value.items()}
     if isinstance(value, list | tuple):
         return [collect(v, _inner_keys(keys, k)) for k, v in enumerate(value)]
-    names = _saved_names(value)
-    if names:
+    attribute_names = _saved_names(value)
+    if attribute_names:
         keys = getattr(value, "row_keys", keys)
-        return {name: collect(getattr(value, name), _inner_keys(keys, name)) for name in names}
+        return {
+            name: collect(getattr(value, name), _inner_keys(keys, name)) for name in attribute_names
+        }
     return value
 
 
@@ -78,32 +80,36 @@ def fill(value: Any, state: Any, keys: Any = None) -> Any:
         AttributeError, LookupError, TypeError, ValueError: The state does not fit the object.
     """
     if isinstance(value, fem.Function):
-        saved = keys != NOT_SAVED
-        _values_by_node(value)[saved] = state.of(keys[saved])
+        is_saved = keys != NOT_SAVED
+        _values_by_node(value)[is_saved] = state.of(keys[is_saved])
         return value
     if isinstance(value, np.ndarray) or isinstance(state, Rows):
         rows = state.of(keys)
         if value is not None and rows.shape != value.shape:
             raise ValueError("rows have another shape")
         return rows
-    names = _saved_names(value)
-    if names:
+    attribute_names = _saved_names(value)
+    if attribute_names:
         keys = getattr(value, "row_keys", keys)
-        new = {
-            name: fill(getattr(value, name), state[name], _inner_keys(keys, name)) for name in names
+        new_values = {
+            name: fill(getattr(value, name), state[name], _inner_keys(keys, name))
+            for name in attribute_names
         }
         if not hasattr(value, "saved"):
-            return replace(value, **new)
-        for name, v in new.items():
+            return replace(value, **new_values)
+        for name, v in new_values.items():
             setattr(value, name, v)
         return value
     if isinstance(state, dict):
-        old = value or {}
-        return {name: fill(old.get(name), v, _inner_keys(keys, name)) for name, v in state.items()}
+        old_values = value or {}
+        return {
+            name: fill(old_values.get(name), v, _inner_keys(keys, name))
+            for name, v in state.items()
+        }
     if isinstance(state, list):
         current = [*(value or ()), *[None] * (len(state) - len(value or ()))]
-        items = enumerate(zip(current, state, strict=True))
-        new_items = [fill(v, f, _inner_keys(keys, k)) for k, (v, f) in items]
+        numbered_pairs = enumerate(zip(current, state, strict=True))
+        new_items = [fill(v, f, _inner_keys(keys, k)) for k, (v, f) in numbered_pairs]
         return tuple(new_items) if isinstance(value, tuple) else new_items
     return state
 
@@ -137,8 +143,8 @@ def _inner_keys(keys: Any, name: str | int) -> Any:
 
 def _saved_rows(values: Array, keys: Ints) -> Rows:
     assert len(values) == len(keys)
-    saved = keys != NOT_SAVED
-    return Rows(keys[saved], values[saved])
+    is_saved = keys != NOT_SAVED
+    return Rows(keys[is_saved], values[is_saved])
 
 
 def _values_by_node(function: fem.Function) -> Array:
@@ -152,8 +158,8 @@ def node_keys(space: fem.FunctionSpace) -> Ints:
     geometry, index_map = space.mesh.geometry, space.dofmap.index_map
     dofs = space.dofmap.list
     vertices = geometry.input_global_indices[geometry.dofmap[:, :4]]
-    ends = vertices[:, NODE_VERTICES[: dofs.shape[1]]]
+    end_vertices = vertices[:, NODE_VERTICES[: dofs.shape[1]]]
     stride = geometry.index_map().size_global
     keys = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
-    keys[dofs] = ends.min(axis=2) * stride + ends.max(axis=2)
+    keys[dofs] = end_vertices.min(axis=2) * stride + end_vertices.max(axis=2)
     return keys

@@ -20,8 +20,8 @@ def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
     Returns:
         The points of this rank, and the number of every point in the order of the ranks (n,).
     """
-    ends = np.array(comm.allgather(index_map.local_range[1]))
-    owner = np.searchsorted(ends, dof, side="right")
+    range_ends = np.array(comm.allgather(index_map.local_range[1]))
+    owner = np.searchsorted(range_ends, dof, side="right")
     order = np.argsort(owner, kind="stable")
     number_of_point = np.empty(len(order), dtype=np.int64)
     number_of_point[order] = np.arange(len(order))
@@ -36,10 +36,10 @@ def from_triplets(
     i, j = i[order], j[order]
     is_first = np.ones(len(i), dtype=bool)
     is_first[1:] = (i[1:] != i[:-1]) | (j[1:] != j[:-1])
-    first = np.flatnonzero(is_first)
-    start = np.searchsorted(i[first], np.arange(rows + 1))
-    values = np.add.reduceat(v[order], first) if len(first) else v
-    return from_rows(comm, (rows, columns), start, j[first], values)
+    first_entries = np.flatnonzero(is_first)
+    start = np.searchsorted(i[first_entries], np.arange(rows + 1))
+    values = np.add.reduceat(v[order], first_entries) if len(first_entries) else v
+    return from_rows(comm, (rows, columns), start, j[first_entries], values)
 
 
 def from_rows(
@@ -79,9 +79,9 @@ def diagonal(comm: MPI.Comm, values: Floats) -> PETSc.Mat:
 
 def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
     """Sum of matrices that may differ in pattern, as a new one; collective."""
-    first, *others = matrices
-    total = first.copy()
-    for A in others:
+    first_matrix, *other_matrices = matrices
+    total = first_matrix.copy()
+    for A in other_matrices:
         total.axpy(1.0, A, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     total.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
     return total
@@ -111,9 +111,9 @@ def _csr(comm: MPI.Comm, blocks: Floats) -> tuple[NDArray, NDArray, NDArray]:
 
 def diagonal_blocks(matrix: PETSc.Mat, size: int) -> Floats:
     """Blocks on the diagonal of a matrix, of this rank's rows (n, size, size)."""
-    starts, columns, values = matrix.getDiagonalBlock().getValuesCSR()
-    rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    row_starts, columns, values = matrix.getDiagonalBlock().getValuesCSR()
+    rows = np.repeat(np.arange(len(row_starts) - 1), np.diff(row_starts))
     k = rows // size == columns // size
-    blocks = np.zeros(((len(starts) - 1) // size, size, size))
+    blocks = np.zeros(((len(row_starts) - 1) // size, size, size))
     blocks[rows[k] // size, rows[k] % size, columns[k] % size] = values[k]
     return blocks

@@ -66,10 +66,10 @@ class Substructures:
         if not is_analysed:
             self._analyse()
 
-    def _divide_nodes(self, k: csr_array, c: csr_array, starts: Ints) -> None:
-        """Divide the nodes into interiors and the border; ``starts`` are the ranks' first ones."""
-        low, high = starts[self.comm.rank : self.comm.rank + 2]
-        shared_unknowns = unknowns_of(_shared_nodes(self.comm, k, starts, self._kept_nodes))
+    def _divide_nodes(self, k: csr_array, c: csr_array, first_nodes: Ints) -> None:
+        """Divide the nodes into interiors and the border; the ranks begin at ``first_nodes``."""
+        first_node, after_node = first_nodes[self.comm.rank : self.comm.rank + 2]
+        shared_unknowns = unknowns_of(_shared_nodes(self.comm, k, first_nodes, self._kept_nodes))
         self._shared_unknowns, kept_unknowns = len(shared_unknowns), unknowns_of(self._kept_nodes)
         self._first_jump = self._shared_unknowns + len(kept_unknowns)
         self._border_size = self._first_jump + c.shape[1]
@@ -77,14 +77,14 @@ class Substructures:
         self._place_in_border = np.full(k.shape[1], -1)
         self._place_in_border[shared_unknowns] = np.arange(self._shared_unknowns)
         self._place_in_border[kept_unknowns] = np.arange(self._shared_unknowns, self._first_jump)
-        owned = self._place_in_border[3 * low : 3 * high]
+        owned = self._place_in_border[3 * first_node : 3 * after_node]
         self._interior_rows_owned, self._border_rows_owned = (
             np.flatnonzero(owned < 0),
             np.flatnonzero(owned >= 0),
         )
         self._border_place_of_owned = owned[self._border_rows_owned]
         self._column_of_unknown = np.full(k.shape[1], -1, dtype=np.int32)
-        self._column_of_unknown[3 * low + self._interior_rows_owned] = np.arange(
+        self._column_of_unknown[3 * first_node + self._interior_rows_owned] = np.arange(
             len(self._interior_rows_owned)
         )
 
@@ -99,10 +99,8 @@ class Substructures:
         is_touched[border_place[border_place >= 0]] = True
         is_touched[self._first_jump + c.indices] = True
         self._touched_border = np.flatnonzero(is_touched.reshape(-1, 3).any(axis=1).repeat(3))
-        interior_size, outside = (
-            len(self._interior_rows_owned),
-            np.flatnonzero(self._place_in_border >= 0),
-        )
+        interior_size = len(self._interior_rows_owned)
+        outside = np.flatnonzero(self._place_in_border >= 0)
         self._interior_column = np.full(self._border_size, -1, dtype=np.int32)
         self._interior_column[self._touched_border] = np.arange(len(self._touched_border))
         self._column_of_unknown[outside] = (
@@ -111,29 +109,31 @@ class Substructures:
 
     def _interior_rows(self, k: csr_array, c: csr_array) -> csr_array:
         """The interior's rows; its columns first, then the columns of the border that it meets."""
-        n, first = (
-            len(self._interior_rows_owned),
-            int(np.searchsorted(self._touched_border, self._first_jump)),
+        n = len(self._interior_rows_owned)
+        first_jump_column = int(np.searchsorted(self._touched_border, self._first_jump))
+        k = csr_array(
+            (k.data, self._column_of_unknown[k.indices], k.indptr), shape=(n, n + first_jump_column)
         )
-        k = csr_array((k.data, self._column_of_unknown[k.indices], k.indptr), shape=(n, n + first))
-        columns = self._interior_column[self._first_jump + c.indices] - first
-        c = csr_array((c.data, columns, c.indptr), shape=(n, len(self._touched_border) - first))
+        columns = self._interior_column[self._first_jump + c.indices] - first_jump_column
+        c = csr_array(
+            (c.data, columns, c.indptr), shape=(n, len(self._touched_border) - first_jump_column)
+        )
         return csr_array(hstack([k, c], format="csr"))
 
-    def _border_entries(self, k: csr_array, c: csr_array, d: csr_array, low: int) -> coo_array:
+    def _border_entries(
+        self, k: csr_array, c: csr_array, d: csr_array, first_row: int
+    ) -> coo_array:
         """Entries of the border's rows and columns: all on rank 0, else owned ones; collective."""
-        k_entries, c_entries, d_entries = (
-            k[self._border_rows_owned].tocoo(),
-            c[self._border_rows_owned].tocoo(),
-            d.tocoo(),
-        )
+        k_entries = k[self._border_rows_owned].tocoo()
+        c_entries = c[self._border_rows_owned].tocoo()
+        d_entries = d.tocoo()
         column = self._place_in_border[k_entries.col]
         in_border = column >= 0
         coupled = self._border_place_of_owned[c_entries.row], self._first_jump + c_entries.col
         rows = [
             self._border_place_of_owned[k_entries.row[in_border]],
             *coupled,
-            self._first_jump + low + d_entries.row,
+            self._first_jump + first_row + d_entries.row,
         ]
         columns = [column[in_border], *coupled[::-1], self._first_jump + d_entries.col]
         data = [k_entries.data[in_border], c_entries.data, c_entries.data, d_entries.data]
@@ -145,13 +145,13 @@ class Substructures:
         return entries
 
     def _analyse(self) -> None:
-        kind = factor_class()
-        assert kind is not None
-        self._factor = kind(self._rows)
-        s, last = self._shared_unknowns, self._border_size - self._shared_unknowns
-        of_shared = s**3 / 3 + s**2 * last + s * last**2
+        factor_type = factor_class()
+        assert factor_type is not None
+        self._factor = factor_type(self._rows)
+        s, last_unknowns = self._shared_unknowns, self._border_size - self._shared_unknowns
+        of_shared = s**3 / 3 + s**2 * last_unknowns + s * last_unknowns**2
         self.operations = of_shared + self.comm.allreduce(self._factor.operations, MPI.MAX)
-        self.entries = self.comm.allreduce(self._factor.entries) + s * (s / 2 + last)
+        self.entries = self.comm.allreduce(self._factor.entries) + s * (s / 2 + last_unknowns)
 
     def factorize(self) -> Floats | None:
         """Factor the matrices.
@@ -165,9 +165,9 @@ class Substructures:
         comm = self.comm
         complement = self._factor.factorize(self._rows)
         del self._rows
-        places = comm.gather(self._touched_border)
+        borders_of_ranks = comm.gather(self._touched_border)
         wait(comm)
-        if places is None:
+        if borders_of_ranks is None:
             comm.Send(complement, 0)
             return None
         if len(complement) == self._border_size:
@@ -176,7 +176,7 @@ class Substructures:
             S = np.zeros((self._border_size, self._border_size))
             S[np.ix_(self._touched_border, self._touched_border)] = complement
         for rank in range(1, comm.size):
-            touched = places[rank]
+            touched = borders_of_ranks[rank]
             complement = np.empty((len(touched), len(touched)))
             comm.Recv(complement, rank)
             S[np.ix_(touched, touched)] += complement
@@ -218,11 +218,12 @@ class Substructures:
         self.comm.Reduce(total, forces)
         if forces is None:
             return None
-        shared, last = forces[: self._shared_unknowns], forces[self._shared_unknowns :]
+        shared_forces = forces[: self._shared_unknowns]
+        last_forces = forces[self._shared_unknowns :]
         if self._shared_unknowns:
-            self._shared_forces = blas.dtrsv(self._shared_factor, shared, lower=1)
-            last = last - self._shared_coupling.T @ self._shared_forces
-        return last
+            self._shared_forces = blas.dtrsv(self._shared_factor, shared_forces, lower=1)
+            last_forces = last_forces - self._shared_coupling.T @ self._shared_forces
+        return last_forces
 
     def expand(self, x: Floats | None) -> Floats:
         """Owned unknowns of K under the forces last reduced, by the last ones x; collective.
@@ -234,9 +235,9 @@ class Substructures:
         if x is not None:
             border[self._shared_unknowns :] = x
             if self._shared_unknowns:
-                remaining = self._shared_forces - self._shared_coupling @ x
+                right_side = self._shared_forces - self._shared_coupling @ x
                 border[: self._shared_unknowns] = blas.dtrsv(
-                    self._shared_factor, remaining, lower=1, trans=1
+                    self._shared_factor, right_side, lower=1, trans=1
                 )
         wait(self.comm)
         self.comm.Bcast(border)
@@ -248,8 +249,8 @@ class Substructures:
 
 def owned_rows(A: PETSc.Mat) -> csr_array:
     """Rows of a matrix that this rank has, with all columns."""
-    starts, columns, values = A.getValuesCSR()
-    return csr_array((values, columns, starts), shape=(len(starts) - 1, A.getSize()[1]))
+    row_starts, columns, values = A.getValuesCSR()
+    return csr_array((values, columns, row_starts), shape=(len(row_starts) - 1, A.getSize()[1]))
 
 
 def unknowns_of(nodes: Ints) -> Ints:
@@ -257,15 +258,15 @@ def unknowns_of(nodes: Ints) -> Ints:
     return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
-def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept_nodes: Ints) -> Ints:
+def _shared_nodes(comm: MPI.Comm, k: csr_array, first_nodes: Ints, kept_nodes: Ints) -> Ints:
     """Nodes between the interiors of all ranks, sorted; collective.
 
-    ``k`` are owned rows of K, ``starts`` the first nodes of the ranks and the number of all nodes,
-    ``kept_nodes`` the nodes that are kept.
+    ``k`` are owned rows of K, ``kept_nodes`` the nodes that are kept. ``first_nodes`` are the first
+    nodes of the ranks and the number of all nodes.
     """
     if comm.size == 1:
         return np.zeros(0, dtype=np.int64)
-    first_node, end_node = starts[comm.rank : comm.rank + 2]
+    first_node, end_node = first_nodes[comm.rank : comm.rank + 2]
     columns = k.indices // 3
     crossing = (columns < first_node) | (columns >= end_node)
     rows = first_node + np.repeat(np.arange(k.shape[0]) // 3, np.diff(k.indptr))[crossing]
@@ -273,7 +274,7 @@ def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept_nodes: Ints) 
     # Both ranks have each pair.
     pairs = pairs[(pairs[:, 0] < pairs[:, 1]) & ~np.isin(pairs, kept_nodes).any(axis=1)]
     pairs = np.concatenate(comm.allgather(pairs))
-    ranks = np.searchsorted(starts, pairs, side="right") - 1
+    ranks = np.searchsorted(first_nodes, pairs, side="right") - 1
     covers: list[Ints] = [np.zeros(0, dtype=np.int64)]
     for rank_pair in np.unique(ranks, axis=0):
         covers.append(vertex_cover(pairs[(ranks == rank_pair).all(axis=1)]))
