@@ -102,7 +102,7 @@ def run(
     local_cores = cores if slurm is None else None
     runs = runs_of(planned, folder, local_cores)
     total = len({r.id for r in runs})
-    due = 0.0
+    next_report = 0.0
     pending: dict[str, BatchRun] = {}
 
     def results() -> list[Result]:
@@ -110,10 +110,14 @@ def run(
         return [result_of(r, planned_run, over=r.id not in pending) for planned_run, r in pairs]
 
     def watch() -> None:
-        nonlocal due
-        if _log_ended(pending, total, lambda r: r.ended) and pending and time.monotonic() > due:
+        nonlocal next_report
+        if (
+            _log_ended(pending, total, lambda r: r.ended)
+            and pending
+            and time.monotonic() > next_report
+        ):
             so_far(results())
-            due = time.monotonic() + OFTEN
+            next_report = time.monotonic() + OFTEN
 
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -132,8 +136,8 @@ def run(
                 scheduler.execute(folder, cores, slurm, needs_idle_machine, watch)
             except KeyboardInterrupt:
                 so_far(results())
-                text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
-                raise StoppedError(f"{text}; run the same command again to continue") from None
+                message = f"stopped after {total - len(pending)} of {total} runs in {folder}"
+                raise StoppedError(f"{message}; run the same command again to continue") from None
             # A run that began without an end has failed.
             _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
         if pending:
@@ -148,24 +152,27 @@ def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
     runs = runs_of(planned, options.folder, options.cores)
     rows = []
     wall = 0.0
-    seen: set[object] = set()
+    counted: set[object] = set()
     for planned_run, r in zip(planned, runs, strict=True):
-        seconds = cost.seconds(planned_run.case, r.process not in seen)  # on one core
+        seconds = cost.seconds(planned_run.case, r.process not in counted)  # on one core
         seconds_alone = seconds / min(planned_run.ranks, options.cores)
-        about = duration(seconds_alone)
-        note = f"shares the matrices of {r.process}" if r.process in seen else ""
-        if r.path in seen:
-            note, about = "the same as one above", "-"
+        expected_time = duration(seconds_alone)
+        note = f"shares the matrices of {r.process}" if r.process in counted else ""
+        if r.path in counted:
+            note, expected_time = "the same as one above", "-"
         elif r.summary() is not None:
-            note, about = f"done in {duration(result_of(r).seconds)}", "-"
-        seen |= {r.process, r.path}
-        if about != "-":
+            note, expected_time = f"done in {duration(result_of(r).seconds)}", "-"
+        counted |= {r.process, r.path}
+        if expected_time != "-":
             wall += seconds_alone if planned_run.needs_idle_machine else seconds / options.cores
         size = layout.count(round(cost.unknowns(planned_run.case), -2))
-        rows.append((planned_run.name, planned_run.ranks, size, about, note))
-    listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
-    about = duration(IDLE * wall)
-    return f"{title}\n\n{listed}\n\nabout {about} for the remaining runs on {options.cores} cores"
+        rows.append((planned_run.name, planned_run.ranks, size, expected_time, note))
+    run_table = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
+    expected_time = duration(IDLE * wall)
+    return (
+        f"{title}\n\n{run_table}\n\nabout {expected_time} for the remaining runs on"
+        f" {options.cores} cores"
+    )
 
 
 def _log_ended(
@@ -177,8 +184,10 @@ def _log_ended(
         del pending[r.id]
         result = result_of(r)
         code = result.exit_code
-        outcome = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
-        log.info("[%d/%d] %s %s", total - len(pending), total, r.planned.name, outcome)
+        outcome_text = (
+            f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
+        )
+        log.info("[%d/%d] %s %s", total - len(pending), total, r.planned.name, outcome_text)
     return bool(ended)
 
 
@@ -197,14 +206,14 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
     Raises:
         InputError: The folder cannot be written.
     """
-    shared: dict[str, list[BatchRun]] = {}
+    runs_of_process: dict[str, list[BatchRun]] = {}
     for r in pending:
-        shared.setdefault(r.process, []).append(r)
+        runs_of_process.setdefault(r.process, []).append(r)
     jobs = {}
     with writable(folder):
         for name in ("cases", "runs"):
             (folder / name).mkdir(exist_ok=True)
-        for id, runs in shared.items():
+        for id, runs in runs_of_process.items():
             case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
             write_text(case, _text(runs))
             for r in runs:
@@ -223,21 +232,21 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
                 threads = cores
             else:
                 threads = min(ranks, cores)
-            needed = max(memory.needed(r.planned.case) for r in runs)
+            needed_memory = max(memory.needed(r.planned.case) for r in runs)
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(cores), *command])),
                 "threads": threads,
-                "memory": math.ceil(needed / scheduler.MEGABYTE),
+                "memory": math.ceil(needed_memory / scheduler.MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
 
 
 def _text(runs: Sequence[BatchRun]) -> str:
     """Return the case file of a process: its only run, or all its runs as variations."""
-    first = runs[0]
-    if not first.shares:
-        return dump(first.planned.case)
-    data = plain(first.planned.case)
+    first_run = runs[0]
+    if not first_run.shares:
+        return dump(first_run.planned.case)
+    data = plain(first_run.planned.case)
     _, base = split(data)
     variations = {}
     for r in runs:

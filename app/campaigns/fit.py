@@ -103,13 +103,13 @@ class Evaluations:
         Raises:
             _RunsUsed: There would be more than `FitSearch.runs`.
         """
-        values = {name: self.problem.values(shares) for name, shares in requested.items()}
+        values = {name: self.problem.values(fractions) for name, fractions in requested.items()}
         identities = {name: tuple(key_values.values()) for name, key_values in values.items()}
-        new = {id: name for name, id in identities.items() if id not in self._by_values}
-        if len(self.runs) + len(new) > self.problem.fit.runs:
+        new_names = {id: name for name, id in identities.items() if id not in self._by_values}
+        if len(self.runs) + len(new_names) > self.problem.fit.runs:
             raise _RunsUsed
         planned, refusals = [], {}
-        for name in new.values():
+        for name in new_names.values():
             runs, faults = self.problem.plan(name, requested[name])
             planned += runs
             refusals[name] = "refused: " + "; ".join(fault.text for fault in faults)
@@ -118,7 +118,7 @@ class Evaluations:
             options = self._options
             batch_results = batch.run(planned, options.folder, options.cores, options.slurm)
             results = {result.planned.name: result for result in batch_results}
-        for id, name in new.items():
+        for id, name in new_names.items():
             run = fit_results.fit_run(
                 self.problem, name, requested[name], results.get(name), refusals[name]
             )
@@ -135,17 +135,17 @@ class Evaluations:
         """
         step = self.problem.fit.step
         steps = {}
-        for k, share in enumerate(run.shares):
-            steps[k] = step if share + step <= 1.0 else -step
-        changed = self._changed_runs(run, steps)
+        for k, fraction in enumerate(run.shares):
+            steps[k] = step if fraction + step <= 1.0 else -step
+        changed_runs = self._changed_runs(run, steps)
         opposite_steps = {}
-        for k, changed_run in changed.items():
+        for k, changed_run in changed_runs.items():
             opposite = run.shares[k] - steps[k]
             if not changed_run.done and 0.0 <= opposite <= 1.0:
                 opposite_steps[k] = -steps[k]
-        changed |= self._changed_runs(run, opposite_steps)
+        changed_runs |= self._changed_runs(run, opposite_steps)
         columns = []
-        for k, changed_run in changed.items():
+        for k, changed_run in changed_runs.items():
             difference = changed_run.array - run.array
             columns.append(difference / (changed_run.shares[k] - run.shares[k]))
         return np.array(columns).T
@@ -171,26 +171,28 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     """
     problem = fit_file.read(path, overrides)
     fit = problem.fit
-    first = np.array([key.first for key in fit.keys.values()])
+    start_fractions = np.array([key.first for key in fit.keys.values()])
     if options.dry_run:
-        planned, _ = problem.plan("start", first)
+        planned, _ = problem.plan("start", start_fractions)
         title = f"{problem.title}: the first of at most {fit.runs} runs"
         log.info("%s", batch.plan(title, planned, options))
         return None
     log.info("%s: %d keys, at most %d runs", problem.title, len(fit.keys), fit.runs)
     evaluate = Evaluations(problem, options)
-    (start,) = evaluate({"start": first})
+    (start,) = evaluate({"start": start_fractions})
     if not start.done:
-        text = f"the first run failed: {start.message}; choose another start of the keys"
-        raise gravest([start.exit_code], text)
+        message = f"the first run failed: {start.message}; choose another start of the keys"
+        raise gravest([start.exit_code], message)
     search = _reach_targets if fit.targets else _find_extremum
     outcome = search(evaluate, start)
-    known = None
+    identified = None
     if fit.targets and outcome.derivatives is not None:
         uncertainties = np.array([target.uncertainty for target in fit.number_targets.values()])
-        known = identify(np.nan_to_num(outcome.derivatives / uncertainties[:, None]))
-    verdicts = fit_verdicts.verdicts(problem, evaluate.runs, outcome, known)
-    record = fit_results.record(problem, options.folder, evaluate.runs, outcome, known, verdicts)
+        identified = identify(np.nan_to_num(outcome.derivatives / uncertainties[:, None]))
+    verdicts = fit_verdicts.verdicts(problem, evaluate.runs, outcome, identified)
+    record = fit_results.record(
+        problem, options.folder, evaluate.runs, outcome, identified, verdicts
+    )
     with batch.writable(options.folder):
         write_json(options.folder / "fit.json", record)
         write_text(options.folder / "fit.csv", fit_results.csv(record))
@@ -209,18 +211,18 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
     uncertainties = np.array([target.uncertainty for target in fit.number_targets.values()])
     derivatives: Floats | None = None
 
-    def deviations(shares: Floats) -> Floats:
+    def deviations(fractions: Floats) -> Floats:
         # With the constant 1, the relative stop criterion is an absolute one near zero.
-        return np.append((evaluate.step(shares).array - values) / uncertainties, 1.0)
+        return np.append((evaluate.step(fractions).array - values) / uncertainties, 1.0)
 
-    def jacobian(shares: Floats) -> Floats:
+    def jacobian(fractions: Floats) -> Floats:
         nonlocal derivatives
-        derivatives = evaluate.derivatives(evaluate.step(shares))
+        derivatives = evaluate.derivatives(evaluate.step(fractions))
         scaled = np.nan_to_num(derivatives / uncertainties[:, None])
-        return np.vstack([scaled, np.zeros(len(shares))])
+        return np.vstack([scaled, np.zeros(len(fractions))])
 
     try:
-        result = least_squares(
+        least_squares_result = least_squares(
             deviations,
             start.shares,
             jacobian,
@@ -233,7 +235,9 @@ def _reach_targets(evaluate: Evaluations, start: FitRun) -> Outcome:
         )
     except _RunsUsed:
         return Outcome(min(evaluate.done, key=lambda run: run.misfit), derivatives, False)
-    return Outcome(evaluate.step(result.x), derivatives, result.status > 0)
+    return Outcome(
+        evaluate.step(least_squares_result.x), derivatives, least_squares_result.status > 0
+    )
 
 
 def _cost(problem: FitProblem, run: FitRun) -> float:
@@ -241,8 +245,8 @@ def _cost(problem: FitProblem, run: FitRun) -> float:
     fit = problem.fit
     sign = 1.0 if fit.minimise else -1.0
     if fit.objective in fit.keys:
-        share = float(run.shares[[*fit.keys].index(fit.objective)])
-        return sign * share if run.done else math.nan
+        fraction = float(run.shares[[*fit.keys].index(fit.objective)])
+        return sign * fraction if run.done else math.nan
     return sign * float(run.array[fit.numbers.index(fit.objective)])
 
 
@@ -250,12 +254,12 @@ def _violations(problem: FitProblem, run: FitRun) -> Floats:
     """Violation of each bound of a number, relative to the bound; negative if the bound is kept."""
     fit = problem.fit
     violations = []
-    for name, (low, high) in fit.limits.items():
+    for name, (lower_bound, upper_bound) in fit.limits.items():
         value = float(run.array[fit.numbers.index(name)])
-        if math.isfinite(low):
-            violations.append((low - value) / (abs(low) or 1.0))
-        if math.isfinite(high):
-            violations.append((value - high) / (abs(high) or 1.0))
+        if math.isfinite(lower_bound):
+            violations.append((lower_bound - value) / (abs(lower_bound) or 1.0))
+        if math.isfinite(upper_bound):
+            violations.append((value - upper_bound) / (abs(upper_bound) or 1.0))
     return np.array(violations)
 
 
@@ -264,11 +268,11 @@ def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
     problem = evaluate.problem
     scale = abs(_cost(problem, start)) or 1.0
 
-    def cost(shares: Floats) -> float:
-        return _cost(problem, evaluate.step(shares)) / scale
+    def cost(fractions: Floats) -> float:
+        return _cost(problem, evaluate.step(fractions)) / scale
 
-    def violations(shares: Floats) -> Floats:
-        return _violations(problem, evaluate.step(shares))
+    def violations(fractions: Floats) -> Floats:
+        return _violations(problem, evaluate.step(fractions))
 
     constraints = [NonlinearConstraint(violations, -np.inf, 0.0)] if problem.fit.limits else []
     options = {
@@ -292,11 +296,11 @@ def _find_extremum(evaluate: Evaluations, start: FitRun) -> Outcome:
         converged = False
     feasible = [run for run in evaluate.done if (_violations(problem, run) <= 0.0).all()]
     if feasible:
-        best = min(feasible, key=lambda run: _cost(problem, run))
+        best_run = min(feasible, key=lambda run: _cost(problem, run))
     else:
-        best = min(evaluate.done, key=lambda run: float(_violations(problem, run).max()))
+        best_run = min(evaluate.done, key=lambda run: float(_violations(problem, run).max()))
     try:
-        derivatives = evaluate.derivatives(best)
+        derivatives = evaluate.derivatives(best_run)
     except _RunsUsed:
         converged = False
-    return Outcome(best, derivatives, converged)
+    return Outcome(best_run, derivatives, converged)

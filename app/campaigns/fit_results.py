@@ -195,14 +195,14 @@ def fit_run(
     Raises:
         InputError: The results do not contain a number of the fit.
     """
-    names = problem.fit.numbers
+    number_names = problem.fit.numbers
     values = problem.values(shares)
-    array: Floats = np.full(len(names), np.nan)
+    array: Floats = np.full(len(number_names), np.nan)
     if result is None:
         code, message = InputError.exit_code, refusal
         return FitRun(name, shares, values, array, math.nan, code, message, 0.0, None)
     if result.exit_code == 0:
-        numbers = {n: quantities.read(result.summary, n) for n in names}
+        numbers = {n: quantities.read(result.summary, n) for n in number_names}
         text = "is not in summary.json of this case; mantle explain lists the results"
         faults = [Fault(problem.path_of(n), text) for n, v in numbers.items() if v is None]
         problem.file.raise_all(faults)
@@ -243,9 +243,9 @@ def record(
         known: Uncertainties of the keys from the targets; None without targets or derivatives.
         verdicts: Verdicts on the result.
     """
-    fit, best = problem.fit, outcome.best
-    overrides = [*points.as_overrides(problem.changes(best.values)), *problem.overrides]
-    changes = " ".join(f"--set {shlex.quote(override)}" for override in overrides)
+    fit, best_run = problem.fit, outcome.best
+    overrides = [*points.as_overrides(problem.changes(best_run.values)), *problem.overrides]
+    override_options = " ".join(f"--set {shlex.quote(override)}" for override in overrides)
     if fit.targets:
         aim = "targets"
     else:
@@ -258,11 +258,11 @@ def record(
         "aim": aim,
         "objective": fit.objective,
         "converged": outcome.converged,
-        "best": best.name,
-        "command": f"mantle run {shlex.quote(str(problem.base))} {changes}",
-        "misfit": best.misfit if fit.targets else None,
-        "keys": _key_rows(problem, best, known),
-        "numbers": _number_rows(problem, best, outcome.derivatives),
+        "best": best_run.name,
+        "command": f"mantle run {shlex.quote(str(problem.base))} {override_options}",
+        "misfit": best_run.misfit if fit.targets else None,
+        "keys": _key_rows(problem, best_run, known),
+        "numbers": _number_rows(problem, best_run, outcome.derivatives),
         "correlation": [_plain(row) for row in known.correlation] if known else [],
         "covariance": [_floats(row) for row in known.covariance] if known else [],
         "singular_values": _floats(known.singular_values) if known else [],
@@ -282,71 +282,74 @@ def _plain(values: Floats) -> list[float | None]:
 
 
 def _key_rows(
-    problem: FitProblem, best: FitRun, known: Identifiability | None
+    problem: FitProblem, best_run: FitRun, identified: Identifiability | None
 ) -> dict[str, KeyRow]:
     rows: dict[str, KeyRow] = {}
     for k, (key, bounds) in enumerate(problem.fit.keys.items()):
-        share = float(best.shares[k])
-        deviation = float(known.uncertainties[k]) if known else math.inf
+        fraction = float(best_run.shares[k])
+        deviation = float(identified.uncertainties[k]) if identified else math.inf
         determined = deviation < KNOWN_RANGE
-        ends = (max(0.0, share - INTERVAL * deviation), min(1.0, share + INTERVAL * deviation))
+        interval_ends = (
+            max(0.0, fraction - INTERVAL * deviation),
+            min(1.0, fraction + INTERVAL * deviation),
+        )
         # Half of the interval of one deviation, which also holds on a logarithmic scale.
-        interval = bounds.number(share + deviation) - bounds.number(share - deviation)
+        interval = bounds.number(fraction + deviation) - bounds.number(fraction - deviation)
         rows[key] = {
-            "value": best.values[key],
-            "number": bounds.number(share),
+            "value": best_run.values[key],
+            "number": bounds.number(fraction),
             "unit": bounds.unit,
             "low": bounds.number(0.0),
             "high": bounds.number(1.0),
             "scale": bounds.scale,
             "uncertainty": 0.5 * interval if determined else None,
-            "interval": [bounds.number(end) for end in ends] if determined else [],
-            "at": at_bound(share),
+            "interval": [bounds.number(end) for end in interval_ends] if determined else [],
+            "at": at_bound(fraction),
         }
     return rows
 
 
-def at_bound(share: float) -> str:
+def at_bound(fraction: float) -> str:
     """Return ``low`` or ``high`` if a key has reached this bound; otherwise an empty text."""
-    if share < AT_BOUND:
+    if fraction < AT_BOUND:
         return "low"
-    return "high" if share > 1.0 - AT_BOUND else ""
+    return "high" if fraction > 1.0 - AT_BOUND else ""
 
 
 def _number_rows(
-    problem: FitProblem, best: FitRun, derivatives: Floats | None
+    problem: FitProblem, best_run: FitRun, derivatives: Floats | None
 ) -> dict[str, NumberRow]:
     fit = problem.fit
     rows: dict[str, NumberRow] = {}
     for i, name in enumerate(fit.numbers):
-        value = float(best.array[i])
-        changes = {} if derivatives is None else _plain(derivatives[i])
+        value = float(best_run.array[i])
+        derivatives_of_number = {} if derivatives is None else _plain(derivatives[i])
         row: NumberRow = {
             "value": value,
             "unit": quantities.find(name).unit,
-            "derivatives": dict(zip(fit.keys, changes, strict=False)),
+            "derivatives": dict(zip(fit.keys, derivatives_of_number, strict=False)),
         }
         if name in fit.number_targets:
             target = fit.number_targets[name]
             row["target"] = target.value
             row["uncertainty"] = target.uncertainty
             row["deviation"] = (value - target.value) / target.uncertainty
-        low, high = fit.limits.get(name, (-math.inf, math.inf))
-        if math.isfinite(low):
-            row["at_least"] = low
-        if math.isfinite(high):
-            row["at_most"] = high
+        lower_bound, upper_bound = fit.limits.get(name, (-math.inf, math.inf))
+        if math.isfinite(lower_bound):
+            row["at_least"] = lower_bound
+        if math.isfinite(upper_bound):
+            row["at_most"] = upper_bound
         rows[name] = row
     return rows
 
 
 def _run_row(problem: FitProblem, run: FitRun, folder: Path) -> FitRow:
-    names = problem.fit.numbers
+    number_names = problem.fit.numbers
     return {
         "name": run.name,
         "values": run.values,
         "shares": _floats(run.shares),
-        "numbers": {n: float(v) for n, v in zip(names, run.array, strict=True) if run.done},
+        "numbers": {n: float(v) for n, v in zip(number_names, run.array, strict=True) if run.done},
         "misfit": run.misfit if math.isfinite(run.misfit) else None,
         "exit_code": run.exit_code,
         "message": run.message,
@@ -366,8 +369,8 @@ def shown(name: str, value: float) -> str:
 
 def line(problem: FitProblem, run: FitRun) -> str:
     """Format keys, numbers and misfit of a run in one line."""
-    short = short_keys(list(problem.fit.keys))
-    keys = ", ".join(f"{short[key]} {value}" for key, value in run.values.items())
+    short_names = short_keys(list(problem.fit.keys))
+    keys = ", ".join(f"{short_names[key]} {value}" for key, value in run.values.items())
     if not run.done:
         return f"{run.name}: {keys}: {run.message}"
     pairs = zip(problem.fit.numbers, run.array, strict=True)
@@ -380,13 +383,13 @@ def key_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of keys."""
     head = ["key", "value", "unit", "±", "95 % interval", "bounds"]
     if fit_record["aim"] != "targets":
-        head = [word for word in head if word not in ("±", "95 % interval")]
+        head = [title for title in head if title not in ("±", "95 % interval")]
     rows = []
     for key, row in fit_record["keys"].items():
         cells = [key, f"{row['number']:.4g}", row["unit"]]
         if fit_record["aim"] == "targets":
-            known = row["uncertainty"] is not None
-            cells.append(f"{row['uncertainty']:.2g}" if known else "not determined")
+            is_known = row["uncertainty"] is not None
+            cells.append(f"{row['uncertainty']:.2g}" if is_known else "not determined")
             cells.append(" to ".join(f"{end:.4g}" for end in row["interval"]) or "-")
         rows.append([*cells, f"{row['low']:.4g} to {row['high']:.4g}"])
     return head, rows
@@ -417,10 +420,10 @@ def number_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
 
 def run_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of runs."""
-    short = short_keys(list(fit_record["keys"]))
+    short_names = short_keys(list(fit_record["keys"]))
     numbers = [*fit_record["numbers"]]
     targets = fit_record["aim"] == "targets"
-    head = ["run", *short.values(), *map(quantities.titled, numbers)]
+    head = ["run", *short_names.values(), *map(quantities.titled, numbers)]
     head += ["misfit", "time"] if targets else ["time"]
     rows = []
     for run in fit_record["runs"]:
@@ -436,12 +439,12 @@ def run_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
 
 def correlation_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table of correlations; no rows for a single key."""
-    names = [*short_keys(list(fit_record["keys"])).values()]
-    head = ["correlation", *names]
-    if len(names) == 1:
+    short_names = [*short_keys(list(fit_record["keys"])).values()]
+    head = ["correlation", *short_names]
+    if len(short_names) == 1:
         return head, []
     rows = []
-    for name, values in zip(names, fit_record["correlation"], strict=False):
+    for name, values in zip(short_names, fit_record["correlation"], strict=False):
         cells = ["-" if value is None else f"{value:+.2f}" for value in values]
         rows.append([name, *cells])
     return head, rows
@@ -449,13 +452,13 @@ def correlation_rows(fit_record: FitRecord) -> tuple[list[str], list[list[str]]]
 
 def text(fit_record: FitRecord) -> str:
     """Tables and verdicts of a fit."""
-    parts = [layout.table(*run_rows(fit_record)), layout.table(*key_rows(fit_record))]
+    tables = [layout.table(*run_rows(fit_record)), layout.table(*key_rows(fit_record))]
     head, correlations = correlation_rows(fit_record)
     if correlations:
-        parts.append(layout.table(head, correlations))
-    parts.append(layout.table(*number_rows(fit_record)))
-    parts.append(f"{fit_record['best']} has these values; to repeat it: {fit_record['command']}")
-    return "\n\n".join(parts)
+        tables.append(layout.table(head, correlations))
+    tables.append(layout.table(*number_rows(fit_record)))
+    tables.append(f"{fit_record['best']} has these values; to repeat it: {fit_record['command']}")
+    return "\n\n".join(tables)
 
 
 def csv(fit_record: FitRecord) -> str:

@@ -27,16 +27,16 @@ def verdicts(
     problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome, known: Identifiability | None
 ) -> list[Verdict]:
     """Return the verdicts on runs, keys and their uncertainty, and targets or constraints."""
-    listed = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best, known)]
+    all_verdicts = [*_of_runs(problem, runs, outcome), *_of_keys(problem, outcome.best, known)]
     if problem.fit.targets:
-        listed += _of_targets(problem, outcome.best)
+        all_verdicts += _of_targets(problem, outcome.best)
     else:
-        listed += _of_constraints(problem, outcome.best)
+        all_verdicts += _of_constraints(problem, outcome.best)
     if known is not None:
-        listed += _of_knowledge(problem, known)
+        all_verdicts += _of_knowledge(problem, known)
     elif outcome.derivatives is not None:
-        listed += _of_influence(problem, outcome.derivatives, outcome.best)
-    return listed
+        all_verdicts += _of_influence(problem, outcome.derivatives, outcome.best)
+    return all_verdicts
 
 
 def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> Iterator[Verdict]:
@@ -45,10 +45,12 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
         statement = f"the search stopped after {len(runs)} runs, before it converged"
         cure = f"set fit.runs above {problem.fit.runs}; run the same command again to continue"
         yield Verdict(statement, "fit.runs", cure)
-    failed = [run for run in runs if not run.done]
-    if failed:
-        reasons = "; ".join(f"{run.name}: {run.message}" for run in failed)
-        statement = f"{len(failed)} of {len(runs)} runs failed and count as infeasible: {reasons}"
+    failed_runs = [run for run in runs if not run.done]
+    if failed_runs:
+        reasons = "; ".join(f"{run.name}: {run.message}" for run in failed_runs)
+        statement = (
+            f"{len(failed_runs)} of {len(runs)} runs failed and count as infeasible: {reasons}"
+        )
         yield Verdict(statement, severity=Severity.WARNING)
     if outcome.derivatives is not None:
         for k, key in enumerate(problem.fit.keys):
@@ -59,12 +61,14 @@ def _of_runs(problem: FitProblem, runs: Sequence[FitRun], outcome: Outcome) -> I
                 yield Verdict(statement, key, "choose other bounds", Severity.WARNING)
 
 
-def _of_keys(problem: FitProblem, best: FitRun, known: Identifiability | None) -> Iterator[Verdict]:
+def _of_keys(
+    problem: FitProblem, best_run: FitRun, identified: Identifiability | None
+) -> Iterator[Verdict]:
     """Verdicts on keys at their bounds, without keys that the targets do not determine."""
     fit = problem.fit
     for k, (key, bounds) in enumerate(fit.keys.items()):
-        bound = at_bound(float(best.shares[k]))
-        if not bound or (known is not None and known.uncertainties[k] >= KNOWN_RANGE):
+        bound = at_bound(float(best_run.shares[k]))
+        if not bound or (identified is not None and identified.uncertainties[k] >= KNOWN_RANGE):
             continue
         bound_name, end = ("lower", bounds.low) if bound == "low" else ("upper", bounds.high)
         statement = f"is at its {bound_name} bound, {end}"
@@ -73,12 +77,12 @@ def _of_keys(problem: FitProblem, best: FitRun, known: Identifiability | None) -
         yield Verdict(statement, key, cure, severity)
 
 
-def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+def _of_targets(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
     """Verdicts on targets that the best run does not reach."""
-    bounded = any(at_bound(float(share)) for share in best.shares)
+    bounded = any(at_bound(float(fraction)) for fraction in best_run.shares)
     remedy = "widen the bounds" if bounded else "check the target and its uncertainty"
     cure = f"{remedy}, or add a key that changes this number"
-    for name, value in zip(problem.fit.numbers, best.array, strict=True):
+    for name, value in zip(problem.fit.numbers, best_run.array, strict=True):
         target = problem.fit.number_targets[name]
         deviation = abs(value - target.value) / target.uncertainty
         if deviation > DOUBTFUL:
@@ -91,59 +95,63 @@ def _of_targets(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
             yield Verdict(statement, name, cure, severity)
 
 
-def _of_knowledge(problem: FitProblem, known: Identifiability) -> Iterator[Verdict]:
+def _of_knowledge(problem: FitProblem, identified: Identifiability) -> Iterator[Verdict]:
     """Verdicts on keys that the targets do not determine, or only in combination."""
     fit = problem.fit
-    names = [*short_keys(list(fit.keys)).values()]
-    full = [*fit.keys]
-    for direction in known.undetermined():
+    short_names = [*short_keys(list(fit.keys)).values()]
+    full_keys = [*fit.keys]
+    for direction in identified.undetermined():
         if len(direction) == 1:
             (k,) = direction
-            low, high = fit.keys[full[k]].low, fit.keys[full[k]].high
+            lower_bound, upper_bound = fit.keys[full_keys[k]].low, fit.keys[full_keys[k]].high
             statement = (
-                f"the targets do not determine it: from one bound to the other ({low} to {high}) "
-                f"the numbers change by {known.influence[k]:.2g} of their uncertainties"
+                f"the targets do not determine it: from one bound to the other ({lower_bound} to"
+                f" {upper_bound}) "
+                f"the numbers change by {identified.influence[k]:.2g} of their uncertainties"
             )
             yield Verdict(
                 statement,
-                full[k],
+                full_keys[k],
                 "leave this key out, or add a number that depends on it",
             )
             continue
-        together = identifiability.in_words(direction, names)
+        combination = identifiability.in_words(direction, short_names)
         counts = ""
         if len(fit.targets) < len(fit.keys):
             counts = f"{len(fit.keys)} keys and {len(fit.targets)} targets: "
         statement = (
             f"{counts}the targets do not determine these keys one by one: the numbers hardly change"
-            f" if {together} change together"
+            f" if {combination} change together"
         )
         cure = "fix one of them, or add a number that depends on them in another way"
-        yield Verdict(statement, ", ".join(full[k] for k in direction), cure)
+        yield Verdict(statement, ", ".join(full_keys[k] for k in direction), cure)
 
 
-def _of_influence(problem: FitProblem, derivatives: Floats, best: FitRun) -> Iterator[Verdict]:
+def _of_influence(problem: FitProblem, derivatives: Floats, best_run: FitRun) -> Iterator[Verdict]:
     """Verdicts on keys without influence on any number."""
-    changes = np.abs(np.nan_to_num(derivatives))
+    largest_changes = np.abs(np.nan_to_num(derivatives))
     for k, key in enumerate(problem.fit.keys):
-        if key != problem.fit.objective and (changes[:, k] <= ROUNDING * abs(best.array)).all():
+        if (
+            key != problem.fit.objective
+            and (largest_changes[:, k] <= ROUNDING * abs(best_run.array)).all()
+        ):
             statement = "has no influence on the numbers, so that its value is arbitrary"
             yield Verdict(statement, key, "leave this key out", Severity.WARNING)
 
 
-def _of_constraints(problem: FitProblem, best: FitRun) -> Iterator[Verdict]:
+def _of_constraints(problem: FitProblem, best_run: FitRun) -> Iterator[Verdict]:
     """Verdicts on the constraints of the best run."""
     fit = problem.fit
-    for name, (low, high) in fit.limits.items():
-        value = float(best.array[fit.numbers.index(name)])
-        for limit, words, excess in (
-            (low, "at least", low - value),
-            (high, "at most", value - high),
+    for name, (lower_bound, upper_bound) in fit.limits.items():
+        value = float(best_run.array[fit.numbers.index(name)])
+        for limit, relation, excess in (
+            (lower_bound, "at least", lower_bound - value),
+            (upper_bound, "at most", value - upper_bound),
         ):
             if excess > 0:
                 statement = (
                     "no run meets all constraints; in the closest one it is"
-                    f" {shown(name, value)}, and it must be {words} {shown(name, limit)}"
+                    f" {shown(name, value)}, and it must be {relation} {shown(name, limit)}"
                 )
                 yield Verdict(
                     statement, name, "widen the bounds of the keys, or relax this constraint"

@@ -54,8 +54,8 @@ class Identifiability:
         """
         weak = []
         for i in np.flatnonzero(self.singular_values * KNOWN_RANGE < 1.0):
-            parts = [float(v) for v in self.directions[i]]
-            weak.append({k: v for k, v in enumerate(parts) if abs(v) > LEAST_COMPONENT})
+            components = [float(v) for v in self.directions[i]]
+            weak.append({k: v for k, v in enumerate(components) if abs(v) > LEAST_COMPONENT})
         return weak
 
 
@@ -69,16 +69,16 @@ def identify(derivatives: Floats) -> Identifiability:
     for size, direction in zip(sizes, directions, strict=True):
         if size:
             covariance += np.outer(direction, direction) / size**2
-    unknown = np.abs(directions[sizes == 0.0]).max(axis=0, initial=0.0) > ROUNDING
+    is_unknown = np.abs(directions[sizes == 0.0]).max(axis=0, initial=0.0) > ROUNDING
     with np.errstate(invalid="ignore", divide="ignore"):
         deviations = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(deviations, deviations)
-    correlation[unknown] = np.nan
-    correlation[:, unknown] = np.nan
+    correlation[is_unknown] = np.nan
+    correlation[:, is_unknown] = np.nan
     return Identifiability(
         singular_values=sizes,
         directions=directions,
-        uncertainties=np.where(unknown, np.inf, deviations),
+        uncertainties=np.where(is_unknown, np.inf, deviations),
         covariance=covariance,
         correlation=correlation,
         influence=np.linalg.norm(derivatives, axis=0),
@@ -87,8 +87,8 @@ def identify(derivatives: Floats) -> Identifiability:
 
 def in_words(direction: dict[int, float], names: Sequence[str]) -> str:
     """Name the keys of a direction: ``a and b`` if they increase together, else ``a against b``."""
-    first = next(iter(direction.values()))
-    with_first = [names[k] for k, v in direction.items() if v * first > 0]
-    against = [names[k] for k, v in direction.items() if v * first < 0]
-    words = " and ".join(with_first)
-    return f"{words} against {' and '.join(against)}" if against else words
+    first_component = next(iter(direction.values()))
+    with_first = [names[k] for k, v in direction.items() if v * first_component > 0]
+    against = [names[k] for k, v in direction.items() if v * first_component < 0]
+    combination = " and ".join(with_first)
+    return f"{combination} against {' and '.join(against)}" if against else combination

@@ -93,24 +93,27 @@ class BatchRun:
     def status(self) -> tuple[int, float] | None:
         """Exit code and seconds of its process; None until it ends."""
         try:
-            begin, end, code = self.file("status").read_text().split()
-            return int(code), float(end) - float(begin)
+            begin_time, end_time, code = self.file("status").read_text().split()
+            return int(code), float(end_time) - float(begin_time)
         except (OSError, ValueError):
             return None
 
     @property
     def ended(self) -> bool:
         """Return True if the run is done or has failed."""
-        marks = (self.path / "DONE", self.path / FAILED)  # its process may continue with other runs
-        return self.status() is not None or any(mark.exists() for mark in marks)
+        end_marks = (
+            self.path / "DONE",
+            self.path / FAILED,
+        )  # its process may continue with other runs
+        return self.status() is not None or any(end_mark.exists() for end_mark in end_marks)
 
     def summary(self) -> Summary | None:
         """``summary.json`` of a run that is done; None if it is not."""
         if not (self.path / "DONE").exists():
             return None
         try:
-            text = (self.path / "summary.json").read_text(encoding="utf-8")
-            return cast(Summary, json.loads(text))
+            summary_text = (self.path / "summary.json").read_text(encoding="utf-8")
+            return cast(Summary, json.loads(summary_text))
         except (OSError, ValueError):
             return None
 
@@ -124,30 +127,32 @@ def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> l
     """
     unique: dict[str, PlannedRun] = {}
     ids: list[str] = []
-    groups: dict[str, list[str]] = {}
+    ids_by_matrix: dict[str, list[str]] = {}
     for run in planned:
         id = CASE + _digest(_content(run.case), run)
         ids.append(id)
-        first = unique.setdefault(id, run)
-        needs_idle_machine = first.needs_idle_machine or run.needs_idle_machine
-        unique[id] = replace(first, needs_idle_machine=needs_idle_machine)
+        first_run = unique.setdefault(id, run)
+        needs_idle_machine = first_run.needs_idle_machine or run.needs_idle_machine
+        unique[id] = replace(first_run, needs_idle_machine=needs_idle_machine)
         if run.share:
-            shared, _ = split(plain(run.case))
-            group = groups.setdefault(_digest(json.dumps(shared, sort_keys=True), run), [])
-            if id not in group:
-                group.append(id)
+            shared_data, _ = split(plain(run.case))
+            ids_of_matrix = ids_by_matrix.setdefault(
+                _digest(json.dumps(shared_data, sort_keys=True), run), []
+            )
+            if id not in ids_of_matrix:
+                ids_of_matrix.append(id)
     longest = len(unique)
     # Runs whose times are compared stay in one process.
     are_timed = any(run.needs_idle_machine for run in planned)
     if cores and not are_timed:
         longest = math.ceil(sum(run.ranks for run in unique.values()) / cores)
     paths = {id: folder / "runs" / id for id in unique}
-    for digest, group in groups.items():
-        if len(group) == 1:
+    for digest, ids_of_matrix in ids_by_matrix.items():
+        if len(ids_of_matrix) == 1:
             continue
-        processes = math.ceil(len(group) / longest)
-        for i, id in enumerate(group):
-            process = f"{SHARED}{digest}-{i * processes // len(group) + 1}"
+        processes = math.ceil(len(ids_of_matrix) / longest)
+        for i, id in enumerate(ids_of_matrix):
+            process = f"{SHARED}{digest}-{i * processes // len(ids_of_matrix) + 1}"
             paths[id] = folder / "runs" / process / id
     paths |= _begun(folder)
     return [BatchRun(id, unique[id], paths[id]) for id in ids]
@@ -163,15 +168,15 @@ def _begun(folder: Path) -> dict[str, Path]:
     """Directories of runs that are done or have saved their state, by id."""
     runs = folder / "runs"
     directories = [*runs.glob(f"{SHARED}*/{CASE}*"), *runs.glob(f"{CASE}*")]
-    ours = [path for path in directories if NAMED.fullmatch(str(path.relative_to(runs)))]
-    finished = {path.name: path for path in ours if (path / "DONE").exists()}
-    return {path.name: path for path in ours if saved(path)} | finished
+    run_directories = [path for path in directories if NAMED.fullmatch(str(path.relative_to(runs)))]
+    finished = {path.name: path for path in run_directories if (path / "DONE").exists()}
+    return {path.name: path for path in run_directories if saved(path)} | finished
 
 
-def _digest(text: str, run: PlannedRun) -> str:
+def _digest(case_text: str, run: PlannedRun) -> str:
     """Return the hexadecimal digest of a case as text, ranks, program and files of the geometry."""
-    parts = [text, str(run.ranks), identity.text(), run.case.geometry.content]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
+    digested_texts = [case_text, str(run.ranks), identity.text(), run.case.geometry.content]
+    return hashlib.sha256("\0".join(digested_texts).encode()).hexdigest()[:DIGITS]
 
 
 def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = True) -> Result:
@@ -189,15 +194,15 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
     if summary is not None:
         if run.shares or status is None:  # or it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)
-        doubts = "; ".join(reasons_not_to_use(summary))
-        code = UnusableError.exit_code if doubts else 0
-        return result(code, seconds, summary, f"do not use: {doubts}" if doubts else "")
+        reasons = "; ".join(reasons_not_to_use(summary))
+        code = UnusableError.exit_code if reasons else 0
+        return result(code, seconds, summary, f"do not use: {reasons}" if reasons else "")
     if not over:
         return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
         # A process that continues with other runs writes the reason of a failure into its folder.
-        doubts = (run.path / FAILED).read_text(encoding="utf-8").strip()
-        return result(ConvergenceError.exit_code, 0.0, {}, doubts)
+        reasons = (run.path / FAILED).read_text(encoding="utf-8").strip()
+        return result(ConvergenceError.exit_code, 0.0, {}, reasons)
     message = tail(run.file("log"))
     if status is None:
         message += "\n" + tail(run.file("slurm"))
@@ -211,15 +216,15 @@ def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = 
 
 def _killed(run: BatchRun) -> str:
     """Return the message on a run that the system killed, with needed and available memory."""
-    have = memory.available()
-    need = cost.gigabytes(run.planned.case, have)
-    text = "killed, probably out of memory: "
-    if need:
-        text += f"each run needs about {need:.1f} GB, "
-    text += f"{have / 1e9:.1f} GB are available"
-    at_once = max(1, int(have / 1e9 / need)) if need else 1
+    available_memory = memory.available()
+    needed_memory = cost.gigabytes(run.planned.case, available_memory)
+    message = "killed, probably out of memory: "
+    if needed_memory:
+        message += f"each run needs about {needed_memory:.1f} GB, "
+    message += f"{available_memory / 1e9:.1f} GB are available"
+    at_once = max(1, int(available_memory / 1e9 / needed_memory)) if needed_memory else 1
     fewer = f"--cores {at_once * run.planned.ranks} runs at most {at_once} at once"
-    return f"{text}; {fewer}: run the same command again with it to continue"
+    return f"{message}; {fewer}: run the same command again with it to continue"
 
 
 def tail(path: Path) -> str:

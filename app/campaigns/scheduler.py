@@ -64,8 +64,8 @@ def check(slurm: bool) -> None:
     if slurm:
         version = metadata.version("snakemake")
         if not version.startswith("7."):
-            text = f"Slurm needs Snakemake 7 (as in Debian 13); this is {version}"
-            raise EnvironmentProblem(text)
+            message = f"Slurm needs Snakemake 7 (as in Debian 13); this is {version}"
+            raise EnvironmentProblem(message)
 
 
 def execute(
@@ -122,13 +122,13 @@ def execute(
 def _slurm_options(folder: Path, extra: Sequence[str], exclusive: bool) -> list[str]:
     """Return options of Snakemake for Slurm; options in ``extra`` override those for sbatch."""
     prefix = f"mantle-{hashlib.sha256(bytes(folder.resolve())).hexdigest()[:10]}-"
-    job = ["--job-name", prefix + "{wildcards.id}", "--dependency", "singleton"]
+    job_options = ["--job-name", prefix + "{wildcards.id}", "--dependency", "singleton"]
     # One task per rank, because Open MPI counts the cores of --cpus-per-task as a single slot.
-    job += ["-n", "{threads}", "-c", "1", "-D", ".", "-o", "runs/{wildcards.id}.slurm"]
+    job_options += ["-n", "{threads}", "-c", "1", "-D", ".", "-o", "runs/{wildcards.id}.slurm"]
     if exclusive:
-        job.append("--exclusive")
-    job += [word.replace("{", "{{").replace("}", "}}") for word in extra]
-    options = ["--cluster", shlex.join(["sbatch", "--parsable", *job])]
+        job_options.append("--exclusive")
+    job_options += [option.replace("{", "{{").replace("}", "}}") for option in extra]
+    options = ["--cluster", shlex.join(["sbatch", "--parsable", *job_options])]
     options += ["--cluster-status", shlex.join(["sh", str(SLURM_STATUS)])]
     options += ["--cluster-cancel", "scancel"]
     if TREE_JOB.exists():
@@ -141,11 +141,11 @@ def _slurm_options(folder: Path, extra: Sequence[str], exclusive: bool) -> list[
 def _interruptible() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the block like Ctrl-C."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {n: signal.signal(n, signal.default_int_handler) for n in numbers}
+    handlers_before = {n: signal.signal(n, signal.default_int_handler) for n in numbers}
     try:
         yield
     finally:
-        for n, handler in before.items():
+        for n, handler in handlers_before.items():
             signal.signal(n, handler)
 
 

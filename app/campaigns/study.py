@@ -45,29 +45,29 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         StoppedError: Interrupted; the same command continues.
     """
     study, planned, common = study_file.read(path, overrides)
-    chosen = _selected_runs(planned, options)
+    chosen_runs = _selected_runs(planned, options)
     if options.dry_run:
-        log.info("%s", batch.plan(f"{path}: {len(chosen)} runs", chosen, options))
+        log.info("%s", batch.plan(f"{path}: {len(chosen_runs)} runs", chosen_runs, options))
         return
-    results = batch.run(chosen, options.folder, options.cores, options.slurm)
+    results = batch.run(chosen_runs, options.folder, options.cores, options.slurm)
     report = evaluate(study, [_study_run(result) for result in results])
     with batch.writable(options.folder):
         # An old picture would not match the new numbers.
         folders.remove(options.folder / name for name in study_picture.NAMES)
-        about = {
+        description = {
             "mantle": __version__,
             "study": str(path),
             "case": str(planned[0].file),
             "overrides": common,
             "cores": options.cores,
         }
-        written = study_report.write(report, about, options.folder)
-        written += study_picture.draw(report, options.folder)
+        written_files = study_report.write(report, description, options.folder)
+        written_files += study_picture.draw(report, options.folder)
     log.info("%s", study_report.table(report))
-    log.info("%s: written in %s", ", ".join(written), options.folder)
+    log.info("%s: written in %s", ", ".join(written_files), options.folder)
     if all(r.exit_code for r in results):
-        text = f"every run of the study failed:\n{results[0].message}"
-        raise gravest([r.exit_code for r in results], text)
+        message = f"every run of the study failed:\n{results[0].message}"
+        raise gravest([r.exit_code for r in results], message)
 
 
 def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:
@@ -80,8 +80,10 @@ def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[Plan
     for r in planned:
         lines.setdefault(study_file.line_of(r), []).append(r)
     if not any(name and options.pattern in name for name in lines):
-        names = ", ".join(filter(None, lines))
-        raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
+        line_names = ", ".join(filter(None, lines))
+        raise InputError(
+            f"-k {options.pattern}: no line has this in its name; allowed: {line_names}"
+        )
     most_points = QUICK_POINTS if options.tier == "quick" else None
     selected = [runs for name, runs in lines.items() if not name or options.pattern in name]
     return list(chain.from_iterable(runs[:most_points] for runs in selected))
@@ -90,8 +92,8 @@ def _selected_runs(planned: Sequence[PlannedRun], options: Options) -> list[Plan
 def _study_run(result: Result) -> StudyRun:
     planned = result.planned
     point = planned.point
-    lists = [key for key in point.varied if isinstance(point.places[key][-1], int)]
-    key = next((k for k in lists if k == "mesh.size"), lists[0] if lists else "")
+    listed_keys = [key for key in point.varied if isinstance(point.places[key][-1], int)]
+    key = next((k for k in listed_keys if k == "mesh.size"), listed_keys[0] if listed_keys else "")
     value = point.changes.get(key, "")
     number = int(point.places[key][-1]) + 1 if key else 0
     label = f"#{number}" if isinstance(value, dict | list) else str(value)
@@ -105,11 +107,15 @@ def _study_run(result: Result) -> StudyRun:
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     """Return the value of a key and its internal unit; None if it is not a positive number."""
     value: object = {**case.model_dump(mode="json"), "ranks": ranks}
-    for item in key_parts(key):
+    for key_part in key_parts(key):
         if isinstance(value, list | tuple):
-            value = {str(k): entry for k, entry in enumerate(value)}
-        entries = value if isinstance(value, Mapping) else {}
-        value = next(iter(entries.values()), None) if item == "*" else entries.get(item)
+            value = {str(k): inner_value for k, inner_value in enumerate(value)}
+        inner_values = value if isinstance(value, Mapping) else {}
+        value = (
+            next(iter(inner_values.values()), None)
+            if key_part == "*"
+            else inner_values.get(key_part)
+        )
     number, _, unit = str(value).partition(" ")
     try:
         x = float(number)
@@ -122,15 +128,15 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     """Compute errors, orders, Pareto fronts and advice from the runs of a study."""
     curve = [r for r in runs if r.line]
     ladder = [r for r in runs if not r.line]
-    measured = [_measure(study, name, curve, ladder) for name in study.quantities]
-    compared = [m for m in measured if m.compared]
+    measured_quantities = [_measure(study, name, curve, ladder) for name in study.quantities]
+    compared = [m for m in measured_quantities if m.compared]
     advice = {m.name: _costs(study.target, m.name, curve, [m]) for m in compared}
     resolved = [m for m in compared if not advice[m.name].startswith(NO_ADVICE)]
     if len(compared) > 1 and resolved:
         left_out = [m.name for m in compared if m not in resolved]
         title = f"every number but {', '.join(left_out)}" if left_out else "every number"
         advice[""] = _costs(study.target, title, curve, resolved)
-    return Report(study.target, curve, ladder, measured, advice)
+    return Report(study.target, curve, ladder, measured_quantities, advice)
 
 
 def _measure(
@@ -156,61 +162,61 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(quantities.known_value(name, values[name]), 0.0, None, "given")
-    read = [(r, quantities.read(r.result.summary, name)) for r in ladder]
-    known = [(r, value) for r, value in read if value is not None]
-    if known and len(ladder) == 1:
-        return wp.ReferenceValue(known[0][1], 0.0, None, "of one run")
-    if len(known) < 2:
+    values_of_runs = [(r, quantities.read(r.result.summary, name)) for r in ladder]
+    known_values = [(r, value) for r, value in values_of_runs if value is not None]
+    if known_values and len(ladder) == 1:
+        return wp.ReferenceValue(known_values[0][1], 0.0, None, "of one run")
+    if len(known_values) < 2:
         return None
-    x = [r.x for r, _ in known if r.x is not None]
+    x = [r.x for r, _ in known_values if r.x is not None]
     if x and x[0] < x[-1]:
         x = [1.0 / size for size in x]  # the number grows with refinement
-    last = known[-1][0]
+    finest_run = known_values[-1][0]
     return wp.extrapolate(
-        x if len(x) == len(known) else [],
-        [value for _, value in known],
-        last.highest_order,
-        last.result.planned.case.solver.tolerance,
+        x if len(x) == len(known_values) else [],
+        [value for _, value in known_values],
+        finest_run.highest_order,
+        finest_run.result.planned.case.solver.tolerance,
     )
 
 
 def _costs(
-    target: float, title: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
+    target: float, title: str, curve: Sequence[StudyRun], measured_quantities: Sequence[Measured]
 ) -> str:
     """Return the cost of an error below the target, and below fractions of it, in words.
 
     The error is the largest one of the given quantities. A run may be close to the reference by
     chance, so its error is at least that of the runs after it in its line.
     """
-    if any(m.reference and m.reference.method == wp.NOT_CONVERGING for m in measured):
+    if any(m.reference and m.reference.method == wp.NOT_CONVERGING for m in measured_quantities):
         return (
             f"{NO_ADVICE} {title}: its reference is {wp.NOT_CONVERGING}; refine study.reference.run"
         )
-    worst: dict[str, float] = {}
+    largest_errors: dict[str, float] = {}
     errors: list[float | None] = []
-    for errors_of_run in zip(*(m.errors for m in measured), strict=True):
-        known = [error for error in errors_of_run if error is not None]
-        is_complete = len(known) == len(errors_of_run)
-        errors.append(max(known) if is_complete else None)
+    for errors_of_run in zip(*(m.errors for m in measured_quantities), strict=True):
+        known_errors = [error for error in errors_of_run if error is not None]
+        is_complete = len(known_errors) == len(errors_of_run)
+        errors.append(max(known_errors) if is_complete else None)
     for i, r in reversed([*enumerate(curve)]):
         error = errors[i]
         if error is not None:
-            errors[i] = worst[r.line] = max(error, worst.get(r.line, 0.0))
+            errors[i] = largest_errors[r.line] = max(error, largest_errors.get(r.line, 0.0))
     costs: list[str] = []
     for part in TARGET_PARTS:
         level = part * target
-        best = wp.best([r.time for r in curve], errors, level)
-        if best is None:
+        best_row = wp.best([r.time for r in curve], errors, level)
+        if best_row is None:
             return f"{NO_ADVICE} {title}: no run has a known error"
-        r = curve[best]
+        r = curve[best_row]
         time = duration(r.time or 0.0)
-        error = errors[best] or 0.0
+        error = errors[best_row] or 0.0
         point = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
         place = f"{r.line} at {point}"
         if error <= level:
             costs.append(f"{percent(level)} costs {time} ({place})")
             continue
-        uncertainty = max(m.uncertainty for m in measured)
+        uncertainty = max(m.uncertainty for m in measured_quantities)
         reason = f"is reached by no run (closest {percent(error)} in {time}, {place})"
         if uncertainty > level:
             reason = f"is below the uncertainty of the reference, {percent(uncertainty)}"

@@ -32,16 +32,18 @@ def draw(report: Report, folder: Path) -> list[str]:
     """Draw the first `MOST_PANELS` quantities of each kind; return the names of the files."""
     compared = [m for m in report.quantities if m.compared][:MOST_PANELS]
     columns = 2 if len(compared) in (1, 2, 4) else 3
-    names = []
+    panel_names = []
     if compared:
         _draw(folder / NAMES[0], compared, partial(_against_time, report), columns, (5.2, 4.2))
-        names.append(NAMES[0])
+        panel_names.append(NAMES[0])
     lines = varying_lines(report)
     if lines:
-        shown = report.quantities[:MOST_PANELS]
-        _draw(folder / NAMES[1], shown, partial(_over_number, report, lines), 2, (4.6, 2.9))
-        names.append(NAMES[1])
-    return names
+        shown_quantities = report.quantities[:MOST_PANELS]
+        _draw(
+            folder / NAMES[1], shown_quantities, partial(_over_number, report, lines), 2, (4.6, 2.9)
+        )
+        panel_names.append(NAMES[1])
+    return panel_names
 
 
 def varying_lines(report: Report) -> dict[str, list[int]]:
@@ -59,13 +61,13 @@ def varying_lines(report: Report) -> dict[str, list[int]]:
 
 def _draw(
     path: Path,
-    shown: Sequence[Measured],
+    shown_quantities: Sequence[Measured],
     panel: Callable[[Axes, Measured], None],
     columns: int,
     size: tuple[float, float],
 ) -> None:
-    figure, all_axes = figures.panels(len(shown), columns, *size)
-    for axes, m in zip(all_axes, shown, strict=True):
+    figure, all_axes = figures.panels(len(shown_quantities), columns, *size)
+    for axes, m in zip(all_axes, shown_quantities, strict=True):
         figures.grid(axes)
         panel(axes, m)
     figures.legend_below(figure, ENTRIES, last=curves.FAILED)
@@ -102,7 +104,7 @@ def _line(
     axes: Axes, report: Report, m: Measured, error: list[float | None], name: str, k: int
 ) -> None:
     """Draw the k-th line with labels, failed runs as crosses at the top, orders at the bottom."""
-    words = name.replace("_", " ")
+    line_title = name.replace("_", " ")
     indices = [i for i, r in enumerate(report.runs) if r.line == name]
     known_points = {}
     for i in indices:
@@ -112,19 +114,19 @@ def _line(
             known_points[i] = (time, e)
     times = [time for time, _ in known_points.values()]
     errors = [e for _, e in known_points.values()]
-    curves.draw_line(axes, Line(words, k, times, errors))
+    curves.draw_line(axes, Line(line_title, k, times, errors))
     labels.label(axes, [report.runs[i].label for i in known_points], times, errors, k)
     for i, (time, e) in known_points.items():
         if not m.points[i].trusted:
             curves.hollow(axes, time, e, k)
-    text = exponent_text(report, m, name)
-    if text:
+    order_text = exponent_text(report, m, name)
+    if order_text:
         letter = "h" if report.runs[indices[0]].key == "mesh.size" else "x"
-        order = text if text == NOT_CONVERGING else rf"$\sim {letter}^{{{text}}}$"
+        order = order_text if order_text == NOT_CONVERGING else rf"$\sim {letter}^{{{order_text}}}$"
         row = 0.02 + 0.055 * (len(m.exponents) - 1 - k)
-        text = f"{words}: {order}"
+        order_text = f"{line_title}: {order}"
         colour = figures.colour(k)
-        axes.text(0.02, row, text, transform=axes.transAxes, color=colour, fontsize=8)
+        axes.text(0.02, row, order_text, transform=axes.transAxes, color=colour, fontsize=8)
     failed_times = []
     for i in indices:
         result = report.runs[i].result
@@ -135,10 +137,10 @@ def _line(
 
 def _limits(axes: Axes, report: Report, error: list[float | None]) -> None:
     """Set limits of at least a decade of error, with room for labels, crosses and orders."""
-    known = [report.target, *(e for e in error if e is not None)]
-    low, high = min(known), max(*known, 10 * min(known))
-    room = (high / low) ** 0.12
-    axes.set_ylim(low / room**3, high * room)
+    known_errors = [report.target, *(e for e in error if e is not None)]
+    lowest, highest = min(known_errors), max(*known_errors, 10 * min(known_errors))
+    room = (highest / lowest) ** 0.12
+    axes.set_ylim(lowest / room**3, highest * room)
     times = [max(r.time or r.result.seconds, 1e-2) for r in report.runs]
     room = max(max(times) / min(times), 10.0) ** 0.1
     axes.set_xlim(min(times) / room, max(times) * room)
@@ -148,33 +150,35 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Axes, m: Mea
     factor = m.quantity.factor
     figures.title(axes, titled(m.name))
     axes.set(xscale="log", xlabel=_label(report, lines))
-    drawn = []
+    drawn_rows = []
     if m.reference is not None:
         value = factor * m.reference.value
-        drawn.append(value)
+        drawn_rows.append(value)
         away = report.target * abs(value)
         label = f"reference ± {percent(report.target)}"
         curves.band(axes, value - away, value + away, label)
     for k, (name, indices) in enumerate(lines.items()):
         values = {i: m.points[i].value for i in indices}
-        known = {i: factor * v for i, v in values.items() if v is not None}
-        drawn += known.values()
-        x = [report.runs[i].x or 0.0 for i in known]
-        curves.draw_line(axes, Line(name.replace("_", " "), k, x, list(known.values())))
-        failed = [report.runs[i].x or 0.0 for i in indices if report.runs[i].result.exit_code]
+        known_values = {i: factor * v for i, v in values.items() if v is not None}
+        drawn_rows += known_values.values()
+        x = [report.runs[i].x or 0.0 for i in known_values]
+        curves.draw_line(axes, Line(name.replace("_", " "), k, x, list(known_values.values())))
+        failed_places = [
+            report.runs[i].x or 0.0 for i in indices if report.runs[i].result.exit_code
+        ]
         # The crosses of each line have another height: two lines may fail at the same number.
-        curves.crosses(axes, failed, k, 0.93 - 0.08 * k)
-    curves.span_decades(axes, drawn)
+        curves.crosses(axes, failed_places, k, 0.93 - 0.08 * k)
+    curves.span_decades(axes, drawn_rows)
 
 
 def _label(report: Report, lines: dict[str, list[int]]) -> str:
     """Names and units of the varied numbers: ``penalty, augmentation (MPa/mm)``."""
-    names: dict[str, dict[str, None]] = {}
+    levels_of_key: dict[str, dict[str, None]] = {}
     for indices in lines.values():
-        first = report.runs[indices[0]]
-        names.setdefault(first.unit, {})[re.sub(r".*\.", "", first.key)] = None
+        first_run = report.runs[indices[0]]
+        levels_of_key.setdefault(first_run.unit, {})[re.sub(r".*\.", "", first_run.key)] = None
     labels_by_unit = []
-    for unit, names_of_unit in names.items():
+    for unit, names_of_unit in levels_of_key.items():
         label = ", ".join(names_of_unit)
         labels_by_unit.append(f"{label} ({unit})" if unit else label)
     return ", ".join(labels_by_unit)

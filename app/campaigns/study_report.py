@@ -73,8 +73,8 @@ class Measured:
     @property
     def uncertainty(self) -> float:
         """Relative uncertainty of the reference; 0 without a reference or if its value is 0."""
-        known = self.reference is not None and self.reference.value
-        return self.reference.uncertainty / abs(known) if self.reference and known else 0.0
+        is_known = self.reference is not None and self.reference.value
+        return self.reference.uncertainty / abs(is_known) if self.reference and is_known else 0.0
 
     @property
     def errors(self) -> list[float | None]:
@@ -120,8 +120,8 @@ def exponent_text(report: Report, m: Measured, line: str) -> str:
     p = m.exponents[line]
     if p is None or abs(p) < FLAT:
         return ""
-    first = next(r for r in report.runs if r.line == line)
-    likely = first.key != "mesh.size" or 0.0 < round(p, 1) <= first.highest_order
+    first_run = next(r for r in report.runs if r.line == line)
+    likely = first_run.key != "mesh.size" or 0.0 < round(p, 1) <= first_run.highest_order
     return f"{p:.1f}" if likely else NOT_CONVERGING
 
 
@@ -129,14 +129,14 @@ def describe(reference: ReferenceValue | None, q: Quantity) -> str:
     """Return the reference value with its uncertainty and observed order, in words."""
     if reference is None:
         return "no reference: its runs failed or lack this number"
-    text = f"reference {shown(reference.value, q)}"
+    reference_text = f"reference {shown(reference.value, q)}"
     if reference.method == "given":
-        return f"{text}, given"
+        return f"{reference_text}, given"
     if reference.method == "of one run":
-        return f"{text}, of one run: errors are those of the method"
+        return f"{reference_text}, of one run: errors are those of the method"
     relative = percent(reference.uncertainty / abs(reference.value)) if reference.value else "?"
     order = "" if reference.order is None else f", observed order {reference.order:.1f}"
-    return f"{text} ± {relative} ({reference.method}{order})"
+    return f"{reference_text} ± {relative} ({reference.method}{order})"
 
 
 def table(report: Report) -> str:
@@ -161,9 +161,9 @@ def table(report: Report) -> str:
         if m.compared:
             lines.append(f"  {report.advice[m.name]}")
     lines += ["", "* no other run is both faster and closer"]
-    known = report.covered
-    if known:
-        lines.append(f"the truth lies within ± for {sum(known)} of {len(known)} numbers")
+    coverage = report.covered
+    if coverage:
+        lines.append(f"the truth lies within ± for {sum(coverage)} of {len(coverage)} numbers")
     if "" in report.advice:
         lines.append(report.advice[""])
     return "\n".join(lines)

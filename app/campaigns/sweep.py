@@ -98,18 +98,18 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     record = write(batch.run(planned, folder, options.cores, options.slurm, write))
     rows = record["cases"]
     log.info("%s", run_table.text(rows))
-    for text in layout.noted([(r["name"], r["notes"]) for r in rows]):
-        log.warning("note: %s", text)
-    spread = uncertainty.table(record["uncertainty"])
-    if spread:
-        log.info("\n%s", spread)
+    for note_line in layout.noted([(r["name"], r["notes"]) for r in rows]):
+        log.warning("note: %s", note_line)
+    spread_table = uncertainty.table(record["uncertainty"])
+    if spread_table:
+        log.info("\n%s", spread_table)
     log.info("sweep.csv and sweep.json are written in %s", folder)
     log.info("mantle report %s makes figures and tables", folder)
-    failed = [row for row in rows if row["exit_code"]]
-    if failed:
-        reasons = [f"{r['name']}: {reason(r['message'])} (in {r['folder']})" for r in failed]
-        head = f"{len(failed)} of {len(rows)} cases failed or are not to be used:"
-        raise gravest([r["exit_code"] for r in failed], "\n".join([head, *reasons]))
+    failed_rows = [row for row in rows if row["exit_code"]]
+    if failed_rows:
+        reasons = [f"{r['name']}: {reason(r['message'])} (in {r['folder']})" for r in failed_rows]
+        heading = f"{len(failed_rows)} of {len(rows)} cases failed or are not to be used:"
+        raise gravest([r["exit_code"] for r in failed_rows], "\n".join([heading, *reasons]))
 
 
 def _row(result: Result, folder: Path) -> SweepRow:

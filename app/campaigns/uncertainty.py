@@ -125,13 +125,13 @@ def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[object]]) 
         numbers: Its value in each sample.
         inputs: Values of each input in the samples, by key.
     """
-    low, high = np.percentile(numbers, (5, 95))
+    lowest, highest = np.percentile(numbers, (5, 95))
     correlations = {key: correlation(numbers, values) for key, values in inputs.items()}
     return {
         "mean": float(np.mean(numbers)),
         "deviation": float(np.std(numbers, ddof=1)),
-        "p5": float(low),
-        "p95": float(high),
+        "p5": float(lowest),
+        "p95": float(highest),
         "correlation": {key: r for key, r in correlations.items() if r is not None},
         "partial": partial_correlations(numbers, inputs),
     }
@@ -179,20 +179,20 @@ def sobol_indices(
             continue
         a, b, mixed = values[:1], values[1:2], values[2:, None]
         result = indices_of(func={"f_A": a, "f_B": b, "f_AB": mixed}, n=len(base_samples))
-        spread = result.bootstrap(n_resamples=RESAMPLES)
+        bootstrap = result.bootstrap(n_resamples=RESAMPLES)
         indices[name] = {
             key: SobolIndices(
-                first=_with_interval(result.first_order, spread.first_order, k),
-                total=_with_interval(result.total_order, spread.total_order, k),
+                first=_with_interval(result.first_order, bootstrap.first_order, k),
+                total=_with_interval(result.total_order, bootstrap.total_order, k),
             )
             for k, key in enumerate(inputs)
         }
     return indices
 
 
-def _with_interval(values: Floats, spread: Any, k: int) -> list[float]:
+def _with_interval(values: Floats, bootstrap: Any, k: int) -> list[float]:
     """Return the index of an input, and the ends of its interval."""
-    interval = spread.confidence_interval
+    interval = bootstrap.confidence_interval
     return [float(np.ravel(v)[k]) for v in (values, interval.low, interval.high)]
 
 
@@ -251,17 +251,17 @@ def correlation(numbers: Sequence[float], inputs: Sequence[object]) -> float | N
     """
     from scipy.stats import rankdata, spearmanr  # half a second, which only samples need
 
-    groups = len(set(map(str, inputs)))
-    if len(set(numbers)) < 2 or groups < 2:
+    level_count = len(set(map(str, inputs)))
+    if len(set(numbers)) < 2 or level_count < 2:
         return None
     if _ordered(inputs):
         return float(spearmanr(numbers, [_value(v) for v in inputs]).statistic)
-    if groups == len(inputs):
+    if level_count == len(inputs):
         return None
     ranks = rankdata(numbers)
     group = np.unique([str(v) for v in inputs], return_inverse=True)[1]
     within_groups = ranks - (np.bincount(group, ranks) / np.bincount(group))[group]
-    explained = 1.0 - np.var(within_groups, ddof=groups) / np.var(ranks, ddof=1)
+    explained = 1.0 - np.var(within_groups, ddof=level_count) / np.var(ranks, ddof=1)
     return float(np.sqrt(max(explained, 0.0)))
 
 
@@ -270,16 +270,21 @@ def rows(part_spread: PartSpread) -> list[list[str]]:
 
     Numbers that vary by rounding only are left out.
     """
-    spread = {n: s for n, s in part_spread["numbers"].items() if s["deviation"] > ROUNDING_RANGE}
-    order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
+    varying_numbers = {
+        n: s for n, s in part_spread["numbers"].items() if s["deviation"] > ROUNDING_RANGE
+    }
+    order = sorted(
+        varying_numbers,
+        key=lambda n: -varying_numbers[n]["deviation"] / (abs(varying_numbers[n]["mean"]) or 1),
+    )
     table_rows = []
     for name in order:
-        s = spread[name]
-        short = short_keys(list(s["correlation"]))
+        s = varying_numbers[name]
+        short_names = short_keys(list(s["correlation"]))
         causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:3]
-        follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
+        follows = ", ".join(f"{short_names[key]} {r:+.2f}" for key, r in causes)
         partial_text = ", ".join(
-            f"{short[k]} {s['partial'][k]:+.2f}" for k, _ in causes if k in s["partial"]
+            f"{short_names[k]} {s['partial'][k]:+.2f}" for k, _ in causes if k in s["partial"]
         )
         numbers = [f"{value:.4g}" for value in (s["mean"], s["p5"], s["p95"])]
         table_rows.append(
@@ -303,13 +308,13 @@ def index_rows(part_spread: PartSpread) -> list[list[str]]:
     """Return the rows of a part below `INDEX_HEAD`; the largest total index is first."""
     table_rows = []
     for name, by_input in part_spread.get("indices", {}).items():
-        short = short_keys(list(by_input))
+        short_names = short_keys(list(by_input))
         for key, index in sorted(by_input.items(), key=lambda item: -item[1]["total"][0]):
-            texts = [
-                f"{value:.2f} ({low:.2f} to {high:.2f})"
-                for value, low, high in (index["first"], index["total"])
+            index_texts = [
+                f"{value:.2f} ({lowest:.2f} to {highest:.2f})"
+                for value, lowest, highest in (index["first"], index["total"])
             ]
-            table_rows.append([name, short[key], *texts])
+            table_rows.append([name, short_names[key], *index_texts])
     return table_rows
 
 
@@ -325,11 +330,11 @@ def table(spreads: Mapping[str, PartSpread]) -> str:
     """Format the tables of all parts."""
     tables = []
     for part, part_spread in spreads.items():
-        words = f"{part or 'samples'}: {part_spread['samples']} samples"
-        tables.append(f"{words}\n{layout.table(HEAD, rows(part_spread))}")
+        heading = f"{part or 'samples'}: {part_spread['samples']} samples"
+        tables.append(f"{heading}\n{layout.table(HEAD, rows(part_spread))}")
         if part_spread.get("indices"):
-            words = (
+            heading = (
                 f"{part or 'samples'}: Sobol' indices of {part_spread['base_samples']} base samples"
             )
-            tables.append(f"{words}\n{layout.table(INDEX_HEAD, index_rows(part_spread))}")
+            tables.append(f"{heading}\n{layout.table(INDEX_HEAD, index_rows(part_spread))}")
     return "\n".join(tables)

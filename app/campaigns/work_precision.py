@@ -73,10 +73,10 @@ class ErrorPoint:
     @property
     def effectivity(self) -> float | None:
         """Effectivity index: estimated over true error; None if one is not known well enough."""
-        known = self.error is not None and self.error > max(
+        is_known = self.error is not None and self.error > max(
             ALGEBRAIC_FACTOR * self.algebraic, REFERENCE_FACTOR * self.uncertainty
         )
-        if self.estimate is None or not self.deviation or not known:
+        if self.estimate is None or not self.deviation or not is_known:
             return None
         return self.estimate / self.deviation
 
@@ -100,14 +100,14 @@ def extrapolate(
         tolerance: Relative error of the values that does not come from the size.
     """
     f, h = list(values[-3:]), list(sizes[-3:])
-    last, largest = abs(f[-1] - f[-2]), float(np.abs(np.diff(f)).max())
+    last_change, largest_change = abs(f[-1] - f[-2]), float(np.abs(np.diff(f)).max())
     if len(f) < 3 or len(h) < 3:
-        return ReferenceValue(f[-1], last, None, "finest of two" if len(f) < 3 else "finest")
+        return ReferenceValue(f[-1], last_change, None, "finest of two" if len(f) < 3 else "finest")
     order = _observed_order(h, f, highest)
-    if order is None or largest <= ALGEBRAIC_FACTOR * tolerance * abs(f[-1]):
-        return ReferenceValue(f[-1], largest, None, "finest, no clear order")
+    if order is None or largest_change <= ALGEBRAIC_FACTOR * tolerance * abs(f[-1]):
+        return ReferenceValue(f[-1], largest_change, None, "finest, no clear order")
     if math.isinf(order):
-        return ReferenceValue(f[-1], largest, None, NOT_CONVERGING)
+        return ReferenceValue(f[-1], largest_change, None, NOT_CONVERGING)
     correction = (f[2] - f[1]) * h[2] ** order / (h[1] ** order - h[2] ** order)
     return ReferenceValue(f[2] + correction, abs(correction), order, "extrapolated")
 

@@ -88,8 +88,8 @@ class CycleTable(Section):
 def _read_columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:
     """The columns of the lines of a list, or of a file, which stands before messages."""
 
-    def wrong(i: int, text: str) -> NoReturn:
-        fail(f"{name}line {i + 1}: {text}" if name else text, () if name else (i,))
+    def fail_at_line(i: int, message: str) -> NoReturn:
+        fail(f"{name}line {i + 1}: {message}" if name else message, () if name else (i,))
 
     lines = [(i, row.split(",")) for i, row in enumerate(rows) if row.strip()]
     if len(lines) < 3:
@@ -99,29 +99,35 @@ def _read_columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float,
     units = {m[1]: m[2] for m in named}
     if len(units) < len(header_cells) or "time" not in units:
         valid_heads = {m[0] for m in named}
-        text = ", ".join(
+        message = ", ".join(
             f"'{h.strip()}' is no column" for h in header_cells if h not in valid_heads
         )
-        known = (f"{k} [{'deg' if k in ROTATIONS else d.unit}]" for k, d in COLUMNS.items())
-        wrong(
-            header_row, f"{text or 'has no time, or a column twice'}; expected {', '.join(known)}"
+        allowed_columns = (
+            f"{k} [{'deg' if k in ROTATIONS else column_kind.unit}]"
+            for k, column_kind in COLUMNS.items()
+        )
+        fail_at_line(
+            header_row,
+            f"{message or 'has no time, or a column twice'}; expected {', '.join(allowed_columns)}",
         )
     table: list[dict[str, float]] = []
     for i, row in lines[1:]:
         if len(row) != len(units):
-            wrong(i, f"has {len(row)} values; expected {len(units)}: {', '.join(units)}")
+            fail_at_line(i, f"has {len(row)} values; expected {len(units)}: {', '.join(units)}")
         try:
             row_values = {
                 column: COLUMNS[column].read(f"{cell.strip()} {unit}")
                 for (column, unit), cell in zip(units.items(), row, strict=True)
             }
         except PydanticCustomError as error:
-            wrong(i, (error.context or {})["text"])
-        for column, before in table[-1].items() if table else ():
-            angle = math.degrees(abs(row_values[column] - before))
-            if column == "time" and row_values[column] <= before:
-                wrong(i, f"its time is not above {before:g} s, that of the row before")
+            fail_at_line(i, (error.context or {})["text"])
+        for column, value_before in table[-1].items() if table else ():
+            angle = math.degrees(abs(row_values[column] - value_before))
+            if column == "time" and row_values[column] <= value_before:
+                fail_at_line(i, f"its time is not above {value_before:g} s, that of the row before")
             if column in ROTATIONS and angle > 180 * (1 + 1e-9):
-                wrong(i, f"{column} changes by {angle:.4g} degrees in a row; expected at most 180")
+                fail_at_line(
+                    i, f"{column} changes by {angle:.4g} degrees in a row; expected at most 180"
+                )
         table.append(row_values)
     return {column: tuple(row[column] for row in table) for column in units}

@@ -79,8 +79,8 @@ class Radial(Circumferential):
 
 def _form(value: object) -> str:
     """Form of a fibre direction: a vector, or a section with a kind."""
-    along = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
-    return TAG + ("along" if along else "about")
+    is_axis = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
+    return TAG + ("along" if is_axis else "about")
 
 
 Fibre = Straight | Circumferential

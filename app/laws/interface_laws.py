@@ -280,8 +280,8 @@ class InterfaceLaw(Extensible):
 
     def _added_fields(self) -> dict[str, float | str | Patches]:
         """Fields added by the subclass."""
-        names = type(self).model_fields.keys() - InterfaceLaw.model_fields
-        return {name: getattr(self, name) for name in sorted(names)}
+        added_names = type(self).model_fields.keys() - InterfaceLaw.model_fields
+        return {name: getattr(self, name) for name in sorted(added_names)}
 
     def _varies(self, name: str, value: object) -> bool:
         return isinstance(value, float | Patches) or self._mark(name) is not None
@@ -365,15 +365,15 @@ class SurfaceZone(Section):
     def _check_gap_and_heights(self) -> SurfaceZone:
         if self.gap is not None and self.interference is not None:
             fail("is the opposite of `gap`; expected only one of them", at=("interference",))
-        low, high = self.heights
-        if not low < high:
-            fail(f"is not above {low:g} mm, where the zone begins", at=("below",))
+        lower_height, upper_height = self.heights
+        if not lower_height < upper_height:
+            fail(f"is not above {lower_height:g} mm, where the zone begins", at=("below",))
         return self
 
     def replaces(self, other: SurfaceZone, key: str) -> bool:
         """True if this zone, which comes later, covers another one and has a separate number."""
-        (low, high), (start, end) = self.heights, other.heights
-        covers = low <= start and end <= high
+        (lower_height, upper_height), (other_lower, other_upper) = self.heights, other.heights
+        covers = lower_height <= other_lower and other_upper <= upper_height
         if key == "friction_coefficient":
             return covers and self.friction_coefficient is not None
         return covers and (self.gap is not None or self.interference is not None)
@@ -381,8 +381,8 @@ class SurfaceZone(Section):
     @property
     def heights(self) -> tuple[float, float]:
         """Heights at which it begins and ends [mm]; infinite where none is given."""
-        low = -math.inf if self.above is None else self.above
-        return low, math.inf if self.below is None else self.below
+        lower_height = -math.inf if self.above is None else self.above
+        return lower_height, math.inf if self.below is None else self.below
 
 
 def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Floats) -> Floats:
@@ -445,14 +445,14 @@ class Unilateral(Frictional):
     @property
     def has_gap(self) -> bool:
         """True if a key gives a gap or an interference."""
-        parts: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
-        return any(part.gap or part.interference for part in parts)
+        surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
+        return any(surface.gap or surface.interference for surface in surfaces)
 
     @property
     def is_press_fit(self) -> bool:
         """True if `interference` is given, of the interface or of a zone."""
-        parts: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
-        return any(part.interference is not None for part in parts)
+        surfaces: list[Unilateral | SurfaceZone] = [self, *(self.zones or {}).values()]
+        return any(surface.interference is not None for surface in surfaces)
 
     @property
     def gap_multipliers(self) -> tuple[float, ...] | None:
@@ -803,10 +803,10 @@ class Cohesive(Frictional, Traction):
     def check(self, at: Mapping[str, Floats]) -> None:
         """Refuse a stiffness that is too small for softening: K < strength^2 / energy."""
         for mode in ("tensile", "shear"):
-            names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
-            if not at.keys() >= set(names):
+            key_names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
+            if not at.keys() >= set(key_names):
                 continue
-            K, strength, G = (at[name] for name in names)
+            K, strength, G = (at[name] for name in key_names)
             least_stiffness = strength**2 / G
             too_soft = K < least_stiffness
             if too_soft.any():

@@ -40,8 +40,10 @@ def _point(value: object, info: ValidationInfo) -> object:
     if points is None:
         return ["0 mm"] * 3  # the geometry is invalid, which is reported already
     if value not in points:
-        known = f" or one of {', '.join(points)}" if points else " (this geometry names no points)"
-        fail(f"{show(value)} is not a point; expected [x, y, z] lengths{known}")
+        known_points = (
+            f" or one of {', '.join(points)}" if points else " (this geometry names no points)"
+        )
+        fail(f"{show(value)} is not a point; expected [x, y, z] lengths{known_points}")
     return [f"{c!r} mm" for c in points[value]]
 
 
@@ -198,25 +200,29 @@ class Force(Load):
             return self
         if self.history is not None:
             fail("the force has a cycle_table; leave one of the two out", at=("history",))
-        known = [("force",), (FACTOR,), FORCES]
-        given = [names for names in known if self.cycle_table.columns.keys() & {*names}]
-        if len(given) != 1:
-            text = f"has {', '.join(self.cycle_table.columns)}; expected force, {FACTOR}"
-            fail(f"{text}, or some of {', '.join(FORCES)}", at=("cycle_table",))
+        column_groups = [("force",), (FACTOR,), FORCES]
+        given_groups = [
+            column_names
+            for column_names in column_groups
+            if self.cycle_table.columns.keys() & {*column_names}
+        ]
+        if len(given_groups) != 1:
+            message = f"has {', '.join(self.cycle_table.columns)}; expected force, {FACTOR}"
+            fail(f"{message}, or some of {', '.join(FORCES)}", at=("cycle_table",))
         size = math.hypot(*self.force)
-        if given == [(FACTOR,)]:
+        if given_groups == [(FACTOR,)]:
             if size == 0.0:
-                text = "is zero; expected the force that the factors of the cycle table multiply"
-                fail(text, at=("force",))
+                message = "is zero; expected the force that the factors of the cycle table multiply"
+                fail(message, at=("force",))
             return self
-        expected_size = given == [("force",)]
+        expected_size = given_groups == [("force",)]
         if abs(size - expected_size) > 1e-3:
-            expected = (
+            expected_text = (
                 "the direction, 1 N long"
                 if expected_size
                 else "no such key: the cycle table has the components"
             )
-            fail(f"is {size:g} N long; expected {expected}", at=("force",))
+            fail(f"is {size:g} N long; expected {expected_text}", at=("force",))
         return self
 
     @property
@@ -238,9 +244,9 @@ class Force(Load):
         """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a cycle table."""
         if self.cycle_table is None:
             return self.force
-        size, factor, *parts = self.cycle_table.values_at(("force", FACTOR, *FORCES), s)
-        pairs = zip(self.force, parts, strict=True)
-        x, y, z = ((size + factor) * f + part for f, part in pairs)
+        size, factor, *components = self.cycle_table.values_at(("force", FACTOR, *FORCES), s)
+        pairs = zip(self.force, components, strict=True)
+        x, y, z = ((size + factor) * f + component for f, component in pairs)
         return x, y, z
 
     @property
@@ -315,8 +321,8 @@ class BodyForce(Load):
         """Work of the force density in the body's regions."""
         from forms import loads
 
-        spread = on.spread(self.density_at, self.regions)
-        return sum(loads.body_force_work(b, v) * dx for b, dx in spread)
+        density_field = on.spread(self.density_at, self.regions)
+        return sum(loads.body_force_work(b, v) * dx for b, dx in density_field)
 
 
 AnyLoad = Annotated[Load, Kinds()]

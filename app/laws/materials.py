@@ -35,11 +35,11 @@ Strain6 = tuple[Number, Number, Number, Number, Number, Number]
 
 def _six(value: object) -> object:
     """Expand a single number to an isotropic strain."""
-    expected = "expected a number or six: [xx, yy, zz, yz, xz, xy]"
+    expected_text = "expected a number or six: [xx, yy, zz, yz, xz, xy]"
     if isinstance(value, list | tuple):
-        return value if len(value) == 6 else fail(f"has {len(value)} values; {expected}")
+        return value if len(value) == 6 else fail(f"has {len(value)} values; {expected_text}")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        fail(f"{show(value)} is not a strain; {expected}")
+        fail(f"{show(value)} is not a strain; {expected_text}")
     return (value, value, value, 0.0, 0.0, 0.0)
 
 

@@ -34,8 +34,8 @@ class Rotation(Section):
     def _rotates(self) -> Rotation:
         columns = self.cycle_table.columns
         if not columns.keys() & {*ROTATIONS}:
-            text = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
-            fail(text, at=("cycle_table",))
+            message = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
+            fail(message, at=("cycle_table",))
         return self
 
 

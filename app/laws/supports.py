@@ -139,8 +139,10 @@ class Displacement(Support):
 
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
-        given = {axis: getattr(self, axis) or 0.0 for axis in "xyz"}
-        columns = [field(f"supports.{self.name}.{axis}", v)(x) for axis, v in given.items()]
+        given_components = {axis: getattr(self, axis) or 0.0 for axis in "xyz"}
+        columns = [
+            field(f"supports.{self.name}.{axis}", v)(x) for axis, v in given_components.items()
+        ]
         return np.stack(columns, axis=1)
 
 

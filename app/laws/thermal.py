@@ -45,21 +45,26 @@ class Thermal(OfRegion):
     @model_validator(mode="after")
     def _check_keys(self) -> Thermal:
         pair = "axial_conductivity", "transverse_conductivity"
-        given = [key for key in pair if getattr(self, key) is not None]
+        given_keys = [key for key in pair if getattr(self, key) is not None]
         either = "expected conductivity, or axial_conductivity and transverse_conductivity"
-        if self.conductivity is not None and given:
-            fail(f"{given[0]} cannot be combined with conductivity; {either}", at=(given[0],))
-        if self.conductivity is None and len(given) < 2:
-            missing = next(key for key in pair if key not in given) if given else "conductivity"
-            fail(f"'{missing}' is missing; {either}")
+        if self.conductivity is not None and given_keys:
+            fail(
+                f"{given_keys[0]} cannot be combined with conductivity; {either}",
+                at=(given_keys[0],),
+            )
+        if self.conductivity is None and len(given_keys) < 2:
+            missing_key = (
+                next(key for key in pair if key not in given_keys) if given_keys else "conductivity"
+            )
+            fail(f"'{missing_key}' is missing; {either}")
         if self.fibre is not None and self.conductivity is not None:
             fail("the conductivity is isotropic; leave the fibre out", at=("fibre",))
         if self.reference_temperature is not None:
             if not self.thermal_expansion:
                 fail("needs thermal_expansion in the same section", at=("reference_temperature",))
             if self.cure is not None:
-                text = "strains of a region that cures count from where it sets: no reference"
-                fail(text, at=("reference_temperature",))
+                message = "strains of a region that cures count from where it sets: no reference"
+                fail(message, at=("reference_temperature",))
         return self
 
     @property

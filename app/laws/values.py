@@ -89,9 +89,9 @@ class Named(Section):
 
     def named(self, name: str, **changes: Any) -> Self:
         """Copy with a name and changed fields."""
-        copy = self.model_copy(update=changes)
-        copy._name = name
-        return copy
+        named_copy = self.model_copy(update=changes)
+        named_copy._name = name
+        return named_copy
 
 
 class OfRegion(Named):
@@ -109,8 +109,8 @@ def rising(quantity: str) -> Callable[[Table], Table]:
     def check(table: Table) -> Table:
         if not table:
             fail("is empty; expected at least one pair")
-        for i, ((before, _), (value, _)) in enumerate(pairwise(table)):
-            if value <= before:
+        for i, ((value_before, _), (value, _)) in enumerate(pairwise(table)):
+            if value <= value_before:
                 fail(f"its {quantity} is not above that of the pair before", at=(i + 1,))
         return table
 
@@ -178,8 +178,8 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
             if mark is not None and len(values):
                 for k in {int(values.argmin()), int(values.argmax())}:
                     place = ", ".join(f"{c:g}" for c in x[k])
-                    bounds, shown = mark.constant, f"{values[k]:g} at ({place}) mm"
-                    bounds.check(values[k], shown, bounds.unit)
+                    bounds, shown_value = mark.constant, f"{values[k]:g} at ({place}) mm"
+                    bounds.check(values[k], shown_value, bounds.unit)
             return values
         except (InputError, PydanticCustomError) as error:
             raise InputError(f"{key}: {error}") from error
@@ -218,8 +218,8 @@ def gap_settled(gap: Floats, gap_history: Sequence[float]) -> float:
         return 1.0 if (gap < 0.0).any() else 0.0
     if not gap.any():
         return 0.0
-    ends = [0.0, *gap_history]
-    return float(max((k + 1 for k, (a, b) in enumerate(pairwise(ends)) if a != b), default=0))
+    stage_ends = [0.0, *gap_history]
+    return float(max((k + 1 for k, (a, b) in enumerate(pairwise(stage_ends)) if a != b), default=0))
 
 
 def multiplier(time_course: TimeCourse | None, seconds: float) -> float:

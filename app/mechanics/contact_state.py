@@ -137,7 +137,8 @@ def prescribed_jump(
         rows: Local points (n,).
         number: Index of the support.
         support: The support.
-        rigid_displacement: Displacement of the nodes of local points that it prescribes (n, 3) [mm].
+        rigid_displacement: Displacement that it prescribes, of the nodes of local points (n, 3)
+            [mm].
     """
     support_of_component, axes, x = points.given[rows], points.axes[rows], points.x[rows]
     jump = np.zeros(x.shape)

@@ -53,27 +53,27 @@ def add_errors(
         StoppedError: A signal stopped a companion.
     """
     solved: list[tuple[Companion, Summary]] = []
-    failed: list[str] = []
+    failed_companions: list[str] = []
     for companion in companions:
-        begin = clock.perf_counter()
+        start_time = clock.perf_counter()
         try:
             numbers = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
             agree(model.tagged.mesh.comm, failure)
             reason = str(failure).splitlines()[0]
             log.warning("error estimate: the companion run on %s failed: %s", companion, reason)
-            failed.append(str(companion))
+            failed_companions.append(str(companion))
             continue
         except StoppedError as stop:
             raise StoppedError(f"{stop}, in its companions") from stop
         solved.append((companion, numbers))
-        seconds = clock.perf_counter() - begin
+        seconds = clock.perf_counter() - start_time
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(companion) for companion, _ in solved],
         "share_within_error": error_estimate.SHARE_WITHIN_ERROR[case.mesh.order - 1],
         "sources": error_estimate.error_sources([companion for companion, _ in solved]),
-        "failed": failed,
+        "failed": failed_companions,
         "unsettled": error_estimate.estimate(summary, case, solved),
     }
 
@@ -113,18 +113,21 @@ def choose(case: Case, solve: Callable[[Case], Summary], longest: float | None) 
         while choice is None or choice[3].mesh.size < size:
             cheap = _on_mesh(case, size, order)
             errors = [(e, p[order - 1]) for e, _, p in relative_errors(solve(cheap))]
-            error, chosen, limit = _coarsest_within(target, cheap, errors, longest)
-            text = f"{percent(error)} expected, about {duration(cost.seconds(chosen))}{limit}"
-            mesh = f"{chosen.mesh.size:g} mm at order {order}"
-            text = f"chosen for a target of {percent(target)}: {mesh} ({text})"
-            log.info("accuracy: %s, by a run on %g mm", text, size)
-            choice = (max(error, target), cost.seconds(chosen), text, chosen)
+            error, chosen_case, limit_text = _coarsest_within(target, cheap, errors, longest)
+            reason = (
+                f"{percent(error)} expected, about"
+                f" {duration(cost.seconds(chosen_case))}{limit_text}"
+            )
+            mesh = f"{chosen_case.mesh.size:g} mm at order {order}"
+            reason = f"chosen for a target of {percent(target)}: {mesh} ({reason})"
+            log.info("accuracy: %s, by a run on %g mm", reason, size)
+            choice = (max(error, target), cost.seconds(chosen_case), reason, chosen_case)
             if choices and choice > choices[0]:
                 break
             size *= 0.5  # errors are extrapolated over a factor of two
         choices.append(choice)
-    *_, text, chosen = min(choices)
-    return chosen, text
+    *_, reason, chosen_case = min(choices)
+    return chosen_case, reason
 
 
 def _coarsest_within(
@@ -152,8 +155,8 @@ def _coarsest_within(
         )
         available = memory.available()
         if MEMORY * memory.needed(next_best) > available:
-            text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer mesh"
-            return error, coarsest, text
+            limit_text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer mesh"
+            return error, coarsest, limit_text
         if longest and TIME * cost.seconds(next_best) > longest:
             return error, coarsest, f"; a walltime of {duration(longest)} allows no finer mesh"
         coarsest = next_best
@@ -162,8 +165,8 @@ def _coarsest_within(
 def _on_mesh(case: Case, size: float, order: int) -> Case:
     """The case with errors, on cells of another size and order."""
     curved = case.mesh.curved if order > 1 else None
-    changed = {"size": size, "order": order, "curved": curved}
-    mesh = case.mesh.coarser(size / case.mesh.size).model_copy(update=changed)
+    changed_keys = {"size": size, "order": order, "curved": curved}
+    mesh = case.mesh.coarser(size / case.mesh.size).model_copy(update=changed_keys)
     output = case.output.model_copy(update={"accuracy": None, "error": True})
     return case.model_copy(update={"mesh": mesh, "output": output})
 
@@ -189,6 +192,6 @@ def reached_text(chosen: str, summary: Summary) -> str:
     errors = relative_errors(summary)
     if not errors:
         return f"accuracy: {chosen}; the reached accuracy is unknown"
-    error, worst, _ = max(errors)
-    words, _ = in_words(worst)
-    return f"accuracy: {chosen}; {percent(error)} reached, the largest error: that of {words}"
+    error, worst_name, _ = max(errors)
+    name_text, _ = in_words(worst_name)
+    return f"accuracy: {chosen}; {percent(error)} reached, the largest error: that of {name_text}"

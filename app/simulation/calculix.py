@@ -57,8 +57,8 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
         InputError: The deck format lacks parts of the case; all are listed, each at its place.
     """
     case.file.raise_all(_refused(case.config))
-    text = "\n".join(_Deck(case.config, data).lines()) + "\n"
-    files.write_bytes(path, text.encode("ascii", "replace"))
+    deck_text = "\n".join(_Deck(case.config, data).lines()) + "\n"
+    files.write_bytes(path, deck_text.encode("ascii", "replace"))
     notes = [
         f"variation {v.name} is not in the file; set its keys by --set to write it"
         for v in case.variations
@@ -166,8 +166,12 @@ class _Deck:
         _, ν = e.engineering_constants
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
-        parts = self.forms.relative_stiffness(e, points)
-        E = e.moduli[0] * (parts @ weights / weights.sum() if parts.shape[1] > 1 else parts[:, 0])
+        relative_moduli = self.forms.relative_stiffness(e, points)
+        E = e.moduli[0] * (
+            relative_moduli @ weights / weights.sum()
+            if relative_moduli.shape[1] > 1
+            else relative_moduli[:, 0]
+        )
         step = np.round(np.log(E) / ALIKE).astype(int)
         for k in np.unique(step):
             name = f"{e.region}_{k}"
@@ -223,11 +227,21 @@ def _material(e: Elastic) -> Iterator[str]:
     if e.fibre is None:
         yield f"*ELASTIC\n{_real(*e.engineering_constants)}\n{section}"
         return
-    along, across, ν, ν_t, μ = e.engineering_constants
-    μ_t = across / (2 * (1 + ν_t))
-    constants = [along, across, across, ν, ν, ν_t, μ, μ, μ_t]
+    modulus_along, modulus_across, ν, ν_t, μ = e.engineering_constants
+    μ_t = modulus_across / (2 * (1 + ν_t))
+    constants = [modulus_along, modulus_across, modulus_across, ν, ν, ν_t, μ, μ, μ_t]
     if e.fibre.kind == "circumferential":
-        constants = [across, along, across, ν * across / along, ν_t, ν, μ, μ_t, μ]
+        constants = [
+            modulus_across,
+            modulus_along,
+            modulus_across,
+            ν * modulus_across / modulus_along,
+            ν_t,
+            ν,
+            μ,
+            μ_t,
+            μ,
+        ]
     yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"
     yield f"{_real(*constants[:8])},\n{_real(constants[8])}"
     axis = np.array(e.fibre.axis)
@@ -235,6 +249,6 @@ def _material(e: Elastic) -> Iterator[str]:
         second_axis = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         yield f"*ORIENTATION, NAME={e.region}, SYSTEM=RECTANGULAR\n{_real(*axis, *second_axis)}"
     else:
-        ends = [*e.fibre.through, *(e.fibre.through + axis)]
-        yield f"*ORIENTATION, NAME={e.region}, SYSTEM=CYLINDRICAL\n{_real(*ends)}"
+        axis_points = [*e.fibre.through, *(e.fibre.through + axis)]
+        yield f"*ORIENTATION, NAME={e.region}, SYSTEM=CYLINDRICAL\n{_real(*axis_points)}"
     yield f"{section}, ORIENTATION={e.region}"

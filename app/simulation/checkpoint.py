@@ -100,21 +100,26 @@ def write(comm: MPI.Comm, path: Path, header: Header, state: object) -> None:
 
     def gathered(rows: Rows) -> dict[str, list[str]]:
         """Move the rows of all ranks to arrays on rank 0; keys on several rows occur once."""
-        pieces = comm.gather(rows)
-        if pieces is None:
+        rank_rows = comm.gather(rows)
+        if rank_rows is None:
             return {}
-        keys, first = np.unique(np.concatenate([p.keys for p in pieces]), return_index=True)
-        names = [f"keys {hashlib.sha256(keys.tobytes()).hexdigest()[:16]}", f"rows {len(arrays)}"]
-        arrays[names[0]] = keys
-        arrays[names[1]] = np.concatenate([p.values for p in pieces])[first]
-        return {ROWS: names}
+        keys, first_rows = np.unique(np.concatenate([p.keys for p in rank_rows]), return_index=True)
+        array_names = [
+            f"keys {hashlib.sha256(keys.tobytes()).hexdigest()[:16]}",
+            f"rows {len(arrays)}",
+        ]
+        arrays[array_names[0]] = keys
+        arrays[array_names[1]] = np.concatenate([p.values for p in rank_rows])[first_rows]
+        return {ROWS: array_names}
 
     # All ranks meet the rows in the same order.
-    text = json.dumps({**header, "format": FORMAT, "state": state}, default=gathered)
+    header_text = json.dumps({**header, "format": FORMAT, "state": state}, default=gathered)
 
     def whole() -> None:
         file = io.BytesIO()
-        np.savez(file, allow_pickle=False, **arrays, header=np.frombuffer(text.encode(), np.uint8))
+        np.savez(
+            file, allow_pickle=False, **arrays, header=np.frombuffer(header_text.encode(), np.uint8)
+        )
         write_bytes(path, file.getvalue())
 
     on_root(comm, whole, share=False)
@@ -165,30 +170,33 @@ def find(
         all_checkpoints = folders.saved(folder) if requested == "auto" else [Path(requested)]
         for path in all_checkpoints:
             try:
-                saved = read(path)
+                saved_checkpoint = read(path)
             except DamagedError as error:
                 if requested != "auto":
                     raise InputError(f"--restart {path}: cannot be used: {error}") from error
                 log.warning("%s cannot be used: %s; trying the previous one", path, error)
                 continue
-            _refuse_another(saved, case, force)
+            _refuse_another(saved_checkpoint, case, force)
             return path
-        none = "no usable checkpoint" if all_checkpoints else "no checkpoint"
-        log.info("restart: %s in %s; starting from the beginning", none, folder)
+        not_found = "no usable checkpoint" if all_checkpoints else "no checkpoint"
+        log.info("restart: %s in %s; starting from the beginning", not_found, folder)
         return None
 
     path = on_root(comm, choose)
     return None if path is None else everywhere(comm, lambda: read(path))
 
 
-def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
+def _refuse_another(saved_checkpoint: Checkpoint, case: Case, force: bool) -> None:
     """Raise InputError for a checkpoint of another version or configuration."""
-    if saved.header["mantle"] != __version__ and not force:
+    if saved_checkpoint.header["mantle"] != __version__ and not force:
         raise InputError(
-            f"--restart: {saved.path} was written by mantle {saved.header['mantle']}, this is "
+            f"--restart: {saved_checkpoint.path} was written by mantle"
+            f" {saved_checkpoint.header['mantle']}, this is "
             f"{__version__}: results may differ (--force uses it nevertheless)"
         )
-    saved_values, case_values = (dict(_leaves(c)) for c in (saved.header["case"], described(case)))
+    saved_values, case_values = (
+        dict(_leaves(c)) for c in (saved_checkpoint.header["case"], described(case))
+    )
     pairs = {
         key: (case_values.get(key, "nothing"), saved_values.get(key, "nothing"))
         for key in case_values | saved_values
@@ -198,10 +206,10 @@ def _refuse_another(saved: Checkpoint, case: Case, force: bool) -> None:
         return
     if len(differ) > MOST_LISTED:
         differ = [*differ[:MOST_LISTED], f"  and {len(differ) - MOST_LISTED} more"]
-    text = f"{saved.path} is the checkpoint of another case"
+    message = f"{saved_checkpoint.path} is the checkpoint of another case"
     if not force:
-        raise InputError([f"--restart: {text}; --force uses it nevertheless", *differ])
-    log.warning("%s:\n%s", text, "\n".join(differ))
+        raise InputError([f"--restart: {message}; --force uses it nevertheless", *differ])
+    log.warning("%s:\n%s", message, "\n".join(differ))
 
 
 def described(case: Case) -> dict[str, object]:
@@ -246,29 +254,31 @@ class CheckpointWriter:
         Raises:
             InputError: The checkpoint has another mesh or other unknowns.
         """
-        saved = self._restored_from
-        if saved is None:
+        saved_checkpoint = self._restored_from
+        if saved_checkpoint is None:
             return 0
-        header = saved.header
-        parts = self._model.saved_parts() | {"recorder": self._recorder}
-        everywhere(self._comm, lambda: self._fill(saved, parts))
-        restore(parts)
+        header = saved_checkpoint.header
+        saved_objects = self._model.saved_parts() | {"recorder": self._recorder}
+        everywhere(self._comm, lambda: self._fill(saved_checkpoint, saved_objects))
+        restore(saved_objects)
         self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
         self._last_mark = self._current_state(header["stage"])
-        by = "" if header["ranks"] == self._comm.size else f" by {several(header['ranks'], 'rank')}"
+        by_ranks = (
+            "" if header["ranks"] == self._comm.size else f" by {several(header['ranks'], 'rank')}"
+        )
         log.info(
             "restart from %s, written %s%s: step %d, time %.6g in stage '%s', %.1f s of work",
-            *(saved.path, header["written"], by, header["step"], header["time"]),
+            *(saved_checkpoint.path, header["written"], by_ranks, header["step"], header["time"]),
             *(header["stage_name"], header["seconds"]["total"]),
         )
         return int(header["stage"])
 
-    def _fill(self, saved: Checkpoint, parts: dict[str, object]) -> None:
+    def _fill(self, saved_checkpoint: Checkpoint, saved_objects: dict[str, object]) -> None:
         """Fill the parts; raise InputError for a checkpoint of another mesh or other unknowns."""
-        mesh, stage = saved.header["mesh"], saved.header["stage"]
+        mesh, stage = saved_checkpoint.header["mesh"], saved_checkpoint.header["stage"]
         mesh_hash, stages = self._model.mesh_hash, len(self._model.scene.stages)
-        checkpoint = f"--restart: {saved.path}: checkpoint"
+        checkpoint = f"--restart: {saved_checkpoint.path}: checkpoint"
         if mesh != mesh_hash:
             raise InputError(
                 f"{checkpoint} of another mesh ({mesh[:12]}; this case has {mesh_hash[:12]}); "
@@ -278,7 +288,7 @@ class CheckpointWriter:
         if stage >= stages:
             raise InputError(f"{checkpoint} is in stage {stage + 1}; this case has {stages} stages")
         try:
-            fill(parts, saved.state["parts"])
+            fill(saved_objects, saved_checkpoint.state["parts"])
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(
                 f"{checkpoint} of another model, with other unknowns or records ({error}); "
@@ -304,12 +314,12 @@ class CheckpointWriter:
         """Remember the state, in stage k, and save it if that is due; collective."""
         self._last_mark = self._current_state(k)
         steps, minutes = self._options.steps, self._options.minutes
-        due = bool(steps and self._recorder.step_count - self._saved >= steps)
-        if minutes and not due:
+        is_due = bool(steps and self._recorder.step_count - self._saved >= steps)
+        if minutes and not is_due:
             # All ranks use one clock, so that all save or none.
             waited = clock.monotonic() - self._when
-            due = bool(self._comm.bcast(waited >= 60 * minutes))
-        if due:
+            is_due = bool(self._comm.bcast(waited >= 60 * minutes))
+        if is_due:
             self.save()
 
     def save(self) -> Path | None:
@@ -320,9 +330,9 @@ class CheckpointWriter:
         path = self._folder / f"checkpoint-{header['step']}.state"
         if header["step"] == self._saved and on_root(self._comm, path.exists):
             return path
-        written = datetime.now(UTC).isoformat(timespec="seconds")
+        written_at = datetime.now(UTC).isoformat(timespec="seconds")
         try:
-            write(self._comm, path, {**header, "written": written}, state)
+            write(self._comm, path, {**header, "written": written_at}, state)
         except OSError as error:
             log.warning("checkpoint %s cannot be written: %s", path, error.strerror or error)
             return None

@@ -88,8 +88,8 @@ class Mechanical:
             if problem.contact:
                 surface = problem.contact.points.surface
                 levels = zones.borders(surface.x)
-                names = [contact.name for contact in problem.scene.contacts]
-                self.surfaces = in_parts(surface, names, levels)
+                contact_names = [contact.name for contact in problem.scene.contacts]
+                self.surfaces = in_parts(surface, contact_names, levels)
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
@@ -241,14 +241,16 @@ class Model:
 
     def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanics, heat."""
-        groups: list[FieldGroup] = []
+        field_groups: list[FieldGroup] = []
         m = self.mechanical_path
         if m:
-            groups.append(MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds))
+            field_groups.append(
+                MechanicalFields(m.problem, m.stresses, self.records.values(), m.bonds)
+            )
         t = self.thermal
         if t:
-            groups.append(HeatFields(t.heating, t.record, self.case.geometry.interface_sides))
-        return groups
+            field_groups.append(HeatFields(t.heating, t.record, self.case.geometry.interface_sides))
+        return field_groups
 
     def go(
         self,
@@ -292,7 +294,7 @@ class Model:
 
     def saved_parts(self) -> dict[str, object]:
         """All state on which later steps depend, in the order in which it is restored."""
-        parts: dict[str, object] = {
+        saved_objects: dict[str, object] = {
             **self.records,
             "mechanical_path": self.mechanical_path,
             "thermal": self.thermal,
@@ -300,7 +302,7 @@ class Model:
             "load_stepper": self._steppers.load,
             "creep_stepper": self._steppers.creep,
         }
-        return parts | {f"stepper of {key}": s for key, s in self._steppers.others.items()}
+        return saved_objects | {f"stepper of {key}": s for key, s in self._steppers.others.items()}
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
         """States of earlier models and, for large models, a start from a cheaper one."""
@@ -391,7 +393,7 @@ class Model:
             nonlocal last_trial
             last_trial = trial
 
-        other_model.go(keep, on_trouble=lambda text: log.debug("     %s", text))
+        other_model.go(keep, on_trouble=lambda message: log.debug("     %s", message))
         samples = (
             ContactSamples(m.problem, last_trial, None, m.surfaces) if m and last_trial else None
         )

@@ -99,15 +99,15 @@ class Recorder:
         self._case, self._model, self.writer = case, model, writer
         self._progress = progress
         self._timing, self._begin = timing, begin
-        about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
+        centre_of_moments = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self.balance: Balance | None = None
         self._critical: dict[str, float] = {}
         m = model.mechanical_path
         if m:
             with timing.phase("assemble"):
-                self.balance = m.balance(about)
-                self._critical, beyond = failure.beyond_critical(m.problem)
-            for warning in beyond:
+                self.balance = m.balance(centre_of_moments)
+                self._critical, friction_warnings = failure.beyond_critical(m.problem)
+            for warning in friction_warnings:
                 log.warning("%s", warning)
         self.samples: ContactSamples | None = None
         self.contact_state: dict[str, Floats | Ints] = {}
@@ -139,8 +139,8 @@ class Recorder:
                 status = self.contact_state["status"].astype(np.int64)
                 law = replace(trial.law, pressures=pressures, status=status)
                 trial = replace(trial, law=law)
-                since = self.valley.get("jump")
-                self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
+                jump_at_valley = self.valley.get("jump")
+                self.samples = ContactSamples(m.problem, trial, jump_at_valley, m.surfaces)
         if self.writer.fields and not self.writer.field_steps:
             self.fields_at = 0
 
@@ -164,8 +164,8 @@ class Recorder:
             balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
                 self.contact_state = {"pressures": trial.law.pressures, "status": trial.law.status}
-                since = self.valley.get("jump")
-                self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
+                jump_at_valley = self.valley.get("jump")
+                self.samples = ContactSamples(m.problem, trial, jump_at_valley, m.surfaces)
             self.total.count(step.outcome)
             stem_motion = m.stem(self._case.side)
             columns = [
@@ -297,7 +297,7 @@ class Recorder:
             sections = section_loads(self._case, model.scene.load_time(self.time))
             if sections:
                 numbers["section_loads"] = [asdict(section) for section in sections]
-        result: Summary = {
+        summary_numbers: Summary = {
             "status": status,
             "title": self._case.title,
             "units": UNITS,
@@ -316,14 +316,14 @@ class Recorder:
             },
         }
         for name, value in self._critical.items():
-            if name in result["interfaces"]:
-                result["interfaces"][name]["critical_friction"] = value
+            if name in summary_numbers["interfaces"]:
+                summary_numbers["interfaces"][name]["critical_friction"] = value
         cpu, memory = comm.allgather(self._timing.cpu), comm.allreduce(peak_memory())
         per_unknown = round(1e3 * memory / sum(sizes.values()), 2)
-        result["timing"] = self.seconds()
-        result["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
-        result["memory"] = {"peak": round(memory, 1), "per_unknown": per_unknown}
-        return result
+        summary_numbers["timing"] = self.seconds()
+        summary_numbers["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
+        summary_numbers["memory"] = {"peak": round(memory, 1), "per_unknown": per_unknown}
+        return summary_numbers
 
     def seconds(self) -> dict[str, float]:
         """Wall seconds so far, by phase."""

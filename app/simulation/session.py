@@ -106,10 +106,11 @@ def run(
         MantleError: The run failed. The last converged state, if any, is on disk.
     """
     comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
-    expected = ranks.world_size()
-    if expected and expected != comm.size:
+    expected_ranks = ranks.world_size()
+    if expected_ranks and expected_ranks != comm.size:
         raise EnvironmentProblem(
-            f"started as one of {expected} ranks, but MPI sees {comm.size}: mpirun belongs to "
+            f"started as one of {expected_ranks} ranks, but MPI sees {comm.size}: mpirun belongs"
+            " to "
             "another MPI; use the one of this installation, or mantle run -n"
         )
     lifetime.begin_run(comm)
@@ -157,8 +158,8 @@ def _solve_variations(setup: Setup, output: Path) -> None:
     """
     comm = setup.comm
     runs = setup.loaded.runs(output)
-    mark = output / "DONE"
-    on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)
+    done_mark = output / "DONE"
+    on_root(comm, lambda: done_mark.unlink(missing_ok=True), share=False)
     summaries: dict[Path, Summary] = {}
     if not setup.force and setup.restart in ("", "auto"):
         summaries = on_root(comm, lambda: finished_runs.summaries(runs)) or {}
@@ -191,13 +192,14 @@ def _solve_variations(setup: Setup, output: Path) -> None:
         setup.begin, setup.started = clock.perf_counter(), datetime.now(UTC)
         setup.timing.clear()
     log.info("%s", run_table.text(on_root(comm, write) or []))
-    failed = [run.name for folder, run in runs.items() if not summaries[folder]]
-    if failed:
+    failed_names = [run.name for folder, run in runs.items() if not summaries[folder]]
+    if failed_names:
         raise ConvergenceError(
-            f"{len(failed)} of {len(runs)} variations did not converge: {', '.join(failed)} "
+            f"{len(failed_names)} of {len(runs)} variations did not converge:"
+            f" {', '.join(failed_names)} "
             f"(in {output})"
         )
-    on_root(comm, partial(write_text, mark, ""), share=False)
+    on_root(comm, partial(write_text, done_mark, ""), share=False)
     verdicts.check_usable(summaries)
 
 
@@ -250,12 +252,12 @@ class _CaseRun:
             _unknowns(model.sizes()),
             several(comm.size, "rank"),
         )
-        groups = model.layers()
+        field_groups = model.layers()
         data = model.parts.data if model.parts else None
-        paths = path_tables(case, model.scene, model.tagged, groups, data)
+        paths = path_tables(case, model.scene, model.tagged, field_groups, data)
         self._writer = Writer(
             model.tagged,
-            groups,
+            field_groups,
             output,
             dump(case),
             case.output.fields,

@@ -36,22 +36,22 @@ def measured(case: Case, model: Model) -> ShaftInfluence | None:
     end, longer = geometry.continued_below, geometry.longer(LONGER)
     if end is None or longer is None or not model.mechanical_path:
         return None
-    limit = geometry.coarsest_size
-    mesh = case.mesh.coarser(min(COARSER, limit / case.mesh.size) if case.mesh.size else 1.0)
+    coarsest = geometry.coarsest_size
+    mesh = case.mesh.coarser(min(COARSER, coarsest / case.mesh.size) if case.mesh.size else 1.0)
     pair = [case.model_copy(update={"mesh": mesh, "geometry": g}) for g in (geometry, longer)]
     try:
-        first, second = (model.relative(companion) for companion in pair)
+        numbers_of_shaft, numbers_of_longer = (model.relative(companion) for companion in pair)
     except (ConvergenceError, GeometryError) as failure:
         agree(model.tagged.mesh.comm, failure)
         log.warning("continued shaft: its influence is unknown: %s", str(failure).splitlines()[0])
         return None
-    changes, worst = _changes(first, second)
-    if not changes:
+    numbers_of_both, largest_text = _changes(numbers_of_shaft, numbers_of_longer)
+    if not numbers_of_both:
         return None
-    text = f"{LONGER:g} mm more of the continued shaft change the main numbers by at most"
-    sentence = f"{text} {worst}, on cells of {mesh.size:g} mm"
+    change_text = f"{LONGER:g} mm more of the continued shaft change the main numbers by at most"
+    sentence = f"{change_text} {largest_text}, on cells of {mesh.size:g} mm"
     return ShaftInfluence(
-        end=end, longer=LONGER, mesh_size=mesh.size, changes=changes, sentence=sentence
+        end=end, longer=LONGER, mesh_size=mesh.size, changes=numbers_of_both, sentence=sentence
     )
 
 
@@ -59,25 +59,23 @@ def _changes(first: Summary, second: Summary) -> tuple[dict[str, list[float]], s
     """Return main numbers of both companions by name, and the largest change in words."""
     largest = largest_of_units(first)
     numbers_of_second = {(section, name): numbers for section, name, numbers in numbers_of(second)}
-    changes = dict[str, list[float]]()
+    numbers_of_both = dict[str, list[float]]()
     relative = dict[str, float]()
     for section, name, numbers in numbers_of(first):
         for key, quantity in TABLE[section].items():
-            first_value, second_value = (
-                numbers.get(key),
-                numbers_of_second.get((section, name), {}).get(key),
-            )
+            first_value = numbers.get(key)
+            second_value = numbers_of_second.get((section, name), {}).get(key)
             if (
                 not (quantity.headline and quantity.order)
                 or first_value is None
                 or second_value is None
             ):
                 continue
-            word = f"{name}.{key}"
-            changes[word] = [first_value, second_value]
+            full_name = f"{name}.{key}"
+            numbers_of_both[full_name] = [first_value, second_value]
             size = max(abs(first_value), NEGLIGIBLE * largest[quantity.unit])
-            relative[word] = abs(second_value - first_value) / size if size else 0.0
-    if not changes:
-        return changes, ""
-    worst = max(relative, key=lambda word: relative[word])
-    return changes, f"{percent(relative[worst])} ({worst})"
+            relative[full_name] = abs(second_value - first_value) / size if size else 0.0
+    if not numbers_of_both:
+        return numbers_of_both, ""
+    most_changed = max(relative, key=lambda full_name: relative[full_name])
+    return numbers_of_both, f"{percent(relative[most_changed])} ({most_changed})"

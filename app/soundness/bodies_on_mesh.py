@@ -55,9 +55,9 @@ def bodies_of(case: Case, parts: Parts) -> list[list[int]]:
     return _groups(parts, [pieces for pieces, law in laws if law is None or not law.can_part])
 
 
-def _groups(parts: Parts, joined: list[tuple[int, int]]) -> list[list[int]]:
+def _groups(parts: Parts, joined_pairs: list[tuple[int, int]]) -> list[list[int]]:
     label = list(range(len(parts.pieces)))
-    for a, b in (*joined, *parts.joined):
+    for a, b in (*joined_pairs, *parts.joined):
         label = [label[a] if k == label[b] else k for k in label]
     return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
 
@@ -112,8 +112,8 @@ class BodiesOnMesh:
         for k, left_by_supports in self._left_by_supports():
             free_motions, _ = self._free_motions(left_by_supports, K, M, FREE)
             cure = "expected a support, or contact with a body that is held"
-            for text in self._motion_texts(free_motions):
-                verdict_text = f"{text}{self._when(k)}, by a support or by another body"
+            for motion_text in self._motion_texts(free_motions):
+                verdict_text = f"{motion_text}{self._when(k)}, by a support or by another body"
                 errors.append(Verdict(verdict_text, "supports", cure, code=Reason.LOOSE_BODY))
         return errors
 
@@ -125,26 +125,27 @@ class BodiesOnMesh:
         for k, left_by_supports in self._left_by_supports():
             free_motions, steepest = self._weakly_held_motions(left_by_supports, frictions)
             slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
-            by = f"contact on {' and '.join(slippery)} has no friction"
+            reason = f"contact on {' and '.join(slippery)} has no friction"
             if steepest > 1e-2:
-                by += (
+                reason += (
                     f" and resists only because the surface slopes by {steepest:.2g} degrees on "
                     "average, which may come from the facets of the mesh"
                 )
             cure = "the displacement may be arbitrary; add friction or a support"
-            for text in self._motion_texts(free_motions):
-                hardly = text.replace("nothing holds", "friction hardly holds")
-                notes.append(note(f"{hardly}{self._when(k)}: {by}", cure=cure))
+            for motion_text in self._motion_texts(free_motions):
+                hardly = motion_text.replace("nothing holds", "friction hardly holds")
+                notes.append(note(f"{hardly}{self._when(k)}: {reason}", cure=cure))
             start = {n: (gap, self._laws[n].gap_multipliers or ()) for n, gap in gaps.items()}
             open_interfaces = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
             free_motions, _ = self._free_motions(
                 left_by_supports, *self._resistance(None, open_interfaces), FREE
             )
-            names = " and ".join(f"'{n}'" for n in open_interfaces)
+            interface_names = " and ".join(f"'{n}'" for n in open_interfaces)
             cure = "hold the body by a support or a weak foundation, or start in contact"
-            for text in self._motion_texts(free_motions):
+            for motion_text in self._motion_texts(free_motions):
                 verdict_text = (
-                    f"{text}{self._when(k)} until {names} closes; an equilibrium exists only under "
+                    f"{motion_text}{self._when(k)} until {interface_names} closes; an equilibrium"
+                    " exists only under "
                     "loads that close it"
                 )
                 notes.append(note(verdict_text, cure=cure))
@@ -200,8 +201,8 @@ class BodiesOnMesh:
                 continue
             R = self._modes(touch.x)
             shared_resistance = np.einsum("f,fik,fil->kl", touch.areas, R, R)
-            along = np.einsum("fik,fi->fk", R, touch.normals)
-            normal = np.einsum("f,fk,fl->kl", touch.areas, along, along)
+            normal_motions = np.einsum("fik,fi->fk", R, touch.normals)
+            normal = np.einsum("f,fk,fl->kl", touch.areas, normal_motions, normal_motions)
             if name not in absent:
                 add_relative(
                     K, a, b, shared_resistance if shears is None or shears[name] else normal
@@ -240,29 +241,31 @@ class BodiesOnMesh:
         mean = np.zeros(free_motions.shape[1])
         for t, a, b in smooth:
             v = free_motions.reshape(len(self._groups), 6, free_motions.shape[1])
-            along = np.einsum("fik,fi->fk", self._modes(t.x), t.normals) @ (v[a] - v[b])
-            mean += (t.areas @ along) ** 2 / t.areas.sum()
+            normal_motions = np.einsum("fik,fi->fk", self._modes(t.x), t.normals) @ (v[a] - v[b])
+            mean += (t.areas @ normal_motions) ** 2 / t.areas.sum()
         resisted = np.einsum("ik,ij,jk->k", free_motions, K, free_motions)
         is_weak = (slopes < math.sin(smallest_slope) ** 2) | (mean < 0.5 * resisted)
         steepest = math.asin(math.sqrt(float(slopes[is_weak].max(initial=0.0))))
         return free_motions[:, is_weak], math.degrees(steepest)
 
     def _motion_texts(self, free_motions: Floats) -> list[str]:
-        pieces = [[self._parts.pieces[p] for p in group] for group in self._groups]
-        moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces])
-        volumes = np.array([sum(p.volume for p in group) for group in pieces])
-        names = [self._name(group) for group in pieces]
-        return describe(free_motions, names, moments / volumes[:, None], self._origin, self._size)
+        pieces_of_bodies = [[self._parts.pieces[p] for p in group] for group in self._groups]
+        moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces_of_bodies])
+        volumes = np.array([sum(p.volume for p in group) for group in pieces_of_bodies])
+        body_names = [self._name(group) for group in pieces_of_bodies]
+        return describe(
+            free_motions, body_names, moments / volumes[:, None], self._origin, self._size
+        )
 
     def _name(self, group: list[Piece]) -> str:
         """Regions of a body, and its place if it is only part of them."""
-        names = list(dict.fromkeys(p.region for p in group))
-        text = f"'{' + '.join(names)}'"
-        if sum(p.region in names for p in self._parts.pieces) == len(group):
-            return text
+        region_names = list(dict.fromkeys(p.region for p in group))
+        body_name = f"'{' + '.join(region_names)}'"
+        if sum(p.region in region_names for p in self._parts.pieces) == len(group):
+            return body_name
         centre = max(group, key=lambda p: p.volume).centre
         cells = sum(p.cells for p in group)
-        return f"{text} (the piece of {cells} cells at {point_text(centre)})"
+        return f"{body_name} (the piece of {cells} cells at {point_text(centre)})"
 
     def _when(self, k: int) -> str:
         limited = any(s.stages for s in self._case.supports.values())

@@ -216,8 +216,8 @@ def condensed_seconds(choice: SolverChoice) -> float:
 def krylov_seconds(choice: SolverChoice) -> float:
     """Time of all solves with a Krylov method on one core [s]."""
     seconds_per_iteration = KRYLOV if choice.jumps else LINEAR * KRYLOV
-    later = LATER_KRYLOV * (choice.solves - 1)
-    return seconds_per_iteration * choice.size * (1 + later)
+    later_seconds = LATER_KRYLOV * (choice.solves - 1)
+    return seconds_per_iteration * choice.size * (1 + later_seconds)
 
 
 def _choice(
@@ -256,8 +256,8 @@ def _proportional(case: Case) -> bool:
     """Return True if the solution of the first stage is proportional to the loads."""
     load_histories = [load.history for load in case.loads.values()]
     gaps = [law.has_gap for law in case.interfaces.values()]
-    changes = any(load_histories) or any(gaps) or case.motions
-    return not case.stages[0].duration and not changes
+    has_changes = any(load_histories) or any(gaps) or case.motions
+    return not case.stages[0].duration and not has_changes
 
 
 def solid(case: Case) -> bool:

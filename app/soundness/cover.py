@@ -46,15 +46,17 @@ class Cover:
         self._rotations = {
             body: self._fit(np.flatnonzero(marked)) for body, marked in nodes.items()
         }
-        for c, here, beyond, apart, facet in self._points():
-            depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
-            if depth > facet:
-                text = (
-                    f"its bodies overlap by {depth:.3g} mm at {where}, more than a facet "
-                    f"({facet:.3g} mm)"
+        for c, point_rows, rim_distance, surface_distance, facet_size in self._points():
+            depth, location = self._largest(
+                point_rows, np.where(rim_distance > 0, 0.0, -surface_distance)
+            )
+            if depth > facet_size:
+                message = (
+                    f"its bodies overlap by {depth:.3g} mm at {location}, more than a facet "
+                    f"({facet_size:.3g} mm)"
                 )
                 cure = "move them apart; for an interference use `gap`"
-                raise InputError(Verdict(text, f"interfaces.{c.name}", cure))
+                raise InputError(Verdict(message, f"interfaces.{c.name}", cure))
 
     def _fit(self, nodes: Ints) -> tuple[Ints, Floats]:
         """Owned nodes, and the best-fit rotation by their displacement (3, 3 nodes); collective."""
@@ -68,27 +70,27 @@ class Cover:
             rigid_motion = fit @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
             angle = float(np.linalg.norm(problem.comm.allreduce(rigid_motion)))
             if angle > TIPPED:
-                text = (
+                message = (
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
                     "degrees; with finite sliding its surface does not rotate with it"
                 )
                 cure = "add supports that keep it upright, or a motion of the master"
-                return Verdict(text, cure=cure)
+                return Verdict(message, cure=cure)
         return None
 
     def pressed_beyond_rim(self, trial: TrialState) -> Verdict | None:
         """Return an error on contact beyond the rim of a surface; collective."""
-        for c, points, beyond, *_ in self._points(trial.jump):
-            pressed = trial.law.pressures[points, 0] > 0
-            furthest, place = self._largest(points, np.where(pressed, beyond, 0.0))
+        for c, points, rim_distance, *_ in self._points(trial.jump):
+            is_pressed = trial.law.pressures[points, 0] > 0
+            furthest, place = self._largest(points, np.where(is_pressed, rim_distance, 0.0))
             if furthest > 0:
                 master, slave = c.between or ("", "")
-                text = (
+                message = (
                     f"on interface '{c.name}' the point {place} of '{slave}' has slid off "
                     f"'{master}', {furthest:.3g} mm beyond its rim"
                 )
                 cure = f"use a larger '{master}', a smaller '{slave}', or less sliding"
-                return Verdict(text, cure=cure)
+                return Verdict(message, cure=cure)
         return None
 
     def _points(
@@ -104,19 +106,19 @@ class Cover:
         sliding = contact.finite_sliding if contact else None
         if contact is None or sliding is None:
             return
-        places = sliding.places(contact.local.x * 0.0 + jump)
+        positions = sliding.places(contact.local.x * 0.0 + jump)
         for i, (master, _) in sliding.followers.sides.items():
             surface = master.smooth
             edge_length = contact.edge_lengths[i]
             at_interface = sliding.interface_of_point == i
-            x = places[at_interface]
+            x = positions[at_interface]
             facet, barycentric, distance = surface.closest(x)
-            beyond = surface.distance_beyond_rim(x, facet, barycentric)
-            beyond = np.where(beyond > OFF * edge_length, beyond, 0.0)
+            rim_distance = surface.distance_beyond_rim(x, facet, barycentric)
+            rim_distance = np.where(rim_distance > OFF * edge_length, rim_distance, 0.0)
             yield (
                 self._problem.scene.contacts[i],
                 sliding.rows[at_interface],
-                beyond,
+                rim_distance,
                 distance,
                 edge_length,
             )

@@ -31,24 +31,24 @@ def doubts(case: Case, numbers: Summary) -> list[Verdict]:
     for name, q in numbers["regions"].items():
         creep = case.regions[name].creep
         if "creep_strain_max" in q and case.mesh.order == 1:
-            text = "creep does not change the volume, and linear cells are then too stiff"
-            notes.append(note(text, f"region '{name}'", "use mesh.order: 2"))
-        low, high = (creep and creep.stresses) or (0.0, math.inf)
-        if "creep_strain_max" in q and not low <= q["von_mises_p99"] <= high:
-            text = (
+            message = "creep does not change the volume, and linear cells are then too stiff"
+            notes.append(note(message, f"region '{name}'", "use mesh.order: 2"))
+        lowest_stress, highest_stress = (creep and creep.stresses) or (0.0, math.inf)
+        if "creep_strain_max" in q and not lowest_stress <= q["von_mises_p99"] <= highest_stress:
+            message = (
                 f"creeps at {q['von_mises_p99']:.2g} MPa (von Mises p99), but its law was measured "
-                f"from {low:g} to {high:g} MPa"
+                f"from {lowest_stress:g} to {highest_stress:g} MPa"
             )
-            notes.append(note(text, f"region '{name}'"))
+            notes.append(note(message, f"region '{name}'"))
         E = modulus(case.regions[name])
         strain = largest(q, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:
-            text = (
+            message = (
                 f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
                 "results are not valid there"
             )
             cure = "check the units of moduli and loads"
-            notes.append(note(text, f"region '{name}'", cure))
+            notes.append(note(message, f"region '{name}'", cure))
     return notes
 
 

@@ -51,11 +51,11 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     coupled = size > np.finfo(float).eps * bound
     critical = np.full(len(n), np.inf)
     K, n, w, size = stiffness[coupled], n[coupled], w[coupled], size[coupled]
-    along = w / size[:, None]
-    across = np.cross(n, along)
-    a = np.einsum("pi,pij,pj->p", along, K, along)
-    b = np.einsum("pi,pij,pj->p", along, (K + K.transpose(0, 2, 1)) / 2, across)
-    c = np.einsum("pi,pij,pj->p", across, K, across)
+    coupled_direction = w / size[:, None]
+    transverse = np.cross(n, coupled_direction)
+    a = np.einsum("pi,pij,pj->p", coupled_direction, K, coupled_direction)
+    b = np.einsum("pi,pij,pj->p", coupled_direction, (K + K.transpose(0, 2, 1)) / 2, transverse)
+    c = np.einsum("pi,pij,pj->p", transverse, K, transverse)
     companion = np.zeros((len(n), 3, 3))
     companion[:, 1, 0] = companion[:, 2, 1] = 1
     companion[:, 0, 2] = -2 * b / c
@@ -105,19 +105,20 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
             (float(critical[k]), tuple(contact.local.x[k])) if len(at_interface) else (np.inf, ())
         )
         smallest, x = min(problem.comm.allgather(local_smallest))
-        over = int((critical[at_interface] < term.law.friction).sum())
-        over = problem.comm.allreduce(over, MPI.SUM)
+        points_beyond = int((critical[at_interface] < term.law.friction).sum())
+        points_beyond = problem.comm.allreduce(points_beyond, MPI.SUM)
         if term.law.friction == 0 or not np.isfinite(smallest):
             continue
         coefficients[term.name] = smallest
-        if over:
-            text = (
-                f"friction coefficient {term.law.friction:g} exceeds the critical value at {over} "
+        if points_beyond:
+            message = (
+                f"friction coefficient {term.law.friction:g} exceeds the critical value at"
+                f" {points_beyond} "
                 f"points (smallest {smallest:.3g}, at {point_text(x)}): solutions may not be "
                 "unique there"
             )
-            where = f"interface '{term.name}'"
-            warning = Verdict(text, where, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)
+            location = f"interface '{term.name}'"
+            warning = Verdict(message, location, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)
             warnings.append(warning)
     return coefficients, warnings
 
@@ -190,13 +191,13 @@ def bare_verdict(what: str, where: str = "") -> Verdict:
 
 def is_proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
     """Return True if the residual is halved by half the load and half the state; collective."""
-    full_residual, half = solver.residual(solver.failed_state), solver.failed_state.copy()
-    half.scale(0.5)
+    full_residual, half_state = solver.residual(solver.failed_state), solver.failed_state.copy()
+    half_state.scale(0.5)
     set_load(reach / 2)
-    remaining = solver.residual(half)
+    half_residual = solver.residual(half_state)
     set_load(reach)
-    remaining.axpy(-0.5, full_residual)
-    return remaining.norm() <= SAME * full_residual.norm()
+    half_residual.axpy(-0.5, full_residual)
+    return half_residual.norm() <= SAME * full_residual.norm()
 
 
 def explain(
@@ -214,10 +215,10 @@ def explain(
     if q is None:
         cure = AT_REST if scales else SMALLER
         return Explanation(outcome, Verdict(_residuals(outcome), cure=cure))
-    trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
+    trial, first_trial = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     controlled = contact.law.dissipates
-    damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first))
+    damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first_trial))
     breaks = bool(contact.law.internal_variables and problem.comm.allreduce(damage, MPI.SUM) > 0)
     loose_texts: list[str] = []
     # A body whose cohesive interface breaks in this step is not free.
@@ -229,7 +230,7 @@ def explain(
         if not loose_texts and (pulled_off or not problem.load_size or contact.is_apart()):
             loose_texts = loose_bodies.free_bodies(problem, trial)
             loose_texts = loose_texts or loose_bodies.free_bodies(
-                problem, first
+                problem, first_trial
             )  # remedies may end in any state
     far_text = None
     has_run_away = solver.system.runs_away(solver.blocks(solver.failed_state))
@@ -272,16 +273,16 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
 
     The log reports each remedy when it is tried.
     """
-    text = "plain Newton only"
+    tried_text = "plain Newton only"
     if tried:
         best_remedy, residual = min(tried, key=lambda attempt: attempt[1])
-        text = (
+        tried_text = (
             f"{len(tried)} remedies, of which the best ({best_remedy}) left a residual of "
             f"{residual:.1e}"
         )
     if steps:
-        text += f"; steps halved down to {min(steps):.3g} of the stage"
-    return text
+        tried_text += f"; steps halved down to {min(steps):.3g} of the stage"
+    return tried_text
 
 
 def _state(status: int) -> str:
@@ -297,15 +298,15 @@ def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet
     """Contact points that changed state most in the last iterations; collective."""
     local = [
         (
-            changes,
+            change_count,
             f"changing: {' <-> '.join(map(_state, states))} {_place(problem, contact, row)}, "
             + (
-                f"in {changes} of the last {iterations} iterations"
+                f"in {change_count} of the last {iterations} iterations"
                 if iterations > 1
                 else "in the last iteration"
             ),
         )
-        for row, changes, iterations, states in active.oscillating()[:SHOWN]
+        for row, change_count, iterations, states in active.oscillating()[:SHOWN]
     ]
     all_points = sorted((r for part in problem.comm.allgather(local) for r in part), reverse=True)
     return [text for _, text in all_points[:SHOWN]]

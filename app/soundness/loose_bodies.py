@@ -84,7 +84,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     rigid motions of the two bodies. Motions are free if neither contact nor a support resists them.
     With ``moved``, motions of `free_motions` are left out: no load moves bodies along them.
     """
-    contact, names = trial.contact, problem.bodies.names
+    contact, body_names = trial.contact, problem.bodies.names
     x = contact.points.x
     centre, size = contact.frame
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
@@ -100,9 +100,9 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
     free_vectors = vectors[:, values <= FREE * max(values[-1], total)]
     if moved:
         free_vectors = motions_outside(free_vectors, contact.free_motions(trial.law.status))
-    at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
+    at_body = [(contact.points.bodies == b).any(axis=1) for b in range(len(body_names))]
     centres = np.array([x[mask].mean(axis=0) if mask.any() else centre for mask in at_body])
-    return describe(free_vectors, [f"'{name}'" for name in names], centres, centre, size)
+    return describe(free_vectors, [f"'{name}'" for name in body_names], centres, centre, size)
 
 
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
@@ -144,7 +144,7 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
         motion: The part of the loads that is not borne, as a motion of all bodies (6 n,).
         pressures: Forces on the faces of local points, positive in compression (p, 3) [N].
     """
-    contact, names = problem.contact, problem.bodies.names
+    contact, body_names = problem.contact, problem.bodies.names
     assert contact is not None
     local = contact.local
     jump = contact.relative_motion(motion[:, None])[:, :, 0]
@@ -152,16 +152,20 @@ def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
     friction = (
         _frictions(problem)[local.interface] + LIKELY_MULTIPLE * contact.points.doubt[local.rows]
     )
-    along = friction * np.linalg.norm(jump, axis=1)
-    resisted = problem.comm.allreduce(float((pressures * (closing + along[:, None])).sum()))
+    sliding_resistance = friction * np.linalg.norm(jump, axis=1)
+    resisted = problem.comm.allreduce(
+        float((pressures * (closing + sliding_resistance[:, None])).sum())
+    )
     R = contact.rigid_motions(_owned_nodes(problem))
-    motion_of_bodies = np.einsum("nik,bk->bni", R, motion.reshape(len(names), 6))
+    motion_of_bodies = np.einsum("nik,bk->bni", R, motion.reshape(len(body_names), 6))
     rounding = BALANCED * problem.forces.work_bound(problem.load_time, motion_of_bodies)
     if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
-    centres = np.tile(contact.frame[0], (len(names), 1))
-    texts = describe(motion[:, None], [f"'{name}'" for name in names], centres, *contact.frame)
-    return [f"{text}, and the loads act in this direction" for text in texts]
+    centres = np.tile(contact.frame[0], (len(body_names), 1))
+    motion_texts = describe(
+        motion[:, None], [f"'{name}'" for name in body_names], centres, *contact.frame
+    )
+    return [f"{motion_text}, and the loads act in this direction" for motion_text in motion_texts]
 
 
 def _gathered(problem: Problem, resistance: Floats) -> Floats:
@@ -195,12 +199,12 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
         loose = set().union(*bodies) - fixed_bodies
         if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
             body_names = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
-            text = (
+            message = (
                 f"friction hardly holds body '{body_names}': {100 * slip / touch:.0f} % of the "
                 "contact "
                 f"area of interface '{term.name}' slips in the last converged state"
             )
-            verdicts.append(Verdict(text, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
+            verdicts.append(Verdict(message, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
     return verdicts
 
 
@@ -230,24 +234,26 @@ def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
         pressed = (trial.law.pressures[at_interface] > 0).any()
         if term.between and any(problem.comm.allgather(bool(pressed))):
             continue  # finite sliding
-        how = (
+        motion_text = (
             f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
             "of the interface's size"
             if largest < size
             else "separated completely"
         )
-        text = f"the sides of interface '{term.name}' {how}"
+        message = f"the sides of interface '{term.name}' {motion_text}"
         if largest > LOOSE * forces / (term.modulus * size):
             loose_texts = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
             if loose_texts or term.between:
-                return Verdict("; ".join([*loose_texts, text]), cure=HOLD, code=Reason.LOOSE_BODY)
+                return Verdict(
+                    "; ".join([*loose_texts, message]), cure=HOLD, code=Reason.LOOSE_BODY
+                )
         if largest > NOT_SMALL * size + LEVER * largest_prescribed:
             cure = (
                 "use a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
                 "slip is larger than a facet"
             )
-            text = f"displacements are no longer small: {text}"
-            return Verdict(text, cure=cure, code=Reason.LARGE_DISPLACEMENT)
+            message = f"displacements are no longer small: {message}"
+            return Verdict(message, cure=cure, code=Reason.LARGE_DISPLACEMENT)
     return None
 
 
@@ -256,7 +262,7 @@ def left_free(problem: Problem, trial: TrialState) -> list[Verdict]:
 
     No load acts on such a body along its free motion, so any place in the gaps is an equilibrium.
     """
-    contact, names = trial.contact, problem.bodies.names
+    contact, body_names = trial.contact, problem.bodies.names
     local, size = contact.local, contact.frame[1]
     gaps = np.einsum("pi,pki->pk", contact.opening(trial.jump), local.normals).max(axis=1)
     is_open = trial.law.status == OPEN
@@ -265,10 +271,13 @@ def left_free(problem: Problem, trial: TrialState) -> list[Verdict]:
     rounding = UNPRESSED * contact.law.stiffness * size
     is_unpressed = contact.law.slides & (trial.law.pressures.max(axis=1) <= rounding)
     motions = contact.loose_motions(np.where(is_unpressed, OPEN, trial.law.status))
-    centres = np.tile(contact.frame[0], (len(names), 1))
-    texts = describe(motions, [f"'{name}'" for name in names], centres, *contact.frame)
+    centres = np.tile(contact.frame[0], (len(body_names), 1))
+    motion_texts = describe(motions, [f"'{name}'" for name in body_names], centres, *contact.frame)
     place = "in the last state, so that its place within the gaps is arbitrary"
-    return [Verdict(f"{text} {place}", CONTACT, HOLD, Severity.WARNING) for text in texts]
+    return [
+        Verdict(f"{motion_text} {place}", CONTACT, HOLD, Severity.WARNING)
+        for motion_text in motion_texts
+    ]
 
 
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
@@ -317,9 +326,11 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
         free_motions = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
-        texts = _pulls(problem, unresisted @ (free_motions @ (free_motions.T @ loads)), pressures)
-        if texts:
-            return texts
+        motion_texts = _pulls(
+            problem, unresisted @ (free_motions @ (free_motions.T @ loads)), pressures
+        )
+        if motion_texts:
+            return motion_texts
     return []
 
 
@@ -355,9 +366,11 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
     # Part of the jumps in the span of such motions, by least squares.
     soft = np.zeros((6 * n, int(is_weak.sum())))
     soft[rows] = scale.T @ vectors[:, is_weak]
-    parts = soft.reshape(n, 6, -1)
+    motions_of_bodies = soft.reshape(n, 6, -1)
     master, slave = contact.local.bodies.T
-    motion_of_points = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
+    motion_of_points = np.einsum(
+        "pij,pjk->pik", R, motions_of_bodies[slave] - motions_of_bodies[master]
+    )
     w, q, sum_ = contact.local.weight, trial.jump, problem.comm.allreduce
     normal_change = sum_(np.einsum("p,pi,pik->k", w, q, motion_of_points))
     gram = sum_(np.einsum("p,pik,pil->kl", w, motion_of_points, motion_of_points))
@@ -366,12 +379,12 @@ def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
         return None
     body, mode = divmod(int(np.argmax(np.abs(soft @ amounts))), 6)
     largest_motion = float(np.linalg.norm(motion_of_points @ amounts, axis=1).max(initial=0.0))
-    text = (
+    message = (
         f"only the facets of the mesh hold body '{problem.bodies.names[body]}': on a smooth "
         f"surface it is free to {DIRECTIONS[mode]}; it moved by "
         f"{max(problem.comm.allgather(largest_motion)):.3g} mm, a distance that depends on the mesh"
     )
-    return Verdict(text, cure=HOLD, code=Reason.LOOSE_BODY)
+    return Verdict(message, cure=HOLD, code=Reason.LOOSE_BODY)
 
 
 def _against_spread(
@@ -383,11 +396,11 @@ def _against_spread(
     B = trial.law.resisted
     # Friction holds a touching point, although its stiffness is zero while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
-    spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
-    spread = spread[contact.local.rows]
+    normal_spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
+    normal_spread = normal_spread[contact.local.rows]
     A, N = (
         _gathered(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ at_points @ R))
-        for at_points in (S, spread)
+        for at_points in (S, normal_spread)
     )
     # Random errors of normals cancel in the mean, so the mean counts once for each point.
     touching = np.einsum(

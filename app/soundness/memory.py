@@ -61,16 +61,18 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     for file in _group_limits():
         with suppress(OSError, ValueError):  # no such file, or the text "max"
             limits.append(float(file.read_text()))
-    names = ("SLURM_NNODES", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
-    slurm_values = (environ.get(name, "") for name in names)
-    nodes, ranks, node_ranks = (float(text) if text.isdigit() else 1.0 for text in slurm_values)
+    variable_names = ("SLURM_NNODES", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
+    slurm_values = (environ.get(name, "") for name in variable_names)
+    nodes, ranks, node_ranks = (
+        float(count_text) if count_text.isdigit() else 1.0 for count_text in slurm_values
+    )
     return min(limits) * max(nodes, ranks / node_ranks, 1.0)
 
 
 def _addresses() -> float:
     """Limit of the address space of a process [byte]; infinite if there is none."""
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return math.inf if limit == resource.RLIM_INFINITY else float(limit)
+    address_limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return math.inf if address_limit == resource.RLIM_INFINITY else float(address_limit)
 
 
 def _group_limits() -> Iterator[Path]:
@@ -121,10 +123,10 @@ def _nearly_full() -> bool:
 
 
 def _limits() -> str:
-    limit = _addresses()
-    if math.isinf(limit):
+    address_limit = _addresses()
+    if math.isinf(address_limit):
         return f"a process may use {available({}) / GIGABYTE:.1f} GB"
-    return f"a process may use {limit / GIGABYTE:.1f} GB of address space (ulimit -v)"
+    return f"a process may use {address_limit / GIGABYTE:.1f} GB of address space (ulimit -v)"
 
 
 def check(file: CaseFile, case: Case) -> None:
@@ -144,25 +146,25 @@ def check(file: CaseFile, case: Case) -> None:
     if needed_memory <= memory:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
-    text = (
+    message = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which need at least "
         f"{needed_memory / GIGABYTE:.5g} GB; {memory / GIGABYTE:.1f} GB are available"
     )
     if isinstance(case.geometry, MeshFile):
-        file.raise_all([Fault(("geometry", "path"), text)])
+        file.raise_all([Fault(("geometry", "path"), message)])
     key = _finest(case, memory)
-    given, fits = getattr(case.mesh, key), _fitting(case, key, memory)
-    shown = f"{given} lines" if isinstance(given, int) else f"{given:g} mm"
-    hint = f"; {fits} fits into the memory" if fits else ""
-    file.raise_all([Fault(("mesh", key), f"{shown} {text}{hint}")])
+    given_value, fitting_value = getattr(case.mesh, key), _fitting(case, key, memory)
+    shown_value = f"{given_value} lines" if isinstance(given_value, int) else f"{given_value:g} mm"
+    hint = f"; {fitting_value} fits into the memory" if fitting_value else ""
+    file.raise_all([Fault(("mesh", key), f"{shown_value} {message}{hint}")])
 
 
 def _finest(case: Case, memory: float) -> str:
     """Key of the mesh that makes a case too large: one whose default would fit, else `size`."""
     for key in ("around", "along"):
         mesh = case.mesh.model_copy(update={key: None})
-        given = getattr(case.mesh, key) is not None
-        if given and needed(case.model_copy(update={"mesh": mesh})) <= memory:
+        is_given = getattr(case.mesh, key) is not None
+        if is_given and needed(case.model_copy(update={"mesh": mesh})) <= memory:
             return key
     return "size"
 
@@ -184,7 +186,9 @@ def _fitting(case: Case, key: str, memory: float) -> str:
     larger = float(f"{digit * math.ceil(length / digit):.2g}")
     if larger > min(case.geometry.coarsest_size, ABSURD):
         return ""
-    others = [k for k in ("around", "along") if key == "size" and getattr(case.mesh, k) is not None]
-    if not others:
+    other_keys = [
+        k for k in ("around", "along") if key == "size" and getattr(case.mesh, k) is not None
+    ]
+    if not other_keys:
         return f"{larger:g} mm"
-    return f"{larger:g} mm, with {' and '.join(others)} coarser by the same factor,"
+    return f"{larger:g} mm, with {' and '.join(other_keys)} coarser by the same factor,"

@@ -33,9 +33,9 @@ def lines(notes: Mapping[str, Any]) -> Iterator[str]:
         "boundary_areas_mm2": "areas of boundaries (mm²)",
         "interface_areas_mm2": "areas of interfaces (mm²)",
     }
-    for key, words in sizes.items():
+    for key, size_words in sizes.items():
         if key in other_notes:
-            yield f"{words}: {_sizes_text(other_notes.pop(key))}"
+            yield f"{size_words}: {_sizes_text(other_notes.pop(key))}"
     for name, note in other_notes.items():
         yield f"{name.replace('_', ' ')}: {plain(note)}"
 

@@ -66,22 +66,22 @@ def _outside(case: Case, data: MeshData, path: AnyPath, key: str) -> Verdict:
     if isinstance(path, SectionPath | SidePath):
         place_of_path = path.interface_name or f"region '{region}'"
         x = _nodes(case, data, path)
-        low, high = x[:, 2].min(), x[:, 2].max()
+        lowest, highest = x[:, 2].min(), x[:, 2].max()
         if isinstance(path, SidePath):
             return Verdict(f"{place_of_path} has no {path.side} side", key, "expected another side")
-        text = f"there is no {place_of_path} at the height {path.height:g} mm"
-        return Verdict(text, key, f"expected a height from {low:.4g} to {high:.4g} mm")
+        message = f"there is no {place_of_path} at the height {path.height:g} mm"
+        return Verdict(message, key, f"expected a height from {lowest:.4g} to {highest:.4g} mm")
     region_text = f"region '{region}'" if region else "every body"
     x = _nodes(case, data, path)
-    ends = ", ".join(
-        f"{axis} {low:.4g} to {high:.4g}"
-        for axis, low, high in zip("xyz", x.min(axis=0), x.max(axis=0), strict=True)
+    ranges = ", ".join(
+        f"{axis} {lowest:.4g} to {highest:.4g}"
+        for axis, lowest, highest in zip("xyz", x.min(axis=0), x.max(axis=0), strict=True)
     )
     model_text = f"region '{region}'" if region else "the model"
     return Verdict(
         f"no point of the path is in {region_text}" if region else "lies outside every body",
         key,
-        f"expected points in {model_text}, which fills {ends} mm",
+        f"expected points in {model_text}, which fills {ranges} mm",
     )
 
 
@@ -97,17 +97,18 @@ def _nodes(case: Case, data: MeshData, path: AnyPath) -> np.ndarray:
 def _partly_outside(path: AnyPath, points: PathPoints, key: str) -> Verdict:
     """Note on a path with points outside its bodies: how many, and where along it."""
     region = path.region
-    out = points.cell < 0
-    begins = np.flatnonzero(np.diff(out.astype(int), prepend=0) == 1)
-    ends = np.flatnonzero(np.diff(out.astype(int), append=0) == -1)
+    is_outside = points.cell < 0
+    begins = np.flatnonzero(np.diff(is_outside.astype(int), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(is_outside.astype(int), append=0) == -1)
     stretches = [
         f"{points.arc[a]:.4g} to {points.arc[b]:.4g} mm" for a, b in zip(begins, ends, strict=True)
     ]
-    listed = ", ".join(stretches[:3]) + (", ..." if len(stretches) > 3 else "")
+    stretch_list = ", ".join(stretches[:3]) + (", ..." if len(stretches) > 3 else "")
     region_text = f"region '{region}'" if region else "every body"
-    text = (
-        f"{out.sum()} of its {len(out)} points are outside {region_text} ({listed} along it); "
+    message = (
+        f"{is_outside.sum()} of its {len(is_outside)} points are outside {region_text}"
+        f" ({stretch_list} along it); "
         "their "
         "fields stay empty"
     )
-    return note(text, key)
+    return note(message, key)

@@ -70,14 +70,18 @@ def describe(case: Case, given: Mapping[str, Mapping[str, object]]) -> str:
         lines += ["supports", *_table(case.supports)]
         lines += ["motions"] if case.motions else []
         for n, m in case.motions.items():
-            turn = f"turns about {plain(m.about)} mm by "
-            turn += (
+            rotation_text = f"turns about {plain(m.about)} mm by "
+            rotation_text += (
                 f"{m.rotation.axes}: {m.rotation.cycle_table.description}"
                 if m.rotation
                 else "nothing"
             )
-            lines.append(f"  {n}: {m.region} {turn}; translation {m.translation}")
-        lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
+            lines.append(f"  {n}: {m.region} {rotation_text}; translation {m.translation}")
+        lines += [
+            "loads",
+            *_table(case.loads),
+            *(f"  {resultant_text}" for resultant_text in resultant(case)),
+        ]
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
@@ -108,12 +112,12 @@ def _stage(stage: Stage) -> str:
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
 
-def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
+def _entries(model: Section, given_values: object, indent: int = 2) -> Iterable[str]:
     """A line per field: internal value, and the given one where that differs."""
-    written = model.model_dump(mode="json", exclude_none=True)
-    source = given if isinstance(given, dict) else {}
+    internal_values = model.model_dump(mode="json", exclude_none=True)
+    source = given_values if isinstance(given_values, dict) else {}
     from_file = getattr(model, "from_file", ())
-    for key, value in written.items():
+    for key, value in internal_values.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # empty, or printed in the line above
         part = getattr(model, key)
@@ -122,10 +126,10 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
             yield f"{' ' * indent}{key}:{kind}"
             yield from _entries(part, source.get(key), indent + 2)
             continue
-        text = plain(value)
-        raw = plain(source[key]) if key in source else None
-        note = "" if raw is None or raw == text else f"  ({raw})"
-        yield f"{' ' * indent}{key}: {text}{note}" + (
+        value_text = plain(value)
+        given_text = plain(source[key]) if key in source else None
+        note = "" if given_text is None or given_text == value_text else f"  ({given_text})"
+        yield f"{' ' * indent}{key}: {value_text}{note}" + (
             "" if key in source else f"  [{'from the file' if key in from_file else 'default'}]"
         )
 
@@ -136,27 +140,33 @@ def _table(entries: Mapping[str, Section]) -> list[str]:
     for name, entry in entries.items():
         fields = entry.model_dump(mode="json", exclude_none=True)
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
-        words = [f"{kind} on {place}" if place else kind] if kind else []
-        texts = {k: getattr(getattr(entry, k), "description", plain(v)) for k, v in fields.items()}
-        words += [f"{k} {text}" for k, text in texts.items() if k not in ORIGIN]
-        lines.append(f"  {name}: {', '.join(words)}")
+        descriptions = [f"{kind} on {place}" if place else kind] if kind else []
+        value_texts = {
+            k: getattr(getattr(entry, k), "description", plain(v)) for k, v in fields.items()
+        }
+        descriptions += [
+            f"{k} {value_text}" for k, value_text in value_texts.items() if k not in ORIGIN
+        ]
+        lines.append(f"  {name}: {', '.join(descriptions)}")
     return lines or ["  none"]
 
 
 def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
-        lists = []
+        names_of_sections = []
         tables = {name: m.cycle for name, m in case.motions.items() if m.cycle is not None}
         loads = {name: load.cycle or load for name, load in case.loads.items()}
         parts: Any
         for section, parts in (("regions", case.regions), ("motions", tables), ("loads", loads)):
-            names = [name for name, part in parts.items() if part.status == status]
-            if names:
-                all_parts = len(names) == len(parts)
-                lists.append(f"all {section}" if all_parts else f"{section} {', '.join(names)}")
-        if lists:
-            yield f"  {status or 'without status'}: {'; '.join(lists)}"
+            names_with_status = [name for name, part in parts.items() if part.status == status]
+            if names_with_status:
+                all_parts = len(names_with_status) == len(parts)
+                names_of_sections.append(
+                    f"all {section}" if all_parts else f"{section} {', '.join(names_with_status)}"
+                )
+        if names_of_sections:
+            yield f"  {status or 'without status'}: {'; '.join(names_of_sections)}"
 
 
 def resultant(case: Case) -> Iterator[str]:
@@ -244,14 +254,16 @@ def warnings(case: Case) -> list[Verdict]:
         notes.append(note("nothing acts on the model: the result will be zero"))
     for name, region in case.regions.items():
         if case.mesh.order == 1 and region.nearly_incompressible:
-            text = (
+            message = (
                 f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far "
                 "too stiff)"
             )
-            notes.append(note(text, cure="use mesh.order: 2"))
+            notes.append(note(message, cure="use mesh.order: 2"))
     for name, region in case.regions.items():
         place, thermal = f"regions.{name}", region.thermal
-        limits_of_material = next(limits for word, limits in STIFFNESS.items() if word in name)
+        limits_of_material = next(
+            limits for region_word, limits in STIFFNESS.items() if region_word in name
+        )
         notes += _far_off(place, region, dict.fromkeys(MODULI, limits_of_material))
         notes += _far_off(f"{place}.thermal", thermal, USUAL)
         setting = None if thermal is None else thermal.cure
@@ -260,29 +272,29 @@ def warnings(case: Case) -> list[Verdict]:
     for name, law in case.interfaces.items():
         feeds = law.conducts_by_pressure and name not in case.faces
         if expands and feeds:
-            text = (
+            message = (
                 "thermal expansion and a conductance that grows with pressure reinforce each "
                 "other: several steady states may exist, some of them unstable"
             )
             remedy = "vary the initial temperatures, which select one of them"
-            notes.append(note(text, f"interfaces.{name}", remedy))
+            notes.append(note(message, f"interfaces.{name}", remedy))
     loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
     force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
-            text = f"the largest load on the hip is {force:.3g} N; is the unit wrong?"
-            notes.append(note(text))
+            message = f"the largest load on the hip is {force:.3g} N; is the unit wrong?"
+            notes.append(note(message))
     tables = [name for name, load in case.loads.items() if load.cycle is not None]
     if tables and sum(not stage.takes_time for stage in case.stages) == 1:
-        text = "the cycle begins in the first stage, so that all loads act in the first step"
+        message = "the cycle begins in the first stage, so that all loads act in the first step"
         remedy = "put a stage before it in which the loads grow: stages: [{name: rise}, ...]"
-        notes.append(note(text, f"loads.{tables[0]}.cycle_table", remedy))
+        notes.append(note(message, f"loads.{tables[0]}.cycle_table", remedy))
     for name, motion in case.motions.items():
         columns = motion.cycle.columns if motion.cycle else {}
         largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
         if 0.0 < largest < math.radians(0.5):
-            text = "all angles are below 0.5 degrees; are they in radians?"
-            notes.append(note(text, f"motions.{name}.rotation.cycle_table"))
+            message = "all angles are below 0.5 degrees; are they in radians?"
+            notes.append(note(message, f"motions.{name}.rotation.cycle_table"))
     for name, region in case.regions.items():
         notes += from_memory(f"regions.{name}", region.source)
     notes += _without_effect(case)
@@ -311,44 +323,49 @@ def _without_effect(case: Case) -> Iterable[Verdict]:
         for boundary in load.boundaries:
             support = fixed_boundaries.get(boundary)
             if support and not case.supports[support].stages:
-                text = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
-                yield note(text, f"loads.{name}")
+                message = f"acts on {boundary}, which supports.{support} holds, so it has no effect"
+                yield note(message, f"loads.{name}")
     for name, law in case.interfaces.items():
         if law.friction > MOST_FRICTION:
-            text = f"is {law.friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
-            yield note(f"interfaces.{name}.friction_coefficient {text}")
+            message = f"is {law.friction:g}; for implants it is 0 to 1.5. Was it given in per cent?"
+            yield note(f"interfaces.{name}.friction_coefficient {message}")
 
 
 def _open_conductances(case: Case) -> Iterable[Verdict]:
     """A note on interfaces that can open, but conduct heat as if they were closed."""
     if not (case.conducts and solid(case)):
         return
-    names = [
+    open_names = [
         name
         for name, law in case.interfaces.items()
         if law.kind != "bonded" and name not in case.faces and not law.conducts_by_pressure
     ]
-    if names:
-        text = "the conductance does not change where the interface opens"
-        yield note(text, f"interfaces.{', '.join(names)}", "use `kind: pressure` for one that does")
+    if open_names:
+        message = "the conductance does not change where the interface opens"
+        yield note(
+            message, f"interfaces.{', '.join(open_names)}", "use `kind: pressure` for one that does"
+        )
 
 
 def _proud(case: Case) -> Iterable[Verdict]:
     """A note on a stem that stands far out of the bone."""
-    out = case.geometry.proud
-    if out > MOST_PROUD and case.of_tissue("bone"):  # a pot on a test bench has none
-        text = (
-            f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most "
+    height_above_cut = case.geometry.proud
+    if height_above_cut > MOST_PROUD and case.of_tissue("bone"):  # a pot on a test bench has none
+        message = (
+            f"the shoulder of the stem is {height_above_cut:.3g} mm above the neck cut; in hips"
+            " it is at most "
             f"{MOST_PROUD:g} mm. Is geometry.tip_z or geometry.insertion.depth wrong?"
         )
-        yield note(text, "geometry")
+        yield note(message, "geometry")
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[Verdict]:
     """Notes on values of a part of a case that are outside the limits of their keys."""
-    for key, (low, high) in limits.items():
+    for key, (lower_limit, upper_limit) in limits.items():
         value = getattr(part, key, None)
         values = [v for _, v in value] if isinstance(value, tuple) else [value]
-        if part and any(isinstance(v, float) and v and not low <= abs(v) <= high for v in values):
-            text = plain(part.model_dump(mode="json")[key])
-            yield note(f"{place}.{key} is {text}; is the unit wrong?")
+        if part and any(
+            isinstance(v, float) and v and not lower_limit <= abs(v) <= upper_limit for v in values
+        ):
+            value_text = plain(part.model_dump(mode="json")[key])
+            yield note(f"{place}.{key} is {value_text}; is the unit wrong?")

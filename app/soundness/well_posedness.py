@@ -78,7 +78,7 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
     Raises:
         InputError: The case cannot be solved. The error lists all reasons.
     """
-    notes = [note(text) for text in parts.data.notes.get("messages", ())]
+    notes = [note(message) for message in parts.data.notes.get("messages", ())]
     notes += [*_cracks(case, parts), *_size(case, parts)]
     errors = [*_on_axis(case, parts), *_sides_apart(case, parts), *_followers(case, parts)]
     errors += _outside(case, parts)
@@ -142,29 +142,29 @@ def _contradictions_in(
         a, b = case.supports[first_support], case.supports[second_support]
         x = parts.x[np.intersect1d(holding[first_support], holding[second_support])]
         hold_both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
-        first, second = (
+        first_values, second_values = (
             _gap_values(case, name, x)[hold_both] for name in (first_support, second_support)
         )
         for axis in sorted(set(a.held_axes) & set(b.held_axes)):
-            u, v = first[..., "xyz".index(axis)], second[..., "xyz".index(axis)]
+            u, v = first_values[..., "xyz".index(axis)], second_values[..., "xyz".index(axis)]
             size = max(np.abs(u).max(initial=0.0), np.abs(v).max(initial=0.0))
             differ = (np.abs(u - v) > SAME * size).any(axis=0)
             if not differ.any():
                 continue
             key = f"supports.{second_support}"
-            text = (
+            message = (
                 f"prescribes a different displacement along {axis} than supports.{first_support} "
                 "at "
                 f"{int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
             )
             if differ.sum() == min(len(holding[first_support]), len(holding[second_support])):
-                errors.append(Verdict(text, key, "remove one of the two"))
+                errors.append(Verdict(message, key, "remove one of the two"))
             else:
-                text += (
+                message += (
                     f": '{second_support}' is used there, and stresses grow without limit as the "
                     "mesh is "
                 )
-                notes.append(note(f"{text}refined", key))
+                notes.append(note(f"{message}refined", key))
     return errors, notes
 
 
@@ -185,10 +185,10 @@ def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
             slides_finitely = law.finite_sliding and region not in guided
             if slides_finitely and case.regions[region].moves_rigidly:
-                text = f"the rotation of the rigid {region} is not given"
+                message = f"the rotation of the rigid {region} is not given"
                 suggestion = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
                 cure = f"expected {suggestion}, or a fixed support"
-                errors.append(Verdict(text, f"interfaces.{name}", cure))
+                errors.append(Verdict(message, f"interfaces.{name}", cure))
     for name, motion in case.motions.items():
         turning = {k for k, piece in enumerate(parts.pieces) if piece.region == motion.region}
         boundaries_of_body = {
@@ -201,12 +201,12 @@ def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
             n for n, load in case.loads.items() if boundaries_of_body.intersection(load.boundaries)
         )
         if supports_of_body and motion.cycle:
-            text = f"{motion.region} rotates, but supports hold it ({supports_of_body})"
+            message = f"{motion.region} rotates, but supports hold it ({supports_of_body})"
             cure = "expected `translation: held` instead"
-            errors.append(Verdict(text, f"motions.{name}.region", cure))
+            errors.append(Verdict(message, f"motions.{name}.region", cure))
         if loads and motion.translation == "held":
-            text = f"{motion.region} does not move under {loads}: its motion is prescribed"
-            notes.append(note(text, f"motions.{name}.translation"))
+            message = f"{motion.region} does not move under {loads}: its motion is prescribed"
+            notes.append(note(message, f"motions.{name}.translation"))
     return errors, notes
 
 
@@ -223,12 +223,12 @@ def _on_axis(case: Case, parts: Parts) -> list[Verdict]:
             is_on_axis = _meets_axis(parts.x[cells], np.array(fibre.axis), np.array(fibre.through))
             if is_on_axis.any():
                 middle = parts.x[cells[np.argmax(is_on_axis)]].mean(axis=0)
-                text = (
+                message = (
                     f"its axis meets the region, e.g. at {point_text(middle)}, where fibres have "
                     "no direction"
                 )
                 cure = "expected an axis outside the region"
-                errors.append(Verdict(text, f"{key}.fibre", cure))
+                errors.append(Verdict(message, f"{key}.fibre", cure))
     return errors
 
 
@@ -236,28 +236,29 @@ def _sides_apart(case: Case, parts: Parts) -> list[Verdict]:
     """Interfaces without a facet and without finite sliding, and interfaces with both."""
     errors = []
     for name, sides in case.geometry.interface_sides.items():
-        shared = len(interface_facets(parts.data, name)[0])
+        shared_facets = len(interface_facets(parts.data, name)[0])
         first_side, second_side = ("/".join(side) for side in sides)
-        if shared and name in parts.faces:
-            text = (
-                f"{first_side} and {second_side} share {shared} facets, so slip is limited to one "
+        if shared_facets and name in parts.faces:
+            message = (
+                f"{first_side} and {second_side} share {shared_facets} facets, so slip is limited"
+                " to one "
                 "facet"
             )
             cure = "expected bodies meshed apart, or `sliding: small`"
-            errors.append(Verdict(text, f"interfaces.{name}.sliding", cure))
-        elif not shared and name not in parts.faces:
+            errors.append(Verdict(message, f"interfaces.{name}.sliding", cure))
+        elif not shared_facets and name not in parts.faces:
             cure = (
                 "expected kind: contact with `sliding: finite` and two boundaries in `between`, if "
                 "the bodies are meshed separately"
             )
-            text = f"no facet between {first_side} and {second_side}"
-            errors.append(Verdict(text, f"interfaces.{name}", cure))
+            message = f"no facet between {first_side} and {second_side}"
+            errors.append(Verdict(message, f"interfaces.{name}", cure))
         for face, side in zip(parts.faces.get(name, ()), sides, strict=False):
             face_regions = sorted({parts.pieces[p].region for p in parts.boundaries.get(face, {})})
             if not face_regions or not {*face_regions} <= {*side}:
-                text = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
+                message = f"{face} is a surface of {' and '.join(face_regions) or 'no region'}"
                 cure = f"expected one of {'/'.join(side)} alone"
-                errors.append(Verdict(text, f"interfaces.{name}.between", cure))
+                errors.append(Verdict(message, f"interfaces.{name}.between", cure))
     return errors
 
 
@@ -287,10 +288,10 @@ def _misplaced(data: MeshData, key: str, gauge: StrainGauge) -> list[Verdict]:
         return [Verdict(str(fault), f"{key}.{fault.key}", fault.cure)]
     if gauge_position.distance <= gauge.diameter:
         return []
-    text = f"is {gauge_position.distance:.3g} mm from {gauge.boundary}"
+    message = f"is {gauge_position.distance:.3g} mm from {gauge.boundary}"
     cure = f"expected at most a diameter, {gauge.diameter:g} mm; the nearest point is "
     cure += f"{point_text(gauge_position.centre)}. `towards` finds a point in a direction"
-    return [Verdict(text, f"{key}.at", cure)]
+    return [Verdict(message, f"{key}.at", cure)]
 
 
 def _followers(case: Case, parts: Parts) -> list[Verdict]:
@@ -315,26 +316,26 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
         for key, interface_nodes in supported_nodes.items():
             shared_nodes = np.intersect1d(supported_nodes[name], interface_nodes)
             if contact.between and key != name and len(shared_nodes):
-                text = (
+                message = (
                     f"moves {len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
                     f"{point_text(parts.x[shared_nodes[0]])}, which follow the master of {name}"
                 )
-                errors.append(Verdict(text, key, "expected a boundary without them"))
+                errors.append(Verdict(message, key, "expected a boundary without them"))
     return errors
 
 
-def _meets_axis(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
+def _meets_axis(x: Floats, axis: Floats, point_on_axis: Floats) -> NDArray[np.bool_]:
     """Tetrahedra of corners (n, 4, 3) that a line meets.
 
     Seen along the line, it is outside of a cell whose corners all lie on one side of it.
     """
-    across = np.linalg.svd(axis[None])[2][1:]
-    y, z = np.einsum("ki,nci->knc", across, x - through)
+    directions_across = np.linalg.svd(axis[None])[2][1:]
+    y, z = np.einsum("ki,nci->knc", directions_across, x - point_on_axis)
     angle = np.sort(np.arctan2(z, y), axis=1)
-    between = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
+    angles_between = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     radius = np.hypot(y, z)
     is_near = radius.min(axis=1) <= CLOSE * radius.max(axis=1)
-    return np.asarray(is_near | (between.max(axis=1) <= np.pi + CLOSE))
+    return np.asarray(is_near | (angles_between.max(axis=1) <= np.pi + CLOSE))
 
 
 def _clamped(case: Case, parts: Parts) -> list[Verdict]:
@@ -354,36 +355,38 @@ def _clamped(case: Case, parts: Parts) -> list[Verdict]:
             held_masks.append(np.linalg.eigvalsh(values[parts.on_interface(name)])[:, 0] > SAME)
         clamped_share = float(np.mean(np.logical_and(*held_masks)))
         if clamped_share > MOSTLY:
-            text = (
+            message = (
                 f"supports hold both sides of interface '{name}' at {100 * clamped_share:.0f} % "
                 "of its "
             )
-            notes.append(note(f"{text}nodes: it can neither open nor slip there"))
+            notes.append(note(f"{message}nodes: it can neither open nor slip there"))
     return notes
 
 
 def _meeting(case: Case, parts: Parts) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     openable = [name for name, law in case.interfaces.items() if law.can_part]
-    groups = {frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)}
+    regions_of_bodies = {
+        frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)
+    }
     is_on_interface = np.array(
         [np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in openable]
     )
     bodies = np.zeros(len(parts.x), dtype=int)
-    for regions in groups:
+    for regions in regions_of_bodies:
         bodies[np.unique(np.concatenate([parts.corners_of(r) for r in regions]))] += 1
     rows = np.flatnonzero((bodies > 1) & (is_on_interface.sum(axis=0) >= bodies))
     if not openable or not len(rows):
         return []
-    names = [
+    meeting_names = [
         name for name, is_on in zip(openable, is_on_interface[:, rows[0]], strict=True) if is_on
     ]
-    text = (
-        f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
+    message = (
+        f"interfaces {', '.join(meeting_names)} meet at {len(rows)} vertices, e.g. at "
         f"{point_text(parts.x[rows[0]])}: there the law of one interface holds only as a mean over "
         "the neighbouring points"
     )
-    return [note(text)]
+    return [note(message)]
 
 
 # Proportions
@@ -414,26 +417,26 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
         thickness, size = _side_spans(case, parts, name)
         key = f"interfaces.{name}.gap"
         if thickness and interference >= TOO_MUCH * thickness:
-            text = (
+            message = (
                 f"an interference of {interference:.3g} mm is "
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
                 f"({thickness:.3g} mm), so that strains are not small"
             )
-            errors.append(Verdict(text, key, "use a smaller interference; is the unit wrong?"))
+            errors.append(Verdict(message, key, "use a smaller interference; is the unit wrong?"))
         elif thickness and interference > SMALL * thickness:
-            text = (
+            message = (
                 f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
                 "strains are not small"
             )
-            notes.append(note(text, key, WRONG_UNIT))
+            notes.append(note(message, key, WRONG_UNIT))
         if smallest_gap > SMALL * size:
-            text = (
+            message = (
                 f"the sides are {smallest_gap:.3g} mm apart everywhere, "
                 f"{100 * smallest_gap / size:.0f} % of the "
                 f"size of the interface ({size:.3g} mm)"
             )
             remedy = "use a smaller gap, since results assume small displacements"
-            notes.append(note(text, key, remedy))
+            notes.append(note(message, key, remedy))
     return errors, notes
 
 
@@ -447,11 +450,11 @@ def _far_gaps(case: Case, parts: Parts) -> list[Verdict]:
         x = parts.x[np.concatenate([*parts.boundaries[s.boundary].values()])]
         largest_gap = float(np.abs(_gap_values(case, name, x)).max())
         if largest_gap > FAR * model_size:
-            text = (
+            message = (
                 f"moves a model of {model_size:.3g} mm by {largest_gap:.3g} mm: displacements are "
                 "not small"
             )
-            notes.append(note(text, f"supports.{name}", WRONG_UNIT))
+            notes.append(note(message, f"supports.{name}", WRONG_UNIT))
     return notes
 
 
@@ -469,11 +472,11 @@ def _strained(case: Case, parts: Parts) -> list[Verdict]:
         stress = math.hypot(*(load.resultant or ())) / area + abs(load.normal_pressure or 0.0)
         stress *= max(map(abs, load_history_of(case, load.history)), default=1.0)
         if stress > STRAIN * softest:
-            text = (
+            message = (
                 f"{stress:.3g} MPa on boundary '{boundary}' is large for a modulus of "
                 f"{softest:.3g} MPa: strains are not small"
             )
-            notes.append(note(text, f"loads.{name}", WRONG_UNIT))
+            notes.append(note(message, f"loads.{name}", WRONG_UNIT))
     return notes
 
 
@@ -488,7 +491,7 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
         if a != b and any({a, b} <= regions for regions in slides):
             continue
         region_text = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
-        text = (
+        message = (
             f"{len(x)} pairs of nodes coincide but are not connected, e.g. at {point_text(x[0])}: "
             "an open crack"
         )
@@ -496,7 +499,7 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
             "if it is not intended, merge them (in gmsh BooleanFragments before meshing, or "
             "Coherence Mesh after it)"
         )
-        notes.append(note(text, region_text, cure))
+        notes.append(note(message, region_text, cure))
     if case.geometry.kind != "file":
         return notes
     for (a, b), (area, place) in lying(parts.data).items():
@@ -504,7 +507,7 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
         if sliding or (a, b) in parts.doubled or (b, a) in parts.doubled:
             continue
         region_text = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
-        text = (
+        message = (
             f"{region_text} touch over {area:.3g} mm2, e.g. at {point_text(place)}, but share no "
             "node: "
             "neither force nor heat passes between them"
@@ -513,7 +516,7 @@ def _cracks(case: Case, parts: Parts) -> list[Verdict]:
             "if they are to be joined, mesh them together (in gmsh BooleanFragments), or let them "
             "slide (`sliding: finite`)"
         )
-        notes.append(note(text, cure=cure))
+        notes.append(note(message, cure=cure))
     return notes
 
 
@@ -522,30 +525,30 @@ def _size(case: Case, parts: Parts) -> list[Verdict]:
     size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
     if not isinstance(case.geometry, MeshFile) or SIZES[0] <= size <= SIZES[1]:
         return []
-    text = (
+    message = (
         f"the mesh is {size:.3g} mm from corner to corner: is its unit really {case.geometry.unit}?"
     )
-    return [note(text, "geometry")]
+    return [note(message, "geometry")]
 
 
 def _too_stiff(case: Case, parts: Parts) -> list[Verdict]:
     """Slender regions of linear cells, which are too stiff in bending."""
     if case.mesh.order != 1:
         return []
-    worst: dict[str, tuple[float, float, float]] = {}
+    worst_of_region: dict[str, tuple[float, float, float]] = {}
     for p in parts.pieces:
         slender = p.thickness < SLENDER * float(p.box.max())
         if slender and p.free > MOSTLY and modulus(case.regions[p.region]):
             excess = BENDING * (p.edge / p.thickness) ** 2
             candidate = (excess, p.thickness, p.edge)
-            worst[p.region] = max(worst.get(p.region, candidate), candidate)
+            worst_of_region[p.region] = max(worst_of_region.get(p.region, candidate), candidate)
     notes = []
-    for name, (excess, thickness, edge) in worst.items():
+    for name, (excess, thickness, edge) in worst_of_region.items():
         if excess > TOO_STIFF:
             percent = float(f"{100 * excess:.2g}")
-            text = (
+            message = (
                 f"region '{name}' is {thickness:.3g} mm thick with linear cells of {edge:.3g} mm: "
                 f"in bending it is about {percent:.0f} % too stiff"
             )
-            notes.append(note(text, cure="use mesh.order: 2"))
+            notes.append(note(message, cure="use mesh.order: 2"))
     return notes

@@ -84,24 +84,24 @@ class CoarseModelStart:
             self._interpolation = interpolation(source.points, contact.points, contact.local.rows)
             self._computed_jumps = [(0.0, np.zeros((len(contact.local), 3)))]
         for target in [*self._passed_times, time]:
-            while target > (reached := self._computed_jumps[-1][0]):
+            while target > (computed_time := self._computed_jumps[-1][0]):
                 # The cheaper model of a resumed run has not solved earlier stages.
-                self._advance(self._coarse, min(target, math.floor(reached) + 1.0))
+                self._advance(self._coarse, min(target, math.floor(computed_time) + 1.0))
         self._passed_times = []
         return interpolate_in_time(self._computed_jumps, time)
 
     def _advance(self, coarse: LoadStepper, time: float) -> None:
-        begin = self._computed_jumps[-1][0]
+        start_time = self._computed_jumps[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
         problem.set_stage(k, coarse.solver.u_and_q()[0])
 
         def set_load(s: float) -> None:
-            problem.set_time(begin + s * (time - begin))
+            problem.set_time(start_time + s * (time - start_time))
 
         # A start that needs many steps does not pay.
         stage = problem.scene.stages[k].model_copy(update={"adaptive": False})
-        coarse.run_path(stage, 1.0, set_load, begin, time)
+        coarse.run_path(stage, 1.0, set_load, start_time, time)
         contact = problem.contact
         assert contact is not None
         surface = contact.points.surface
@@ -124,12 +124,12 @@ class CoarseModelStart:
 
 def interpolate_in_time(values_at: list[tuple[float, Floats]], time: float) -> Floats:
     """Values at a time, on the line through the last two known values."""
-    (t1, after) = values_at[-1]
+    (t1, value_after) = values_at[-1]
     if time == t1 or len(values_at) == 1:
-        return after
-    t0, before = values_at[-2]
+        return value_after
+    t0, value_before = values_at[-2]
     s = (time - t0) / (t1 - t0)
-    return (1 - s) * before + s * after
+    return (1 - s) * value_before + s * value_after
 
 
 def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> csr_array:
@@ -143,8 +143,8 @@ def interpolation(source: ContactPoints, target: ContactPoints, owned: Ints) -> 
 
     from meshes.mantle import nearest
 
-    none = np.zeros(0, dtype=np.int64)
-    entries: list[tuple[Ints, Ints, Floats]] = [(none, none, np.zeros(0))]
+    no_rows = np.zeros(0, dtype=np.int64)
+    entries: list[tuple[Ints, Ints, Floats]] = [(no_rows, no_rows, np.zeros(0))]
     for i, triangles in enumerate(source.triangles):
         points = np.flatnonzero(target.interface[owned] == i)
         if len(points) and len(triangles):

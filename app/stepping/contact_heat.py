@@ -67,14 +67,14 @@ class ContactHeat:
             scene, problem, contact, operators, column_of_point
         )
         heated_interfaces = {f.name for f in scene.friction_heat}
-        names = [c.name for c in scene.contacts]
+        contact_names = [c.name for c in scene.contacts]
         self.is_rubbing = np.isin(
             contact.local.interface,
-            [i for i, name in enumerate(names) if name in heated_interfaces],
+            [i for i, name in enumerate(contact_names) if name in heated_interfaces],
         )
         surface = points.surface
         index_of_point = {
-            (names[i], v): k
+            (contact_names[i], v): k
             for k, (i, v) in enumerate(zip(surface.interface, surface.vertex, strict=True))
         }
         self.pressure_interpolation: PETSc.Mat | None = None
@@ -176,16 +176,18 @@ class ContactHeat:
         spring_slip = force / contact.law.stiffness[:, None]
         by_equilibrium, by_jump = self._rows((slip - spring_slip)[:, None], trial)
         scale = np.where(self.is_rubbing, 1 / self._stage_length, 0.0)[:, None, None]
-        share = contact.law.multiplier_share / contact.local.weight[:, None, None]
-        by_spring_slip = np.einsum("pi,pij->pj", spring_slip, share)
+        multiplier_share = contact.law.multiplier_share / contact.local.weight[:, None, None]
+        by_spring_slip = np.einsum("pi,pij->pj", spring_slip, multiplier_share)
         by_equilibrium -= by_spring_slip[:, None]
         return scale * by_equilibrium, scale * (by_jump + force[:, None])
 
     def _rows(self, directions: Floats, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the force along directions (n, k, 3): by equilibrium, by the jump."""
         by_force = directions @ trial.law.by_multiplier
-        share = self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
-        return -by_force @ share, directions @ trial.law.by_jump
+        multiplier_share = (
+            self._contact.law.multiplier_share / self._contact.local.weight[:, None, None]
+        )
+        return -by_force @ multiplier_share, directions @ trial.law.by_jump
 
 
 def _friction_heat_matrices(
@@ -198,12 +200,12 @@ def _friction_heat_matrices(
     """Matrices from friction power per area at contact points to nodal heat by body [mm2]."""
     points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
-    vertices, first = np.unique(facets.vertices, return_index=True)
-    dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(vertices, points.vertex)]
+    vertices, first_rows = np.unique(facets.vertices, return_index=True)
+    dof = facets.dofs[:, :3].ravel()[first_rows][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range
     owned = (dof >= start) & (dof < end)
-    shares = {f.name: f.slave_share for f in scene.friction_heat}
-    β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
+    slave_shares = {f.name: f.slave_share for f in scene.friction_heat}
+    β = np.array([slave_shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
     body_of = operators.bodies.of_region
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
@@ -211,17 +213,17 @@ def _friction_heat_matrices(
     sizes = problem.comm, operators.forms.owned, len(contact.local)
     heats = []
     for body_index in range(len(operators.bodies.names)):
-        share = sum(
+        heat_share = sum(
             np.where(body[points.interface] == body_index, side_share, 0.0)
             for body, side_share in sides
         )
-        values = (points.weight * share)[owned]
+        values = (points.weight * heat_share)[owned]
         heats.append(from_triplets(*sizes, dof[owned] - start, column_of_point[owned], values))
     return heats
 
 
 def _multiply(A: PETSc.Mat, values: Floats) -> Floats:
-    right, left = A.createVecs()
-    right.array[:] = values
-    A.mult(right, left)
-    return np.asarray(left.array.copy())
+    factor_vector, product_vector = A.createVecs()
+    factor_vector.array[:] = values
+    A.mult(factor_vector, product_vector)
+    return np.asarray(product_vector.array.copy())

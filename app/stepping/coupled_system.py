@@ -106,8 +106,8 @@ class CoupledSystem(ContactSystem):
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """Blocks of heat, of mechanics, and of their coupling."""
-        none: list[PETSc.Mat | None] = [None] * self._heat_blocks
-        by_heat = self._by_heat or [none, none]
+        no_blocks: list[PETSc.Mat | None] = [None] * self._heat_blocks
+        by_heat = self._by_heat or [no_blocks, no_blocks]
         rows = [[*a, *b] for a, b in zip(self._thermal_blocks, self._by_motion, strict=True)]
         return [*rows, *([*a, *b] for a, b in zip(by_heat, super().matrices(), strict=True))]
 
@@ -191,12 +191,12 @@ class CoupledSystem(ContactSystem):
         operators, heats = self._heat.operators, self.exchange.nodal_heat
         scaling = self._heat.vectors()
         nodes = [matrix_sum(heats)]
-        held = [operators.fixed.base >= 0]
+        is_fixed = [operators.fixed.base >= 0]
         jumps = operators.jumps
         if jumps is not None:
             nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in jumps.moves.items()]))
-            held.append(jumps.held)
-        for A, scale, held_rows in zip(nodes, scaling, held, strict=True):
+            is_fixed.append(jumps.held)
+        for A, scale, held_rows in zip(nodes, scaling, is_fixed, strict=True):
             scale.array[:] = np.where(held_rows, 0.0, -1.0)
             A.diagonalScale(scale)
         return nodes
@@ -249,7 +249,7 @@ class CoupledSystem(ContactSystem):
 
 def _copy(source: list[list[PETSc.Mat]], target: list[list[PETSc.Mat]]) -> None:
     """Copy values of matrices into others of the same pattern."""
-    for row, places in zip(source, target, strict=True):
-        for block, target_block in zip(row, places, strict=True):
+    for row, target_row in zip(source, target, strict=True):
+        for block, target_block in zip(row, target_row, strict=True):
             if block is not target_block:
                 block.copy(target_block, structure=DIFFERENT_PATTERN)

@@ -71,8 +71,8 @@ class CreepStepper:
         if not self.length:
             self.load_stepper.run_stage(k, stage, checkpoint_point)
             # At constant stress the first step would be exact for any length.
-            first = self._creep.first_step(self._stress(), 10 * stage.creep_tolerance)
-            self.length = first if stage.adaptive else stage.creep / stage.increments
+            first_length = self._creep.first_step(self._stress(), 10 * stage.creep_tolerance)
+            self.length = first_length if stage.adaptive else stage.creep / stage.increments
         steps = CreepSteps(self, k, stage)
         advance(steps, steps, checkpoint_point)
         self.done = self.length = 0.0
@@ -92,9 +92,9 @@ class CreepStepper:
         """Stress of the current displacements without creep in the step (n, 6) [MPa]."""
         return self._stress_history.trial(self._problem.displacements())
 
-    def _largest_creep_strain(self, taken: Floats) -> float:
+    def _largest_creep_strain(self, relaxed_stress: Floats) -> float:
         """Largest creep strain, from the stress that it relaxes (n, 6) [MPa]; collective."""
-        largest = float(self._creep.equivalent_strain(taken).max(initial=0.0))
+        largest = float(self._creep.equivalent_strain(relaxed_stress).max(initial=0.0))
         return float(self._problem.comm.allreduce(largest, MPI.MAX))
 
     def step(self, stage: Stage, h: float) -> float:
@@ -116,18 +116,18 @@ class CreepStepper:
 
         solved = False
         try:
-            whole = self._settle(h, scale)
+            whole_step = self._settle(h, scale)
             x.copy(self._solver.x)
             self._problem.update_displacements(*self._solver.u_and_q())
-            halves = np.zeros_like(whole)
+            half_steps = np.zeros_like(whole_step)
             for _ in range(2):
-                halves += self._settle(h / 2, scale)
+                half_steps += self._settle(h / 2, scale)
                 u, q = self._solver.u_and_q()
                 self._problem.commit(self._problem.trial(u, q) if q is not None else None)
-            error = self._largest_creep_strain(halves - whole) / scale
+            error = self._largest_creep_strain(half_steps - whole_step) / scale
             if error <= 1.0 or not stage.adaptive:
                 return_to_start()
-                self._solve(2 * halves - whole, h)
+                self._solve(2 * half_steps - whole_step, h)
                 solved = True
         finally:
             if not solved:
@@ -142,21 +142,24 @@ class CreepStepper:
         Raises:
             _FailedError: `_solve` failed, or strains have not settled, relative to a scale.
         """
-        taken = self._creep.stress_relaxation(self._stress(), h)
+        relaxed_stress = self._creep.stress_relaxation(self._stress(), h)
         for _ in range(MAX_SOLVES):
-            self._solve(taken, h)
-            before, taken = taken, self._creep.stress_relaxation(self._stress(), h)
-            if self._largest_creep_strain(taken - before) <= SETTLED * scale:
-                return taken
+            self._solve(relaxed_stress, h)
+            relaxed_before, relaxed_stress = (
+                relaxed_stress,
+                self._creep.stress_relaxation(self._stress(), h),
+            )
+            if self._largest_creep_strain(relaxed_stress - relaxed_before) <= SETTLED * scale:
+                return relaxed_stress
         raise _FailedError
 
-    def _solve(self, taken: Floats, h: float) -> None:
+    def _solve(self, relaxed_stress: Floats, h: float) -> None:
         """Solve for a stress that creep relaxes in a step (n, 6) [MPa]; collective.
 
         Raises:
             _FailedError: Newton's method has not converged.
         """
-        self._stress_history.relax(taken, h)
+        self._stress_history.relax(relaxed_stress, h)
         self._problem.update_stiffness()
         self._results.append(solve(self._solver))
         self.load_stepper.total.count(self._results[-1])
@@ -182,19 +185,19 @@ class CreepSteps:
     def propose(self) -> Step:
         """Return the next step."""
         done, end = self._stepper.done, self._stage.creep
-        left = end - done
-        if self._stepper.length > (1 - LENGTHENING) * left:
-            return Step(done, end, left, ends_increment=True)
+        remaining = end - done
+        if self._stepper.length > (1 - LENGTHENING) * remaining:
+            return Step(done, end, remaining, ends_increment=True)
         return Step(done, done + self._stepper.length, self._stepper.length, ends_increment=False)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance; of equal steps, every one that was solved."""
         if self._stage.adaptive:
             self._stepper.length = step.length * GROWTH.factor(error)
-        accepted = error <= 1.0 if self._stage.adaptive else not math.isinf(error)
-        if accepted:
+        is_accepted = error <= 1.0 if self._stage.adaptive else not math.isinf(error)
+        if is_accepted:
             self._stepper.done = step.end
-        return accepted
+        return is_accepted
 
     # Steps
 
@@ -217,8 +220,8 @@ class CreepSteps:
         stepper, stage = self._stepper, self._stage
         if self._failures > stage.max_cut_backs or (self._failures and not stage.adaptive):
             problem, solver = stepper.load_stepper.problem, stepper.load_stepper.solver
-            why = explain(problem, solver, stepper.outcome())
-            raise why.error(stage.name, stepper.part(stage), [])
+            explanation = explain(problem, solver, stepper.outcome())
+            raise explanation.error(stage.name, stepper.part(stage), [])
         stepper.load_stepper.total.rejected += 1
 
     def commit(self, step: Step, started: float) -> None:

@@ -135,8 +135,10 @@ class EnergyControl(MatrixFree):
         self._energy = 1.0
         self._load_template = PETSc.Vec().createMPI((int(self.comm.rank == 0), 1), comm=self.comm)
         blocks = self.blocks().values()
-        local, every = (sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True))
-        self.operator = python_mat(self, (local, every), self.comm)
+        local_size, global_size = (
+            sum(sizes) for sizes in zip(*(v.getSizes() for v in blocks), strict=True)
+        )
+        self.operator = python_mat(self, (local_size, global_size), self.comm)
         # State of the last residual, with supports at its load. Derivatives in that state: of the
         # residual by the load, of the energy by the jumps. Solution for the residual by the load.
         self._state = solver.vector()
@@ -176,8 +178,8 @@ class EnergyControl(MatrixFree):
             for values, end in zip(x, solver_of_system.blocks(), strict=True):
                 values.copy(end)
             solver_of_system.system.impose(solver_of_system.blocks())
-            measured = solver.measure(solver.x, solver.snes.getFunction()[0])
-            solver_of_system.scales = [p.scale for p in measured[:-1]]
+            measures = solver.measure(solver.x, solver.snes.getFunction()[0])
+            solver_of_system.scales = [p.scale for p in measures[:-1]]
         residuals = tuple(solver.residuals)
         return NewtonResult(solver.converged, newton, krylov, residuals, (), False), part
 
@@ -231,10 +233,10 @@ class EnergyControl(MatrixFree):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of the residuals of the given system, and of the energy [N mm]."""
         solver_of_system = self._solver_of_system
-        parts = solver_of_system.system.measure(solver_of_system.blocks(self._state), f[:-1])
+        measures = solver_of_system.system.measure(solver_of_system.blocks(self._state), f[:-1])
         # The energy has converged at `ENERGY_TOLERANCE`, for any tolerance of forces.
         scale = self._energy * ENERGY_TOLERANCE / solver_of_system.tolerance
-        return [*parts, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
+        return [*measures, Measure(float(f[-1].norm()), scale, 0.0, lasting=False)]
 
     # As operator and inverse of PETSc
 
@@ -242,11 +244,9 @@ class EnergyControl(MatrixFree):
         """Apply the Jacobian to x, into y."""
         *change, load = x.getNestSubVecs()
         *forces, energy = y.getNestSubVecs()
-        solver_of_system, a, r = (
-            self._solver_of_system,
-            self._solver_of_system.vector(),
-            self._solver_of_system.vector(),
-        )
+        solver_of_system = self._solver_of_system
+        a = self._solver_of_system.vector()
+        r = self._solver_of_system.vector()
         for values, of_block in zip(change, solver_of_system.blocks(a), strict=True):
             values.copy(of_block)
         solver_of_system.linear.matrix.mult(a, r)
@@ -274,11 +274,9 @@ class EnergyControl(MatrixFree):
         """
         *forces, energy = r.getNestSubVecs()
         *change, load = z.getNestSubVecs()
-        solver_of_system, residual, a = (
-            self._solver_of_system,
-            self._solver_of_system.vector(),
-            self._solver_of_system.vector(),
-        )
+        solver_of_system = self._solver_of_system
+        residual = self._solver_of_system.vector()
+        a = self._solver_of_system.vector()
         for values, of_block in zip(forces, solver_of_system.blocks(residual), strict=True):
             values.copy(of_block)
         solver_of_system.snes.getKSP().solve(residual, a)

@@ -138,8 +138,8 @@ class HeatState:
         if not self.outcome.converged:
             return None
         self._flows_of_stages.append(self.step.flows(self.vectors()))
-        work = [coupled.exchange.friction_work] if coupled is not None else []
-        return [*self._state(self.vectors()), *work]
+        friction_work = [coupled.exchange.friction_work] if coupled is not None else []
+        return [*self._state(self.vectors()), *friction_work]
 
     def _with_work(self, state: State) -> State:
         """Return a state, with zero friction work as last part if mechanics is coupled."""
@@ -152,13 +152,13 @@ class HeatState:
         If mechanics is coupled, the rate is not computed: it takes a very short step, whose slips
         are below rounding.
         """
-        first = FIRST_STEP * longest
+        first_step = FIRST_STEP * longest
         if self.coupled is None:
             shortest = 1e-6 * min(longest, 1.0)
             slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
             self.slope = slope or self.slope
-            first = integrator.first_step(self.slope, self.norm, longest)
-        return self.options.first_step or first
+            first_step = integrator.first_step(self.slope, self.norm, longest)
+        return self.options.first_step or first_step
 
     def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
         """Solve a time step; None if a stage does not converge.
@@ -177,10 +177,10 @@ class HeatState:
                 self._flows_of_stages = []
                 solution = integrator.step(method, state, slope, dt, self.seconds, self._solve)
                 T = self.operators.nodal(self.vectors())
-                within = solution is None or not principle.is_violated(T)
-                if within or not principle.correct(T):
+                is_within_bounds = solution is None or not principle.is_violated(T)
+                if is_within_bounds or not principle.correct(T):
                     break
-            if within and (solution is not None or not fixed):
+            if is_within_bounds and (solution is not None or not fixed):
                 break
         return (solution, method) if solution is not None else None
 
@@ -220,8 +220,8 @@ class HeatState:
 
     def begins_at_event(self, accepted: HeatStep) -> bool:
         """Return True if a step begins at an event, at which the step before ended."""
-        begin = accepted.seconds - accepted.dt
-        return bool(np.isclose(self.events, begin, rtol=SAME_TIME, atol=0.0).any())
+        step_start = accepted.seconds - accepted.dt
+        return bool(np.isclose(self.events, step_start, rtol=SAME_TIME, atol=0.0).any())
 
     def temperatures(self) -> Floats:
         """Temperatures of owned nodes of each body (b, n) [K]."""

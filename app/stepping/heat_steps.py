@@ -64,11 +64,11 @@ class HeatStepper:
         """Control of the steps of a stage: one to a steady state, by their error, or equal."""
         if stage.steady:
             return GivenSteps([Step(0.0, 1.0, math.inf, ends_increment=True)], self.steps_done)
-        first = 0.0
+        first_step = 0.0
         if not self.steps_done:
-            first = self.heating.start(stage.seconds / stage.increments)
+            first_step = self.heating.start(stage.seconds / stage.increments)
         if stage.adaptive:
-            return StepsByError(self.heating, self.controller, stage, self.stage_start, first)
+            return StepsByError(self.heating, self.controller, stage, self.stage_start, first_step)
         return GivenSteps(self._equal(stage), self.steps_done)
 
     def _equal(self, stage: Stage) -> list[Step]:
@@ -78,10 +78,13 @@ class HeatStepper:
         steps: list[Step] = []
         for n in range(stage.increments):
             inside = [e - self.stage_start - n * length for e in self.heating.events]
-            ends = [0.0, *(e for e in inside if tiny < e < length - tiny), length]
-            for a, b in pairwise(ends):
-                places = (n + a / length) / stage.increments, (n + b / length) / stage.increments
-                steps.append(Step(*places, b - a, b == length))
+            step_ends = [0.0, *(e for e in inside if tiny < e < length - tiny), length]
+            for a, b in pairwise(step_ends):
+                parts_of_stage = (
+                    (n + a / length) / stage.increments,
+                    (n + b / length) / stage.increments,
+                )
+                steps.append(Step(*parts_of_stage, b - a, b == length))
         return steps
 
     # Steps
@@ -116,18 +119,18 @@ class HeatStepper:
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried, then let the mechanics follow; collective."""
         if self._stage.steady:
-            accepted = self._steady_step
+            accepted_step = self._steady_step
         elif self._solution is not None:
-            accepted = self.heating.accept(*self._solution, step.length)
-        assert accepted is not None
+            accepted_step = self.heating.accept(*self._solution, step.length)
+        assert accepted_step is not None
         time = self._k + (1.0 if step.end > 1 - SHORTEST_STEP else step.end)
         if self.mechanical_path is not None:
             self.mechanical_path.follow(time, step.ends_increment)
-        outcome, seconds = accepted.outcome, clock.perf_counter() - started
+        outcome, seconds = accepted_step.outcome, clock.perf_counter() - started
         load_step = LoadStep(
             self.total.steps, self._stage.name, time, outcome, seconds, step.ends_increment
         )
-        self._on_heat(load_step, accepted)
+        self._on_heat(load_step, accepted_step)
         self.steps_done += 1
 
     def _failure_text(self, step: Step) -> str:
@@ -181,9 +184,9 @@ class StepsByError:
         length = self._controller.propose(seconds)
         end = seconds + length
         ends_increment = min(abs(end - e) for e in self._ends) < self._tiny
-        done = min((seconds - self._begin) / self._stage.seconds, 1.0)
+        done_part = min((seconds - self._begin) / self._stage.seconds, 1.0)
         reach = min((end - self._begin) / self._stage.seconds, 1.0)
-        return Step(done, reach, length, ends_increment)
+        return Step(done_part, reach, length, ends_increment)
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance."""

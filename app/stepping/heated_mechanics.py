@@ -96,12 +96,12 @@ class HeatedMechanics:
         for f, c, values in zip(self._degrees, self._curing, degrees, strict=True):
             f.x.array[c.dof] = values
             f.x.scatter_forward()
-        last = self._last
-        if last is not None:
+        last_state = self._last
+        if last_state is not None:
             for k, c in enumerate(self._curing):
                 self.strains[k].x.array[c.dof] += self._strain_increments[k](
-                    a_old=last.degrees[k][c.dof],
-                    T_old=last.temperatures[c.body][c.dof],
+                    a_old=last_state.degrees[k][c.dof],
+                    T_old=last_state.temperatures[c.body][c.dof],
                     a=degrees[k],
                     T=self._temperatures[c.body].x.array[c.dof],
                 )[0]
@@ -114,27 +114,29 @@ class HeatedMechanics:
         )
         return self._last
 
-    def _largest_change(self, now: ThermalState) -> float:
+    def _largest_change(self, current_state: ThermalState) -> float:
         """Largest change since the last solve [K]; cure counts by its heat; collective."""
-        before = self.previous
-        pairs = zip(before.temperatures, now.temperatures, strict=True)
+        previous_state = self.previous
+        pairs = zip(previous_state.temperatures, current_state.temperatures, strict=True)
         # A rank without cells has no values.
         sizes = [float(np.abs(a - b).max(initial=0.0)) for a, b in pairs]
-        for c, a, b in zip(self._curing, before.degrees, now.degrees, strict=True):
+        for c, a, b in zip(
+            self._curing, previous_state.degrees, current_state.degrees, strict=True
+        ):
             sizes.append(c.adiabatic_rise * float(np.abs(a - b).max(initial=0.0)))
         return float(self._operators.comm.allreduce(max(sizes), MPI.MAX))
 
-    def _advance(self, now: ThermalState, begin: float, end: float) -> None:
+    def _advance(self, current_state: ThermalState, start_time: float, end_time: float) -> None:
         """Solve from the thermal state of the last solve to another one, between two times."""
-        before = self.previous
-        steps = max(math.ceil(self._largest_change(now) / self._limit - ROUNDING), 1)
-        self.previous = now
+        previous_state = self.previous
+        steps = max(math.ceil(self._largest_change(current_state) / self._limit - ROUNDING), 1)
+        self.previous = current_state
 
         def set_load(s: float) -> None:
-            self._load_stepper.problem.set_time(begin + s * (end - begin))
-            self._apply(before, now, s)
+            self._load_stepper.problem.set_time(start_time + s * (end_time - start_time))
+            self._apply(previous_state, current_state, s)
 
-        self._load_stepper.run_path(self._stage, 1.0 / steps, set_load, begin, end)
+        self._load_stepper.run_path(self._stage, 1.0 / steps, set_load, start_time, end_time)
 
     def _apply(self, a: ThermalState, b: ThermalState, s: float) -> None:
         """Load the mechanics with a state between a, at s = 0, and b, at s = 1.
@@ -150,8 +152,10 @@ class HeatedMechanics:
         ):
             f.x.array[:] = (1 - s) * x + s * y
         for k, cure in enumerate(scene.cures):
-            share = share_since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
-            self._applied_strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
+            gelled_share = share_since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            self._applied_strains[k].x.array[:] = (1 - gelled_share) * a.strains[
+                k
+            ] + gelled_share * b.strains[k]
         body = self._operators.bodies.of_region
         problem.set_temperature(
             {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
@@ -183,9 +187,9 @@ class SolvedAfterHeat(HeatedMechanics):
 
     def follow(self, time: float, ends_increment: bool) -> None:
         """Solve at the end of an increment, or after a large change."""
-        now = self._current_state()
-        if ends_increment or self._largest_change(now) >= self._limit:
-            self._advance(now, self.time, time)
+        current_state = self._current_state()
+        if ends_increment or self._largest_change(current_state) >= self._limit:
+            self._advance(current_state, self.time, time)
             self.time = time
 
 
@@ -212,13 +216,13 @@ class SolvedWithHeat(HeatedMechanics):
     def follow(self, time: float, ends_increment: bool) -> None:
         """Commit the mechanics of a heat step."""
         started = clock.perf_counter()
-        heating, now = self._heating, self._current_state()
+        heating, current_state = self._heating, self._current_state()
         self._system.commit(heating.solver.blocks())
         self._system.exchange.report((heating.seconds - self.committed_at) or np.inf)
         self.committed_at = heating.seconds
         if self._load_stepper.problem.stress_history:
             # The step used the stiffness and free strain of its start, an error of first order.
-            self._advance(now, time, time)
+            self._advance(current_state, time, time)
         else:
-            self.previous = now
+            self.previous = current_state
             self._load_stepper.commit(self._stage, time, heating.outcome, started, ends_increment)

@@ -144,8 +144,8 @@ class LoadStepper:
                 return outcome
             repeated = solve(self.solver)
             self.total.count(repeated)
-            both = outcome.iterations + repeated.iterations
-            outcome = replace(repeated, iterations=both)
+            total_iterations = outcome.iterations + repeated.iterations
+            outcome = replace(repeated, iterations=total_iterations)
         return replace(outcome, converged=False)
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
@@ -215,15 +215,15 @@ class LoadStepper:
         u, q = self.solver.u_and_q()
         trial = problem.trial(u, q) if q is not None else None
         part = 100 * (time - int(time)) or 100
-        where = f"stage '{stage.name}' at {part:.3g} % of it"
+        location = f"stage '{stage.name}' at {part:.3g} % of it"
         if trial is not None:
-            result = (
+            verdict = (
                 held_by_facets(problem, trial)
                 or runaway(problem, trial)
                 or self._cover.pressed_beyond_rim(trial)
             )
-            if result:
-                raise ConvergenceError(replace(result, where=where))
+            if verdict:
+                raise ConvergenceError(replace(verdict, where=location))
         problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:
@@ -235,7 +235,7 @@ class LoadStepper:
         self.on_step(step, trial)
         tipped = self._cover.tipped()
         if tipped:
-            raise ConvergenceError(replace(tipped, where=where))
+            raise ConvergenceError(replace(tipped, where=location))
 
 
 @dataclass(frozen=True)
@@ -354,8 +354,8 @@ class GivenLoads:
         p.cuts += 1
         p.step = step.length / 2
         self._halved_lengths.append(p.step)
-        how = f"step halved to {p.step:.4g} of stage '{stage.name}'"
-        self._stepper.on_trouble(f"{explanation.cause.what}; {how}")
+        remedy_text = f"step halved to {p.step:.4g} of stage '{stage.name}'"
+        self._stepper.on_trouble(f"{explanation.cause.what}; {remedy_text}")
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
@@ -411,8 +411,8 @@ class GivenEnergy:
         if self._control is None:
             arguments = self._stepper.problem, self._solver, self._path.set_load
             self._control = EnergyControl(*arguments)
-        begin = p.done if self._energy_start is None else self._energy_start
-        self._outcome, self._reached = self._control.solve(step.length, begin)
+        start = p.done if self._energy_start is None else self._energy_start
+        self._outcome, self._reached = self._control.solve(step.length, start)
         self._stepper.total.count(self._outcome)
         return 0.0 if self._outcome.converged else math.inf
 
@@ -435,16 +435,16 @@ class GivenEnergy:
         if p.handed_over_at != p.done:
             p.energy, p.step, p.handed_over_at = 0.0, self._path.increment, p.done
             return
-        text = (
+        message = (
             f"no state dissipates {p.energy:.3g} N mm more at the interfaces; the load has reached "
             f"{100 * max(p.reached, p.done):.3g} % of the stage"
         )
-        where = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"
+        location = f"stage '{stage.name}' at {100 * p.done:.3g} % of it"
         cure = (
             "use a shorter `fracture_step` or a finer mesh; if the interface is broken, reduce the "
             "load"
         )
-        raise ConvergenceError(Verdict(text, where, cure))
+        raise ConvergenceError(Verdict(message, location, cure))
 
     def commit(self, step: Step, started: float) -> None:
         """Commit the step last tried; collective."""
