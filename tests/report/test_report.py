@@ -12,6 +12,7 @@ import pytest
 from app.cli import main
 from app.report import gruen, pictures, sweep_figures, sweep_report
 from app.report import sweep_results as rs
+from app.report.page import bullets, page
 from app.report.sweep_results import Number
 from tests.report.sweeps import MODULI, Maker, as_the_paper_says, contact, femur, sweep, zones
 
@@ -260,3 +261,11 @@ def test_report_of_samples_has_no_curves_and_sorted_levels(tmp_path: Path) -> No
     assert results.on_axes == grid
     (sentence,) = sweep_figures.axes_in_words(samples)
     assert "40 levels from 0.125 to 5" in sentence
+
+
+def test_report_keys_between_backticks_are_code() -> None:
+    texts = ["pressure: reduce `mesh.size` or set `mesh.order: 2`", "converged: `<b>` in 3 s"]
+    html = page("A run", [], bullets(texts))
+    assert "reduce <code>mesh.size</code> or set <code>mesh.order: 2</code></li>" in html
+    assert "</span>: <code>&lt;b&gt;</code> in 3 s</li>" in html
+    assert "`" not in html.split("<body>")[-1]
