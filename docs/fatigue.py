@@ -12,7 +12,7 @@ import json
 import sys
 from pathlib import Path
 
-from app.case.quantities import STRESSED
+from app.case.quantities import TENSION_LEVELS
 from app.plots.curves import Line, Panel, draw
 from app.plots.figures import PNG
 
@@ -28,10 +28,10 @@ def main(folders: list[Path]) -> None:
         summary = json.loads((folder / "summary.json").read_text())
         label = f"mantle of {summary['mantle']['thickness']['nominal']:g} mm"
         cement = summary["regions"]["cement"]
-        keys = [f"volume_over_{level}_MPa" for level in STRESSED]
+        keys = [f"volume_over_{level}_MPa" for level in TENSION_LEVELS]
         values = [cement[key] for key in keys]
         errors = [cement.get(f"{key}_error", 0.0) for key in keys]
-        volumes.append(Line(label, k, [float(level) for level in STRESSED], values, errors))
+        volumes.append(Line(label, k, [float(level) for level in TENSION_LEVELS], values, errors))
         laws = summary["fatigue"]
         names = {float(i): name.capitalize() for i, name in enumerate(laws)}
         damage = [law["damage_p99"] for law in laws.values()]

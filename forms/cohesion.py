@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ufl import And, conditional, exp, ge, gt, inner, sqrt
+from ufl import And, conditional, exp, ge, gt, inner, lt, sqrt
 from ufl.core.expr import Expr
 
 from forms import Scalar
@@ -106,7 +106,8 @@ class CohesiveState:
         traction: Cohesive traction (3,) [MPa].
         stored: Elastic energy per area [N/mm].
         dissipated_in_step: Fracture energy per area that the step dissipates [N/mm].
-        broken: Share of the area on which contact acts [-]; 0 in a step that begins undamaged.
+        debonded_share: Share of the area on which contact acts [-]; 0 in a step that begins
+            undamaged.
         damage: Damage of the bonded share [-].
         spent: Part of the fracture energy that is dissipated so far [-].
     """
@@ -114,13 +115,13 @@ class CohesiveState:
     traction: Expr
     stored: Expr
     dissipated_in_step: Expr
-    broken: Expr
+    debonded_share: Expr
     damage: Expr
     spent: Expr
 
 
 def cohesive_state(
-    c: Cohesion, gap: Expr, normals: Faces, old: Mapping[str, Expr], live: Expr
+    c: Cohesion, gap: Expr, normals: Faces, committed: Mapping[str, Expr], frozen: Expr
 ) -> CohesiveState:
     """Cohesive traction, energies and internal variables of a contact point.
 
@@ -128,8 +129,8 @@ def cohesive_state(
         c: Constants of the law.
         gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
         normals: Unit normals of the faces, from master to slave.
-        old: Internal variables `damage` and `spent` of the last converged state [-].
-        live: 1, or 0 while damage is frozen.
+        committed: Internal variables `damage` and `spent` of the last converged state [-].
+        frozen: 1 while damage is frozen, else 0.
     """
     a = normals.components(gap)
     # At zero opening the slope is that of opening. A damaged point does not resist closing by
@@ -143,22 +144,22 @@ def cohesive_state(
     size = inner(opened, opened) + inner(slid, slid)
     m = sqrt(conditional(gt(size, m_0**2), size, m_0**2))
     remaining = c.remaining(m, m_0, G)
-    loading = And(ge(1 - remaining, old["damage"] - LOADING), gt(live, 0.5))
-    damage = conditional(loading, 1 - remaining, old["damage"])
+    loading = And(ge(1 - remaining, committed["damage"] - LOADING), lt(frozen, 0.5))
+    damage = conditional(loading, 1 - remaining, committed["damage"])
     bonded = 1 - c.unbonded
-    remaining = bonded * conditional(loading, remaining, 1 - old["damage"])
+    remaining = bonded * conditional(loading, remaining, 1 - committed["damage"])
     # If the mode mixture changes, more damage may be a smaller part of another fracture energy.
     spent = c.spent(m, m_0, G)
-    spends = And(loading, ge(spent, old["spent"] - LOADING))
-    spent = conditional(spends, spent, old["spent"])
+    spends = And(loading, ge(spent, committed["spent"] - LOADING))
+    spent = conditional(spends, spent, committed["spent"])
 
-    touches = gt(c.unbonded + bonded * old["damage"], 0)
+    touches = gt(c.unbonded + bonded * committed["damage"], 0)
     spring = conditional(touches, 0, c.K)
     return CohesiveState(
         traction=remaining * c.K * pulled + spring * pressed,
         stored=(remaining * c.K * inner(pulled, pulled) + spring * inner(pressed, pressed)) / 2,
-        dissipated_in_step=bonded * G * (spent - old["spent"]),
-        broken=conditional(touches, 1 - remaining, 0),
+        dissipated_in_step=bonded * G * (spent - committed["spent"]),
+        debonded_share=conditional(touches, 1 - remaining, 0),
         damage=damage,
         spent=spent,
     )

@@ -120,8 +120,9 @@ class Response:
             dissipates, and for laws without dissipation.
         dissipated_by_jump: Derivative of `dissipated` with respect to the jump (3,) [MPa], for laws
             that `fracture_step` controls; None for others.
-        broken: Debonded share of the area, on which contact acts [-]; None if there is none.
-        broken_by_jump: Derivative of `broken` with respect to the jump (3,) [1/mm].
+        debonded_share: Debonded share of the area, on which contact acts [-]; None if there is
+            none.
+        debonded_share_by_jump: Its derivative with respect to the jump (3,) [1/mm].
         energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
@@ -135,8 +136,8 @@ class Response:
     stored: Expr | None = None
     dissipated: Expr | None = None
     dissipated_by_jump: Expr | None = None
-    broken: Expr | None = None
-    broken_by_jump: Expr | None = None
+    debonded_share: Expr | None = None
+    debonded_share_by_jump: Expr | None = None
     energy: Expr | None = None
 
 

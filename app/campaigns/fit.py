@@ -171,7 +171,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> FitRecord | N
     """
     problem = fit_file.read(path, overrides)
     fit = problem.fit
-    start_fractions = np.array([key.first for key in fit.keys.values()])
+    start_fractions = np.array([key.start_fraction for key in fit.keys.values()])
     if options.dry_run:
         planned, _ = problem.plan("start", start_fractions)
         title = f"{problem.title}: the first of at most {fit.runs} runs"

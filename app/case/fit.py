@@ -52,7 +52,7 @@ class FitKey(Range):
         return self
 
     @property
-    def first(self) -> float:
+    def start_fraction(self) -> float:
         """First value as a fraction of the range."""
         if self.start is None:
             return 0.5
@@ -303,7 +303,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> FitProblem:
         file.raise_all([Fault(("fit",) if "fit" in file.data else (), message)])
     problem = FitProblem(sweep.content(file, FitFile), file, path, other_overrides)
     fit = problem.fit
-    start_fractions = np.array([key.first for key in fit.keys.values()])
+    start_fractions = np.array([key.start_fraction for key in fit.keys.values()])
     runs, faults = problem.plan("start", start_fractions)
     if runs:
         paths = {problem.path_of(number): number for number in fit.numbers}

@@ -208,18 +208,18 @@ PLACES = {
     "collar_bone": "collar-bone",
 }
 # Sections of numbers; the others map interfaces or regions to numbers.
-RUN = ("solver", "balance", "timing")
-WHOLE = ("stem", "femur", *RUN)
+RUN_SECTIONS = ("solver", "balance", "timing")
+SECTIONS_WITHOUT_OWNER = ("stem", "femur", *RUN_SECTIONS)
 # Parts that are reported apart: of the interfaces of a hip, and of its stem.
 PARTS = ("rim", "tip", "neck", "edge")
 # Levels of tension of cement, over which its volume is known [MPa].
-STRESSED = (3, 5, 7, 9, 11)
+TENSION_LEVELS = (3, 5, 7, 9, 11)
 # Levels of strains of the cortex [mm] by name: from the lesser trochanter to the tip of a stem.
 GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
 # By section and key, in the order in which they are shown.
 TABLE: dict[str, dict[str, Quantity]] = {
     **{name: {} for name in ("interfaces", "regions", "stem", "femur", "bonds")},
-    **{name: {} for name in ("thermal.regions", "thermal.interfaces", "cure", *RUN)},
+    **{name: {} for name in ("thermal.regions", "thermal.interfaces", "cure", *RUN_SECTIONS)},
 }
 
 
@@ -447,7 +447,7 @@ add_quantity(
     _region("mean_stress_max", "MPa", label="mean stress, max"),
     _region("creep_strain_max", "-", "%", label="creep strain, max", peak=True),
     _region("creep_strain_mean", "-", "%", label="creep strain, mean", order=STRESS, headline=True),
-    # Volume under tension above each of `STRESSED`.
+    # Volume under tension above each of `TENSION_LEVELS`.
     _region(
         "volume_over_3_MPa", "mm^3", digits=1, label="volume with tension over 3 MPa", order=RISK
     ),
@@ -671,31 +671,35 @@ add_section(
 
 def of_run() -> list[str]:
     """Full names of the numbers of the run: cost and balances."""
-    return [f"{section}.{key}" for section in RUN for key in TABLE[section]]
+    return [f"{section}.{key}" for section in RUN_SECTIONS for key in TABLE[section]]
 
 
 def _tables(owner: str) -> Iterator[dict[str, Quantity]]:
     """Tables with quantities of an interface, a region, the stem or the run."""
-    return (rows for section, rows in TABLE.items() if section not in WHOLE or section == owner)
+    return (
+        rows
+        for section, rows in TABLE.items()
+        if section not in SECTIONS_WITHOUT_OWNER or section == owner
+    )
 
 
-def get(name: str) -> Quantity | None:
+def quantity_of(name: str) -> Quantity | None:
     """Quantity by its full name, ``<owner>.<key>`` or one of `of_run`; None if there is none."""
     owner, _, key = name.partition(".")
     return next((q for rows in _tables(owner) for q in rows.values() if key in q.names), None)
 
 
 def find(name: str) -> Quantity:
-    """A quantity as in `get`.
+    """A quantity as in `quantity_of`.
 
     Raises:
         PydanticCustomError: There is no such key.
     """
-    q = get(name)
+    q = quantity_of(name)
     if q is not None:
         return q
     owner, _, key = name.partition(".")
-    if owner in RUN:
+    if owner in RUN_SECTIONS:
         fail(f"{show(name)} is not one of {', '.join(of_run())}")
     known_names = dict.fromkeys(
         n for rows in _tables(owner) for q in rows.values() for n in q.names
@@ -716,7 +720,7 @@ def in_words(name: str) -> tuple[str, str]:
     """A number's label, e.g. stem-cement slip, p99, and its unit as printed."""
     place, _, key = name.partition(".")
     place_words = place_in_words(place)
-    q = get(name)
+    q = quantity_of(name)
     if q is None:
         return f"{place_words} {key}".replace("_", " "), ""
     return f"{place_words} {key.replace(q.key, q.label)}", printed(q.shown)
@@ -753,7 +757,9 @@ def numbers_of(
         section_content: Any = reduce(
             lambda part, key: part.get(key, {}), section.split("."), summary
         )
-        named: Numbers = {section: section_content} if section in WHOLE else section_content
+        named: Numbers = (
+            {section: section_content} if section in SECTIONS_WITHOUT_OWNER else section_content
+        )
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers
@@ -769,7 +775,7 @@ def largest(numbers: Numbers, key: str) -> float:
 
 
 def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
-    """Number of ``summary.json`` in its unit, by name as in `get`; None if it is missing."""
+    """Number of ``summary.json`` in its unit, by the name of `quantity_of`; None if missing."""
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")
     for _, name_of_part, numbers in numbers_of(summary, parts=True):

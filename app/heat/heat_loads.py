@@ -122,15 +122,18 @@ class FixedTemperatures:
         # The last row is for nodes without a condition, whose number is -1.
         self._values = np.zeros((len(self.conditions) + 1, forms.owned))
         for s, c in enumerate(self.conditions):
-            held = forms.held_nodes(c)
-            self.of_body[held] = s
-            self._values[s] = forms.values(c.values, np.flatnonzero(held.any(axis=0)))
+            prescribed = forms.held_nodes(c)
+            self.of_body[prescribed] = s
+            self._values[s] = forms.values(c.values, np.flatnonzero(prescribed.any(axis=0)))
         self.base: Ints = self.of_body[(self.of_body >= 0).argmax(axis=0), self._nodes]
 
     def join(self, jumps: TemperatureJumps) -> None:
-        """Add bodies without conditions whose jumps to bodies with given temperatures are given."""
-        for p in np.flatnonzero(jumps.held):
-            for b, condition in zip(jumps.bodies[p], jumps.given[p], strict=True):
+        """Add bodies whose temperature follows from a prescribed jump.
+
+        The jump is to a body of prescribed temperature.
+        """
+        for p in np.flatnonzero(jumps.prescribed):
+            for b, condition in zip(jumps.bodies[p], jumps.prescribing_condition[p], strict=True):
                 if self.of_body[b, jumps.dof[p]] < 0:
                     self.of_body[b, jumps.dof[p]] = condition
 
@@ -147,6 +150,6 @@ class FixedTemperatures:
         """Given continuous temperature (n,) and jumps [K], zero elsewhere."""
         given = [values[self.base, self._nodes]]
         if jumps is not None:
-            master, slave = (values[jumps.given[:, k], jumps.dof] for k in (0, 1))
+            master, slave = (values[jumps.prescribing_condition[:, k], jumps.dof] for k in (0, 1))
             given.append(slave - master)
         return given

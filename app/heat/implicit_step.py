@@ -218,7 +218,7 @@ class ImplicitStep(System):
         x[0].array[self._is_held] = self._given_values[0][self._is_held]
         jumps = self.operators.jumps
         if jumps is not None:
-            x[1].array[jumps.held] = self._given_values[1][jumps.held]
+            x[1].array[jumps.prescribed] = self._given_values[1][jumps.prescribed]
 
     def evaluate(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
         """Evaluate a state, unless it is the last one evaluated; collective."""
@@ -269,7 +269,7 @@ class ImplicitStep(System):
                 to_jumps = f[1].duplicate()
                 B.multTranspose(self._work[1], to_jumps)
                 total += to_jumps.array
-            f[1].array[:] = np.where(jumps.held, 0.0, total)
+            f[1].array[:] = np.where(jumps.prescribed, 0.0, total)
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""

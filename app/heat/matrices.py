@@ -41,18 +41,20 @@ class HeatMatrices:
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
         jumps: The jumps, if there are any.
-        held: Owned nodes whose continuous temperature is given.
+        prescribed: Owned nodes whose continuous temperature is given.
     """
 
-    def __init__(self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, held: Bools) -> None:
+    def __init__(
+        self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, prescribed: Bools
+    ) -> None:
         self.version = 0
-        self._jumps, self._held = jumps, held
+        self._jumps, self._held = jumps, prescribed
         self._by_body = [k.copy() for k in K]
         self._exchange: PETSc.Mat | None = None
         self._A = matrix_sum(self._by_body)
         self._keep_pattern()
         start = self._A.getOwnershipRange()[0]
-        self._rows = (start + np.flatnonzero(held)).astype(PETSc.IntType)
+        self._rows = (start + np.flatnonzero(prescribed)).astype(PETSc.IntType)
         self._diagonal = self._A.createVecLeft()
         self.matrix = [[self._A]]
         if jumps is not None:
@@ -140,12 +142,12 @@ class HeatMatrices:
                 C.axpy(-1.0, scaled, structure=SUBSET_PATTERN)
                 D.axpy(-1.0, jumps.moves[b].transposeMatMult(scaled), structure=SUBSET_PATTERN)
         is_free = self.vectors()
-        for vector, held in zip(is_free, (self._held, jumps.held), strict=True):
-            vector.array[:] = ~held
+        for vector, prescribed in zip(is_free, (self._held, jumps.prescribed), strict=True):
+            vector.array[:] = ~prescribed
         diagonal = D.getDiagonal()
         diagonal.array[:] += by_jump
         D.setDiagonal(diagonal)
-        diagonal.array[:] = np.where(jumps.held, self._mean_diagonal, diagonal.array)
+        diagonal.array[:] = np.where(jumps.prescribed, self._mean_diagonal, diagonal.array)
         C.diagonalScale(is_free[0], is_free[1])
         D.diagonalScale(is_free[1], is_free[1])
         D.setDiagonal(diagonal)

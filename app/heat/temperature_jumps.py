@@ -20,7 +20,7 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.interfaces.contact_points import contact_points
-from app.interfaces.corners import Holds
+from app.interfaces.corners import VertexConstraints
 from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
@@ -40,27 +40,28 @@ class TemperatureJumps:
         interface: Number of the owned points' interfaces in ``scene.thermal_contacts`` (n,).
         bodies: Thermal bodies (master, slave) of owned points (n, 2).
         weight: Areas of owned points (n,) [mm2].
-        held: True where both sides of an owned point have given temperatures (n,).
-        given: Conditions at master and slave of owned points, -1 where the jump is free (n, 2).
+        prescribed: True where both sides of an owned point have given temperatures (n,).
+        prescribing_condition: Conditions at master and slave of owned points, -1 where the jump is
+            free (n, 2).
         moves: B_b of each body whose temperature includes jumps.
         pressure: Contact pressure at owned points (n,) [MPa], set from outside.
         friction: Friction heat per area at owned points (n,) [N/(mm s)], set from outside.
         share: Share of the friction heat that enters the slave (n,).
 
     Args:
-        held: Condition with a given temperature at owned nodes of each body, or -1 (b, n).
+        prescribed: Condition with a given temperature at owned nodes of each body, or -1 (b, n).
 
     Raises:
         InputError: An interface has no facets on this mesh.
     """
 
     def __init__(
-        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, forms: HeatForms, held: Ints
+        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, forms: HeatForms, prescribed: Ints
     ) -> None:
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
-        holds = _held_vertices(forms, facets, held)
+        holds = _held_vertices(forms, facets, prescribed)
         names = [c.name for c in contacts]
         self.points, entries = contact_points(facets, holds, names, {}, by_face=False)
         self.owned_rows, number_of_point = owners(comm, index_map, self.points.dof)
@@ -70,8 +71,8 @@ class TemperatureJumps:
         self.interface = self.points.interface[self.owned_rows]
         self.bodies = self.points.bodies[self.owned_rows]
         self.weight = self.points.weight[self.owned_rows]
-        self.given = self.points.given[self.owned_rows, 0]
-        self.held = self.given[:, 0] >= 0
+        self.prescribing_condition = self.points.prescribing_support[self.owned_rows, 0]
+        self.prescribed = self.prescribing_condition[:, 0] >= 0
         # Temperature has one component where displacement has three.
         owned = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
         row, column = entries.row[owned] // 3 - begin, entries.column[owned] // 3
@@ -102,13 +103,17 @@ class TemperatureJumps:
         return q, by_jump, by_pressure
 
 
-def _held_vertices(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
+def _held_vertices(
+    forms: HeatForms, facets: InterfaceFacets, prescribed: Ints
+) -> VertexConstraints:
     """Given temperatures at the vertices of interfaces, as supports hold displacement."""
     start = forms.space.dofmap.index_map.local_range[0]
     dof, first = np.unique(facets.dofs[:, :3], return_index=True)
     owned = (dof >= start) & (dof < start + forms.owned)
     node, vertex = dof[owned] - start, facets.vertices.ravel()[first[owned]]
-    body, row = np.nonzero(held[:, node] >= 0)
-    columns = gather(forms.comm, vertex[row], body, held[body, node[row]])
+    body, row = np.nonzero(prescribed[:, node] >= 0)
+    columns = gather(forms.comm, vertex[row], body, prescribed[body, node[row]])
     rigid = np.zeros(len(columns[0]), dtype=bool)
-    return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1), rigid)
+    return VertexConstraints(
+        columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1), rigid
+    )

@@ -51,7 +51,7 @@ from app.interfaces.corners import (
     ContactSurface,
     Corners,
     Entries,
-    Holds,
+    VertexConstraints,
     vertices_of_bodies,
 )
 from app.interfaces.faces import drop_held, faces_around, projectors, shared
@@ -66,7 +66,7 @@ COSINE_DECIMALS = 1
 
 def contact_points(
     facets: InterfaceFacets,
-    holds: Holds,
+    holds: VertexConstraints,
     interfaces: Sequence[str],
     axes: Mapping[int, Floats],
     by_face: bool = True,
@@ -88,12 +88,12 @@ def contact_points(
     of_points = {field.name: getattr(surface, field.name)[:count] for field in fields(Corners)}
     vertex, bodies = surface.vertex[:count], surface.bodies[:count]
     _check_rigid(vertex, bodies, surface.interface[:count], facets, holds, interfaces)
-    given, signs = _jumps_at_vertices(vertex, bodies, stiffness[:count], holds)
+    prescribing_support, signs = _jumps_at_vertices(vertex, bodies, stiffness[:count], holds)
     local_axes = np.tile(np.eye(3), (count, 1, 1))
     for p in np.flatnonzero(np.isin(vertex, list(axes))):
         local_axes[p] = axes[int(vertex[p])]
     normals, faces = surface.normals[:count], surface.faces[:count]
-    is_held = given[:, :, 0] >= 0
+    is_held = prescribing_support[:, :, 0] >= 0
     held_projectors = projectors(local_axes, is_held)
     normal_cosines = np.abs(np.einsum("pki,pic->pkc", normals, local_axes)).max(axis=1)
     held_tangents = projectors(local_axes, is_held & (normal_cosines < TANGENTIAL))
@@ -102,7 +102,7 @@ def contact_points(
     points = ContactPoints(
         **of_points,
         doubt=doubt[:count],
-        given=given,
+        prescribing_support=prescribing_support,
         axes=local_axes,
         held_tangents=held_tangents,
         surface=surface,
@@ -118,7 +118,7 @@ def contact_points(
 
 
 def _surface(
-    facets: InterfaceFacets, holds: Holds, interfaces: Sequence[str]
+    facets: InterfaceFacets, holds: VertexConstraints, interfaces: Sequence[str]
 ) -> tuple[ContactSurface, Floats, Floats, int]:
     """Corners, points first, with the normals of their faces.
 
@@ -214,14 +214,14 @@ def _forest(
     needed = np.zeros(len(size), dtype=bool)
 
     def rank(p: int, rows: Ints) -> tuple[bool, bool, bool, float, float, str, int, int]:
-        others = rows[rows != p]
-        cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[others]))
+        other_points = rows[rows != p]
+        cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[other_points]))
         area = float(np.round(size[sides[p]] / total, 6))
         largest_cosine = float(np.round(cosines.max(initial=0.0), COSINE_DECIMALS))
-        first = not needed[sides[p]], not prescribed[p], bool(supported[p])
+        preferences = not needed[sides[p]], not prescribed[p], bool(supported[p])
         name = names[int(all_corners[p, 0])]
         return (
-            *first,
+            *preferences,
             -largest_cosine,
             -area,
             name,
@@ -246,18 +246,19 @@ def _forest(
 
 
 def _jumps_at_vertices(
-    vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
+    vertex: Ints, sides: Ints, stiffness: Floats, holds: VertexConstraints
 ) -> tuple[Ints, Floats]:
     """Prescribed jumps, and motion of each body due to the jumps, in the components of vertices.
 
     Returns:
-        ``given`` of ContactPoints; +1, -1 or 0 for each body, point and component (b, n, 3).
+        ``prescribing_support`` of ContactPoints; +1, -1 or 0 for each body, point and component
+        (b, n, 3).
     """
     count = len(vertex)
-    side = holds.supports_of(vertex, sides)
+    support_of_side = holds.supports_of(vertex, sides)
     rigid = holds.rigid_bodies(vertex, sides)
-    is_held = side >= 0
-    given = np.where(is_held.all(axis=1, keepdims=True), side, -1)
+    is_held = support_of_side >= 0
+    prescribing_support = np.where(is_held.all(axis=1, keepdims=True), support_of_side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
     # base: it alone is held, both are and it comes first, or none is and it is stiffer.
     slave_is_base = is_held[:, 1] & (~is_held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
@@ -271,8 +272,16 @@ def _jumps_at_vertices(
         signs[:, rows] = 0.0
         for c in range(3):
             base = [int(body) for body in sides[rows][rigid[rows]]]
-            _tree(rows, sides, side[:, :, c], stiffness, given[:, :, c], signs[:, :, c], base)
-    return given.transpose(0, 2, 1), signs
+            _tree(
+                rows,
+                sides,
+                support_of_side[:, :, c],
+                stiffness,
+                prescribing_support[:, :, c],
+                signs[:, :, c],
+                base,
+            )
+    return prescribing_support.transpose(0, 2, 1), signs
 
 
 def _check_rigid(
@@ -280,7 +289,7 @@ def _check_rigid(
     sides: Ints,
     interface: Ints,
     facets: InterfaceFacets,
-    holds: Holds,
+    holds: VertexConstraints,
     names: Sequence[str],
 ) -> None:
     """Refuse vertices with two rigid bodies, of which only one can be the base.
@@ -315,11 +324,11 @@ def _tree(
     sides: Ints,
     support: Ints,
     stiffness: Floats,
-    given: Ints,
+    prescribing_support: Ints,
     signs: Floats,
     rigid: Sequence[int],
 ) -> None:
-    """Fill ``given`` and ``signs`` at a vertex with several interfaces, in one component.
+    """Fill both arrays at a vertex with several interfaces, in one component.
 
     Walk the forest of bodies from a rigid body, else from a constrained one (the lowest), else from
     the stiffest one. Between two constrained bodies every jump on the way is prescribed. A free
@@ -327,7 +336,7 @@ def _tree(
     """
     point_sides, holding = sides[rows], support[rows]
     is_supported = holding >= 0
-    holder = dict(
+    support_of_body = dict(
         zip(map(int, point_sides[is_supported]), map(int, holding[is_supported]), strict=True)
     )
     bodies = dict.fromkeys(map(int, point_sides.ravel()))
@@ -335,7 +344,7 @@ def _tree(
         bodies, key=lambda b: float(stiffness[rows][point_sides == b].max()), reverse=True
     )
     base: dict[int, int] = {}
-    for root in (*rigid, *sorted(holder), *stiffest):
+    for root in (*rigid, *sorted(support_of_body), *stiffest):
         if root in base:
             continue
         base[root] = root
@@ -346,10 +355,10 @@ def _tree(
                     base[unreached] = root
                     signs[unreached, rows] = signs[reached, rows]
                     signs[unreached, p] = sign
-    for body in holder:
+    for body in support_of_body:
         for p in rows[signs[body, rows] != 0]:
-            other_support = holder.get(base[body], -1)
-            given[p] = [holder.get(int(b), other_support) for b in sides[p]]
+            other_support = support_of_body.get(base[body], -1)
+            prescribing_support[p] = [support_of_body.get(int(b), other_support) for b in sides[p]]
 
 
 def _at_edges(

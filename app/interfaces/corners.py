@@ -121,14 +121,17 @@ class ContactSurface(Corners):
         return np.asarray(work.reshape(points, 3, -1) / area[:, None, None])
 
     def spread_status(self, status: Ints) -> Ints:
-        """States of the corners (m,); a dependent corner has that of its largest share."""
+        """States of the corners (m,).
+
+        A dependent corner has the state of the point with the largest share in it.
+        """
         if self.dependence is None:
             return status
         return status[np.asarray(self.dependence.values.toarray().argmax(axis=1)).ravel()]
 
 
 @dataclass(frozen=True)
-class Holds:
+class VertexConstraints:
     """Constrained displacement components of vertices, body by body, replicated.
 
     Attributes:
@@ -175,8 +178,8 @@ class ContactPoints(Corners):
     Attributes:
         weight: Area of the point, with its part of dependent corners (n,) [mm2].
         doubt: Standard error of the direction of its normals (n,) [rad].
-        given: Supports (master, slave) that fix each component of the jump, -1 where it is free
-            (n, 3, 2).
+        prescribing_support: Supports (master, slave) that fix each component of the jump, -1 where
+            it is free (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
         held_tangents: Projectors on prescribed directions that are tangential to all faces:
             friction acts along them, too (n, 3, 3).
@@ -184,7 +187,7 @@ class ContactPoints(Corners):
     """
 
     doubt: Floats
-    given: Ints
+    prescribing_support: Ints
     axes: Floats
     held_tangents: Floats
     surface: ContactSurface
@@ -197,7 +200,7 @@ class ContactPoints(Corners):
     @property
     def held(self) -> Bools:
         """Components of the jump prescribed by supports (n, 3)."""
-        return self.given[:, :, 0] >= 0
+        return self.prescribing_support[:, :, 0] >= 0
 
 
 @dataclass(frozen=True)

@@ -131,8 +131,12 @@ def _face_areas(facets: InterfaceFacets, surface: ContactSurface, normals: Float
     numbers = np.concatenate(surface.facets)
     faces = _faces_along(normals[corners], facets.normal[numbers].reshape(-1, 3))
     area = np.zeros((len(surface.weight), 3))
-    known = faces >= 0
-    np.add.at(area, (corners[known], faces[known]), facets.area[numbers].ravel()[known])
+    belongs_to_face = faces >= 0
+    np.add.at(
+        area,
+        (corners[belongs_to_face], faces[belongs_to_face]),
+        facets.area[numbers].ravel()[belongs_to_face],
+    )
     return area
 
 
@@ -179,15 +183,15 @@ def in_means(
     share = (handed.area / weight[handed.point])[:, None, None] * tangential[handed.point]
     along = normals[receivers][:, :, None] * duals[receivers][:, None, :]
     share[on_face] += (handed.area[on_face] / face_area[receivers])[:, None, None] * along
-    given = np.zeros((n, 3, 3))
-    np.add.at(given, handed.point, share)
+    handed_share = np.zeros((n, 3, 3))
+    np.add.at(handed_share, handed.point, share)
 
     shape = len(surface.vertex) - n, n
     to_corners = _blocks(share, handed.corner - n, handed.point, shape)
     A = _three(_dependent_jumps(surface, n))
     identity = eye_array(3 * n, format="csr")
     free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.held))
-    mean_of_others = csr_array(to_corners.T @ A - _diagonal(given.swapaxes(1, 2)))
+    mean_of_others = csr_array(to_corners.T @ A - _diagonal(handed_share.swapaxes(1, 2)))
     G = csr_array(identity + free_directions @ mean_of_others)
     inverse = _inverse(G, surface, names)
     parts = []
@@ -208,13 +212,13 @@ def in_means(
         )
     body, row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     # Forces of a point and of corners are per area of each.
-    own = (np.eye(3) - given) * (weight / points.weight)[:, None, None]
+    kept_force = (np.eye(3) - handed_share) * (weight / points.weight)[:, None, None]
     handed_forces = _diagonal(np.eye(3) / surface.weight[n:, None, None]) @ to_corners
     handed_forces = handed_forces @ _diagonal(np.eye(3) * weight[:, None, None])
     by_area = (handed.area / surface.weight[handed.corner], (handed.corner - n, handed.point))
     dependence = Dependence(
         values=csr_array(vstack([eye_array(n), csr_array(by_area, shape=shape)])),
-        forces=csr_array(vstack([_diagonal(own), handed_forces])),
+        forces=csr_array(vstack([_diagonal(kept_force), handed_forces])),
         pressures=_pressures(surface, normals, handed, face, own_face_area, face_area, weight),
         jumps=csr_array(vstack([identity, A]) @ inverse),
     )
@@ -275,14 +279,14 @@ def _pressures(
     m, n = len(surface.weight), len(weight)
     # Pressure on the area of a face from that on the area of the point.
     to_face = np.divide(weight[:, None], face_area, where=face_area > 0, out=np.zeros((n, 3)))
-    own = to_face * own_face_area[:n] / surface.weight[:n, None]
+    kept_pressure = to_face * own_face_area[:n] / surface.weight[:n, None]
     face_of_corner = _faces_along(normals[handed.corner], handed.normal)
     used = np.flatnonzero((face >= 0) & (face_of_corner >= 0))
     corner, point = handed.corner[used], handed.point[used]
     value = handed.area[used] / surface.weight[corner] * to_face[point, face[used]]
     rows = np.concatenate([np.arange(3 * n), 3 * corner + face_of_corner[used]])
     columns = np.concatenate([np.arange(3 * n), 3 * point + face[used]])
-    values = np.concatenate([own.ravel(), value])
+    values = np.concatenate([kept_pressure.ravel(), value])
     return csr_array((values, (rows, columns)), shape=(3 * m, 3 * n))
 
 

@@ -171,9 +171,9 @@ def dual_vectors(normals: Floats) -> Floats:
     return np.asarray(np.linalg.pinv(normals).swapaxes(1, 2), dtype=np.float64)
 
 
-def projectors(axes: Floats, which: Bools | Floats) -> Floats:
+def projectors(axes: Floats, weights: Bools | Floats) -> Floats:
     """Sums (n, 3, 3) of projectors on axes, which are columns (n, 3, 3), by weights (n, 3)."""
-    return np.asarray(np.einsum("nic,nc,njc->nij", axes, which, axes))
+    return np.asarray(np.einsum("nic,nc,njc->nij", axes, weights, axes))
 
 
 def shared(vertex: Ints) -> list[Ints]:

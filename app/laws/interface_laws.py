@@ -1,9 +1,20 @@
 """Constitutive laws of interfaces, and their keys in a case.
 
 A law is a section of the case. Its class has the keys, the properties (for example `can_open`), the
-stiffness of the trial force and the formula in UFL. The way of `friction_coefficient` from the YAML
-file to the residual is `Frictional.friction` -> `Unilateral.values` -> `Unilateral.response` ->
-`forms.contact.contact_law`, evaluated by `mechanics.contact_law.PointLaw.evaluate`.
+augmentation and the formula in UFL. The path of `friction_coefficient` from the YAML file to the
+residual, step by step:
+
+    Frictional.friction_coefficient, SurfaceZone   the key, also of a zone
+    Unilateral.constants_at_points                 function of points, under the name μ
+    scene.scene.Interface.constants                the same, with the interface
+    mechanics.contact.ContactInterfaces.begin      values at all contact points
+    mechanics.contact_law.PointLaw.begin           input μ of the compiled law
+    Unilateral.response, forms.contact.contact_law force of a point, in UFL
+    mechanics.contact_law.PointLaw.evaluate        forces of all points
+    mechanics.contact.ContactInterfaces.residual   residual
+
+The debonded area of a cohesive interface has a contact law, `Traction.debonded_contact`, whose
+coefficient takes the same path; `PointLaw` multiplies it by the debonded share.
 
 To add a law, derive from `Traction` (a force that is a function of the gap) or from `InterfaceLaw`.
 `app/README.md` has an example.
@@ -13,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -96,11 +107,11 @@ class AtPoint:
         jump_old: Jump of the last converged state (3,) [mm].
         S_star: Coefficient that replaces the trial force where it is frozen (3,) [MPa].
         normals: Unit normals of one to three faces, from master to slave, each (3,), with duals.
-        r: Stiffness of the trial force [MPa/mm].
-        values: Constants of the law, by name.
+        r: Augmentation: stiffness of the trial force, at most that of a layer [MPa/mm].
+        constants: Constants of the law, by name.
         internal_variables: Internal variables of the last converged state, by name.
-        live: 1, or 0 while the internal variables are frozen. They are frozen in the first solve of
-            a step, so that no early iterate damages a point.
+        frozen: 1 while the internal variables are frozen, else 0. They are frozen in the first
+            solve of a step, so that no early iterate damages a point.
     """
 
     F: Expr
@@ -110,47 +121,63 @@ class AtPoint:
     S_star: Coefficient
     normals: Faces
     r: Expr
-    values: Mapping[str, Expr]
+    constants: Mapping[str, Expr]
     internal_variables: Mapping[str, Expr]
-    live: Expr
+    frozen: Expr
 
     def updated(self, internal_variables: Mapping[str, Expr]) -> dict[str, Expr]:
-        """Internal variables after the step; the old ones while they are frozen."""
-        from ufl import as_vector, conditional, gt
+        """Internal variables after the step; the committed ones while they are frozen."""
+        from ufl import as_vector, conditional, lt
 
-        def selected(new: Expr, old: Expr) -> Expr:
-            if not old.ufl_shape:
-                return conditional(gt(self.live, 0.5), new, old)
-            return as_vector([selected(new[i], old[i]) for i in range(len(old))])
+        def selected(new: Expr, committed: Expr) -> Expr:
+            if not committed.ufl_shape:
+                return conditional(lt(self.frozen, 0.5), new, committed)
+            return as_vector([selected(new[i], committed[i]) for i in range(len(committed))])
 
         return {
-            name: selected(internal_variables[name], old)
-            for name, old in self.internal_variables.items()
+            name: selected(internal_variables[name], committed)
+            for name, committed in self.internal_variables.items()
         }
 
 
-class InternalVariables(dict[str, "Expr"]):
-    """Internal variables of a point at a gap, by name.
+@dataclass(frozen=True)
+class GapState:
+    """State of a point at a gap, for the methods of `Traction`, as UFL expressions.
 
     Attributes:
-        old: Internal variables of the last converged state, by name.
-        live: 1, or 0 while the internal variables are frozen.
+        gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
+        normals: Unit normals of the point's faces, from master to slave, each (3,).
+        internal_variables: Internal variables at the gap by name, as `new_internal_variables`
+            returns them. In that method they are those of the last converged state.
+        committed: Internal variables of the last converged state, by name.
+        frozen: 1 while the internal variables are frozen, else 0.
     """
 
-    def __init__(self, new: Mapping[str, Expr], old: Mapping[str, Expr], live: Expr) -> None:
-        super().__init__(new)
-        self.old = old
-        self.live = live
+    gap: Expr
+    normals: Faces
+    internal_variables: Mapping[str, Expr]
+    committed: Mapping[str, Expr]
+    frozen: Expr
 
 
 class InterfaceLaw(Extensible):
     """Base of the interface laws. Each subclass with a `kind` is a law.
 
+    ==================  ========  ========  ==========  ================
+    law                 can_part  can_open  is_contact  has_augmentation
+    ==================  ========  ========  ==========  ================
+    Bonded              no        no        no          no
+    Coulomb, Penalty    yes       yes       yes         yes
+    Cohesive            yes       yes       no          yes
+    Traction (base)     yes       no        no          no
+    ==================  ========  ========  ==========  ================
+
     Attributes:
         can_part: True if the sides can move relative to each other. The interface then has unknown
             jumps.
         can_open: True if the sides can separate without resistance.
-        augmented: True if the multiplier is exact and does not depend on the augmentation.
+        has_augmentation: True if contact acts on the interface, also on its debonded area alone.
+            The remedies of Newton's method change the augmentation of such laws.
         is_contact: True for contact alone, whose slip follows from its state.
         internal_variables: Shapes of the internal variables at a point, by name: () for a scalar,
             (3,) for a vector. For a law with `damage` and `spent` (the dissipated part of its
@@ -161,7 +188,7 @@ class InterfaceLaw(Extensible):
     kind: Any
     can_part: ClassVar[bool] = True
     can_open: ClassVar[bool] = False
-    augmented: ClassVar[bool] = False
+    has_augmentation: ClassVar[bool] = False
     is_contact: ClassVar[bool] = False
     internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
@@ -183,11 +210,13 @@ class InterfaceLaw(Extensible):
     @property
     def conductances(self) -> tuple[float, float, float]:
         """Conductance at zero pressure, its increase with pressure, largest value [N, mm, s, K]."""
-        match self.conductance:
-            case PressureConductance(open=least, per_pressure=slope, cap=cap):
-                return least, slope, math.inf if cap is None else cap
-            case constant:
-                return math.inf if constant is None else constant, 0.0, math.inf
+        conductance = self.conductance
+        if conductance is None:
+            return math.inf, 0.0, math.inf
+        if isinstance(conductance, PressureConductance):
+            largest = math.inf if conductance.cap is None else conductance.cap
+            return conductance.open, conductance.per_pressure, largest
+        return conductance, 0.0, math.inf
 
     @property
     def conducts_by_pressure(self) -> bool:
@@ -201,7 +230,7 @@ class InterfaceLaw(Extensible):
 
     @property
     def mortar_points(self) -> int:
-        """Points per facet that hand forces from one side to the other in finite sliding."""
+        """Quadrature points per facet of the mortar coupling in finite sliding."""
         return MORTAR_POINTS
 
     @property
@@ -211,7 +240,7 @@ class InterfaceLaw(Extensible):
 
     @property
     def friction(self) -> float:
-        """Coulomb's friction coefficient [-]. If it is 0, no tangential term is compiled."""
+        """Largest friction coefficient on the interface [-]; 0: no tangential term is compiled."""
         return 0.0
 
     @property
@@ -240,19 +269,19 @@ class InterfaceLaw(Extensible):
 
     @property
     def without_effect(self) -> dict[tuple[str, ...], str]:
-        """Keys that have no effect with the others, by path, and the reason."""
+        """Reasons why given keys have no effect, by path."""
         return {}
 
     @property
     def zone_heights(self) -> Mapping[str, tuple[float, float]]:
-        """Heights on the stem between which parts of the interface have other numbers, by name."""
+        """Lower and upper height of each zone on the stem [mm], by name."""
         return {}
 
     @property
     def layer(self) -> tuple[float, float] | None:
         """Normal and tangential stiffness of an elastic layer in series [MPa/mm]; None without.
 
-        The normal one is infinite where only the tangential one is given.
+        The normal stiffness is infinite if only the tangential one is given.
         """
         return None
 
@@ -266,8 +295,12 @@ class InterfaceLaw(Extensible):
         """True if the response has `dissipated_by_jump`, so that `fracture_step` can control it."""
         return False
 
+    # `constants` are the inputs of the compiled law, by name. `constants_at_points` gives their
+    # values. `form` has everything else that the formula depends on: laws of equal form share
+    # compiled code.
+
     @property
-    def values(self) -> Mapping[str, float | str | Patches]:
+    def constants(self) -> Mapping[str, float | str | Patches]:
         """Constants of the law, by name. They may differ between laws of one form."""
         return {name: v for name, v in self._added_fields().items() if self._varies(name, v)}
 
@@ -290,23 +323,32 @@ class InterfaceLaw(Extensible):
         model_field = type(self).model_fields.get(name)
         if model_field is None:
             return None
-        inner = (m for kind in get_args(model_field.annotation) for m in get_args(kind))
-        return next((m for m in (*model_field.metadata, *inner) if isinstance(m, Varying)), None)
+        marks = list(model_field.metadata)
+        for member in get_args(model_field.annotation):  # members of an optional key
+            marks += get_args(member)
+        for mark in marks:
+            if isinstance(mark, Varying):
+                return mark
+        return None
 
-    def fields(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
-        """Functions of points (n, 3) that return the values (n,), by name."""
+    def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
+        """Functions of points (n, 3) that return the constants there (n,), by name."""
         key = f"interfaces.{interface}."
-        return {n: field(key + n, v, self._mark(n)) for n, v in self.values.items()}
+        return {n: field(key + n, v, self._mark(n)) for n, v in self.constants.items()}
 
-    def check(self, at: Mapping[str, Floats]) -> None:
-        """Check values at points (n,); raise PydanticCustomError if they contradict each other."""
+    def check(self, values: Mapping[str, Floats]) -> None:
+        """Check constants at points (n,), by name.
 
-    def response(self, at: AtPoint) -> Response:
+        Raises:
+            PydanticCustomError: They contradict each other.
+        """
+
+    def response(self, point: AtPoint) -> Response:
         """Force and derivatives of the law, in UFL."""
         raise NotImplementedError
 
-    def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
-        """Stiffness r of the trial force (n,) [MPa/mm].
+    def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
+        """Augmentation r, the stiffness of the trial force, without a layer (n,) [MPa/mm].
 
         Args:
             local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
@@ -347,7 +389,7 @@ class Frictional(InterfaceLaw):
 class SurfaceZone(Section):
     """Part of a stem's surface between two heights, with separate numbers."""
 
-    NUMBERS: ClassVar[tuple[str, ...]] = ("friction_coefficient", "gap", "interference")
+    KEYS: ClassVar[tuple[str, ...]] = ("friction_coefficient", "gap", "interference")
 
     above: Length | None = None
     """Height above the stem's tip, along the stem, at which the part begins; by default its end. In
@@ -370,10 +412,11 @@ class SurfaceZone(Section):
             fail(f"is not above {lower_height:g} mm, where the zone begins", at=("below",))
         return self
 
-    def replaces(self, other: SurfaceZone, key: str) -> bool:
-        """True if this zone, which comes later, covers another one and has a separate number."""
-        (lower_height, upper_height), (other_lower, other_upper) = self.heights, other.heights
-        covers = lower_height <= other_lower and other_upper <= upper_height
+    def hides(self, earlier: SurfaceZone, key: str) -> bool:
+        """Return True if this later zone hides an earlier one for a key."""
+        low, high = self.heights
+        earlier_low, earlier_high = earlier.heights
+        covers = low <= earlier_low and earlier_high <= high
         if key == "friction_coefficient":
             return covers and self.friction_coefficient is not None
         return covers and (self.gap is not None or self.interference is not None)
@@ -386,7 +429,7 @@ class SurfaceZone(Section):
 
 
 def _interference(key: str, value: float | str | Table, stem: StemPlaces, x: Floats) -> Floats:
-    """Interference of a key at points (n, 3): shape (n,) [mm]; 0 beside the flanks of a stem."""
+    """Interference of a key at points (n, 3): shape (n,) [mm]; 0 outside the flanks of a stem."""
     if isinstance(value, tuple):
         heights, lengths = zip(*value, strict=True)
         interference = np.interp(stem.height_on_stem(x), heights, lengths)
@@ -399,7 +442,7 @@ class Unilateral(Frictional):
     """Unilateral contact with Coulomb friction: exact, or with a penalty (`forms.contact`)."""
 
     can_open: ClassVar[bool] = True
-    augmented: ClassVar[bool] = True
+    has_augmentation: ClassVar[bool] = True
     is_contact: ClassVar[bool] = True
 
     gap: LengthField = 0.0
@@ -461,17 +504,26 @@ class Unilateral(Frictional):
 
     @property
     def without_effect(self) -> dict[tuple[str, ...], str]:
-        """Keys that have no effect with the others, by path, and the reason."""
-        keys = super().without_effect
+        """Reasons why given keys have no effect, by path."""
+        reasons = super().without_effect
         if not self.has_gap:
-            keys["gap_history",] = "there is no gap and no interference"
+            reasons[("gap_history",)] = "there is no gap and no interference"
         zones = list((self.zones or {}).items())
-        for k, (name, zone) in enumerate(zones):
-            for key in SurfaceZone.NUMBERS:
-                covering = next((n for n, z in zones[k + 1 :] if z.replaces(zone, key)), None)
-                if covering is not None:
-                    keys["zones", name, key] = f"zone {covering} counts there, as the later one"
-        return keys
+
+        def later_zone_that_hides(number: int, key: str) -> str | None:
+            for later_name, later_zone in zones[number + 1 :]:
+                if later_zone.hides(zones[number][1], key):
+                    return later_name
+            return None
+
+        for number, (name, _) in enumerate(zones):
+            for key in SurfaceZone.KEYS:
+                later_name = later_zone_that_hides(number, key)
+                if later_name is not None:
+                    reasons["zones", name, key] = (
+                        f"zone {later_name} counts there, as the later one"
+                    )
+        return reasons
 
     @property
     def zone_heights(self) -> Mapping[str, tuple[float, float]]:
@@ -500,8 +552,8 @@ class Unilateral(Frictional):
 
         return gap
 
-    def fields(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
-        """The friction coefficient at points (n, 3): shape (n,)."""
+    def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
+        """Friction coefficient as function of points, under the name μ of the form; none if 0."""
         if self.friction == 0.0:
             return {}
 
@@ -521,16 +573,24 @@ class Unilateral(Frictional):
         return "contact", self.friction > 0
 
     @property
-    def values(self) -> Mapping[str, float | str]:
-        """The friction coefficient."""
+    def constants(self) -> Mapping[str, float | str]:
+        """The friction coefficient, under the name μ of the form; none if it is 0."""
         return {"μ": self.friction} if self.friction > 0 else {}
 
-    def response(self, at: AtPoint) -> Response:
+    def response(self, point: AtPoint) -> Response:
         """Law of the augmented Lagrangian at a point (eq. 65)."""
         from forms.contact import contact_law
 
-        state = (at.F, at.jump, at.gap, at.jump_old, at.S_star)
-        return contact_law(*state, at.normals, at.values.get("μ"), at.r)
+        return contact_law(
+            F=point.F,
+            jump=point.jump,
+            gap=point.gap,
+            jump_old=point.jump_old,
+            S_star=point.S_star,
+            normals=point.normals,
+            μ=point.constants.get("μ"),
+            r=point.r,
+        )
 
 
 class Compliance(Section):
@@ -593,7 +653,7 @@ class Coulomb(Unilateral):
         normal = self.compliance.normal
         return math.inf if normal is None else normal, self.compliance.tangential
 
-    def trial_stiffness(self, local_stiffness: Floats, factor: float) -> Floats | float:
+    def augmentation_of(self, local_stiffness: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""
         if self.augmentation is not None:
             return self.augmentation
@@ -616,26 +676,19 @@ class Penalty(Unilateral):
 class Traction(InterfaceLaw):
     """Base of laws whose force is an explicit function of the gap, such as layers and cohesion.
 
-    A subclass declares its keys. In its methods the keys are UFL scalars. All methods have the same
-    arguments:
-
-        gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
-        normals: Unit normals of the point's faces, from master to slave, each (3,).
-        internal_variables: Internal variables at the gap by name, as `remembered` returns them.
-            Its attribute `old` has the values of the last converged state.
+    A subclass declares its keys. In its methods the keys are UFL scalars, and the argument is the
+    state of the point at a gap.
     """
 
-    def traction(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def traction(self, point: GapState) -> Expr:
         """Force per area that resists a gap (3,) [MPa]."""
         raise NotImplementedError
 
-    def remembered(
-        self, gap: Expr, normals: Faces, internal_variables: InternalVariables
-    ) -> Mapping[str, Expr]:
-        """Internal variables at a gap, by name, from their values in the last converged state."""
+    def new_internal_variables(self, point: GapState) -> Mapping[str, Expr]:
+        """Internal variables at a gap, by name, from those of the last converged state."""
         return {}
 
-    def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def debonded_share(self, point: GapState) -> Expr | None:
         """Debonded share of the area, on which contact also acts [-]; none by default.
 
         The friction coefficient is multiplied by this share. The law then also derives from
@@ -643,22 +696,22 @@ class Traction(InterfaceLaw):
         """
         return None
 
-    def stored(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def stored(self, point: GapState) -> Expr | None:
         """Stored energy per area [N/mm]; none by default."""
         return None
 
-    def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def dissipated(self, point: GapState) -> Expr | None:
         """Energy per area that a step dissipates, without friction [N/mm]; none by default.
 
         If the case gives `fracture_step`, load steps control this energy.
         """
         return None
 
-    def slip(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def slip(self, point: GapState) -> Expr | None:
         """Irreversible tangential motion (3,) [mm]; none by default."""
         return None
 
-    def status(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def status(self, point: GapState) -> Expr:
         """State of a point: OPEN, STICK or SLIP of `forms.contact`, or another number from 3 on.
 
         The default is STICK.
@@ -671,47 +724,62 @@ class Traction(InterfaceLaw):
 
     @property
     def debonded_contact(self) -> Coulomb | None:
-        """Contact law of the debonded area, if the subclass defines `broken`."""
-        if type(self).broken is Traction.broken:
+        """Contact law of the debonded area, if the subclass defines `debonded_share`."""
+        if type(self).debonded_share is Traction.debonded_share:
             return None
         return Coulomb(friction_coefficient=self.friction)
+
+    def constants_at_points(self, interface: str, stem: StemPlaces) -> dict[str, Field]:
+        """Functions of points (n, 3) that return the constants there (n,), by name.
+
+        Those of the debonded contact are among them.
+        """
+        constants = super().constants_at_points(interface, stem)
+        if self.debonded_contact is not None:
+            constants |= self.debonded_contact.constants_at_points(interface, stem)
+        return constants
 
     @property
     def dissipates(self) -> bool:
         """True if the subclass defines `dissipated`."""
         return type(self).dissipated is not Traction.dissipated
 
-    def response(self, at: AtPoint) -> Response:
+    def response(self, point: AtPoint) -> Response:
         """Force, stored and dissipated energy, and their derivatives, in UFL."""
         from ufl import as_ufl, as_vector, variable
 
         from forms.contact import Response, derivative
 
-        law = self.model_copy(update=dict(at.values))
-        jump = variable(at.jump)
-        gap = jump + at.gap
-        old_variables = InternalVariables(at.internal_variables, at.internal_variables, at.live)
-        internal_variables = at.updated(law.remembered(gap, at.normals, old_variables))
-        point_state = (
-            gap,
-            at.normals,
-            InternalVariables(internal_variables, at.internal_variables, at.live),
+        # A copy of the law in which each key is its UFL constant.
+        law = self.model_copy(update=dict(point.constants))
+        jump = variable(point.jump)
+        committed = GapState(
+            gap=jump + point.gap,
+            normals=point.normals,
+            internal_variables=point.internal_variables,
+            committed=point.internal_variables,
+            frozen=point.frozen,
         )
-        force = law.traction(*point_state)
-        dissipated, broken = law.dissipated(*point_state), law.broken(*point_state)
+        internal_variables = point.updated(law.new_internal_variables(committed))
+        state = replace(committed, internal_variables=internal_variables)
+        force = law.traction(state)
+        dissipated = law.dissipated(state)
+        debonded_share = law.debonded_share(state)
         return Response(
             force=force,
             by_multiplier=None,
             by_jump=derivative(force, jump),
-            pressures=as_vector([-p for p in at.normals.components(force)]),
-            status=as_ufl(law.status(*point_state)),
+            pressures=as_vector([-p for p in point.normals.components(force)]),
+            status=as_ufl(law.status(state)),
             internal_variables=internal_variables,
-            slip=law.slip(*point_state),
-            stored=law.stored(*point_state),
+            slip=law.slip(state),
+            stored=law.stored(state),
             dissipated=dissipated,
             dissipated_by_jump=None if dissipated is None else derivative(dissipated, jump),
-            broken=broken,
-            broken_by_jump=None if broken is None else derivative(broken, jump),
+            debonded_share=debonded_share,
+            debonded_share_by_jump=(
+                None if debonded_share is None else derivative(debonded_share, jump)
+            ),
         )
 
 
@@ -719,7 +787,7 @@ class Cohesive(Frictional, Traction):
     """Cohesive interface: it debonds in tension, shear or mixed mode, then slides with friction."""
 
     can_open: ClassVar[bool] = True
-    augmented: ClassVar[bool] = True
+    has_augmentation: ClassVar[bool] = True
     internal_variables: ClassVar[Mapping[str, tuple[int, ...]]] = {"damage": (), "spent": ()}
 
     kind: Literal["cohesive"] = "cohesive"
@@ -751,10 +819,11 @@ class Cohesive(Frictional, Traction):
         """Cohesion by its softening, with or without friction."""
         return "cohesive", self.softening, self.friction > 0
 
-    def cohesive_state(
-        self, gap: Expr, normals: Faces, internal_variables: InternalVariables
-    ) -> CohesiveState:
-        """Cohesive response of a point at a gap; see `Traction` for the arguments."""
+    def cohesive_state(self, point: GapState) -> CohesiveState:
+        """Cohesive response of a point at a gap.
+
+        Each method below builds it again: UFL finds the common terms, which are compiled once.
+        """
         from forms.cohesion import Cohesion, cohesive_state
 
         constants = Cohesion(
@@ -767,46 +836,43 @@ class Cohesive(Frictional, Traction):
             unbonded=self.unbonded,
             exponential=self.softening == "exponential",
         )
-        return cohesive_state(
-            constants, gap, normals, internal_variables.old, internal_variables.live
-        )
+        return cohesive_state(constants, point.gap, point.normals, point.committed, point.frozen)
 
-    def traction(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def traction(self, point: GapState) -> Expr:
         """Cohesive traction (3,) [MPa]."""
-        return self.cohesive_state(gap, normals, internal_variables).traction
+        return self.cohesive_state(point).traction
 
-    def remembered(
-        self, gap: Expr, normals: Faces, internal_variables: InternalVariables
-    ) -> Mapping[str, Expr]:
+    def new_internal_variables(self, point: GapState) -> Mapping[str, Expr]:
         """Damage and dissipated part of the fracture energy [-]."""
-        state = self.cohesive_state(gap, normals, internal_variables)
+        state = self.cohesive_state(point)
         return {"damage": state.damage, "spent": state.spent}
 
-    def broken(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def debonded_share(self, point: GapState) -> Expr:
         """Debonded share of the area [-]; 0 until the point is damaged."""
-        return self.cohesive_state(gap, normals, internal_variables).broken
+        return self.cohesive_state(point).debonded_share
 
-    def stored(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def stored(self, point: GapState) -> Expr:
         """Elastic energy of the cohesion per area [N/mm]."""
-        return self.cohesive_state(gap, normals, internal_variables).stored
+        return self.cohesive_state(point).stored
 
-    def dissipated(self, gap: Expr, normals: Faces, internal_variables: InternalVariables) -> Expr:
+    def dissipated(self, point: GapState) -> Expr:
         """Fracture energy per area that the step dissipates [N/mm]."""
-        return self.cohesive_state(gap, normals, internal_variables).dissipated_in_step
+        return self.cohesive_state(point).dissipated_in_step
 
     @model_validator(mode="after")
     def _check_softening(self) -> Cohesive:
-        numbers = {n: v for n, v in self.values.items() if not isinstance(v, str)}
+        # The same check as at points, for keys that are numbers.
+        numbers = {n: v for n, v in self.constants.items() if not isinstance(v, str)}
         self.check({name: np.array([v]) for name, v in numbers.items()})
         return self
 
-    def check(self, at: Mapping[str, Floats]) -> None:
+    def check(self, values: Mapping[str, Floats]) -> None:
         """Refuse a stiffness that is too small for softening: K < strength^2 / energy."""
         for mode in ("tensile", "shear"):
-            key_names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
-            if not at.keys() >= set(key_names):
+            names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
+            if not values.keys() >= set(names):
                 continue
-            K, strength, G = (at[name] for name in key_names)
+            K, strength, G = (values[name] for name in names)
             least_stiffness = strength**2 / G
             too_soft = K < least_stiffness
             if too_soft.any():

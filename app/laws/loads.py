@@ -149,12 +149,12 @@ class Load(Extensible, Named):
         """
         return None
 
-    def work(self, v: Expr, on: LoadedBody) -> Work:
+    def work(self, v: Expr, body: LoadedBody) -> Work:
         """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none.
 
         Args:
             v: Displacement (3,), in UFL.
-            on: The body.
+            body: The body.
         """
         raise NotImplementedError
 
@@ -254,20 +254,20 @@ class Force(Load):
         """Resultant at full amplitude, or at the end of the cycle table [N]."""
         return self.force_at(1.0)
 
-    def work(self, v: Expr, on: LoadedBody) -> Work:
+    def work(self, v: Expr, body: LoadedBody) -> Work:
         """Work of a traction that varies linearly over the boundary."""
         from forms import loads
 
         # Collective, and may raise: on every rank, even without facets.
-        patch, ds = on.patch(self.boundary), on.ds(self.boundary)
+        patch, ds = body.patch(self.boundary), body.ds(self.boundary)
         if ds is None:
             return 0
-        t = on.constant(np.array(self.force) / patch.area)
+        t = body.constant(np.array(self.force) / patch.area)
         if self.at is None:
             return loads.traction_work(t, v) * ds
         moment = np.cross(np.array(self.at) - patch.centroid, self.force)
-        ω = on.constant(np.linalg.solve(patch.moments, moment))
-        return loads.linear_traction_work(t, ω, on.x, on.constant(patch.centroid), v) * ds
+        ω = body.constant(np.linalg.solve(patch.moments, moment))
+        return loads.linear_traction_work(t, ω, body.x, body.constant(patch.centroid), v) * ds
 
 
 class Pressure(Load):
@@ -284,12 +284,14 @@ class Pressure(Load):
         """The key `pressure`."""
         return self.pressure
 
-    def work(self, v: Expr, on: LoadedBody) -> Work:
+    def work(self, v: Expr, body: LoadedBody) -> Work:
         """Work of a traction along the normal."""
         from forms import loads
 
-        ds = on.ds(self.boundary)
-        return 0 if ds is None else loads.pressure_work(on.constant(self.pressure), on.n, v) * ds
+        ds = body.ds(self.boundary)
+        return (
+            0 if ds is None else loads.pressure_work(body.constant(self.pressure), body.n, v) * ds
+        )
 
 
 class BodyForce(Load):
@@ -317,11 +319,11 @@ class BodyForce(Load):
         columns = [field(f"{key}[{i}]", value)(x) for i, value in enumerate(self.density)]
         return np.stack(columns, axis=1)
 
-    def work(self, v: Expr, on: LoadedBody) -> Work:
+    def work(self, v: Expr, body: LoadedBody) -> Work:
         """Work of the force density in the body's regions."""
         from forms import loads
 
-        density_field = on.spread(self.density_at, self.regions)
+        density_field = body.spread(self.density_at, self.regions)
         return sum(loads.body_force_work(b, v) * dx for b, dx in density_field)
 
 

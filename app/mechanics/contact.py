@@ -75,6 +75,7 @@ class TrialState:
     """Contact at a trial state.
 
     Attributes:
+        contact: The contact points of this rank.
         equilibrium: Residual e of equilibrium at local points (n, 3) [N].
         jump: Jumps of local points (n, 3) [mm].
         law: Forces by the laws, and their derivatives.
@@ -93,14 +94,12 @@ class TrialState:
         contact, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
         force_deficit = contact.local.project_free(contact.multiplier(self.equilibrium) - force)
-        slip = self.jump - contact.reference + force_deficit / contact.law.stiffness[:, None]
+        motion = self.jump - contact.reference + force_deficit / contact.law.stiffness[:, None]
         is_slipping = (contact.law.frictional & contact.law.slides & (law.status == SLIP))[:, None]
-        closed_faces = self._closed_faces(slip)
-        force, slip = (
-            np.where(is_slipping, contact.local.tangential(vector, closed_faces), 0.0)
-            for vector in (force, slip)
-        )
-        return force, slip
+        closed_faces = self._closed_faces(motion)
+        friction = np.where(is_slipping, contact.local.tangential(force, closed_faces), 0.0)
+        slip = np.where(is_slipping, contact.local.tangential(motion, closed_faces), 0.0)
+        return friction, slip
 
     def _closed_faces(self, step: Floats) -> Bools:
         """Faces that are closed after a step (n, 3).
@@ -115,8 +114,8 @@ class TrialState:
     def slip(self, friction: Floats) -> Floats:
         """Irreversible tangential motion (n, 3) [mm] under a friction (n, 3) [MPa].
 
-        In contact it is d_T of eq. 3 without its elastic part. It is a state and has no history. In
-        finite sliding it is the sum over the steps.
+        In contact it is d_T of eq. 3 without its elastic part. In small sliding it follows from the
+        current jump alone; in finite sliding it is summed over the steps.
         """
         contact = self.contact
         sliding_motion = self.sliding(self.jump - self._layer_stretch(friction))
@@ -152,11 +151,11 @@ class TrialState:
         steps in which points close or open. It contains the normal energy of a layer, which is
         released when the layer opens.
         """
-        contact = self.contact
-        law = self.law
-        state_before = self.contact.state
-        weight = self.contact.local.weight
+        contact, law = self.contact, self.law
+        before = contact.state
+        weight = contact.local.weight
         step, opening = self.jump - contact.reference, contact.opening(self.jump)
+        # Equilibrium along a prescribed jump contains the support reaction: take the law's force.
         force = contact.forces(self.equilibrium) + contact.local.tangential_held(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, contact.local.normals)
         friction = force + normal
@@ -164,34 +163,33 @@ class TrialState:
         friction_work = np.einsum("pi,pi->p", *self.friction_and_slip())
         dissipated = weight * (outputs["dissipated"] + law.debonded_friction_work + friction_work)
         layer_energy = np.einsum("pi,pij,pj->p", force, contact.law.compliance, force) / 2
-        slip_length = self.sliding(step - self._layer_stretch(friction - state_before.friction))
-        slip_length = np.linalg.norm(
-            np.where(contact.law.slides[:, None], slip_length, slip - state_before.slip), axis=1
-        )
+        slip_step = self.sliding(step - self._layer_stretch(friction - before.friction))
+        slip_step = np.where(contact.law.slides[:, None], slip_step, slip - before.slip)
+        slip_length = np.linalg.norm(slip_step, axis=1)
         contact_work = (
             np.einsum(
                 "pi,pi->p",
-                state_before.force - state_before.friction - normal,
-                opening - state_before.opening,
+                before.force - before.friction - normal,
+                opening - before.opening,
             )
             / 2
         )
         return ContactState(
             jump=self.jump.copy(),
-            inserted=state_before.inserted,
+            inserted=before.inserted,
             force=force,
             friction=friction,
             opening=opening,
             slip=slip,
             step_slip=slip_length,
-            path=state_before.path + slip_length,
+            path=before.path + slip_length,
             stored=weight * (outputs["stored"] + layer_energy),
-            dissipation=state_before.dissipation + dissipated,
-            smallest_dissipation=np.minimum(state_before.smallest_dissipation, dissipated),
-            contact_work=state_before.contact_work + weight * contact_work,
-            work=state_before.work
+            dissipation=before.dissipation + dissipated,
+            smallest_dissipation=np.minimum(before.smallest_dissipation, dissipated),
+            contact_work=before.contact_work + weight * contact_work,
+            work=before.work
             + weight
-            * np.einsum("pi,pi->p", (force + state_before.force) / 2, self.jump - contact.carried),
+            * np.einsum("pi,pi->p", (force + before.force) / 2, self.jump - contact.committed_jump),
             internal_variables=law.internal_variables,
         )
 
@@ -210,9 +208,9 @@ class ContactInterfaces:
         gap: Initial gap at the current time (n, 3) [mm].
         finite_sliding: Points with finite sliding, if any.
         insertion_time: Time up to which the gap of press fits changes.
-        committed_at: Jumps at the last pairing of the committed state (n, 3) [mm]; None with small
-            sliding.
-        carried: Committed jumps relative to the current pairs (n, 3) [mm].
+        jump_at_committed_pairing: Jumps at the last pairing of the committed state (n, 3) [mm];
+            None with small sliding.
+        committed_jump: Committed jumps relative to the current pairs (n, 3) [mm].
         reference: Jumps with zero slip relative to the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
 
@@ -220,8 +218,8 @@ class ContactInterfaces:
         InputError: An interface has no facets on this mesh.
     """
 
-    saved = ("state", "committed_at")
-    committed_at: Floats | None = None
+    saved = ("state", "jump_at_committed_pairing")
+    jump_at_committed_pairing: Floats | None = None
     # Resistance of the active supports to rigid motions, by body.
     _support_resistance: dict[int, Floats] | None = None
 
@@ -275,7 +273,7 @@ class ContactInterfaces:
         The default augmentation is ``augmentation_factor`` times the local stiffness per area.
         """
         contacts = self._contacts = scene.contacts
-        fields = [{"gap": c.gap, **c.values} for c in contacts]
+        fields = [{"gap": c.gap, **c.constants} for c in contacts]
         values = {
             name: np.zeros(len(self.points.weight)) for constants in fields for name in constants
         }
@@ -285,12 +283,14 @@ class ContactInterfaces:
             for name, value_at in constants.items():
                 values[name][at_interface] = value_at(self.points.x[at_interface])
             try:
-                c.law.check({name: values[name][at_interface] for name in c.values})
+                c.law.check({name: values[name][at_interface] for name in c.constants})
             except PydanticCustomError as error:
                 key = ".".join(("interfaces", c.name, *(error.context or {})["at"]))
                 raise InputError(f"{key}: {error}") from error
-        of_rank = {name: of_all_points[self.local.rows] for name, of_all_points in values.items()}
-        self._full_gap = of_rank["gap"]
+        local_values = {
+            name: values_at_all[self.local.rows] for name, values_at_all in values.items()
+        }
+        self._full_gap = local_values["gap"]
         settling_times = (
             gap_settled(values["gap"][self.points.interface == i], c.gap_history)
             for i, c in enumerate(contacts)
@@ -298,14 +298,14 @@ class ContactInterfaces:
         )
         self.insertion_time = max(settling_times, default=0.0) + TIME_ROUNDING
         laws = [c.law for c in contacts]
-        self.law.begin(laws, of_rank, augmentation_factor, self.coupling.local_stiffness())
+        self.law.begin(laws, local_values, augmentation_factor, self.coupling.local_stiffness())
         if self.finite_sliding is not None:
             self.finite_sliding.begin(scene)
         self._committed_time = 0.0
         self.state: ContactState = ContactState.at_rest(
             self.local.x * 0.0, self.law.internal_variables
         )
-        self.carried = self.state.jump
+        self.committed_jump = self.state.jump
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
@@ -315,7 +315,7 @@ class ContactInterfaces:
         jumps = []
         for k, support in enumerate(self._supports):
             unit_displacement = np.zeros((len(local), 3))
-            if (self.points.given == RIGIDLY).any():
+            if (self.points.prescribing_support == RIGIDLY).any():
                 unit = PETSc.Vec().createWithArray(constraints.unit[k].copy(), comm=self.comm)
                 unit_displacement = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
             jumps.append(prescribed_jump(self.points, local.rows, k, support, unit_displacement))
@@ -330,43 +330,44 @@ class ContactInterfaces:
 
     def set_time(self, time: float) -> None:
         """Set gaps and prescribed jumps to a time."""
-        gap = self._clearance = np.zeros(len(self.local))
+        clearance = np.zeros(len(self.local))
         for i, c in enumerate(self._contacts):
             at_interface = self.local.interface == i
-            gap[at_interface] = gap_at(self._full_gap[at_interface], c.gap_history, time)
+            clearance[at_interface] = gap_at(self._full_gap[at_interface], c.gap_history, time)
+        self._clearance = clearance
         if self.finite_sliding is None:
-            self.gap = gap_vectors(self.local.normals, gap)
+            self.gap = gap_vectors(self.local.normals, clearance)
         else:
             self.finite_sliding.set_time(self._committed_time, time)
-            self.pair_at(self.state.jump)
+            self.set_pairs(self.state.jump)
         self.prescribed = np.zeros((len(self.local), 3))
         for support, jump in zip(self._supports, self._unit_jumps, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
 
-    def pair_at(self, jump: Floats) -> None:
+    def set_pairs(self, jump: Floats) -> None:
         """Pair the points with finite sliding, at jumps (n, 3) [mm]: gaps, normals, reference."""
         assert self.finite_sliding is not None
         rows, local = self.finite_sliding.rows, self.local
-        closest = self.finite_sliding.pair(jump)
+        closest = self.finite_sliding.find_pairs(jump)
         local.normals[rows, 0] = closest.normal
         self.law.set_normals(rows)
-        self._paired_jump, gap = jump.copy(), self._clearance.copy()
+        self._jump_at_pairing, gap = jump.copy(), self._clearance.copy()
         gap[rows] += closest.gap - np.einsum("pi,pi->p", closest.normal, jump[rows])
         self.gap = gap_vectors(local.normals, gap)
 
-    def pair(self, trial: TrialState) -> bool:
+    def update_pairs(self, trial: TrialState) -> bool:
         """Pair points with finite sliding anew if their gaps are wrong in a state; collective."""
         if self.finite_sliding is None:
             return False
         rows = self.finite_sliding.rows
         pressure = trial.law.pressures[rows, 0]
-        gap_error = self.finite_sliding.error(self._paired_jump, trial.jump)
+        gap_error = self.finite_sliding.error(self._jump_at_pairing, trial.jump)
         error = self.law.local_stiffness[rows] * gap_error
-        local = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
-        largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
+        largest = pressure.max(initial=0.0), error[pressure > 0].max(initial=0.0)
+        largest_pressure, largest_error = (self.comm.allreduce(float(v), MPI.MAX) for v in largest)
         if largest_error <= PAIRING_ACCURACY * largest_pressure:
             return False
-        self.pair_at(trial.jump)
+        self.set_pairs(trial.jump)
         return True
 
     def commit(self, state: ContactState, time: float) -> None:
@@ -374,18 +375,18 @@ class ContactInterfaces:
         if time <= self.insertion_time:
             state.inserted = state.jump
         self.state, self._committed_time = state, time
-        self.carried = state.jump
+        self.committed_jump = state.jump
         if self.finite_sliding is not None:
             self.finite_sliding.set_time(time, time)
-            self.committed_at = self._paired_jump
+            self.jump_at_committed_pairing = self._jump_at_pairing
 
     @property
     def reference(self) -> Floats:
         """Jumps with zero slip relative to the last committed step (n, 3) [mm]."""
         return (
-            self.carried
+            self.committed_jump
             if self.finite_sliding is None
-            else self.finite_sliding.reference(self.carried)
+            else self.finite_sliding.reference(self.committed_jump)
         )
 
     def opening(self, jump: Floats) -> Floats:
@@ -396,18 +397,23 @@ class ContactInterfaces:
             gaps[rows] = np.einsum("pi,pi->p", gaps[rows], n)[:, None] * n
         return gaps
 
-    def constrain(self, on: bool) -> bool:
+    def constrain(self, active: bool) -> bool:
         """Constrain interfaces that have to close to hold a body, or release all; collective.
 
-        Such an interface was open everywhere so far. Or it is open in part and joins a body that
-        neither supports nor its touching points hold. The sides of a constrained interface touch
-        and stick, which moves the body into contact.
+        Constrained are interfaces that are open everywhere, and partly open ones of a body that
+        neither supports nor touching points hold. The sides of a constrained interface touch and
+        stick, which moves the body into contact.
+
+        Args:
+            active: True to constrain, False to release.
 
         Returns:
             True if interfaces are constrained.
         """
-        constrained = self.law.constrained = np.zeros(len(self.local), dtype=bool)
-        if not on:
+        # Filled below: the law has it already, as `_floating_bodies` reads it.
+        constrained = np.zeros(len(self.local), dtype=bool)
+        self.law.constrained = constrained
+        if not active:
             return False
         gap = self._clearance.copy()
         if self.finite_sliding is not None:
@@ -443,6 +449,9 @@ class ContactInterfaces:
             np.linalg.norm(free_motions.reshape(self._body_count, -1), axis=1) > MOVING_SIZE
         )
         return {int(body) for body in np.flatnonzero(takes_part)}
+
+    # Rigid motions of bodies: nothing resists free motions; only points that are open now could
+    # resist loose ones. A body floats if it has a loose motion at the start.
 
     def free_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
@@ -482,30 +491,32 @@ class ContactInterfaces:
         """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
         return self.law.frictional | ~self.law.slides | self.law.constrained
 
-    def _weakly_resisted_motions(self, stick: Bools, slide: Bools, part: float) -> Floats:
-        """Rigid motions resisted by less than a part of the largest (6 bodies, k); collective.
+    def _weakly_resisted_motions(self, stick: Bools, slide: Bools, threshold: float) -> Floats:
+        """Rigid motions resisted by less than a threshold (6 bodies, k); collective.
 
         Args:
             stick: Mask of local points that resist their jump (n,).
             slide: Mask of local points that resist their opening (n,).
-            part: Part of the largest resistance.
+            threshold: The threshold over the largest resistance [-].
         """
         faces = np.einsum("pki,pkj->pij", self.local.normals, self.local.normals)
         B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
         B *= self.local.weight[:, None, None]
-        at_points = self.jumps_by_motion.transpose(0, 2, 1) @ B @ self.jumps_by_motion
-        local = relative_resistance(at_points, self.local.bodies, self._body_count)
-        resistance = self.comm.allreduce(local)
+        resistance_of_points = self.jumps_by_motion.transpose(0, 2, 1) @ B @ self.jumps_by_motion
+        local_resistance = relative_resistance(
+            resistance_of_points, self.local.bodies, self._body_count
+        )
+        resistance = self.comm.allreduce(local_resistance)
         area = float(self.points.weight.sum())
         if self._support_resistance is None:
             self._support_resistance = support_resistance(
                 self._body_forms, self._stiffness, *self.frame
             )
         for body, body_resistance in self._support_resistance.items():
-            of_body = slice(6 * body, 6 * body + 6)
-            resistance[of_body, of_body] += area * body_resistance
+            rows = slice(6 * body, 6 * body + 6)
+            resistance[rows, rows] += area * body_resistance
         sizes, motions = np.linalg.eigh(resistance)
-        return np.asarray(motions[:, sizes <= part * max(sizes[-1], area)])
+        return np.asarray(motions[:, sizes <= threshold * max(sizes[-1], area)])
 
     @property
     def frame(self) -> tuple[Floats, float]:
@@ -538,15 +549,18 @@ class ContactInterfaces:
         touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
-    def open(self, on: bool) -> bool:
+    def open(self, active: bool) -> bool:
         """Open all interfaces that can open, or let them close again; collective.
 
         Elastic layers and cohesion keep their forces.
 
+        Args:
+            active: True to open, False to let them close.
+
         Returns:
             True if interfaces are opened.
         """
-        self.law.opened = self.law.has_contact & self.law.can_open & on
+        self.law.opened = self.law.has_contact & self.law.can_open & active
         return bool(self.comm.allreduce(bool(self.law.opened.any()), MPI.LOR))
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
@@ -628,10 +642,13 @@ class ContactInterfaces:
         return project_free(r) + scale[:, None] * (q - project_free(q) - self.prescribed)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
-        """Factors (n, 3, 3) of [C^T, D] in the Jacobian rows, and blocks (n, 3, 3) added to D."""
-        held_projector, weight = self.local.projector, self.local.weight
-        free_projector = np.eye(3) - held_projector
+        """Factors 1 - P' of [C^T, D] in the Jacobian rows, and blocks r W P' added to D.
+
+        Both (n, 3, 3), with P' in the free directions; see the module's docstring.
+        """
+        prescribed_projector, weight = self.local.projector, self.local.weight
+        free_projector = np.eye(3) - prescribed_projector
         P = free_projector @ law.by_multiplier @ self.law.multiplier_share @ free_projector
         by_jump = free_projector @ law.by_jump @ free_projector
         scale = (self.law.stiffness * weight)[:, None, None]
-        return free_projector - P, weight[:, None, None] * by_jump + scale * held_projector
+        return free_projector - P, weight[:, None, None] * by_jump + scale * prescribed_projector

@@ -34,14 +34,21 @@ OUTPUTS: dict[str, tuple[int, ...]] = {
     "stored": (),
     "dissipated": (),
     "dissipated_by_jump": (3,),
-    "broken": (),
-    "broken_by_jump": (3,),
+    "debonded_share": (),
+    "debonded_share_by_jump": (3,),
 }
-# A prescribed slip, or an error of its force, below this part of its size counts as zero.
-REST_TOLERANCE = 1e-13
+# Prefix of the outputs with new internal variables.
+NEW = "new "
+# A prescribed slip below this part of the jumps counts as zero.
+SLIP_ROUNDING = 1e-13
+# So does one whose trial force is below this part of the whole trial force: it is smaller than the
+# errors of the friction along it, which would decide about stick and slip.
+REST_TOLERANCE = 1e-11
+# The force along a prescribed jump has converged within this part of the trial force.
+FORCE_TOLERANCE = 1e-12
 # Start of the local Newton iterations for that force, as a multiple of the trial force.
 START_FACTOR = 1e3
-# Most local Newton iterations.
+# Most local Newton iterations. In 1e5 random points of one face it took at most 34.
 LOCAL_ITERATIONS = 50
 # The modules that define a law, together with the module of its class. If their text changes, the
 # law is compiled again.
@@ -76,26 +83,38 @@ class PointForces:
     outputs: Mapping[str, Floats]
 
     @property
-    def by_law(self) -> Floats:
-        """Derivative by the jump without the trial force of contact (n, 3, 3) [MPa/mm]."""
+    def traction_stiffness(self) -> Floats:
+        """Stiffness of the traction alone: `by_jump` - r `by_multiplier` (n, 3, 3) [MPa/mm]."""
         return self.by_jump - self.stiffness[:, None, None] * self.by_multiplier
 
     @property
     def resisted(self) -> Floats:
-        """Part of a change of the jump that is resisted (n, 3, 3) [-].
+        """Fraction of a jump increment that the law resists (n, 3, 3) [-].
 
-        For contact it is the derivative by the multiplier. The law adds its stiffness over the sum
-        of its stiffness and that of the trial force.
+        It is `by_multiplier` + k / (k + r), with k the positive principal values of
+        `traction_stiffness`.
         """
-        of_law, r = self.by_law, self.stiffness[:, None]
-        sizes, axes = np.linalg.eigh((of_law + of_law.transpose(0, 2, 1)) / 2)
-        resisted_shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
-        return self.by_multiplier + (axes * resisted_shares[:, None, :]) @ axes.transpose(0, 2, 1)
+        K, r = self.traction_stiffness, self.stiffness[:, None]
+        sizes, axes = np.linalg.eigh((K + K.transpose(0, 2, 1)) / 2)
+        shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
+        return self.by_multiplier + (axes * shares[:, None, :]) @ axes.transpose(0, 2, 1)
 
 
-# Rows of points with the same number of faces and laws of the same form, with their compiled law
-# and the compiled contact law of the debonded area.
-Group = tuple[Ints, InterfaceLaw, Pointwise, Pointwise | None]
+@dataclass(frozen=True)
+class CompiledGroup:
+    """Local points with the same number of faces and laws of the same form.
+
+    Attributes:
+        rows: The points (n,).
+        law: A law of this form.
+        kernel: The compiled law.
+        debonded_kernel: The compiled contact law of the debonded area, if there is any.
+    """
+
+    rows: Ints
+    law: InterfaceLaw
+    kernel: Pointwise
+    debonded_kernel: Pointwise | None
 
 
 class PointLaw:
@@ -107,25 +126,24 @@ class PointLaw:
         has_contact: True where the law is contact, or has contact of the debonded area (n,).
         dissipates: True where the law declares the energy that it dissipates (n,).
         internal_variables: Shapes of the internal variables of the laws, by name.
-        constrained: Points that stick, for any law (n,).
-        opened: Points without contact force, for any law (n,). Layers and cohesion still act.
-        local_stiffness: Stiffness per area against the jump of each point (n,) [MPa/mm].
-        default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
-        stiffness: Current stiffness of the trial force (n,) [MPa/mm].
-        compliance: Compliance of the elastic layer in series (n, 3, 3) [mm/MPa].
-        layer_share: Stiffness of the layer over the sum of its and the bodies' (n, 3, 3) [-]: the
-            identity without a layer.
-        multiplier_share: Factor of the equilibrium force in the trial force (n, 3, 3): 1 without
-            a layer.
+        constrained: Mask of points that a remedy forces to stick (n,).
+        opened: Mask of points whose contact a remedy switches off (n,). Layers and cohesion still
+            act.
+        local_stiffness: Stiffness k per area against the jump of each point (n,) [MPa/mm].
+        default_stiffness: Default augmentation (n,) [MPa/mm].
+        stiffness: Current augmentation r, the stiffness of the trial force (n,) [MPa/mm].
+        compliance: Compliance C of the elastic layer in series (n, 3, 3) [mm/MPa]; 0 without one.
+        layer_share: (1 + k C)^-1: stiffness of the layer over the sum of its and the bodies'
+            (n, 3, 3) [-].
+        multiplier_share: 1 - r C: factor of the equilibrium force in the trial force (n, 3, 3) [-].
         slides: True where the slip follows from contact, False where the law returns it (n,).
         frozen: True while the internal variables of the laws stay at the last state.
     """
 
-    frozen = False
-
     def __init__(self, comm: MPI.Comm, points: LocalPoints, timing: Timing) -> None:
         self._comm, self._points, self._timing = comm, points, timing
-        self._groups_by_form: dict[tuple[Hashable, ...], list[Group]] = {}
+        self._groups_by_form: dict[tuple[Hashable, ...], list[CompiledGroup]] = {}
+        self.frozen = False
 
     def begin(
         self,
@@ -146,11 +164,11 @@ class PointLaw:
         if forms not in self._groups_by_form:
             with self._timing.phase("compile", "contact"):
                 self._groups_by_form[forms] = self._compile_groups(laws)
-        self._factor, self._groups = factor, self._groups_by_form[forms]
+        self._factor, self._constants = factor, values
+        self._groups = self._groups_by_form[forms]
         self._laws = [(law, points.interface == i) for i, law in enumerate(laws)]
-        for rows, law, compiled, _ in self._groups:
-            constants = {name: values[name][rows] for name in law.values}
-            compiled.set(**constants)
+        for group in self._groups:
+            group.kernel.set(**{name: values[name][group.rows] for name in group.law.constants})
         self.internal_variables = {
             k: shape for law in laws for k, shape in law.internal_variables.items()
         }
@@ -160,8 +178,7 @@ class PointLaw:
         has_contact = [law.is_contact or law.debonded_contact is not None for law in laws]
         self.has_contact = np.array(has_contact)[points.interface]
         self.dissipates = np.array([law.dissipates for law in laws])[points.interface]
-        # Friction coefficient of the debonded area.
-        self._friction = values.get("friction_coefficient", np.zeros(len(points)))
+
         self.constrained = np.zeros(len(points), dtype=bool)
         self.opened = np.zeros(len(points), dtype=bool)
         self._augmentation_scale = 1.0
@@ -176,36 +193,36 @@ class PointLaw:
                 )
         self.update_stiffness(local_stiffness)
 
-    def _compile_groups(self, laws: Sequence[InterfaceLaw]) -> list[Group]:
+    def _compile_groups(self, laws: Sequence[InterfaceLaw]) -> list[CompiledGroup]:
         points, forms = self._points, list(dict.fromkeys(law.form for law in laws))
-        form_of_point = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[
-            points.interface
-        ]
-        local_groups = {
-            (int(face_count), int(form_number))
-            for face_count, form_number in zip(points.faces, form_of_point, strict=True)
+        number_of_law = np.array([forms.index(law.form) for law in laws], dtype=np.int64)
+        number_of_point = number_of_law[points.interface]
+        # Compilation is collective: every rank compiles each pair of face count and form that
+        # occurs on any rank.
+        local_pairs = {
+            (int(face_count), int(number))
+            for face_count, number in zip(points.faces, number_of_point, strict=True)
             if face_count
         }
-        compiled_groups = []
-        for face_count, form_number in sorted(set().union(*self._comm.allgather(local_groups))):
-            rows = np.flatnonzero((points.faces == face_count) & (form_of_point == form_number))
-            law = next(law for law in laws if law.form == forms[form_number])
+        all_pairs: set[tuple[int, int]] = set().union(*self._comm.allgather(local_pairs))
+        groups = []
+        for face_count, number in sorted(all_pairs):
+            rows = np.flatnonzero((points.faces == face_count) & (number_of_point == number))
+            law = next(law for law in laws if law.form == forms[number])
             normals = points.normals[rows, :face_count]
-            compiled = _compile_law(self._comm, normals, law)
-            debonded = (
-                None
-                if law.debonded_contact is None
-                else _compile_law(self._comm, normals, law.debonded_contact)
-            )
-            compiled_groups.append((rows, law, compiled, debonded))
-        return compiled_groups
+            kernel = _compile_law(self._comm, normals, law)
+            debonded_kernel = None
+            if law.debonded_contact is not None:
+                debonded_kernel = _compile_law(self._comm, normals, law.debonded_contact)
+            groups.append(CompiledGroup(rows, law, kernel, debonded_kernel))
+        return groups
 
     def set_normals(self, points: Ints) -> None:
         """Set the normals of points of one face to their current values."""
-        for rows, _, compiled, _ in self._groups:
-            if np.isin(rows, points).any():
-                normal = self._points.normals[rows, 0]
-                compiled.set(normal_0=normal, dual_0=normal)
+        for group in self._groups:
+            if np.isin(group.rows, points).any():
+                normal = self._points.normals[group.rows, 0]
+                group.kernel.set(normal_0=normal, dual_0=normal)
 
     # Stiffness of the trial force
 
@@ -223,14 +240,14 @@ class PointLaw:
         self.layer_share = np.linalg.inv(np.eye(3) + softer)
         self.default_stiffness = self._layer_stiffness.copy()
         for law, at_points in self._laws:
-            # Above the stiffness of a layer the multiplier would enter with a negative sign.
-            r = law.trial_stiffness(self.local_stiffness[at_points], self._factor)
+            # An r above the layer's stiffness would make `multiplier_share` negative.
+            r = law.augmentation_of(self.local_stiffness[at_points], self._factor)
             self.default_stiffness[at_points] = np.minimum(r, self._layer_stiffness[at_points])
         self.scale_augmentation(self._augmentation_scale)
 
-    def freeze(self, on: bool) -> bool:
+    def freeze(self, active: bool) -> bool:
         """Freeze the internal variables, or let them change; return True if there are any."""
-        self.frozen = on and bool(self.internal_variables)
+        self.frozen = active and bool(self.internal_variables)
         return bool(self.internal_variables)
 
     def scale_augmentation(self, factor: float) -> None:
@@ -241,8 +258,12 @@ class PointLaw:
         self.multiplier_share = np.eye(3) - layers
 
     def default_augmentation_ratio(self) -> float:
-        """Geometric mean of the default augmentation over the one of the case [-]; collective."""
-        is_augmented = np.array([law.augmented for law, _ in self._laws])[self._points.interface]
+        """Geometric mean of the default augmentation over the one of the case [-]; collective.
+
+        Remedies use it to leave an unsuitable key `augmentation` or `augmentation_factor`.
+        """
+        has_augmentation = np.array([law.has_augmentation for law, _ in self._laws])
+        is_augmented = has_augmentation[self._points.interface]
         default_stiffness = np.minimum(
             DEFAULT_AUGMENTATION * self.local_stiffness, self._layer_stiffness
         )[is_augmented]
@@ -275,7 +296,7 @@ class PointLaw:
             "gap": gap,
             "old": points.acting(state.jump),
             "r": r,
-            "live": np.full(n, float(not self.frozen)),
+            "frozen": np.full(n, float(self.frozen)),
         }
         point_forces = PointForces(
             force=np.zeros((n, 3)),
@@ -290,12 +311,11 @@ class PointLaw:
             debonded_friction_work=np.zeros(n),
             outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
         )
-        for rows, law, compiled, debonded in self._groups:
-            law_inputs = inputs | {
-                name: state.internal_variables[name] for name in law.internal_variables
-            }
-            law_inputs = {k: v[rows] for k, v in law_inputs.items()}
-            response = self._evaluate_law(rows, compiled, law_inputs, state.friction[rows])
+        for group in self._groups:
+            rows, law = group.rows, group.law
+            committed = {name: state.internal_variables[name] for name in law.internal_variables}
+            inputs_at_rows = {k: v[rows] for k, v in (inputs | committed).items()}
+            response = self._evaluate_law(rows, group.kernel, inputs_at_rows, state.friction[rows])
             point_forces.force[rows] = response["force"]
             by_multiplier = response.get("by_multiplier", 0.0)
             point_forces.by_multiplier[rows] = by_multiplier
@@ -306,14 +326,17 @@ class PointLaw:
             point_forces.pressures[rows, : pressures.shape[1]] = pressures
             point_forces.status[rows] = np.rint(response["status"]).astype(np.int64)
             for name in law.internal_variables:
-                point_forces.internal_variables[name][rows] = response[f"new {name}"]
+                point_forces.internal_variables[name][rows] = response[NEW + name]
             for name in OUTPUTS.keys() & response.keys():
                 point_forces.outputs[name][rows] = response[name]
-            if debonded is not None:
-                contact_inputs = {name: law_inputs[name] for name in inputs}
-                self._add_debonded_contact(rows, law, debonded, contact_inputs, state, point_forces)
+            if group.debonded_kernel is not None:
+                contact_inputs = {name: inputs_at_rows[name] for name in inputs}
+                self._add_debonded_contact(
+                    rows, law, group.debonded_kernel, contact_inputs, state, point_forces
+                )
         if self.constrained.any():
             self._constrain(point_forces, force, jump + gap, state.jump)
+        # Cohesive tractions stay.
         is_opened = self.opened & self.slides
         if is_opened.any():
             for values in (
@@ -327,12 +350,12 @@ class PointLaw:
         return point_forces
 
     def _evaluate_law(
-        self, rows: Ints, compiled: Pointwise, inputs: dict[str, Floats], last_friction: Floats
+        self, rows: Ints, kernel: Pointwise, inputs: dict[str, Floats], last_friction: Floats
     ) -> dict[str, Floats]:
         r"""Evaluate a law, with its force along prescribed tangential jumps.
 
-        Supports bear a part of the force along a prescribed jump, so that equilibrium does not give
-        it. The law gives this force F_h:
+        Along a prescribed jump, equilibrium contains the support reaction. The interface force F_h
+        there follows from the law alone:
 
         .. math:: F_h = H P(F + M F_h),
 
@@ -340,9 +363,15 @@ class PointLaw:
         the jump changes in the step, Newton's method solves for F_h at each point. Where the jump
         is at rest, F_h is the friction of the last converged state.
 
+        At a point of one face Newton's method always converges. Along one direction H P - F_h is a
+        decreasing function of F_h, concave on the side of the start, so that the iterates approach
+        the root from one side. They are slowest where the force across the direction equals the
+        limit of friction: a triple root, at which each iteration leaves 2/3 of the error. If both
+        tangential directions are prescribed, the force is along the slip.
+
         Args:
             rows: Local points of the law (n,).
-            compiled: The law.
+            kernel: The compiled law.
             inputs: Inputs of the law by name, without F_h in the force.
             last_friction: Friction in the last converged state (n, 3) [MPa].
 
@@ -351,24 +380,29 @@ class PointLaw:
         """
         H = self._points.held_tangents[rows]
         if not H.any():
-            return compiled.named(**inputs)
+            return kernel.named(**inputs)
         M = self.multiplier_share[rows]
-        slides, scale, F_h = _start_of_held_force(H, inputs, last_friction)
+        is_sliding, scale, F_h = _start_of_prescribed_force(H, inputs, last_friction)
         for _ in range(LOCAL_ITERATIONS):
             force = inputs["force"] + np.einsum("pij,pj->pi", M, F_h)
-            response = compiled.named(**(inputs | {"force": force}))
+            response = kernel.named(**(inputs | {"force": force}))
             if "by_jump" in response:
                 # A traction that depends on the jump alone.
                 return response
             P_F = response["by_multiplier"]
-            jacobian = np.eye(3) - np.where(slides[:, None, None], H @ P_F @ M @ H, 0.0)
+            jacobian = np.eye(3) - np.where(is_sliding[:, None, None], H @ P_F @ M @ H, 0.0)
             residual = np.einsum("pij,pj->pi", H, response["force"]) - F_h
-            residual = np.where(slides[:, None], residual, 0.0)
-            if (np.abs(residual).max(axis=1) <= REST_TOLERANCE * scale).all():
+            # A point that has converged stays: rounding could move it from slip to stick.
+            is_unfinished = is_sliding & (np.abs(residual).max(axis=1) > FORCE_TOLERANCE * scale)
+            if not is_unfinished.any():
                 break
-            F_h = F_h + np.linalg.solve(jacobian, residual[:, :, None])[:, :, 0]
+            rows_left = np.flatnonzero(is_unfinished)
+            F_h[rows_left] += np.linalg.solve(jacobian[rows_left], residual[rows_left, :, None])[
+                :, :, 0
+            ]
         # Implicit derivative of F_h by the multiplier F.
-        F_h_by_F = np.where(slides[:, None, None], np.linalg.solve(jacobian, H @ P_F), 0.0)
+        derivative = np.linalg.solve(jacobian, H @ P_F)
+        F_h_by_F = np.where(is_sliding[:, None, None], derivative, 0.0)
         return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
 
     def _add_debonded_contact(
@@ -380,20 +414,20 @@ class PointLaw:
         state: ContactState,
         point_forces: PointForces,
     ) -> None:
-        r"""Add contact on the broken share s of a law of traction T.
+        r"""Add contact on the debonded share s of a law of traction T.
 
         .. math:: F = T + P(F - T + r D) \quad \text{with the friction coefficient } s μ
 
         Its code is that of contact alone: one kernel for T and P together takes ffcx minutes.
         """
         points, r = self._points, inputs["r"]
-        broken_share = point_forces.outputs["broken"][rows]
-        in_contact = (broken_share > 0) & ~self.opened[rows]
+        debonded_share = point_forces.outputs["debonded_share"][rows]
+        in_contact = (debonded_share > 0) & ~self.opened[rows]
         traction, traction_by_jump = point_forces.force[rows], point_forces.by_jump[rows]
         free_projector = np.eye(3) - points.held_tangents[rows]
         inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free_projector, traction)
         if law.friction > 0:
-            inputs["μ"] = self._friction[rows] * broken_share
+            inputs["μ"] = self._constants["μ"][rows] * debonded_share
         response = self._evaluate_law(rows, contact, inputs, state.friction[rows])
         contact_force = response["force"]
         by_multiplier = response["by_multiplier"]
@@ -404,15 +438,11 @@ class PointLaw:
         )
         is_slipping = in_contact & (status == SLIP)
         by_jump = by_multiplier @ (r[:, None, None] * np.eye(3) - free_projector @ traction_by_jump)
-        # The disc of friction grows with the broken share.
-        by_share = np.where(is_slipping, 1 / np.where(in_contact, broken_share, 1.0), 0.0)[
-            :, None, None
-        ]
-        by_jump += (
-            by_share
-            * friction[:, :, None]
-            * point_forces.outputs["broken_by_jump"][rows][:, None, :]
-        )
+        # The disc of friction grows with the debonded share.
+        share_by_jump = point_forces.outputs["debonded_share_by_jump"][rows]
+        by_share = np.zeros(len(rows))
+        by_share[is_slipping] = 1 / debonded_share[is_slipping]
+        by_jump += by_share[:, None, None] * friction[:, :, None] * share_by_jump[:, None, :]
         contact_rows = rows[in_contact]
         point_forces.force[contact_rows] += contact_force[in_contact]
         point_forces.by_multiplier[contact_rows] = by_multiplier[in_contact]
@@ -431,23 +461,24 @@ class PointLaw:
         point_forces.outputs["slip"][closed] = tangential_motion[closed]
 
     def _constrain(
-        self, point_forces: PointForces, force: Floats, opening: Floats, old_jump: Floats
+        self, point_forces: PointForces, force: Floats, opening: Floats, jump_old: Floats
     ) -> None:
+        """Replace the response of constrained points by stick, in place."""
         points, constrained = self._points, self.constrained
-        old_slip = points.tangential(old_jump, np.ones((len(points), 3), dtype=bool))
-        trial = force + self.stiffness[:, None] * (opening - old_slip)
+        slip_old = points.tangential(jump_old, np.ones((len(points), 3), dtype=bool))
+        trial = force + self.stiffness[:, None] * (opening - slip_old)
         point_forces.force[constrained] = points.project_free(trial)[constrained]
         point_forces.by_multiplier[constrained] = np.eye(3)
         point_forces.by_jump[constrained] = (self.stiffness[:, None, None] * np.eye(3))[constrained]
         point_forces.status[constrained] = STICK
 
 
-def _start_of_held_force(
+def _start_of_prescribed_force(
     H: Floats, inputs: Mapping[str, Floats], last_friction: Floats
 ) -> tuple[Bools, Floats, Floats]:
     """Start of Newton's method for the force along prescribed tangential jumps.
 
-    It is far along the slip, so that all iterates slip.
+    It is far along the slip: all iterates then slip, without an elastic layer.
 
     Args:
         H: Projectors on the prescribed directions (n, 3, 3).
@@ -461,18 +492,14 @@ def _start_of_held_force(
     jump, old_jump = inputs["jump"], inputs["old"]
     slip = np.einsum("pij,pj->pi", H, jump - old_jump)
     size = np.linalg.norm(slip, axis=1)
-    is_sliding = size > REST_TOLERANCE * (
-        np.linalg.norm(jump, axis=1) + np.linalg.norm(old_jump, axis=1)
-    )
+    jump_sizes = np.linalg.norm(jump, axis=1) + np.linalg.norm(old_jump, axis=1)
     opening = np.linalg.norm(jump + inputs["gap"], axis=1)
     scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
+    is_sliding = (size > SLIP_ROUNDING * jump_sizes) & (inputs["r"] * size > REST_TOLERANCE * scale)
     direction = slip / np.where(is_sliding, size, 1.0)[:, None]
-    at_rest = np.einsum("pij,pj->pi", H, last_friction)
-    return (
-        is_sliding,
-        scale,
-        np.where(is_sliding[:, None], START_FACTOR * scale[:, None] * direction, at_rest),
-    )
+    start = START_FACTOR * scale[:, None] * direction
+    last = np.einsum("pij,pj->pi", H, last_friction)
+    return is_sliding, scale, np.where(is_sliding[:, None], start, last)
 
 
 def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
@@ -482,21 +509,28 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
     vectors = ["force", "jump", "gap", "old", "star", *faces, *duals]
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
-        values = {name: x[name] for name in law.values}
-        internal_variables = {name: x[name] for name in law.internal_variables}
-        state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
-        normals_of_point = contact.Faces.of([x[f] for f in faces], [x[d] for d in duals])
-        at_point = AtPoint(*state, normals_of_point, x["r"], values, internal_variables, x["live"])
-        response = law.response(at_point)
-        output_names = ("force", "by_multiplier", "by_jump", "pressures", "status", *OUTPUTS)
-        outputs = {name: getattr(response, name) for name in output_names}
-        outputs |= {f"new {name}": as_ufl(e) for name, e in response.internal_variables.items()}
+        point = AtPoint(
+            F=x["force"],
+            jump=x["jump"],
+            gap=x["gap"],
+            jump_old=x["old"],
+            S_star=x["star"],
+            normals=contact.Faces.of([x[f] for f in faces], [x[d] for d in duals]),
+            r=x["r"],
+            constants={name: x[name] for name in law.constants},
+            internal_variables={name: x[name] for name in law.internal_variables},
+            frozen=x["frozen"],
+        )
+        response = law.response(point)
+        names = ("force", "by_multiplier", "by_jump", "pressures", "status", *OUTPUTS)
+        outputs = {name: getattr(response, name) for name in names}
+        outputs |= {NEW + name: as_ufl(e) for name, e in response.internal_variables.items()}
         return {name: e for name, e in outputs.items() if e is not None}
 
-    sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r", "live"), 1)
+    sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.constants, "r", "frozen"), 1)
     sizes |= {name: int(np.prod(shape)) for name, shape in law.internal_variables.items()}
-    note = _note(law, f"{law.form} {len(faces)}")
-    compiled = Pointwise(comm, len(normals), sizes, build, note)
+    cache_file = _cache_file_of(law, f"{law.form} {len(faces)}")
+    compiled = Pointwise(comm, len(normals), sizes, build, cache_file)
     constant = {f: normals[:, k] for k, f in enumerate(faces)}
     dual = dual_vectors(normals)
     constant |= {d: dual[:, k] for k, d in enumerate(duals)}
@@ -504,22 +538,29 @@ def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwis
     return compiled
 
 
-def _note(law: InterfaceLaw, key: str) -> Path | None:
+def _cache_file_of(law: InterfaceLaw, key: str) -> Path | None:
     module = sys.modules[type(law).__module__]
     has_file = getattr(module, "__file__", None) is not None
     return pointwise.note_of(key, (*SOURCES, module)) if has_file else None
 
 
-def _compliance(normals: Floats, faces: Ints, across: float, along: float) -> Floats:
+def _compliance(
+    normals: Floats, faces: Ints, normal_stiffness: float, tangential_stiffness: float
+) -> Floats:
     """Compliance (n, 3, 3) [mm/MPa] of a layer with two stiffnesses [MPa/mm].
 
-    Faces share the area of a point: their stiffnesses are averaged. The one across may be infinite.
+    Faces share the area of a point: their stiffnesses are averaged. The normal stiffness may be
+    infinite.
     """
-    across_all = np.einsum("pki,pkj->pij", normals, normals)
-    if np.isinf(across):  # rigid along every normal
-        return (np.eye(3) - np.linalg.pinv(across_all) @ across_all) / along
-    mean = across_all / np.maximum(faces, 1)[:, None, None]
-    return np.linalg.inv(along * np.eye(3) + (across - along) * mean)
+    normal_projectors = np.einsum("pki,pkj->pij", normals, normals)
+    if np.isinf(normal_stiffness):  # rigid along every normal
+        return (
+            np.eye(3) - np.linalg.pinv(normal_projectors) @ normal_projectors
+        ) / tangential_stiffness
+    mean = normal_projectors / np.maximum(faces, 1)[:, None, None]
+    return np.linalg.inv(
+        tangential_stiffness * np.eye(3) + (normal_stiffness - tangential_stiffness) * mean
+    )
 
 
 def gap_vectors(normals: Floats, gap: Floats) -> Floats:

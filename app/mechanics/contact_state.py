@@ -9,7 +9,7 @@ import numpy as np
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
-from app.interfaces.corners import RIGIDLY, ContactPoints, Holds
+from app.interfaces.corners import RIGIDLY, ContactPoints, VertexConstraints
 from app.interfaces.faces import projectors
 from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.laws.supports import Support
@@ -140,7 +140,11 @@ def prescribed_jump(
         rigid_displacement: Displacement that it prescribes, of the nodes of local points (n, 3)
             [mm].
     """
-    support_of_component, axes, x = points.given[rows], points.axes[rows], points.x[rows]
+    support_of_component, axes, x = (
+        points.prescribing_support[rows],
+        points.axes[rows],
+        points.x[rows],
+    )
     jump = np.zeros(x.shape)
     for side, sign in ((0, -1.0), (1, 1.0)):
         for support_index, values in ((number, None), (RIGIDLY, rigid_displacement)):
@@ -166,9 +170,9 @@ def with_rigid_regions(
     body_forms: BodyForms,
     constraints: Sequence[Constraints],
     facets: InterfaceFacets,
-    holds: Holds,
+    holds: VertexConstraints,
     axes: Mapping[int, Floats],
-) -> Holds:
+) -> VertexConstraints:
     """Return supports at vertices of interfaces, on rigid regions too; collective.
 
     A rigid region is held at a vertex if its supports, wherever they are, prescribe the motion of
@@ -202,11 +206,15 @@ def with_rigid_regions(
     columns = [np.concatenate(column) for column in zip(*reversed(all_holds), strict=True)]
     sides = np.column_stack(columns[:2])
     first_rows = np.unique(sides, axis=0, return_index=True)[1]
-    return Holds(*(column[first_rows] for column in columns))
+    return VertexConstraints(*(column[first_rows] for column in columns))
 
 
 def refuse_loose_regions(
-    scene: Scene, bodies: Bodies, holds: Holds, facets: InterfaceFacets, axes: Mapping[int, Floats]
+    scene: Scene,
+    bodies: Bodies,
+    holds: VertexConstraints,
+    facets: InterfaceFacets,
+    axes: Mapping[int, Floats],
 ) -> None:
     """Refuse supports that hold an elastic side where none prescribes the motion of the rigid one.
 
@@ -242,7 +250,7 @@ def refuse_supports(scene: Scene, points: ContactPoints) -> None:
         InputError: A support of some stages holds a body where another one holds its neighbour.
     """
     for s, support in enumerate(scene.supports):
-        if support.stages is not None and (points.given == s).any():
+        if support.stages is not None and (points.prescribing_support == s).any():
             raise InputError(
                 f"supports.{support.name}: is released in some stages, but holds an interface "
                 "whose other side is held too; use a boundary away from the interface, the same "

@@ -110,7 +110,7 @@ class FiniteSliding:
             {i: rotation_vector(rotations[i] @ committed_rotations[i].T) for i in rotations}
         )
 
-    def pair(self, jump: Floats) -> Paired:
+    def find_pairs(self, jump: Floats) -> Paired:
         """Pair the points, at jumps of all points of this rank (n, 3) [mm]; collective."""
         self.paired = self._pair_with_surfaces(jump)
         positions = self.places(jump)
@@ -120,7 +120,7 @@ class FiniteSliding:
                 self.rows[at_interface]
             ]  # in the order of the vertices
             point_number, x = gather(self._comm, point_number, positions[at_interface])
-            self.followers.pair(i, x[np.argsort(point_number)])
+            self.followers.find_pairs(i, x[np.argsort(point_number)])
         return self.paired
 
     def touching(self, time: float) -> Floats:

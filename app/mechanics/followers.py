@@ -123,13 +123,13 @@ class Followers:
         self.rotations: dict[str, Floats] = dict.fromkeys(self.rotating, np.eye(3))
         self.pairs: dict[int, Pairs] = {}
         for i, (_, slave) in self.sides.items():
-            self.pair(i, slave.x)
+            self.find_pairs(i, slave.x)
 
     def begin(self, scene: Scene) -> None:
         """Set the motions of a run."""
         self._scene = scene
 
-    def pair(self, i: int, x: Floats) -> None:
+    def find_pairs(self, i: int, x: Floats) -> None:
         """Pair an interface, its slave's vertices at x in the master's axes (n, 3) [mm]."""
         master, slave = self.sides[i]
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()

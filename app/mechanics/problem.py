@@ -304,13 +304,13 @@ class Problem:
         r_q.array[:] = self.contact.residual(trial.equilibrium, jumps, trial.law).ravel()
         return trial
 
-    def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
+    def update_pairs(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """Pair surfaces with finite sliding anew if their gaps are wrong in a state; collective."""
         if q is None or self.sliding is None:
             return False
         trial = self.trial(u, q)
         self.update_displacements(u, q)
-        paired = self.sliding.pair(trial, u, q)
+        paired = self.sliding.update_pairs(trial, u, q)
         if paired:
             self._set_forces(self.load_time)
         return paired

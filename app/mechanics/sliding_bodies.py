@@ -91,9 +91,9 @@ class SlidingBodies:
 
     def restore_pairs(self) -> Floats:
         """Pair surfaces as in the restored state; its displacement at owned nodes (n, 3) [mm]."""
-        jump = self._contact.committed_at
+        jump = self._contact.jump_at_committed_pairing
         if jump is not None:
-            self._contact.pair_at(jump)
+            self._contact.set_pairs(jump)
             self.follow()
         return self._nodal
 
@@ -115,19 +115,19 @@ class SlidingBodies:
         u, q = stiffness.K.createVecRight(), coupling.D.createVecRight()
         q.array[:] = self._contact.state.jump.ravel()
         self.set_committed(u, q)
-        self._contact.carried = q.array.reshape(-1, 3).copy()
+        self._contact.committed_jump = q.array.reshape(-1, 3).copy()
 
     def set_committed(self, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Set unknowns and jumps to the committed displacements, in the current pairs."""
         self._set_unknowns(self._committed, u, q)
 
-    def pair(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:
+    def update_pairs(self, trial: TrialState, u: PETSc.Vec, q: PETSc.Vec) -> bool:
         """Pair points anew if their gaps are wrong; return True if so; collective.
 
         Updated displacements are kept; u and q express them in the new pairs.
         """
         displacements = self._split_displacements()
-        if not self._contact.pair(trial):
+        if not self._contact.update_pairs(trial):
             return False
         self.follow()
         self._set_unknowns(displacements, u, q)

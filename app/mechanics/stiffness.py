@@ -79,11 +79,11 @@ class Stiffness:
 
     def constraints_of_stages(self) -> list[Constraints]:
         """Constraints of all stages whose supports differ; collective."""
-        m, scene = self._body_forms, self._body_forms.scene
+        forms, scene = self._body_forms, self._body_forms.scene
         stages: dict[tuple[bool, ...], int] = {}
         for k in range(len(scene.stages)):
             stages.setdefault(tuple(scene.holds(s, k) for s in scene.supports), k)
-        return [Constraints(m, k, self.frames, self.followers) for k in stages.values()]
+        return [Constraints(forms, k, self.frames, self.followers) for k in stages.values()]
 
     def _assemble_constrained(self, paired: bool = False) -> PETSc.Mat:
         if not paired:

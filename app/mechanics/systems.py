@@ -338,7 +338,7 @@ class ContactSystem(BondedSystem):
         resisted = law.resisted @ self.contact.law.layer_share
         free_directions_of_points = free_projector @ free_directions(resisted) @ free_projector
         self._coarse_motions.update(
-            free_directions_of_points, np.linalg.norm(law.by_law, axis=(1, 2))
+            free_directions_of_points, np.linalg.norm(law.traction_stiffness, axis=(1, 2))
         )
         return self._coarse_motions
 

@@ -53,7 +53,7 @@ class ContactLaw(Protocol):
     def default_augmentation_ratio(self) -> float:
         """Geometric mean of the default augmentation over the one of the case [-]; collective."""
 
-    def freeze(self, on: bool) -> bool:
+    def freeze(self, active: bool) -> bool:
         """Freeze the internal variables, or let them change; return True if there are any."""
 
 
@@ -67,14 +67,14 @@ class Contact(Protocol):
     def augmentation(self) -> dict[str, float]:
         """Current augmentation of each interface [MPa/mm]; collective."""
 
-    def constrain(self, on: bool) -> bool:
+    def constrain(self, active: bool) -> bool:
         """Constrain interfaces that have to close before a body is held, or release them.
 
         Returns:
             True if interfaces are constrained.
         """
 
-    def open(self, on: bool) -> bool:
+    def open(self, active: bool) -> bool:
         """Open all interfaces that can open, or let them close again.
 
         Returns:

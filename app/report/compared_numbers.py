@@ -15,7 +15,7 @@ from app.case import quantities
 from app.report.sweep_results import Json, Number, SweptCase, named
 
 # Sections of a summary on the solution process; they hold no results.
-NOT_COMPARED = quantities.RUN
+NOT_COMPARED = quantities.RUN_SECTIONS
 # Name of the group of numbers by Gruen zone.
 ZONES = "Gruen zones"
 # kJ/m3 in 1 MPa.

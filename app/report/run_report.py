@@ -450,7 +450,7 @@ def _unsettled(summary: Summary) -> tuple[list[str], list[list[str]]]:
     sizes = sorted(set(chain.from_iterable(peaks.values())))
     rows = []
     for name, values in peaks.items():
-        q = quantities.get(name)
+        q = quantities.quantity_of(name)
         if q:
             value_texts = (q.text({q.key: values.get(size)}) for size in sizes)
             rows.append([quantities.titled(name), *value_texts])
@@ -500,7 +500,7 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
         )
         cases.append(case)
     all_names = sweep_figures.headlines(cases)
-    quantity_by_name = {name: quantities.get(name) for name in all_names}
+    quantity_by_name = {name: quantities.quantity_of(name) for name in all_names}
     names = [name for name, q in quantity_by_name.items() if not (q and q.exact)]
     drawings = folder / PICTURES
     is_unlimited = share == math.inf

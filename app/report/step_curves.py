@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import FACTORS, STRESSED, TABLE, printed
+from app.case.quantities import FACTORS, TABLE, TENSION_LEVELS, printed
 from app.case.summary import Summary
 from app.foundation.arrays import Floats
 from app.plots.curves import Line, Panel, sparse
@@ -127,8 +127,8 @@ def forces(case: Case, step_record: StepRecord) -> list[Panel]:
 def tension(summary: Summary) -> list[Panel]:
     """Return the panel of the cement volume above each level of tension; none if it is zero."""
     lines: list[Line] = []
-    levels = [float(level) for level in STRESSED]
-    keys = [f"volume_over_{level}_MPa" for level in STRESSED]
+    levels = [float(level) for level in TENSION_LEVELS]
+    keys = [f"volume_over_{level}_MPa" for level in TENSION_LEVELS]
     for region, q in summary.get("regions", {}).items():
         if q.get(keys[0]):
             volumes = [q[key] for key in keys]

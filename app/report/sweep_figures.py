@@ -156,7 +156,7 @@ def _link(path: Path, folder: Path) -> str:
 
 def cell(case: SweptCase, name: str) -> str:
     """Return a number of a case with its error as text; 0 if it is rounding."""
-    q, n = quantities.get(name), case.number(name)
+    q, n = quantities.quantity_of(name), case.number(name)
     if n is None or q is None:
         return "-" if n is None else str(n)
     return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
@@ -301,7 +301,7 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[tuple[str, 
         for name in headlines(part_cases)[:MOST_NUMBERS]:
             numbers = [c.number(name) for c in part_cases]
             y = [number.value for number in numbers if number is not None]
-            q = quantities.get(name)
+            q = quantities.quantity_of(name)
             if (q and q.exact) or not _varies(y):
                 continue
             ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(part_cases)}

@@ -139,7 +139,7 @@ class SweptCase:
             value, error = self.numbers.get(name), self.errors.get(name)
         if value is None or not self.done:
             return None
-        q = quantities.get(name)
+        q = quantities.quantity_of(name)
         factor = q.factor if q else 1.0
         return Number(factor * value, None if error is None else factor * error)
 

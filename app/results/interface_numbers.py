@@ -283,7 +283,9 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
         return {}
     mask, surface, weight = s.interface == i, s.surfaces[i], s.weight
     unbonded = np.ones(len(mask))
-    unbonded[mask] = contact.values["unbonded"](s.x[mask]) if "unbonded" in contact.values else 0.0
+    unbonded[mask] = (
+        contact.constants["unbonded"](s.x[mask]) if "unbonded" in contact.constants else 0.0
+    )
     bonded = weight * (1 - unbonded)
     dissipated = np.where(unbonded < 1, s.internal_variables["spent"], 0.0)
     length = zone(surface.corners, dissipated[surface.triangles], surface.area)

@@ -11,7 +11,7 @@ from dolfinx import fem
 from ufl import as_vector
 from ufl.core.expr import Expr
 
-from app.case.quantities import STRESSED, computed
+from app.case.quantities import TENSION_LEVELS, computed
 from app.case.summary import Numbers
 from app.foundation.arrays import Field, Floats
 from app.laws.materials import Elastic
@@ -211,7 +211,7 @@ class Stresses:
             extra_numbers |= s.creep.numbers(region)
         if cement:
             _, _, tension, _, _, volume = values
-            for level in STRESSED:
+            for level in TENSION_LEVELS:
                 extra_numbers[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
         return self._statistics(values) | extra_numbers
 

@@ -314,7 +314,7 @@ def _peaks(summary: Summary) -> list[Verdict]:
     """Return verdicts on maxima that change with the mesh, with their values on all meshes."""
     lines = []
     for name, ((finest, value), *coarser) in summary.get("error", {}).get("unsettled", {}).items():
-        q = quantities.get(name)
+        q = quantities.quantity_of(name)
         if q and q.unit != "-":  # a risk stands with the strength
             number_title = quantities.in_words(name)[0].removesuffix(" max").removesuffix(",")
             finest_values = [f"{number_title} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]

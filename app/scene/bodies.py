@@ -87,10 +87,10 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
     # Where supports hold both sides of a jump the first body is the base: the rigid one, if any.
     stiff = {group[tagged.regions[r.region]] for r in rigid}
 
-    def place(label: int) -> tuple[bool, int]:
+    def rigid_first(label: int) -> tuple[bool, int]:
         return label not in stiff, min(t for t in group if group[t] == label)
 
-    labels = sorted(set(group.values()), key=place)
+    labels = sorted(set(group.values()), key=rigid_first)
     number = {g: k for k, g in enumerate(labels)}
     of_region = {name: number[group[tag]] for tag, name in sorted(names.items())}
     for c in contacts:

@@ -15,7 +15,7 @@ from dolfinx.common import IndexMap
 
 from app.foundation.arrays import Bools, Floats, Ints
 from app.foundation.errors import InputError
-from app.interfaces.corners import Holds
+from app.interfaces.corners import VertexConstraints
 from app.interfaces.faces import projectors
 from app.interfaces.interface_facets import InterfaceFacets, gather
 from app.laws.supports import Support
@@ -74,7 +74,7 @@ def held_at(
     space: fem.FunctionSpace,
     supports: Sequence[Support],
     facets: InterfaceFacets,
-) -> tuple[Holds, dict[int, Floats]]:
+) -> tuple[VertexConstraints, dict[int, Floats]]:
     """Supports at vertices of interfaces, by body, and local axes by vertex; collective."""
     tags = cell_tags(tagged)
     vertices, first = np.unique(facets.vertices, return_index=True)
@@ -90,19 +90,23 @@ def held_at(
     number, body, support_of = gather(tagged.mesh.comm, *columns)
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
     vertex, body = keys.T
-    held = np.full((len(keys), 3), -1, dtype=np.int64)
+    support_of_component = np.full((len(keys), 3), -1, dtype=np.int64)
     # A support active in every stage overrides one that is released.
     order = sorted(range(len(supports)), key=lambda s: supports[s].stages is None)
     for s in order:
-        held[np.ix_(row.ravel()[support_of == s], supports[s].components)] = s
+        support_of_component[np.ix_(row.ravel()[support_of == s], supports[s].components)] = s
     if frames is None:
-        return Holds(vertex, body, held, np.zeros(len(keys), dtype=bool)), {}
+        return VertexConstraints(
+            vertex, body, support_of_component, np.zeros(len(keys), dtype=bool)
+        ), {}
     dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(vertices, vertex)]
     rows = np.flatnonzero(np.isin(dof, frames.node))
     places = np.searchsorted(frames.node, dof[rows])
-    held[rows] = frames.support(places, body[rows], order)
+    support_of_component[rows] = frames.support(places, body[rows], order)
     axes = {int(v): frames.axes[p] for v, p in zip(vertex[rows], places, strict=True)}
-    return Holds(vertex, body, held, np.zeros(len(keys), dtype=bool)), axes
+    return VertexConstraints(
+        vertex, body, support_of_component, np.zeros(len(keys), dtype=bool)
+    ), axes
 
 
 def frames_of(
@@ -130,23 +134,29 @@ def frames_of(
     node = np.unique(gather(comm, near)[0])
     acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
     places = np.zeros((len(node), 3))
-    held = np.zeros((len(node), len(supports), 3, 3))
+    support_projectors = np.zeros((len(node), len(supports), 3, 3))
     for k, (s, rows) in enumerate(zip(supports, facets, strict=True)):
-        here = np.isin(rows[0], node)
-        dof, body, x, n = gather(comm, *(r[here] for r in rows))
+        is_local_axis_node = np.isin(rows[0], node)
+        dof, body, x, n = gather(comm, *(r[is_local_axis_node] for r in rows))
         at_node = np.searchsorted(node, dof)
         acts[at_node, body, k] = True
         places[at_node] = x
-        held[at_node, k] = np.diag(s.components)
+        support_projectors[at_node, k] = np.diag(s.components)
         if s.normal:
-            known = isinstance(s.normal, tuple)
-            d = np.tile(s.normal, (len(x), 1)) if known else _means(s, at_node, n, places)[at_node]
-            held[at_node, k] = np.einsum("ni,nj->nij", d, d)
+            has_given_direction = isinstance(s.normal, tuple)
+            d = (
+                np.tile(s.normal, (len(x), 1))
+                if has_given_direction
+                else _means(s, at_node, n, places)[at_node]
+            )
+            support_projectors[at_node, k] = np.einsum("ni,nj->nij", d, d)
     axes, along = np.zeros((len(node), 3, 3)), np.zeros((len(node), len(supports), 3), dtype=bool)
-    patterns, which = np.unique(acts.reshape(len(node), -1), axis=0, return_inverse=True)
+    patterns, pattern_of_node = np.unique(acts.reshape(len(node), -1), axis=0, return_inverse=True)
     for p, pattern in enumerate(patterns.reshape(-1, *acts.shape[1:])):
-        some = np.flatnonzero(which.ravel() == p)
-        axes[some], along[some] = _axes(supports, _groups(scene, pattern), held[some], places[some])
+        nodes = np.flatnonzero(pattern_of_node.ravel() == p)
+        axes[nodes], along[nodes] = _axes(
+            supports, _groups(scene, pattern), support_projectors[nodes], places[nodes]
+        )
     return Frames(node, axes, acts, along)
 
 
@@ -188,14 +198,18 @@ def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
 
 
 def _axes(
-    supports: Sequence[Support], groups: list[tuple[int, ...]], held: Floats, x: Floats
+    supports: Sequence[Support],
+    groups: list[tuple[int, ...]],
+    support_projectors: Floats,
+    x: Floats,
 ) -> tuple[Floats, Bools]:
     """Axes of nodes on the same supports (n, 3, 3), and whether each support constrains them.
 
     Args:
         supports: All supports.
         groups: Sets of supports active on one body in one stage.
-        held: Projectors on the constrained directions of each support (n, supports, 3, 3).
+        support_projectors: Projectors on the constrained directions of each support
+            (n, supports, 3, 3).
         x: Coordinates of the nodes (n, 3) [mm].
 
     Raises:
@@ -205,10 +219,10 @@ def _axes(
         return np.eye(3)[None], np.zeros((1, 1, 3), dtype=bool)
     spans = []
     for group in groups:
-        values, vectors = np.linalg.eigh(held[:, group].sum(axis=1))
+        values, vectors = np.linalg.eigh(support_projectors[:, group].sum(axis=1))
         spans.append(projectors(vectors, values > ONE))
     used = sorted({s for group in groups for s in group})
-    of_used = held[:, used]
+    of_used = support_projectors[:, used]
     products = np.einsum("nsij,ntjk->nstik", of_used, of_used)
     skew = np.abs(products - products.swapaxes(3, 4)).max(axis=(2, 3, 4)) > np.sqrt(ONE)
     # Any weights that keep the eigenvalues of different axes apart.
@@ -226,33 +240,37 @@ def _axes(
                 "in several stages, along directions that are neither the same nor at right "
                 "angles; use the same directions"
             )
-    along = np.einsum("nic,nsij,njc->nsc", axes, held, axes) > ONE
-    _refuse_unlike(supports, groups, held, axes, along, x, names)
+    along = np.einsum("nic,nsij,njc->nsc", axes, support_projectors, axes) > ONE
+    _refuse_unlike(supports, groups, support_projectors, axes, along, x, names)
     return axes, along
 
 
 def _refuse_unlike(
     supports: Sequence[Support],
     groups: list[tuple[int, ...]],
-    held: Floats,
+    support_projectors: Floats,
     axes: Floats,
     along: Bools,
     x: Floats,
     names: str,
 ) -> None:
     """Refuse incompatible displacements at a node."""
-    given = {s: supports[s].values(x) for group in groups for s in group}
-    size = max(float(np.abs(values).max()) for values in given.values())
+    displacements = {s: supports[s].values(x) for group in groups for s in group}
+    size = max(float(np.abs(values).max()) for values in displacements.values())
     for group in groups if size else ():
         for load_history in {supports[s].history for s in group}:
-            wanted = {s: given[s] * (supports[s].history == load_history) for s in group}
+            prescribed = {
+                s: displacements[s] * (supports[s].history == load_history) for s in group
+            }
             # The last to hold an axis gives its displacement.
             motion: Floats = np.zeros((len(x), 3))
             for s in group:
-                motion = np.where(along[:, s], np.einsum("nic,ni->nc", axes, wanted[s]), motion)
+                motion = np.where(along[:, s], np.einsum("nic,ni->nc", axes, prescribed[s]), motion)
             for s in group:
-                missing = np.einsum("nic,nc->ni", axes, motion) - wanted[s]
-                wrong = np.abs(np.einsum("nij,nj->ni", held[:, s], missing)).max(axis=1)
+                mismatch = np.einsum("nic,nc->ni", axes, motion) - prescribed[s]
+                wrong = np.abs(np.einsum("nij,nj->ni", support_projectors[:, s], mismatch)).max(
+                    axis=1
+                )
                 if (wrong > ONE * size).any():
                     raise InputError(
                         f"{names}: contradict each other at {point_text(x[np.argmax(wrong)])}; "

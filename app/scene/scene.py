@@ -52,12 +52,12 @@ class Interface:
         master: Regions on the stiffer side.
         slave: Regions on the softer side, which carries the jumps.
         modulus: Modulus of the softer side, infinite if it is rigid [MPa].
-        gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
+        gap: Initial gap as function of points (n, 3) -> (n,) [mm], negative where bodies interfere.
         gap_history: Amplitudes of the gap at the ends of the stages, or empty
             (`laws.values.gap_at`).
         swapped: True if the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
-        values: Constants of the law (n,) at points, by name.
+        constants: Constants of the law by name, as functions of points (n, 3) -> (n,).
         between: Boundaries of master and slave with finite sliding, meshed apart; else None.
         press_fit: True if micromotion is reported: the jump since the gap last changed.
         zones: Parts of the surface with separate numbers: by name, a function of points (n, 3)
@@ -73,7 +73,7 @@ class Interface:
     gap_history: tuple[float, ...] = ()
     swapped: bool = False
     slave_share: float = 0.0
-    values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
+    constants: Mapping[str, Field] = dataclasses.field(default_factory=dict)
     between: tuple[str, str] | None = None
     press_fit: bool = False
     zones: Mapping[str, Field] = dataclasses.field(default_factory=dict)
@@ -458,7 +458,7 @@ def _interface(
         gap_history=tuple(law.gap_multipliers or ()),
         swapped=swapped,
         slave_share=slave_share,
-        values=law.fields(name, stem),
+        constants=law.constants_at_points(name, stem),
         between=(faces[::-1] if swapped else faces) if faces else None,
         press_fit=law.is_press_fit,
         zones={zone: partial(_beyond, ends, stem) for zone, ends in law.zone_heights.items()},

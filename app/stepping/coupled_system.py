@@ -195,7 +195,7 @@ class CoupledSystem(ContactSystem):
         jumps = operators.jumps
         if jumps is not None:
             nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in jumps.moves.items()]))
-            is_fixed.append(jumps.held)
+            is_fixed.append(jumps.prescribed)
         for A, scale, held_rows in zip(nodes, scaling, is_fixed, strict=True):
             scale.array[:] = np.where(held_rows, 0.0, -1.0)
             A.diagonalScale(scale)
@@ -215,7 +215,7 @@ class CoupledSystem(ContactSystem):
             flux_by_pressure = pressed.copy()
             by_pressure = x[1].duplicate()
             flux_derivative = jumps.weight * jumps.flux(x[1].array)[2]
-            by_pressure.array[:] = np.where(jumps.held, 0.0, -flux_derivative)
+            by_pressure.array[:] = np.where(jumps.prescribed, 0.0, -flux_derivative)
             flux_by_pressure.diagonalScale(by_pressure)
             pressure = self._point_rows(self.exchange.pressure_rows(trial))
             rows[1] = [

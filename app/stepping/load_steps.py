@@ -140,7 +140,7 @@ class LoadStepper:
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(MAX_PAIRINGS):
-            if not (outcome.converged and problem.pair(*self.solver.u_and_q())):
+            if not (outcome.converged and problem.update_pairs(*self.solver.u_and_q())):
                 return outcome
             repeated = solve(self.solver)
             self.total.count(repeated)

@@ -31,9 +31,9 @@ class SoftLayer(Traction):
     stiffness: StiffnessField
     """Traction per jump."""
 
-    def traction(self, gap, normals, internal_variables):
+    def traction(self, point):
         """Return the traction at a jump (3,); all arguments are UFL expressions."""
-        return self.stiffness * gap
+        return self.stiffness * point.gap
 
 
 h = 2.0  # height of a block [mm]

@@ -278,7 +278,7 @@ study:
 
 def test_study_quantities_have_a_row_each() -> None:
     rows = {section: set(table) for section, table in quantities.TABLE.items()}
-    assert rows["regions"] >= {f"volume_over_{level}_MPa" for level in quantities.STRESSED}
+    assert rows["regions"] >= {f"volume_over_{level}_MPa" for level in quantities.TENSION_LEVELS}
     assert rows["femur"] >= {
         f"strain_{side}_{level}" for side in ("lateral", "medial") for level in quantities.GAUGES
     }

@@ -88,7 +88,7 @@ def test_cycle_table_of_motion_and_load_are_written(tmp_path: Path) -> None:
         [3.5, 0, -4]
     )
     assert law.wear_coefficient == pytest.approx(1.07e-9, rel=1e-15)
-    assert law.values == {"μ": 0.06} and law.form == ("contact", True)
+    assert law.constants == {"μ": 0.06} and law.form == ("contact", True)
     forces = [load for load in case.loads.values() if isinstance(load, Force)]
     assert forces[0].force_at(0.25) == pytest.approx((0, 0, -1650))
     assert forces[1].force_at(0.5) == pytest.approx((20, 0, -4))

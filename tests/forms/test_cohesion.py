@@ -60,8 +60,9 @@ class Points:
             for friction in μ
         ]
         self.law = PointLaw(MPI.COMM_SELF, points, Timing())
-        every = [{k: float(v) for k, v in law.values.items()} for law in laws]
+        every = [{k: float(v) for k, v in law.constants.items()} for law in laws]
         values = {k: np.array([constants[k] for constants in every])[interface] for k in every[0]}
+        values["μ"] = np.array(μ)[interface]
         self.law.begin(laws, values, 1.0, tensors + 1e3 * np.eye(3))
         self.state = ContactState.at_rest(np.zeros((n, 3)), INTERNAL_VARIABLES)
         self.force, self.work, self.spent = np.zeros((n, 3)), np.zeros(n), np.zeros(n)

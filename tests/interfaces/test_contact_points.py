@@ -16,7 +16,7 @@ import meshes
 from app.campaigns.work_precision import fitted_order
 from app.foundation.arrays import Floats
 from app.interfaces.contact_points import contact_points
-from app.interfaces.corners import ContactPoints, Entries, Holds
+from app.interfaces.corners import ContactPoints, Entries, VertexConstraints
 from app.interfaces.interface_facets import InterfaceFacets, sorted_facets
 from app.interfaces.smooth_normals import slid_along
 from app.verification.changed_meshes import ROTATION
@@ -24,7 +24,7 @@ from meshes.distribute import distribute
 from tests import support
 
 NONE = np.zeros(0, np.int64)
-NOTHING_HELD = Holds(NONE, NONE, np.zeros((0, 3), np.int64), np.zeros(0, bool))
+NOTHING_HELD = VertexConstraints(NONE, NONE, np.zeros((0, 3), np.int64), np.zeros(0, bool))
 
 
 def facets_of(
@@ -246,13 +246,15 @@ def test_contact_points_of_three_bodies_have_two_jumps() -> None:
         assert area == pytest.approx(facets.area[facets.interface == i].sum(), rel=1e-14)
 
 
-def hold(where: NDArray, bodies: Sequence[int], component: int) -> Holds:
+def hold(where: NDArray, bodies: Sequence[int], component: int) -> VertexConstraints:
     """Support 0 holds a component of some bodies at some vertices."""
     vertex = np.flatnonzero(where).astype(np.int64)
     support = np.full((len(vertex) * len(bodies), 3), -1, dtype=np.int64)
     support[:, component] = 0
     rigid = np.zeros(len(support), dtype=bool)
-    return Holds(np.tile(vertex, len(bodies)), np.repeat(bodies, len(vertex)), support, rigid)
+    return VertexConstraints(
+        np.tile(vertex, len(bodies)), np.repeat(bodies, len(vertex)), support, rigid
+    )
 
 
 def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
@@ -280,7 +282,7 @@ def test_contact_points_jump_is_prescribed_where_both_sides_are_held() -> None:
     points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), ["a"], {})
     held = points.x[:, 1] < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(held, [False, True, False]))
-    assert (points.given[held, 1] == 0).all()
+    assert (points.prescribing_support[held, 1] == 0).all()
     exact = np.where(held[:, None], [0, 0, 1], np.array([0, -0.2, 1]) / np.hypot(0.2, 1))
     np.testing.assert_allclose(points.normals[:, 0], exact, atol=1e-12)
     assert points.weight.sum() == pytest.approx(facets.area.sum())

@@ -65,7 +65,7 @@ def test_press_fit_zones_have_their_own_friction_and_gap() -> None:
     partly = law(interference="0.01 mm", zones=zones)
     x = points(5.0, 20.0, 50.0)
     assert partly.gap_field("i", NoStem())(x) == pytest.approx([0.2, -0.01, -0.05])
-    assert partly.fields("i", NoStem())["μ"](x) == pytest.approx([0.3, 0.3, 0.8])
+    assert partly.constants_at_points("i", NoStem())["μ"](x) == pytest.approx([0.3, 0.3, 0.8])
     assert partly.friction == 0.8
     assert partly.is_press_fit
 

@@ -71,32 +71,32 @@ class OwnCohesion(Traction):
     shear_energy: FractureEnergyField
     """Energy in shear."""
 
-    def traction(self, gap, normals, internal_variables):
-        return (1 - internal_variables["damage"]) * self.stiffness * gap
+    def traction(self, point):
+        return (1 - point.internal_variables["damage"]) * self.stiffness * point.gap
 
-    def remembered(self, gap, normals, internal_variables):
-        size = dot(gap, gap)
+    def new_internal_variables(self, point):
+        size = dot(point.gap, point.gap)
         some = conditional(gt(size, 1e-30), size, 1e-30)
-        slid = conditional(gt(size, 1e-30), 1 - dot(gap, normals[0]) ** 2 / some, 0)
+        slid = conditional(gt(size, 1e-30), 1 - dot(point.gap, point.normals[0]) ** 2 / some, 0)
         strength = 1 / sqrt((1 - slid) / self.tensile_strength**2 + slid / self.shear_strength**2)
         energy = self.tensile_energy + (self.shear_energy - self.tensile_energy) * slid**2
         onset, end = strength / self.stiffness, 2 * energy / strength
         m = sqrt(conditional(gt(size, onset**2), size, onset**2))
         m = conditional(gt(m, end), end, m)
         damage = end * (m - onset) / (m * (end - onset))
-        more = ge(damage, internal_variables["damage"])
+        before = point.internal_variables
+        more = ge(damage, before["damage"])
         spent = (m - onset) / (end - onset)
         now = {"damage": damage, "spent": spent}
-        now["used"] = internal_variables["used"] + energy * (spent - internal_variables["spent"])
-        return {
-            name: conditional(more, now[name], old) for name, old in internal_variables.items()
-        }
+        now["used"] = before["used"] + energy * (spent - before["spent"])
+        return {name: conditional(more, now[name], old) for name, old in before.items()}
 
-    def stored(self, gap, normals, internal_variables):
-        return (1 - internal_variables["damage"]) * self.stiffness * dot(gap, gap) / 2
+    def stored(self, point):
+        square = dot(point.gap, point.gap)
+        return (1 - point.internal_variables["damage"]) * self.stiffness * square / 2
 
-    def dissipated(self, gap, normals, internal_variables):
-        return internal_variables["used"] - internal_variables.old["used"]
+    def dissipated(self, point):
+        return point.internal_variables["used"] - point.committed["used"]
 '''
 
 

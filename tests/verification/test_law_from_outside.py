@@ -27,8 +27,8 @@ class ElasticLayer(Traction):
     stiffness: StiffnessField
     """Traction per displacement."""
 
-    def traction(self, gap, normals, internal_variables):
-        return self.stiffness * gap
+    def traction(self, point):
+        return self.stiffness * point.gap
 '''
 
 # Two blocks of 2 mm on each other, and a shear and a pull on top.
@@ -135,14 +135,15 @@ class WornLayer(Traction):
     length: Length
     """Opening at which half of it is left."""
 
-    def traction(self, gap, normals, internal_variables):
-        return self.stiffness / (1 + internal_variables["most"] / self.length) * gap
+    def traction(self, point):
+        return self.stiffness / (1 + point.internal_variables["most"] / self.length) * point.gap
 
-    def remembered(self, gap, normals, internal_variables):
-        return {"most": max_value(internal_variables["most"], dot(gap, normals[0]))}
+    def new_internal_variables(self, point):
+        opening = dot(point.gap, point.normals[0])
+        return {"most": max_value(point.internal_variables["most"], opening)}
 
-    def status(self, gap, normals, internal_variables):
-        return conditional(gt(internal_variables["most"], self.length / 4), 3, 1)
+    def status(self, point):
+        return conditional(gt(point.internal_variables["most"], self.length / 4), 3, 1)
 '''
 
 
@@ -183,27 +184,29 @@ class Glue(Frictional, Traction):
     energy: FractureEnergyField
     """Fracture energy."""
 
-    def remembered(self, gap, normals, internal_variables):
+    def new_internal_variables(self, point):
         onset = self.tensile_strength / self.stiffness
         end = 2 * self.energy / self.tensile_strength
-        opening = min_value(max_value(dot(gap, normals[0]), onset), end)
+        opening = min_value(max_value(dot(point.gap, point.normals[0]), onset), end)
         spent = (opening - onset) / (end - onset)
-        before = internal_variables["spent"]
+        before = point.internal_variables["spent"]
         spent = conditional(ge(spent, before - 1e-12), spent, before)
         opening = onset + spent * (end - onset)
         return {"damage": 1 - onset * (1 - spent) / opening, "spent": spent}
 
-    def traction(self, gap, normals, internal_variables):
-        return (1 - internal_variables["damage"]) * self.stiffness * gap
+    def traction(self, point):
+        return (1 - point.internal_variables["damage"]) * self.stiffness * point.gap
 
-    def broken(self, gap, normals, internal_variables):
-        return conditional(gt(internal_variables.old["damage"], 0), internal_variables["damage"], 0)
+    def debonded_share(self, point):
+        damage = point.internal_variables["damage"]
+        return conditional(gt(point.committed["damage"], 0), damage, 0)
 
-    def stored(self, gap, normals, internal_variables):
-        return (1 - internal_variables["damage"]) * self.stiffness * dot(gap, gap) / 2
+    def stored(self, point):
+        square = dot(point.gap, point.gap)
+        return (1 - point.internal_variables["damage"]) * self.stiffness * square / 2
 
-    def dissipated(self, gap, normals, internal_variables):
-        return self.energy * (internal_variables["spent"] - internal_variables.old["spent"])
+    def dissipated(self, point):
+        return self.energy * (point.internal_variables["spent"] - point.committed["spent"])
 '''
 # A soft bar whose end has to go back while the glue breaks (snap-back), then pressed and slid.
 TORN = """\
@@ -274,7 +277,7 @@ class ContactLayer(InterfaceLaw):
     """Shear per elastic shift."""
 
     def response(self, at):
-        v, gap, old = at.values, variable(at.jump + at.gap), at.internal_variables["slid"]
+        v, gap, old = at.constants, variable(at.jump + at.gap), at.internal_variables["slid"]
         across = sum(outer(n, n) for n in at.normals) / len(at.normals)
         K = v["tangential"] * Identity(3) + (v["normal"] - v["tangential"]) * across
         law = projected(K * gap, K * (gap - old), at.normals, v["coefficient"])
