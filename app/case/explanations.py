@@ -206,7 +206,7 @@ def _units() -> str:
 
 
 def _keys(query: str) -> Iterator[str]:
-    """Explanations of the keys of a path, or of those whose last word it is."""
+    """Explain the key at a path, or all keys that end with a word."""
     keys = [k for k in every() if matches(k, query)] or [k for k in every() if k.name == query]
     heads: dict[str, list[str]] = {}
     for key in keys:
@@ -218,7 +218,7 @@ def _keys(query: str) -> Iterator[str]:
 
 
 def _kind(query: str) -> Iterator[str]:
-    """Explanations of kinds: of ``fixed`` in every section, of ``supports: fixed`` in one."""
+    """Explain a kind (``fixed``) in all sections, or in the section named before it."""
     section_path, _, name = query.rpartition(": ")
     for section in table():
         if section.kind == name and (not section_path or section.path.startswith(section_path)):

@@ -44,7 +44,7 @@ class FemurResection(Section):
 
 
 def _with_present_keys(given_keys: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Keys of a femur with their present names, and the former names with the present ones.
+    """Return the keys under their current names, and a map from former to current names.
 
     Levels of section and head were those of the model. They are now depth below the shoulder and
     height above it.
@@ -184,7 +184,7 @@ class _Femur(Hip):
 
     @property
     def more_room(self) -> tuple[str, str]:
-        """The key that says where the stem is, and what to change where it has no room."""
+        """Key of the stem's position, and the advice if the stem does not fit."""
         remedy = "widen the canal (canal_widening), narrow the stem or move it proximally"
         return "geometry", f"{remedy} (tip_z)"
 
@@ -211,7 +211,7 @@ class _Femur(Hip):
 
     @property
     def distal_height(self) -> float:
-        """The same in the stem's axes, which have the model's levels (mm)."""
+        """Height of the distal cut in the stem's axes; equal to `level` (mm)."""
         return self.distal_cut_z
 
     @property
@@ -258,7 +258,7 @@ class Femur(_Femur, OperatedHip):
 
     @property
     def more_room(self) -> tuple[str, str]:
-        """The key that says where the stem is, and what to change where it has no room."""
+        """Key of the stem's position, and the advice if the stem does not fit."""
         if not self.insertion:
             return super().more_room
         text = "change insertion (insertion: best, or mantle place), widen the canal"

@@ -110,7 +110,7 @@ def _tilt(largest: float) -> Dimension:
 
 
 class Search(Section):
-    """Largest changes of a position in a search; 0 keeps a number as it is given."""
+    """Limits of the search for a stem's position. 0 keeps the given value."""
 
     varus: Annotated[float, _tilt(0.2)] = math.radians(3.0)
     """Largest change of `varus` (rad)."""
@@ -339,7 +339,7 @@ class Hip(Shape):
         }
 
     def _cells(self, mesh: MeshOptions) -> tuple[float, float, float]:
-        """Tetrahedra below the neck cut, and in one step of the core and of all layers above it.
+        """Estimated numbers of tetrahedra: below the neck cut, and in one step of core and layers.
 
         Three for each triangle of the section. Where the mantle fills the canal, along a part of
         the circumference fitted to counted meshes, there is no cancellous bone. A wider canal has
@@ -445,7 +445,7 @@ class OperatedHip(Hip):
 
     @property
     def more_room(self) -> tuple[str, str]:
-        """The key that says where the stem is, and what to change where it has no room."""
+        """Key of the stem's position, and the advice if the stem does not fit."""
         raise NotImplementedError
 
     @property

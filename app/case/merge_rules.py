@@ -192,7 +192,7 @@ def _check_kind(
     upper: Mapping[str, object],
     path: Path,
 ) -> None:
-    """Complain of a kind that is neither the kind of the library's entry nor one of others."""
+    """Report a kind that is neither the library entry's nor an allowed one."""
     if upper.get("kind", kind) not in (kind, *other_kinds):
         message = f"{name} is of kind {kind}; leave `kind` out"
         case.complaints.append(Fault((*path, "kind"), message))

@@ -78,7 +78,7 @@ def save(path: Path, text: str) -> None:
 
 
 def add_from_labels(proposal: FromLabels) -> None:
-    """Add what writes a case by a segmentation, of a package that reads it."""
+    """Register the function that writes a new case from a segmentation."""
     _FROM_LABELS.append(proposal)
 
 

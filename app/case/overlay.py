@@ -172,8 +172,9 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
 def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
     """Merge one value over another; faults become complaints of the case.
 
-    Mappings merge key by key, of another kind they replace; null removes an entry; all else
-    replaces. `_rule` gives the words that are resolved at a path before that.
+    Mappings merge key by key; a mapping of another kind replaces. Null removes an entry, any other
+    value replaces it. Before merging, `merge_rules.rule_at` resolves words such as names of the
+    library.
     """
     rule = rule_at(path)
     if rule:

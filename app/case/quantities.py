@@ -1,9 +1,9 @@
-"""The numbers that a run publishes: one table with a row for each, and a slot for more.
+"""The numbers that a run publishes: one table, one row for each.
 
 A quantity stands in a section of ``summary.json`` below the name of its interface or region. Its
 row here serves the summary, history.csv, the closing tables, the estimate of errors, studies and
-reports. Another package adds one of an interface or a region with `add` and a function that
-computes it.
+reports. Another package adds rows with `add_quantity`, for an interface or a region with a function
+that computes the number.
 """
 
 from __future__ import annotations

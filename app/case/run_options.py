@@ -143,7 +143,7 @@ class Stage(Section):
 
 @dataclass(frozen=True)
 class StageKind:
-    """Stages that another package steps through, at loads that stay: those that have its key.
+    """Kind of stage that another package solves at constant loads; stages with its key are of it.
 
     `simulation.steppers.add_stepper` registers what steps through them.
 

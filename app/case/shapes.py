@@ -62,7 +62,7 @@ class _UniformThickness(Dimension):
     """Marks the thickness of a mantle that may be absent."""
 
     def check(self, value: float, shown: str, unit: str = "") -> None:
-        """Refuse a thickness beyond a bound, and one between none and the least."""
+        """Refuse a thickness above the largest, or positive but below the least."""
         super().check(value, shown, unit)
         if 0.0 < value < LEAST_CEMENT:
             fail(f"{shown} must be 0 (a stem without cement) or at least 1 mm")
@@ -94,7 +94,7 @@ class GradedThickness(Section):
 
     @property
     def tables(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-        """Means around (mm) by part of the height, from 0 to 1; ratios to them around, by turns."""
+        """Two tables: mean thickness (mm) by relative height, thickness over mean by turn."""
         heights, ring = (
             [
                 (k / divisions, getattr(self, key))
@@ -127,7 +127,7 @@ class GradedThickness(Section):
 
 
 def _mean(table: list[tuple[float, float]]) -> float:
-    """Mean over a length of 1 of what is linear between pairs of place and value."""
+    """Mean over [0, 1] of the piecewise linear function through (place, value) pairs."""
     return sum(0.5 * (b[0] - a[0]) * (a[1] + b[1]) for a, b in pairwise(table))
 
 
@@ -294,7 +294,7 @@ class Shape(Extensible):
 
     @property
     def left_out(self) -> dict[str, tuple[str, ...]]:
-        """Names, by section, that a base of the same kind has and this one has not."""
+        """Names, by section, that the base's geometry has and this geometry lacks."""
         return {}
 
     def check_fit(self, mesh: MeshOptions) -> None:

@@ -116,7 +116,7 @@ class Stem(Section):
     def implant(
         self, tip_z: float | None, plug_length: float, tip_void: float, shoulder: float = 0.0
     ) -> Implant:
-        """The implant with its tip at a level, or with its shoulder at one (mm)."""
+        """Implant whose tip, or whose shoulder, is at the given level (mm)."""
         numbers = dict(self)
         collar = numbers.pop("collar")
         tip = shoulder - self.length if tip_z is None else tip_z
@@ -208,7 +208,7 @@ class StemFile(Section):
     def implant(
         self, tip_z: float | None, plug_length: float, tip_void: float, shoulder: float = 0.0
     ) -> Implant:
-        """The implant with its tip at a level, or with its shoulder at one (mm)."""
+        """Implant whose tip, or whose shoulder, is at the given level (mm)."""
         tip = shoulder - round(float(self.shape["shoulder"]), 2) if tip_z is None else tip_z
         unset_fields: dict[str, Any] = dict.fromkeys(field.name for field in fields(Implant))
         cement = {"plug_length": plug_length, "tip_void": tip_void}

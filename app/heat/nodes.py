@@ -1,7 +1,7 @@
 """Nodes of regions, of the two sides of interfaces, and named points in the temperature field.
 
-A node belongs to the rank that owns it, whoever owns the cells around it. A region's nodes have
-their shares of its volume; where the temperature jumps, each side has a value.
+Nodes are owned by one rank, also if other ranks own cells around them. A node has the integral of
+its shape function as volume. At a temperature jump, each side has a separate temperature.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class ThermalNodes:
     """Nodes of a region that this rank owns.
 
     Attributes:
-        body: Thermal body whose temperature they have.
-        dof: Their rows in it, rising (n,).
+        body: Index of the thermal body.
+        dof: Local dofs of the nodes, ascending (n,).
         x: Positions (n, 3) [mm].
         volume: Integrals of their shape functions over the region (n,) [mm3].
     """
@@ -66,7 +66,9 @@ Side = Mapping[str, Ints]
 
 
 class InterfaceNodes:
-    """Nodes shared by the regions on both sides of an interface, or of both sides if apart.
+    """Nodes of the two sides of an interface.
+
+    Conforming sides share them; bodies meshed separately do not.
 
     Attributes:
         sides: Nodes of the first and the second side.
@@ -95,7 +97,10 @@ class InterfaceNodes:
                 bodies[np.searchsorted(self._dof, region_nodes.dof[rows])] = region_nodes.body
 
     def jump(self, temperatures: Sequence[fem.Function]) -> Floats:
-        """Temperature of the second side minus that of the first (n,) [K]."""
+        """Temperature of the second side minus that of the first (n,) [K].
+
+        Empty for bodies meshed separately.
+        """
         table = np.stack([t.x.array[self._dof] for t in temperatures])
         first, second = table[self._bodies, np.arange(len(self._dof))]
         return np.asarray(second - first)

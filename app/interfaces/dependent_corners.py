@@ -310,7 +310,7 @@ def _three(scalar: csr_array) -> csr_array:
 
 
 def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
-    """Signs of the jumps of the n points in the jumps of the dependent corners (m - n, n)."""
+    """Matrix (m - n, n) of signs +1, -1, 0: jumps of dependent corners from jumps of points."""
     rows: list[int] = []
     columns: list[int] = []
     values: list[float] = []

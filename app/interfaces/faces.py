@@ -68,7 +68,7 @@ def faces_around(
 
 
 def _normals_of_surface(facets: InterfaceFacets, label: Ints) -> tuple[Floats, Floats]:
-    """Normals at facet corners (3 f, 3), and the doubt about them (3 f,) [rad].
+    """Normals at facet corners (3 f, 3), and their uncertainty (3 f,) [rad].
 
     Straight facets have the normals of the smooth surface that they approximate. Curved ones have
     the mean of their normals; its doubt is the angle between the means by area and by number.

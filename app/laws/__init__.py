@@ -1,1 +1,4 @@
-"""One class for each thing that physics knows: its keys in YAML and its formula."""
+"""Laws, loads, supports, materials and heat conditions.
+
+Each is one class with its keys and its formula.
+"""

@@ -88,7 +88,8 @@ class LoadedBody(Protocol):
 class Load(Extensible, Named):
     """Base of the loads: work in a displacement, times a load history.
 
-    Each subclass with a `kind` is a load.
+    Each subclass with a `kind` is a load. Three keys have a meaning in every load: `boundary` is
+    where it acts, `regions` are those of a body force, `force` is the resultant.
     """
 
     # True if its direction is fixed in space while its body rotates.

@@ -95,7 +95,7 @@ class Named(Section):
 
 
 class OfRegion(Named):
-    """Base of the laws of a region, which have the name of the region."""
+    """Base of laws that belong to one region. Their name is the region's."""
 
     @property
     def region(self) -> str:

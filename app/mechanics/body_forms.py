@@ -277,7 +277,7 @@ class BodyForms:
         return self.scalars.dofmap.list[self.region_cells(region)]
 
     def vertex_sums(self, vertices: NDArray[np.int32], values: Floats | float) -> Floats:
-        """Sums of the values of all ranks at vertices of this one, ghosts too (n,); collective."""
+        """Sum vertex values over all ranks; return local ones with ghosts (n,); collective."""
         total = la.vector(self.scalars.dofmap.index_map)
         np.add.at(total.array, vertices, values)
         total.scatter_reverse(la.InsertMode.add)
@@ -313,10 +313,10 @@ class BodyForms:
         )
 
     def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
-        """Measure of a region, by its tag or another one.
+        """Integration measure of a region, by its tag or another one.
 
-        Turning fibres and moduli that vary get a fixed degree: UFL would choose more than 20 for
-        the former, with the same errors.
+        Curved fibres and varying moduli have a fixed quadrature degree, because UFL estimates more
+        than 20 for curved fibres, with the same errors.
         """
         measure = dx(self.tagged.regions[e.region] if tag is None else tag)
         varies = e.varies or (e.fibre and e.fibre.curved)

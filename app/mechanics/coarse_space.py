@@ -82,7 +82,7 @@ def _hat_entries(
 
 
 def _dense_entries(values: Floats, first_column: int) -> Triplets:
-    """All entries of columns (rows, m), from a column on."""
+    """Triplets of a dense matrix (rows, m), with column numbers shifted by a first column."""
     rows, columns = np.nonzero(values)
     return rows, first_column + columns, values[rows, columns]
 

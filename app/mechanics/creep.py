@@ -101,7 +101,7 @@ class CreepState:
         return float(self._comm.allreduce(max(strain, NO_STRAIN), MPI.MAX))
 
     def equivalent_strain(self, relaxed_stress: Floats) -> Floats:
-        """Equivalent creep strain (n,) that takes a stress (n, 6) [MPa]."""
+        """Equivalent creep strain (n,) that relaxes a stress (n, 6) [MPa]."""
         return von_mises(relaxed_stress) / self.three_G
 
     def numbers(self, region: str) -> dict[str, float]:
@@ -127,7 +127,7 @@ class CreepState:
         return modulus
 
     def stress_relaxation(self, trial: Floats, length: float) -> Floats:
-        """Stress that creep takes in a step, from its trial stress (n, 6) [MPa]."""
+        """Stress relaxed by creep in a step, from the trial stress (n, 6) [MPa]."""
         s, G3 = np.maximum(von_mises(trial), NO_STRESS), self.three_G
         Δe = self._strain_increment(s, np.asarray(length / self._law_values["unit"]), G3)
         return (G3 * Δe / s)[:, None] * deviator(trial)
@@ -170,7 +170,7 @@ class CreepState:
         return Δe
 
     def first_step(self, stress: Floats, part: float) -> float:
-        """Cycles or seconds after which creep is a part of the elastic strain; collective."""
+        """Time [s or cycles] at which creep is `part` times the elastic strain; collective."""
         s = np.maximum(von_mises(stress), NO_STRESS)
         m, _, τ, _ = self._hardening_time(np.log(s))
         e = np.maximum(self.strain, NO_STRAIN)

@@ -205,7 +205,7 @@ class Followers:
         return followers
 
     def forces_on_masters(self, nodal: Floats) -> Floats:
-        """Forces (3 nodes) [N] that owned nodes hand to those that they follow; collective."""
+        """Forces of follower nodes, transferred to their master nodes (3 nodes) [N]; collective."""
         sums = self._G.createVecLeft()
         follower_forces = PETSc.Vec().createWithArray(
             self.zero_elsewhere(nodal).ravel(), comm=self._comm
@@ -229,7 +229,7 @@ class Followers:
         return rotated
 
     def matrix(self) -> PETSc.Mat:
-        """G: displacements of all nodes from those that follow no other; collective."""
+        """Matrix G from independent nodes to all nodes; collective."""
         self.changed = False
         first_owned, after_owned = self._map.local_range
         free_nodes = np.setdiff1d(np.arange(first_owned, after_owned), self.follower_dofs)

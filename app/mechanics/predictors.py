@@ -93,7 +93,7 @@ class Extrapolation:
         use_if_better(self._solver, x)
 
     def commit(self, time: float) -> None:
-        """Store the state; of two at one time, the later."""
+        """Store the state. It replaces a state of the same time."""
         state = (time, self._solver.x.copy())
         self._past_states = [*[p for p in self._past_states if p[0] != time][-KEPT_STATES:], state]
 
@@ -194,7 +194,7 @@ class WarmStart:
         return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 
     def _scaled(self, state: Neighbour, target: Causes, sizes: Floats) -> Neighbour:
-        """A state times the factor that brings its loads and gaps nearest to those here."""
+        """State scaled so that its loads and gaps are nearest to the current ones."""
         x, causes = state
         square, product = (
             float((self._inner_products(causes, vector) / sizes)[:2].sum())

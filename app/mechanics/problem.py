@@ -72,7 +72,7 @@ class Problem:
         size: Diagonal of the bounding box of the model [mm].
 
     Args:
-        augmentation_factor: Default augmentation over modulus and mesh size.
+        augmentation_factor: Default augmentation over the local stiffness per area [-].
         same_stiffness: Problem with other contacts and the same constant stiffness, whose inverse
             is shared.
 

@@ -284,14 +284,14 @@ class StressHistory:
         return np.asarray(σ[self.creep.rows])
 
     def relax(self, relaxed_stress: Floats, length: float) -> None:
-        """Set the stress that creep takes in a step of some cycles or seconds (n, 6) [MPa]."""
+        """Set the stress (n, 6) [MPa] that creep relaxes in a step, and the step's length."""
         assert self.creep is not None
         self.creep.relaxed_stress, self.creep.length = relaxed_stress, length
         self._initial_stress.x.array[:] = self.stress_at_points.x.array
         self._initial_stress.x.array.reshape(-1, 6)[self.creep.rows] -= relaxed_stress
 
     def begin(self) -> None:
-        """Return to rest, where nothing sets."""
+        """Reset to the unloaded, uncured state."""
         self._committed_cure = {
             r: (g, np.zeros_like(e)) for r, (g, e) in self._committed_cure.items()
         }

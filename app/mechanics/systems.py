@@ -262,7 +262,10 @@ class ContactSystem(BondedSystem):
         return self._problem.stiffness.pairings
 
     def pair_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
-        """Displacement of points by the unknowns they follow now, of masters by all such ones."""
+        """Two matrices: from current master unknowns to the points, from all to the masters.
+
+        None without deformable masters.
+        """
         sliding = self.contact.finite_sliding
         if sliding is None or not sliding.followers.deformable:
             return None

@@ -87,7 +87,7 @@ class Condensable(Protocol):
         """Number of these by new pairs alone."""
 
     def pair_matrices(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
-        """Displacement of points by unknowns they follow, and a matrix with all such columns."""
+        """Two matrices: from current master unknowns to the points, from all to the masters."""
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """K, C without constrained rows, and D."""

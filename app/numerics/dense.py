@@ -1,4 +1,4 @@
-"""Dense matrices: symmetric ones of which LAPACK and BLAS set one triangle alone."""
+"""Symmetric dense matrices. LAPACK and BLAS fill only one triangle; this module mirrors it."""
 
 from __future__ import annotations
 

@@ -118,10 +118,9 @@ class ActiveSet:
         return 0
 
     def oscillating(self) -> list[tuple[int, int, int, tuple[int, ...]]]:
-        """Points of this rank that changed their state last, the most oscillating first.
+        """Local points that changed their state last, those with most changes first.
 
-        Each with its row, the number of its changes, the iterations in which they were counted, and
-        the states it alternates between.
+        Tuples: row, number of changes, iterations counted, states.
         """
         if len(self._states) < 2:
             return []

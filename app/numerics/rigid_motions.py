@@ -40,7 +40,10 @@ def rotation_vector(R: Floats) -> Floats:
 
 
 def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
-    """Add the resistance (6, 6) to motions of body a relative to b to that of all (6 n, 6 n)."""
+    """Add a resistance (6, 6) against relative motion of two bodies a and b, in place.
+
+    The matrix is that of all bodies (6 n, 6 n).
+    """
     for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
         matrix[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += sign * resistance
 
@@ -71,7 +74,12 @@ def motions_outside(motions: Floats, other_motions: Floats) -> Floats:
 
 
 def describe(
-    free_motions: Floats, names: Sequence[str], centres: Floats, origin: Floats, size: float
+    free_motions: Floats,
+    names: Sequence[str],
+    centres: Floats,
+    origin: Floats,
+    size: float,
+    verb: str = "nothing holds",
 ) -> list[str]:
     """Sentences on motions without resistance, one for each set of bodies that share them.
 
@@ -82,6 +90,7 @@ def describe(
         centres: A point on the axis of each body's rotations (n, 3) [mm].
         origin: Origin of the motions (3,) [mm].
         size: Length that scales rotations to translations [mm].
+        verb: Begin of each sentence, before the bodies.
     """
     if not free_motions.shape[1]:
         return []
@@ -108,7 +117,7 @@ def describe(
         body = int(np.argmax(np.linalg.norm(v.reshape(-1, 6), axis=1)))
         motions_of.setdefault((body,), []).append(_oblique_motion(v[6 * body : 6 * body + 6]))
     return [
-        _free_body_sentence([names[b] for b in bodies], directions_of_bodies)
+        _free_body_sentence(verb, [names[b] for b in bodies], directions_of_bodies)
         for bodies, directions_of_bodies in motions_of.items()
     ]
 
@@ -141,13 +150,13 @@ def _oblique_motion(v: Floats) -> str:
     return f"rotate about an axis along {axis_text}" if rotates else f"move along {axis_text}"
 
 
-def _free_body_sentence(names: Sequence[str], directions: Sequence[str]) -> str:
+def _free_body_sentence(verb: str, names: Sequence[str], directions: Sequence[str]) -> str:
     motions = []
-    for verb in ("move along", "rotate about"):
-        axes = [w.removeprefix(verb).strip() for w in directions if w.startswith(verb)]
+    for motion in ("move along", "rotate about"):
+        axes = [w.removeprefix(motion).strip() for w in directions if w.startswith(motion)]
         if axes:
-            motions.append(f"{verb} {', '.join(axes)}")
+            motions.append(f"{motion} {', '.join(axes)}")
     motions_text = " and to ".join(motions)
     if len(names) == 1:
-        return f"nothing holds body {names[0]}: it is free to {motions_text}"
-    return f"nothing holds bodies {' and '.join(names)}: they are free to {motions_text} together"
+        return f"{verb} body {names[0]}: it is free to {motions_text}"
+    return f"{verb} bodies {' and '.join(names)}: they are free to {motions_text} together"

@@ -62,7 +62,7 @@ def from_rows(
 
 
 def renew(A: PETSc.Mat, B: PETSc.Mat, new_pattern: bool) -> None:
-    """Give a matrix the values of another one in place, and if asked its pattern; collective."""
+    """Copy the values of B, and optionally its pattern, into A; collective."""
     if new_pattern:
         A.setPreallocationCSR(B.getValuesCSR())
         A.assemble()

@@ -1,1 +1,4 @@
-"""The laws of a case with their places, and the bodies they act on. Begin with `build`."""
+"""The laws of a case with their places, and the bodies they act on.
+
+Begin with `scene.build_scene`, or `scene.scene_of` from Python.
+"""

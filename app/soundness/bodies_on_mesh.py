@@ -30,6 +30,8 @@ from meshes.pieces import Parts, Piece
 SLOPE = 3.0
 # The same limit for slopes that cancel in the mean, as a part of the angle between facets.
 FACETS = 0.4
+# A time just after the begin of a stage.
+JUST_AFTER = 1e-3
 
 
 def law_between(
@@ -107,10 +109,12 @@ class BodiesOnMesh:
 
     def unheld(self) -> list[Verdict]:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
-        K, M = self._resistance(None)
+        contact_resistance, bonded_resistance = self._resistance(None)
         errors = []
         for k, left_by_supports in self._left_by_supports():
-            free_motions, _ = self._free_motions(left_by_supports, K, M, FREE)
+            free_motions, _ = self._free_motions(
+                left_by_supports, contact_resistance, bonded_resistance, FREE
+            )
             cure = "expected a support, or contact with a body that is held"
             for motion_text in self._motion_texts(free_motions):
                 verdict_text = f"{motion_text}{self._when(k)}, by a support or by another body"
@@ -132,11 +136,14 @@ class BodiesOnMesh:
                     "average, which may come from the facets of the mesh"
                 )
             cure = "the displacement may be arbitrary; add friction or a support"
-            for motion_text in self._motion_texts(free_motions):
-                hardly = motion_text.replace("nothing holds", "friction hardly holds")
-                notes.append(note(f"{hardly}{self._when(k)}: {reason}", cure=cure))
-            start = {n: (gap, self._laws[n].gap_multipliers or ()) for n, gap in gaps.items()}
-            open_interfaces = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
+            for motion_text in self._motion_texts(free_motions, "friction hardly holds"):
+                notes.append(note(f"{motion_text}{self._when(k)}: {reason}", cure=cure))
+            gaps_in_time = {
+                n: (gap, self._laws[n].gap_multipliers or ()) for n, gap in gaps.items()
+            }
+            open_interfaces = [
+                n for n, gap in gaps_in_time.items() if gap_at(*gap, k + JUST_AFTER).min() > 0
+            ]
             free_motions, _ = self._free_motions(
                 left_by_supports, *self._resistance(None, open_interfaces), FREE
             )
@@ -144,9 +151,8 @@ class BodiesOnMesh:
             cure = "hold the body by a support or a weak foundation, or start in contact"
             for motion_text in self._motion_texts(free_motions):
                 verdict_text = (
-                    f"{motion_text}{self._when(k)} until {interface_names} closes; an equilibrium"
-                    " exists only under "
-                    "loads that close it"
+                    f"{motion_text}{self._when(k)} until {interface_names} closes; an equilibrium "
+                    "exists only under loads that close it"
                 )
                 notes.append(note(verdict_text, cure=cure))
         return list(dict.fromkeys(notes))
@@ -185,17 +191,17 @@ class BodiesOnMesh:
             yield k, np.hstack(free_vectors)
 
     def _resistance(
-        self, shears: Mapping[str, float] | None, absent: Sequence[str] = ()
+        self, frictions: Mapping[str, float] | None, absent: Sequence[str] = ()
     ) -> tuple[Floats, Floats]:
         """Resistance of contact, and of each body bonded to its surroundings (6 n, 6 n) [mm2].
 
         Args:
-            shears: Friction coefficients by interface; without friction an interface does not
+            frictions: Friction coefficients by interface; without friction an interface does not
                 resist sliding. None: all interfaces resist sliding.
             absent: Interfaces that are open and resist nothing.
         """
         n = 6 * len(self._groups)
-        K, M = np.zeros((n, n)), np.zeros((n, n))
+        contact_resistance, bonded_resistance = np.zeros((n, n)), np.zeros((n, n))
         for touch, name, a, b in self._touches:
             if a == b or not name:
                 continue
@@ -205,25 +211,33 @@ class BodiesOnMesh:
             normal = np.einsum("f,fk,fl->kl", touch.areas, normal_motions, normal_motions)
             if name not in absent:
                 add_relative(
-                    K, a, b, shared_resistance if shears is None or shears[name] else normal
+                    contact_resistance,
+                    a,
+                    b,
+                    shared_resistance if frictions is None or frictions[name] else normal,
                 )
             for i in (a, b):
-                M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += shared_resistance
-        return K, M
+                bonded_resistance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += shared_resistance
+        return contact_resistance, bonded_resistance
 
     @staticmethod
     def _free_motions(
-        left_by_supports: Floats, K: Floats, M: Floats, below: float
+        left_by_supports: Floats,
+        contact_resistance: Floats,
+        bonded_resistance: Floats,
+        below: float,
     ) -> tuple[Floats, Floats]:
         """Motions with less than a part of the bonded resistance (6 n, k), and their parts (k,)."""
         if not left_by_supports.shape[1]:
             return left_by_supports, np.zeros(0)
-        scale = max(float(np.trace(M)), 1.0) / len(M)
-        metric = left_by_supports.T @ M @ left_by_supports + 1e-9 * scale * np.eye(
+        scale = max(float(np.trace(bonded_resistance)), 1.0) / len(bonded_resistance)
+        metric = left_by_supports.T @ bonded_resistance @ left_by_supports + 1e-9 * scale * np.eye(
             left_by_supports.shape[1]
         )
         root = left_by_supports @ np.linalg.inv(np.linalg.cholesky(metric)).T
-        values, vectors = np.linalg.eigh(root.T @ K @ root)
+        # Generalized eigenproblem K v = λ M v in the space that supports leave, with the resistance
+        # K of contact and the bonded resistance M.
+        values, vectors = np.linalg.eigh(root.T @ contact_resistance @ root)
         is_free = values < below
         return root @ vectors[:, is_free], np.maximum(values[is_free], 0.0)
 
@@ -233,28 +247,31 @@ class BodiesOnMesh:
         """Motions that only the slope of smooth contact resists (6 n, k); largest slope [deg]."""
         smooth = [(t, a, b) for t, name, a, b in self._touches if frictions.get(name) == 0]
         bend = FACETS * max((t.bend for t, _, _ in smooth), default=0.0)
-        K, M = self._resistance(frictions)
+        contact_resistance, bonded_resistance = self._resistance(frictions)
         smallest_slope = math.radians(SLOPE)
         free_motions, slopes = self._free_motions(
-            left_by_supports, K, M, math.sin(max(smallest_slope, bend)) ** 2
+            left_by_supports,
+            contact_resistance,
+            bonded_resistance,
+            math.sin(max(smallest_slope, bend)) ** 2,
         )
         mean = np.zeros(free_motions.shape[1])
         for t, a, b in smooth:
             v = free_motions.reshape(len(self._groups), 6, free_motions.shape[1])
             normal_motions = np.einsum("fik,fi->fk", self._modes(t.x), t.normals) @ (v[a] - v[b])
             mean += (t.areas @ normal_motions) ** 2 / t.areas.sum()
-        resisted = np.einsum("ik,ij,jk->k", free_motions, K, free_motions)
+        resisted = np.einsum("ik,ij,jk->k", free_motions, contact_resistance, free_motions)
         is_weak = (slopes < math.sin(smallest_slope) ** 2) | (mean < 0.5 * resisted)
         steepest = math.asin(math.sqrt(float(slopes[is_weak].max(initial=0.0))))
         return free_motions[:, is_weak], math.degrees(steepest)
 
-    def _motion_texts(self, free_motions: Floats) -> list[str]:
+    def _motion_texts(self, free_motions: Floats, verb: str = "nothing holds") -> list[str]:
         pieces_of_bodies = [[self._parts.pieces[p] for p in group] for group in self._groups]
         moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces_of_bodies])
         volumes = np.array([sum(p.volume for p in group) for group in pieces_of_bodies])
         body_names = [self._name(group) for group in pieces_of_bodies]
         return describe(
-            free_motions, body_names, moments / volumes[:, None], self._origin, self._size
+            free_motions, body_names, moments / volumes[:, None], self._origin, self._size, verb
         )
 
     def _name(self, group: list[Piece]) -> str:

@@ -160,7 +160,10 @@ def check(file: CaseFile, case: Case) -> None:
 
 
 def _finest(case: Case, memory: float) -> str:
-    """Key of the mesh that makes a case too large: one whose default would fit, else `size`."""
+    """Mesh key to blame for a case that is too large.
+
+    It is a given key whose default would fit, else `size`.
+    """
     for key in ("around", "along"):
         mesh = case.mesh.model_copy(update={key: None})
         is_given = getattr(case.mesh, key) is not None

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
     from meshes import MeshData
 
 # Gaps beyond this part of the interface or of the bodies are not small.
-SMALL = 0.05
+LARGE_GAP = 0.05
 # Interferences beyond this part of the thickness of the bodies are impossible.
-TOO_MUCH = 0.25
+IMPOSSIBLE_INTERFERENCE = 0.25
 # Prescribed displacements beyond this part of the size of the model are not small.
-FAR = 0.5
+LARGE_DISPLACEMENT = 0.5
 # A piece is slender if it is thinner than this part of its length.
 SLENDER = 0.2
 # Bars and plates of linear cells of edge l and thickness h are too stiff by this factor times
@@ -57,13 +57,17 @@ TOO_STIFF = 0.1
 # Remedy for numbers far from any usual one.
 WRONG_UNIT = "is the unit wrong?"
 # An interface is noted if supports hold both sides at more than this part of its points.
-MOSTLY = 0.5
+CLAMPED_SHARE = 0.5
+# A piece bends freely if more than this part of its surface is free.
+FREE_SHARE = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 SIZES = (1.0, 3000.0)
 # Two prescribed displacements differ if their difference exceeds this part of the larger one.
-SAME = 1e-9
+SAME_DISPLACEMENT = 1e-9
+# An eigenvalue of the directions that supports hold at a node is zero below this.
+ZERO_EIGENVALUE = 1e-9
 # An axis this close to a cell, in parts of its size, touches it.
-CLOSE = 1e-6
+ON_AXIS = 1e-6
 
 
 def look(case: Case, data: MeshData) -> Parts:
@@ -98,14 +102,14 @@ def judge(case: Case, parts: Parts) -> list[Verdict]:
         # The reason is often a crack in the mesh.
         raise InputError([*errors, *notes])
     notes += [*bodies.loosely_held(), *contradiction_notes, *_clamped(case, parts), *gap_notes]
-    notes += [*_meeting(case, parts), *_far_gaps(case, parts), *_too_stiff(case, parts)]
+    notes += [*_meeting(case, parts), *_large_displacements(case, parts), *_too_stiff(case, parts)]
     return [*notes, *_strained(case, parts), *motion_notes]
 
 
 # Contradictions
 
 
-def _gap_values(case: Case, name: str, x: Floats) -> Floats:
+def _prescribed_displacements(case: Case, name: str, x: Floats) -> Floats:
     """Displacement prescribed by a support at points, at the ends of stages (stages, n, 3) [mm]."""
     support = case.supports[name]
     assert not support.is_spring
@@ -130,25 +134,28 @@ def _contradictions_in(
     case: Case, parts: Parts, group: list[int]
 ) -> tuple[list[Verdict], list[Verdict]]:
     """Return the errors and notes of `_contradictions` for one body, a group of pieces."""
-    holding = {}
+    nodes_of_support = {}
     for name, support in case.supports.items():
         of_piece = parts.boundaries.get(support.boundary, {})
         nodes = [of_piece[piece] for piece in group if piece in of_piece]
         if support.kind != "foundation" and nodes:
-            holding[name] = np.unique(np.concatenate(nodes))
+            nodes_of_support[name] = np.unique(np.concatenate(nodes))
     errors: list[Verdict] = []
     notes: list[Verdict] = []
-    for first_support, second_support in combinations(holding, 2):
+    for first_support, second_support in combinations(nodes_of_support, 2):
         a, b = case.supports[first_support], case.supports[second_support]
-        x = parts.x[np.intersect1d(holding[first_support], holding[second_support])]
+        x = parts.x[
+            np.intersect1d(nodes_of_support[first_support], nodes_of_support[second_support])
+        ]
         hold_both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
         first_values, second_values = (
-            _gap_values(case, name, x)[hold_both] for name in (first_support, second_support)
+            _prescribed_displacements(case, name, x)[hold_both]
+            for name in (first_support, second_support)
         )
         for axis in sorted(set(a.held_axes) & set(b.held_axes)):
             u, v = first_values[..., "xyz".index(axis)], second_values[..., "xyz".index(axis)]
             size = max(np.abs(u).max(initial=0.0), np.abs(v).max(initial=0.0))
-            differ = (np.abs(u - v) > SAME * size).any(axis=0)
+            differ = (np.abs(u - v) > SAME_DISPLACEMENT * size).any(axis=0)
             if not differ.any():
                 continue
             key = f"supports.{second_support}"
@@ -157,7 +164,9 @@ def _contradictions_in(
                 "at "
                 f"{int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
             )
-            if differ.sum() == min(len(holding[first_support]), len(holding[second_support])):
+            if differ.sum() == min(
+                len(nodes_of_support[first_support]), len(nodes_of_support[second_support])
+            ):
                 errors.append(Verdict(message, key, "remove one of the two"))
             else:
                 message += (
@@ -176,23 +185,27 @@ def _motions(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """
     errors: list[Verdict] = []
     notes: list[Verdict] = []
-    guided = {motion.region for motion in case.motions.values()}
+    regions_without_free_rotation = {motion.region for motion in case.motions.values()}
     fixed_boundaries = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
-    guided |= {
+    regions_without_free_rotation |= {
         parts.pieces[k].region for name in fixed_boundaries for k in parts.boundaries.get(name, ())
     }
     for name, law in case.interfaces.items():
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
-            slides_finitely = law.finite_sliding and region not in guided
+            slides_finitely = law.finite_sliding and region not in regions_without_free_rotation
             if slides_finitely and case.regions[region].moves_rigidly:
                 message = f"the rotation of the rigid {region} is not given"
                 suggestion = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
                 cure = f"expected {suggestion}, or a fixed support"
                 errors.append(Verdict(message, f"interfaces.{name}", cure))
     for name, motion in case.motions.items():
-        turning = {k for k, piece in enumerate(parts.pieces) if piece.region == motion.region}
+        pieces_of_region = {
+            k for k, piece in enumerate(parts.pieces) if piece.region == motion.region
+        }
         boundaries_of_body = {
-            boundary for boundary, pieces in parts.boundaries.items() if turning & pieces.keys()
+            boundary
+            for boundary, pieces in parts.boundaries.items()
+            if pieces_of_region & pieces.keys()
         }
         supports_of_body = ", ".join(
             n for n, support in case.supports.items() if support.boundary in boundaries_of_body
@@ -304,17 +317,17 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
     supported_boundaries = {
         n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"
     }
-    supported_nodes = {
+    nodes_by_owner = {
         f"supports.{name}": nodes(boundary) for name, boundary in supported_boundaries.items()
     }
     for c in contacts:
         interface_nodes = nodes(c.between[1]) if c.between else parts.on_interface(c.name)
-        supported_nodes[f"interfaces.{c.name}"] = interface_nodes
+        nodes_by_owner[f"interfaces.{c.name}"] = interface_nodes
     errors = []
     for contact in contacts:
         name = f"interfaces.{contact.name}"
-        for key, interface_nodes in supported_nodes.items():
-            shared_nodes = np.intersect1d(supported_nodes[name], interface_nodes)
+        for key, interface_nodes in nodes_by_owner.items():
+            shared_nodes = np.intersect1d(nodes_by_owner[name], interface_nodes)
             if contact.between and key != name and len(shared_nodes):
                 message = (
                     f"moves {len(shared_nodes)} nodes of {contact.between[1]}, e.g. at "
@@ -327,15 +340,15 @@ def _followers(case: Case, parts: Parts) -> list[Verdict]:
 def _meets_axis(x: Floats, axis: Floats, point_on_axis: Floats) -> NDArray[np.bool_]:
     """Tetrahedra of corners (n, 4, 3) that a line meets.
 
-    Seen along the line, it is outside of a cell whose corners all lie on one side of it.
+    A line misses a tetrahedron if, seen along the line, all corners lie within half a turn.
     """
     directions_across = np.linalg.svd(axis[None])[2][1:]
     y, z = np.einsum("ki,nci->knc", directions_across, x - point_on_axis)
     angle = np.sort(np.arctan2(z, y), axis=1)
     angles_between = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
     radius = np.hypot(y, z)
-    is_near = radius.min(axis=1) <= CLOSE * radius.max(axis=1)
-    return np.asarray(is_near | (angles_between.max(axis=1) <= np.pi + CLOSE))
+    is_near = radius.min(axis=1) <= ON_AXIS * radius.max(axis=1)
+    return np.asarray(is_near | (angles_between.max(axis=1) <= np.pi + ON_AXIS))
 
 
 def _clamped(case: Case, parts: Parts) -> list[Verdict]:
@@ -352,9 +365,11 @@ def _clamped(case: Case, parts: Parts) -> list[Verdict]:
                     if parts.pieces[piece].region in side:
                         d = directions(s, parts, nodes)
                         values[nodes] += d.swapaxes(1, 2) @ d
-            held_masks.append(np.linalg.eigvalsh(values[parts.on_interface(name)])[:, 0] > SAME)
+            held_masks.append(
+                np.linalg.eigvalsh(values[parts.on_interface(name)])[:, 0] > ZERO_EIGENVALUE
+            )
         clamped_share = float(np.mean(np.logical_and(*held_masks)))
-        if clamped_share > MOSTLY:
+        if clamped_share > CLAMPED_SHARE:
             message = (
                 f"supports hold both sides of interface '{name}' at {100 * clamped_share:.0f} % "
                 "of its "
@@ -365,21 +380,23 @@ def _clamped(case: Case, parts: Parts) -> list[Verdict]:
 
 def _meeting(case: Case, parts: Parts) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
-    openable = [name for name, law in case.interfaces.items() if law.can_part]
+    interfaces_that_part = [name for name, law in case.interfaces.items() if law.can_part]
     regions_of_bodies = {
         frozenset(parts.pieces[p].region for p in g) for g in bodies_of(case, parts)
     }
     is_on_interface = np.array(
-        [np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in openable]
+        [np.isin(np.arange(len(parts.x)), parts.on_interface(n)) for n in interfaces_that_part]
     )
-    bodies = np.zeros(len(parts.x), dtype=int)
+    body_count = np.zeros(len(parts.x), dtype=int)
     for regions in regions_of_bodies:
-        bodies[np.unique(np.concatenate([parts.corners_of(r) for r in regions]))] += 1
-    rows = np.flatnonzero((bodies > 1) & (is_on_interface.sum(axis=0) >= bodies))
-    if not openable or not len(rows):
+        body_count[np.unique(np.concatenate([parts.corners_of(r) for r in regions]))] += 1
+    rows = np.flatnonzero((body_count > 1) & (is_on_interface.sum(axis=0) >= body_count))
+    if not interfaces_that_part or not len(rows):
         return []
     meeting_names = [
-        name for name, is_on in zip(openable, is_on_interface[:, rows[0]], strict=True) if is_on
+        name
+        for name, is_on in zip(interfaces_that_part, is_on_interface[:, rows[0]], strict=True)
+        if is_on
     ]
     message = (
         f"interfaces {', '.join(meeting_names)} meet at {len(rows)} vertices, e.g. at "
@@ -416,20 +433,20 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
         smallest_gap = float(gap.min()) * factors[-1]
         thickness, size = _side_spans(case, parts, name)
         key = f"interfaces.{name}.gap"
-        if thickness and interference >= TOO_MUCH * thickness:
+        if thickness and interference >= IMPOSSIBLE_INTERFERENCE * thickness:
             message = (
                 f"an interference of {interference:.3g} mm is "
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
                 f"({thickness:.3g} mm), so that strains are not small"
             )
             errors.append(Verdict(message, key, "use a smaller interference; is the unit wrong?"))
-        elif thickness and interference > SMALL * thickness:
+        elif thickness and interference > LARGE_GAP * thickness:
             message = (
                 f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
                 "strains are not small"
             )
             notes.append(note(message, key, WRONG_UNIT))
-        if smallest_gap > SMALL * size:
+        if smallest_gap > LARGE_GAP * size:
             message = (
                 f"the sides are {smallest_gap:.3g} mm apart everywhere, "
                 f"{100 * smallest_gap / size:.0f} % of the "
@@ -440,7 +457,7 @@ def _gaps(case: Case, parts: Parts) -> tuple[list[Verdict], list[Verdict]]:
     return errors, notes
 
 
-def _far_gaps(case: Case, parts: Parts) -> list[Verdict]:
+def _large_displacements(case: Case, parts: Parts) -> list[Verdict]:
     """Notes on prescribed displacements that are not small."""
     notes = []
     model_size = float(np.linalg.norm(np.ptp(parts.x, axis=0)))
@@ -448,11 +465,11 @@ def _far_gaps(case: Case, parts: Parts) -> list[Verdict]:
         if s.kind != "displacement" or not parts.boundaries.get(s.boundary):
             continue
         x = parts.x[np.concatenate([*parts.boundaries[s.boundary].values()])]
-        largest_gap = float(np.abs(_gap_values(case, name, x)).max())
-        if largest_gap > FAR * model_size:
+        largest_displacement = float(np.abs(_prescribed_displacements(case, name, x)).max())
+        if largest_displacement > LARGE_DISPLACEMENT * model_size:
             message = (
-                f"moves a model of {model_size:.3g} mm by {largest_gap:.3g} mm: displacements are "
-                "not small"
+                f"moves a model of {model_size:.3g} mm by {largest_displacement:.3g} mm: "
+                "displacements are not small"
             )
             notes.append(note(message, f"supports.{name}", WRONG_UNIT))
     return notes
@@ -538,7 +555,7 @@ def _too_stiff(case: Case, parts: Parts) -> list[Verdict]:
     worst_of_region: dict[str, tuple[float, float, float]] = {}
     for p in parts.pieces:
         slender = p.thickness < SLENDER * float(p.box.max())
-        if slender and p.free > MOSTLY and modulus(case.regions[p.region]):
+        if slender and p.free > FREE_SHARE and modulus(case.regions[p.region]):
             excess = BENDING * (p.edge / p.thickness) ** 2
             candidate = (excess, p.thickness, p.edge)
             worst_of_region[p.region] = max(worst_of_region.get(p.region, candidate), candidate)

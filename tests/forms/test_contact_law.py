@@ -350,6 +350,52 @@ def test_contact_law_satisfies_signorini_and_coulomb(faces: int, friction: bool)
 EDGE = sample(1, 2, seed=7)
 
 
+@pytest.mark.parametrize("directions", [1, 2])
+def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int) -> None:
+    """x = R (x + a) / |(x + a, b)|: slips from far below rounding to far above the friction limit.
+
+    R is the limit of friction, a the trial force of the slip, b the force across it. Below the
+    tolerance of rest, the friction of the last state stays, here none.
+    """
+    n, rng = 500, np.random.default_rng(5)
+    μ, r = rng.uniform(0.05, 1.5, n), 10 ** rng.uniform(0, 4, n)
+    pressure = 10 ** rng.uniform(-3, 3, n)
+    R = μ * pressure
+    a = R * 10 ** rng.uniform(-18, 3, n)
+    near_the_limit = 1 + rng.choice([-1, 1], n) * 10 ** rng.uniform(-15, 0, n)
+    b = R * np.where(rng.random(n) < 0.5, near_the_limit, 10 ** rng.uniform(-6, 2, n))
+    angle = rng.uniform(0, 2 * np.pi, n)
+    if directions == 1:
+        angle = np.round(angle / np.pi) * np.pi
+    else:
+        b = 0.0 * b
+    towards = np.column_stack([np.cos(angle), np.sin(angle) * (directions == 2), 0 * angle])
+    F = np.column_stack([0 * b, b, -pressure])
+    jump, none = (a / r)[:, None] * towards, np.zeros((n, 3))
+    normals = np.zeros((n, 3, 3))
+    normals[:, 0, 2] = 1
+    prescribed = np.tile(np.diag([1.0, float(directions == 2), 0.0]), (n, 1, 1))
+    number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
+    ones = np.ones(n)
+    local_points = LocalPoints(
+        number, number, none, sides, ones.astype(np.int64), normals, ones, prescribed, prescribed
+    )
+    law = PointLaw(MPI.COMM_SELF, local_points, Timing())
+    laws = [Coulomb(friction_coefficient=float(m)) for m in μ]
+    law.begin(laws, {"μ": μ}, 1.0, np.tile(np.eye(3), (n, 1, 1)))
+    law.stiffness = r
+    out = law.evaluate(F, jump, none, ContactState.at_rest(none, {}))
+    assert np.isfinite(out.by_multiplier).all() and np.isfinite(out.by_jump).all()
+    scale = np.linalg.norm(F, axis=1) + a
+    x = dot(out.force, towards)
+    slides = a > 1e-11 * scale
+    assert slides.any() and not slides.all()
+    assert not x[~slides].any()
+    expected = R * (x + a) / np.hypot(x + a, b)
+    assert (x[slides] > 0).all()
+    assert (np.abs(x - expected)[slides] < 3e-12 * scale[slides]).all()
+
+
 @cache
 def edge_law() -> PointLaw:
     return law_of(EDGE, True)
