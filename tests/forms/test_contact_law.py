@@ -354,8 +354,8 @@ EDGE = sample(1, 2, seed=7)
 def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int) -> None:
     """x = R (x + a) / |(x + a, b)|: slips from far below rounding to far above the friction limit.
 
-    R is the limit of friction, a the trial force of the slip, b the force across it. Below the
-    tolerance of rest, the friction of the last state stays, here none.
+    R is the limit of friction, a the trial force of the slip, b the force across it. At rest, below
+    a tolerance, it is the friction of the last state, here zero, and at most a more.
     """
     n, rng = 500, np.random.default_rng(5)
     μ, r = rng.uniform(0.05, 1.5, n), 10 ** rng.uniform(0, 4, n)
@@ -390,7 +390,7 @@ def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int
     x = dot(out.force, towards)
     slides = a > 1e-11 * scale
     assert slides.any() and not slides.all()
-    assert not x[~slides].any()
+    assert (np.abs(x) <= 1.001 * a)[~slides].all()
     expected = R * (x + a) / np.hypot(x + a, b)
     assert (x[slides] > 0).all()
     assert (np.abs(x - expected)[slides] < 3e-12 * scale[slides]).all()
