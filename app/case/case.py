@@ -70,18 +70,19 @@ class Case(Section):
     """Everything that a run needs to know."""
 
     mantle: Literal[1] = 1
-    """Version of the format of case files; the first without the key. Later programs read the file
-    with the meaning of its version. A version newer than the program is refused."""
+    """Version of the format of case files; a file without this key has version 1. Later versions of
+    mantle read the file with the meaning of its version. A format newer than the program is
+    refused."""
     title: Text = ""
-    """A line for people."""
+    """Title for logs and reports."""
     credibility: Credibility = Credibility()
     """Question, context of use and risk, for `mantle report --evidence`."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
     side: Literal["left", "right"] = "left"
-    """Side of the hip, z being proximal and y anterior: x is medial of a left one and lateral of a
-    right one. It decides the signs of retroversion and varus, and nothing else. Parametric femurs
-    are left, and nothing else: their numbers are those of the mirrored right one."""
+    """Side of the hip. With z proximal and y anterior, x is medial in a left hip and lateral in a
+    right one. The key only sets the signs of retroversion and varus. Parametric femurs must be
+    left; a mirrored right hip has the same numbers."""
     mesh: MeshOptions = Field(default_factory=MeshOptions)
     """Mesh size and order."""
     regions: Annotated[dict[Name, Region], MAPPING]
@@ -91,7 +92,8 @@ class Case(Section):
     supports: Annotated[dict[Name, AnySupport], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
     motions: Annotated[dict[Name, Motion], MAPPING] = Field(default_factory=dict)
-    """Regions that rotate far, by a cycle table through each cycle of the last stage."""
+    """Regions with large rotations, prescribed by a cycle table for each cycle of the last
+    stage."""
     loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
         json_schema_extra={"properties": LIBRARY_KEYS},
@@ -101,7 +103,8 @@ class Case(Section):
     takes several sets, each with its history; their loads are called `walking_hip` and so on.
     `body_weight: 750 N` scales the forces. `history: [0, 1]` or `cycle_table: walking_cycle`
     applies to all of them. `sagittal_tilt: 8.4 deg` rotates them about x, from the frame of the
-    measured forces to that of the shaft, whose proximal end is posterior in it by this angle."""
+    measurement to that of the shaft. The angle is the backward tilt of the proximal shaft in the
+    frame of the measurement."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
@@ -113,12 +116,12 @@ class Case(Section):
     output: OutputOptions = OutputOptions()
     """Results that are written."""
     variations: Variations = Field(default_factory=dict)
-    """Runs of the case on one mesh with one stiffness, by name: overrides as after ``--set``. With
-    it, only these are run."""
+    """Runs of the case that share mesh and stiffness, by name: overrides as after ``--set``. If
+    given, only these runs are made."""
     base: Text | None = None
-    """Case that this one is laid over: a file, relative to this one, or the name of a shipped case,
-    such as `stance`. Mappings merge key by key, of another kind they replace; lists and values
-    replace; `null` removes an entry."""
+    """Case that this one changes: a file, relative to this one, or the name of a shipped case, such
+    as `stance`. Mappings are merged key by key; a mapping of another kind, a list or a value
+    replaces that of the base; `null` removes an entry."""
     library: Text | None = None
     """File of more materials, loads and contexts of use by name, relative to this one, such as
     `mine.yaml`; `mantle explain materials`, `loads` and `contexts` list those that are known

@@ -99,16 +99,17 @@ class _Femur(Hip):
     canal_widening: Annotated[float, length("1 mm", at_least=0.0, at_most=5.0)] = 0.0
     """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     metaphyseal_cortex: Annotated[float, length("2 mm", at_least=1.5, at_most=4.0)] | None = None
-    """Thickness of the cortex across the shaft's axis above z = -10 mm, reamed or not, 1.5 to 4 mm;
-    down to -50 mm it goes over to that of the shaft. By default it is 3.5 to 7 mm there. In cells
-    of 6 mm the worst shape (SICN) is 0.12 at 2 mm, 0.09 at 1.5 mm."""
+    """Thickness of the cortex above z = -10 mm, perpendicular to the shaft's axis, 1.5 to 4 mm,
+    reamed or not. From there to z = -50 mm it changes to the thickness of the shaft. By default it
+    is 3.5 to 7 mm. With cells of 6 mm the lowest quality (SICN) is 0.12 at 2 mm, 0.09 at 1.5 mm."""
     stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
-    """The implant: by its numbers, or one from a CAD file."""
+    """The implant: its dimensions, or a CAD file."""
     tip_z: Length | None = None
     """Level of the stem's tip. By default the shoulder is at 29 mm, so the tip of a shorter stem is
     higher: at -118 mm for a length of 147 mm."""
     anteversion: Angle = 0.0
-    """Turn of stem, neck and neck cut about the shaft's axis, the head to anterior (rad)."""
+    """Rotation of stem, neck and neck cut about the shaft's axis; positive moves the head
+    anteriorly (rad)."""
     resection: FemurResection = Field(default_factory=FemurResection)
     """The cut across the neck."""
     distal_cut_z: Annotated[float, length("-200 mm", at_least=-350.0)] = -200.0
@@ -224,16 +225,16 @@ class Femur(_Femur, OperatedHip):
     """A proximal femur with a straight tapered stem, in a cement mantle or without.
 
     Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
-    The table of bone sections belongs to the mesher; the parameters here are those of the operation
-    and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
+    The sections of the bone are fixed; the keys describe the operation and the implant. Defaults:
+    an Exeter-class 150 mm stem in an average femur.
     """
 
     file_keys: ClassVar[tuple[str, ...]] = ("stem.step",)
 
     kind: Literal["femur"] = "femur"
     insertion: InsertionOrBest | None = None
-    """Where the stem is put, other than along the shaft's axis, turned by `anteversion`; or `best`:
-    the position with the most room, near that."""
+    """Position of the stem, if it is not on the shaft's axis, rotated by `anteversion`; or `best`:
+    the position near it with the most room."""
 
     @model_validator(mode="after")
     def _searched(self) -> Femur:
@@ -273,9 +274,9 @@ class Femur(_Femur, OperatedHip):
 class IntactFemur(_Femur):
     """The same femur before the operation: bone alone, with its head and neck.
 
-    The operation and the implant are those that are planned: they do not change the bone, but say
-    which of it will be left, and that is what Gruen zones are of. So their strain energy can be
-    compared with that of a femur of the same numbers.
+    The keys of the operation and the implant describe what is planned. They do not change the bone,
+    but define the bone that will remain, to which the Gruen zones belong. So strain energies can be
+    compared with those of a femur with the same keys.
     """
 
     mesher: ClassVar[str] = "meshes.femur_intact"
@@ -285,7 +286,7 @@ class IntactFemur(_Femur):
     insertion: ClassVar[None] = None
 
     stem: Stem = Field(default_factory=Stem)
-    """The planned implant by its numbers."""
+    """The planned implant: its dimensions."""
 
     kind: Literal["intact_femur"] = "intact_femur"
     head_radius: Annotated[float, length("23 mm", at_least=18.0, at_most=30.0)] = 23.0

@@ -205,7 +205,7 @@ class FitFile(Section):
     """The content of a fit file."""
 
     title: Text = ""
-    """A line for people."""
+    """Title for logs and reports."""
     base: Text
     """The case, relative to this file, or a shipped one by its name; its variations are not
     used."""

@@ -208,9 +208,9 @@ class MeshFile(Shape):
     """A mesh file; its named volumes or sets of cells are regions, its named surfaces boundaries.
 
     Files of gmsh (``.msh``), Abaqus and CalculiX (``.inp``), FEBio (``.feb``), VTU (``.vtu``,
-    ``.pvtu``), XDMF and MED are taken as they are. A ``.geo`` script of gmsh is meshed: it declares
-    ``DefineConstant[ size = 1 ];``, and ``far_size`` if it likes, which are set from the mesh
-    section (in the script's unit). Further constants are set by ``parameters``.
+    ``.pvtu``), XDMF and MED are taken as they are. A ``.geo`` script of gmsh is meshed: it must
+    declare ``DefineConstant[ size = 1 ];`` and may declare ``far_size``. The mesh section sets both
+    (in the script's unit). Further constants are set by ``parameters``.
     """
 
     mesher: ClassVar[str] = "meshes.imported"

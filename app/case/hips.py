@@ -85,13 +85,13 @@ class Resection(Section):
     """The cut across the neck."""
 
     height: Length = 8.0
-    """Height above the lesser trochanter at which it leaves the medial cortex."""
+    """Height above the lesser trochanter at which the cut leaves the medial cortex."""
     angle: Annotated[float, Dimension("rad", "an angle", "38 deg", at_least=0.0, below=1.2)] = (
         math.radians(38.0)
     )
     """Angle of the cut to the transverse plane (rad), below 1.2."""
     azimuth: Angle | None = None
-    """Direction of its normal about the shaft, from medial to anterior (rad); by default the
+    """Direction of the cut's normal about the shaft, from medial to anterior (rad); by default the
     neck's."""
 
 
@@ -101,7 +101,7 @@ class Version(Section):
     relative_to: Literal["neck", "condyles"] = "neck"
     """Line from which the angle is measured: the neck, or the line of the posterior condyles."""
     angle: Angle = 0.0
-    """The rotation, the head to anterior (rad)."""
+    """Rotation (rad); positive moves the head anteriorly."""
 
 
 def _tilt(largest: float) -> Dimension:
@@ -129,11 +129,12 @@ class Insertion(Section):
     """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement,
     or bone, above it. By default 0, and in the parametric femur as `tip_z` says."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
-    """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
+    """Rotation of the stem (rad) about the point where its axis meets the cut; positive moves the
+    tip laterally."""
     flexion: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = (
         0.0
     )
-    """Tilt of the stem, its tip to posterior (rad), about the same point."""
+    """Rotation of the stem (rad) about the same point; positive moves the tip posteriorly."""
     version: Version = Field(default_factory=Version)
     """Rotation of the stem about the shaft's axis."""
     medial_offset: Length = 0.0
@@ -180,15 +181,16 @@ class Hip(Shape):
     has_curved_surfaces: ClassVar[bool] = True
     coarsest_size: ClassVar[float] = 20.0  # a few cells along the stem
     cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side.
-    `0 mm`: no cement. The stem is then in contact with the bone (interface `stem_bone`)."""
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one value, or values by height
+    and side. `0 mm`: no cement. The stem is then in contact with the bone (interface
+    `stem_bone`)."""
     plug_length: PositiveLength = 10.0
     """Length of cement below the tip. Without cement: length below the tip over which the cells
     keep the outline of the stem."""
     tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] | None = None
     """Length without cement or bone below the stem's end, as in a hollow centraliser. The end is
     then flat and carries no load. 0, or at least 1 mm and at most 1 mm less than the plug. By
-    default 0 in cement, and 5 mm without cement: a stem hangs in its canal."""
+    default 0 in cement, and 5 mm without cement, where the tip carries no load."""
 
     if TYPE_CHECKING:
 

@@ -116,7 +116,7 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
             value, unit = _value(field, keys_of_section)
             meaning = prose(field.get("description", ""))
             if key == "kind":
-                meaning = "Says that it is of this kind."
+                meaning = "Selects this kind."
             default = "" if key in schemas[name].get("required", ()) else _default(key, field)
             inner = tuple(
                 (_kind(schemas[n]), tuple(k for k in schemas[n]["properties"] if k != "kind"))

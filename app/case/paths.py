@@ -26,12 +26,12 @@ class PathOptions(Section):
 
     kind: Any
     points: Annotated[units.PositiveInteger, AfterValidator(_some)] = 101
-    """Number of points, at equal distances, with both ends."""
+    """Number of points, at equal distances, including both ends."""
     fields: Annotated[tuple[Text, ...], ITEMS] = ()
-    """Fields, by their names in `fields.vtkhdf`; of a vector its length. `displacement.x`,
-    `stress.zz` are components. Fields of an interface are without its name: `pressure`. By default
-    the displacement, the von Mises stress and the temperature; on an interface with contact its
-    pressure, shear, slip, gap and the temperature."""
+    """Fields, by their names in `fields.vtkhdf`; for a vector its magnitude. `displacement.x`,
+    `stress.zz` are components. Fields of an interface are written without its name: `pressure`. By
+    default the displacement, the von Mises stress and the temperature; on an interface with contact
+    its pressure, shear, slip, gap and the temperature."""
 
     @property
     def interface_name(self) -> str:

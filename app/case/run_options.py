@@ -32,23 +32,24 @@ class Stage(Section):
     duration: units.PositiveTime | None = None
     """Time that the stage takes. By default it takes none, and temperatures stay as they are."""
     steady: Truth = False
-    """Go to the steady state of the temperature."""
+    """Compute the steady state of the temperature."""
     fracture_step: units.FractureEnergy | None = None
     """Energy that the damage of interfaces may dissipate in a load step. If a step would dissipate
     more, the load is sought at which it dissipates this energy; the load may fall. By default steps
     follow the load."""
     cycles: units.PositiveInteger = 1
-    """Number of times that loads, gaps and supports reach their values of the end of the stage. In
-    between they return to `valley`; `increments` are those of each segment. In the last stage
-    without a duration, through which cycle tables run: number of repetitions of the tables. There
-    nothing returns, and `increments` are those of a cycle."""
+    """Number of load cycles. In each, loads, gaps and supports reach their values of the end of the
+    stage; in between they return to `valley`. `increments` counts the steps between a valley and a
+    peak. In the stage of the cycle tables, the last one without a duration: number of repetitions
+    of the tables. There nothing returns to `valley`, and `increments` counts the steps of a
+    cycle."""
     valley: units.Share = 0.1
     """Part of the change of the stage that remains between two cycles."""
     creep_cycles: units.PositiveNumber | None = None
     """Number of cycles for which regions creep, at the loads of the end of the stage, their peak.
     Loads are applied first, in `increments` and without creep. Temperatures stay."""
     creep_time: units.PositiveTime | None = None
-    """The same in time, for laws of creep in a unit of time."""
+    """Time for which regions creep, for creep laws with a unit of time (`per`)."""
     creep_tolerance: units.PositiveNumber = 1e-2
     """Largest error of the creep strain in a step, over the largest elastic strain."""
 

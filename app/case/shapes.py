@@ -74,7 +74,8 @@ _UNIFORM = _UniformThickness("mm", "a length", "4 mm", at_least=0.0, at_most=MOS
 class GradedThickness(Section):
     """Thickness of a mantle by height, by side, or both.
 
-    Linear between heights, half a wave between sides; with both, sides give ratios to the mean.
+    Linear between heights, half a cosine wave between sides. With both, heights give the mean, and
+    sides the ratios to it.
     """
 
     proximal: _Thickness | None = None
@@ -372,7 +373,7 @@ class MeshOptions(Section):
     size: Annotated[PositiveLength, Field(json_schema_extra={"default": None})] = 0.0
     """Edge length at the interfaces. Required except for a mesh file, which has cells."""
     far_size: PositiveLength | None = None
-    """Edge length far from them; four times `size` by default."""
+    """Edge length far from the interfaces; four times `size` by default."""
     order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
     """Polynomial degree of the displacement."""
     curved: Truth | None = None
@@ -382,7 +383,7 @@ class MeshOptions(Section):
     around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
     quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, and the
-    number, a multiple of 4, 16 at least up to a size of 10 mm."""
+    number, a multiple of 4, at least 16 up to a size of 10 mm."""
     along: PositiveLength | None = None
     """Largest step along the stem of a femur; by default `size`. All steps from the shaft to the
     head scale with it."""

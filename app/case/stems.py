@@ -46,7 +46,7 @@ class Collar(Section):
     """Thickness of the plate, 1 to 10 mm."""
     angle: Annotated[float, Dimension("rad", "an angle", "90 deg")] = math.radians(90.0)
     """Angle about the stem's axis over which it extends, half of it to each side of medial, 20 to
-    320 deg. The mesh takes the nearest pairs of lines and reports its angle."""
+    320 deg. The mesh rounds it to whole pairs of lines and reports the result."""
 
     @model_validator(mode="after")
     def _beside_the_resection(self) -> Collar:
@@ -64,13 +64,13 @@ def collar_numbers(collar: Collar | None) -> dict[str, float]:
 
 
 class Stem(Section):
-    """A straight tapered stem by its numbers, with or without a collar."""
+    """A straight tapered stem by its dimensions, with or without a collar."""
 
     content: ClassVar[str] = ""
     details: ClassVar[dict[str, str]] = {}
 
     length: PositiveLength = 147.0
-    """From the shoulder to the tip."""
+    """Length from the shoulder to the tip."""
     tip_half_width: PositiveLength = 3.0
     """Half the medio-lateral width at the tip."""
     tip_half_depth: PositiveLength = 3.0
@@ -80,7 +80,7 @@ class Stem(Section):
     tip_rounding: TipRounding = 2.0
     """Height of the stem's rounded end, 1 to 20 mm; 0: it is flat, as it is over a void."""
     section_depth: PositiveLength = 14.0
-    """Depth below the shoulder of the proximal section that the next three describe."""
+    """Depth below the shoulder of the proximal section that the next three keys describe."""
     half_width: PositiveLength = 8.5
     """Half the medio-lateral width there."""
     half_depth: PositiveLength = 5.0
@@ -90,7 +90,7 @@ class Stem(Section):
     neck_diameter: NeckDiameter = 13.0
     """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
     neck_fillet: NeckFillet = 3.0
-    """Radius where the stem turns into the neck, 2 to 10 mm; a blunt turn has a larger one."""
+    """Radius of the fillet between body and neck, 2 to 10 mm; at an obtuse angle it is larger."""
     trunnion_diameter: TrunnionDiameter = 12.0
     """Diameter of the neck's end, which carries the head, 5 to 22 mm."""
     head_offset: HeadOffset = 43.0
@@ -137,7 +137,7 @@ class StemFile(Section):
     """STEP, IGES or BREP file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """Unit of a file that names none or a wrong one. STEP and IGES files name their unit, and are
-    read in millimetres; then this is the length that a millimetre stands for."""
+    converted to millimetres; this key then gives the true length of such a millimetre."""
     head_centre: _Point | None = None
     """Centre of the head; by default that of the face that ends the neck."""
     axis: _Line | None = None
@@ -147,7 +147,7 @@ class StemFile(Section):
     """A point of the planar face that ends the neck; by default it is the one farthest to medial
     and proximal."""
     collar: Collar | None = None
-    """Collar that rests on the neck cut, as for a stem by its numbers; the file must have none."""
+    """Collar that rests on the neck cut, as for a parametric stem; the file must have none."""
 
     @model_validator(mode="after")
     def _readable(self) -> StemFile:

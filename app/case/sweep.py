@@ -27,7 +27,7 @@ class Sweep(SweepPart):
     """The content of a sweep file: one part, or several by name that share base and ``set``."""
 
     title: Text = ""
-    """A line for people."""
+    """Title for logs and reports."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with their axes, and their base where it differs."""
 

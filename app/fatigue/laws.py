@@ -28,7 +28,7 @@ Volume = Annotated[float, Dimension("mm^3", "a volume", "1000 mm^3", above=0.0)]
 
 
 class Weibull(Section):
-    """Strength of specimens: three parameters, and the volume that they are of."""
+    """Strength of specimens: three parameters, and the volume to which they refer."""
 
     shape: PositiveNumber
     """Exponent m."""
@@ -56,13 +56,14 @@ class FatigueLaw(Section):
     """Base of the S-N laws: cycles N to failure, by the largest stress s of a cycle."""
 
     ratio: Annotated[float, Plain(at_least=0.0, below=1.0)] = 0.0
-    """Least over largest stress of the cycles that it was measured in."""
+    """Stress ratio of the test: smallest over largest stress of a cycle."""
     measured: Measured | None = None
     """Stresses between which it was measured."""
     deviation: Strength = 0.0
-    """Standard deviation of the stress that is endured for a number of cycles (`stem_test`)."""
+    """Standard deviation of the stress that specimens endure for a given number of cycles
+    (`stem_test`)."""
     source: Source = None
-    """Where it is from."""
+    """Source of the law."""
 
     def damage(self, s: Floats) -> Floats:
         """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
@@ -80,7 +81,7 @@ class Power(FatigueLaw):
     intercept: Number
     """log10 N at 1 MPa."""
     slope: PositiveNumber
-    """Decades of N that a decade of s takes."""
+    """Decrease of log10 N when s grows tenfold."""
 
     def damage(self, s: Floats) -> Floats:
         """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
@@ -96,9 +97,9 @@ class Logarithmic(FatigueLaw):
 
     kind: Literal["logarithmic"] = "logarithmic"
     strength: Modulus
-    """Stress that breaks in one cycle."""
+    """Stress at which one cycle causes failure."""
     fall: Modulus
-    """Fall of the stress for each decade of N."""
+    """Decrease of the stress when N grows tenfold."""
 
     def damage(self, s: Floats) -> Floats:
         """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
@@ -195,7 +196,7 @@ class StemTest(Section):
     cycles: PositiveNumber = 5e6
     """Number of cycles of the test."""
     ratio: Annotated[float, Plain(at_least=0.0, below=1.0)] = 300 / 2300
-    """Least over largest force of a cycle."""
+    """Smallest over largest force of a cycle."""
     law: AnyLaw
     """S-N law of the stem's material and surface."""
 

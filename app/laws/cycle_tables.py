@@ -40,12 +40,13 @@ class CycleTable(Section):
     model_config = ConfigDict(json_schema_extra={"type": ["object", "array", "string"]})
 
     rows: Annotated[tuple[Text, ...], ITEMS]
-    """Lines of the table, the first with its columns. Alone they stand for the section, as do the
-    name of a file and one of the library (`mantle explain cycle_tables`)."""
+    """Lines of the table; the first names its columns. These lines alone may replace the section,
+    and so may the name of a CSV file or of a table of the library (`mantle explain
+    cycle_tables`)."""
     status: Status = None
     """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
-    """Where its values are from."""
+    """Source of the values."""
 
     @model_validator(mode="before")
     @classmethod

@@ -387,7 +387,7 @@ class Frictional(InterfaceLaw):
 
 
 class SurfaceZone(Section):
-    """Part of a stem's surface between two heights, with separate numbers."""
+    """Part of a stem's surface between two heights, with its friction and interference."""
 
     KEYS: ClassVar[tuple[str, ...]] = ("friction_coefficient", "gap", "interference")
 
@@ -452,8 +452,8 @@ class Unilateral(Frictional):
     pairs of height above the stem's tip and length, linear in between. It acts on the flanks of a
     stem, not on its end, and grows during the first stage. In place of `gap`."""
     zones: Annotated[dict[Name, SurfaceZone], MAPPING] | None = None
-    """Parts of a stem's surface with separate numbers, such as a coating. Where two overlap, the
-    later one counts."""
+    """Parts of a stem's surface with different friction or interference, such as a coating. Where
+    two overlap, the later one counts."""
     gap_history: LoadHistory = None
     """Multiplier of the gap at the end of each stage, from 0. By default a clearance is constant,
     and an interference grows during the first stage."""

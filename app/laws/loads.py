@@ -104,7 +104,7 @@ class Load(Extensible, Named):
     status: Status = None
     """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
-    """Where its values are from. A change of one of them removes status and source below it."""
+    """Source of the values. If a file changes a value, status and source are removed."""
 
     @property
     def place(self) -> tuple[str, str | None, tuple[str, ...] | None]:
@@ -178,7 +178,7 @@ class Force(Load):
     boundary: Name
     """Boundary of the geometry."""
     force: ForceVector
-    """Resultant; its direction, 1 N long, where a cycle table has a column `force`."""
+    """Resultant. If the cycle table has a column `force`: its direction, as a vector of 1 N."""
     at: Point | None = None
     """Point at which the resultant acts (mm). By default the traction is uniform."""
     cycle_table: CycleTable | None = None

@@ -112,7 +112,7 @@ class Material(OfRegion):
     status: Status = None
     """Origin of the values: measured, assumed, or unverified if their source was not read."""
     source: Source = None
-    """Where its values are from. A change of one of them removes status and source below it."""
+    """Source of the values. If a file changes a value, status and source are removed."""
 
     @property
     def moduli(self) -> tuple[float, ...]:

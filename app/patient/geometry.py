@@ -49,13 +49,13 @@ class Outline(Section):
     surface: SurfaceFile | None = None
     """STL, PLY or OBJ file of its triangles; relative to the case file."""
     image: ImageFile | None = None
-    """Labelled image in place of them: NIfTI, DICOM (slices or frames), or `values` and `affine`
-    (to mm) in an `.npz`."""
+    """Labelled image in place of triangles: NIfTI, DICOM (slices or frames), or `values` and
+    `affine` (to mm) in an `.npz`."""
     label: Annotated[int, Plain(integer=True)] | None = None
-    """Number of its voxels in the image."""
+    """Label of its voxels in the image, a whole number."""
     unit: Unit | None = None
-    """Unit of the file. By default the unit with which the bone is as long as a femur, which is
-    reported; for a canal the unit of the bone."""
+    """Unit of the file. By default the unit that gives the length of a femur, which is reported;
+    for a canal the unit of the bone."""
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
@@ -86,7 +86,7 @@ class Bone(Outline):
 
 
 class Canal(Outline):
-    """The medullary canal; without a file as wide a part of the bone as in the parametric femur."""
+    """The medullary canal; without a file, with the width ratio of the parametric femur."""
 
     ct: ImageFile | None = None
     """CT of a bone that is given by a label. The canal is where CT numbers are below `threshold`,
@@ -97,7 +97,7 @@ class Canal(Outline):
     """Reaming by the surgeon: none, by the same distance everywhere (`ream_by`), or as far as stem
     and cement mantle need. At least 1.5 mm of cortex are left."""
     ream_by: PositiveLength = 1.0
-    """Distance by which it is widened with `ream: by`."""
+    """Distance by which the canal is widened with `ream: by`."""
 
 
 class Landmarks(Section):
@@ -132,13 +132,13 @@ class Patient(OperatedHip):
     canal: Canal = Field(default_factory=Canal)
     """Medullary canal, and its reaming."""
     landmarks: Landmarks = Field(default_factory=Landmarks)
-    """Landmarks that are given; the others are determined."""
+    """Given landmarks; the others are detected."""
     stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
-    """The implant: by its numbers, or one from a file of CAD."""
+    """The implant: its dimensions, or a CAD file."""
     resection: Resection = Field(default_factory=Resection)
     """The cut across the neck."""
     insertion: InsertionOrBest = Field(default_factory=Insertion)
-    """Where the stem is put; or `best`: the position with the most room."""
+    """Position of the stem; or `best`: the position with the most room."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""

@@ -33,15 +33,15 @@ class Remodelling(Section):
 
     law: Law
     """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a section `law`. A region
-    starts with the density of its modulus, if it has two of the axial one; all its moduli change
-    alike."""
+    starts with the density that gives its modulus (the axial one, if it has two); all its moduli
+    change in the same ratio."""
     regions: Annotated[_Names, Field(min_length=1)] | None = None
     """Regions that remodel; all of bone by default."""
     load_cases: Annotated[_Names, Field(min_length=1)]
-    """Earlier stages whose loads are borne from day to day; the stimulus is the mean over them."""
+    """Earlier stages that represent daily loads; the stimulus is the mean over them."""
     intact: File | None = None
-    """Case of the intact femur with the same load cases, or `case.yaml` of a run of it; solved with
-    the mesh section of this one, its stimulus is K, place by place."""
+    """Case of the intact femur with the same load cases, or `case.yaml` of a run of it; it is
+    solved with the mesh section of this case, and its stimulus at each place is K."""
     stimulus: (
         Annotated[float | str, Varying(Dimension("J/g", "an energy per mass", "0.004 J/g"))] | None
     ) = None
