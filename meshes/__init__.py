@@ -137,7 +137,7 @@ def _remedy(mesher: ModuleType, geometry: GeometryKeys, mesh: MeshKeys) -> str:
     for key, length, other_geometry, keys in changes:
         with contextlib.suppress(GeometryError):
             _checked(mesher, other_geometry, keys)
-            return f"Set {key}: {length:g} mm; all elements are good then."
+            return f"Set {key}: {length:g} mm; with it all elements are good."
     tried_sizes = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
     tried_ranges = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried_sizes.items()]
     tried_text = f"elements are also inverted or nearly flat with {' and '.join(tried_ranges)}"

@@ -52,8 +52,8 @@ def _heat(case: Case) -> Iterable[Fault]:
             )
             yield Fault(path, text)
         if name in sliding and law.conductance is None:
-            text = "the two sides share no nodes; expected a conductance, a large one if "
-            yield Fault(("interfaces", name, "conductance"), text + "it is perfect")
+            text = "the two sides share no nodes; expected a finite conductance, a large one for "
+            yield Fault(("interfaces", name, "conductance"), text + "perfect conduction")
 
 
 @judge

@@ -339,7 +339,7 @@ def _accuracy(case: CaseParts) -> Iterable[Fault]:
     touches = any(law and law.can_part for law in case.interfaces.values())
     if case.output and case.output.accuracy and (has_fixed_mesh or not touches):
         message = (
-            "mesh size cannot be chosen; an accuracy needs contact, no variations and no mesh file"
+            "mesh size cannot be chosen: an accuracy needs contact, no variations, no mesh file"
         )
         yield Fault(("output", "accuracy"), message)
 

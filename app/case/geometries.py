@@ -238,7 +238,7 @@ class MeshFile(Shape):
     @model_validator(mode="after")
     def _declared(self) -> MeshFile:
         if self.parameters and not self.is_script:
-            fail("are constants of a .geo script, and this file is none", at=("parameters",))
+            fail("apply only to a .geo script; leave them out", at=("parameters",))
         declared_names = constants(self.path) if self.parameters else ()
         for name in self.parameters:
             if name in ("size", "far_size"):

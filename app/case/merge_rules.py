@@ -115,7 +115,7 @@ def _loads(case: CaseFile, lower: object, upper: object, path: Path) -> tuple[ob
     if set_names is not None:
         upper = _without_keys(upper, "library")
         if not isinstance(set_names, str | dict):
-            message = f"{show(set_names)} is not the name of a set, nor names with histories"
+            message = f"{show(set_names)} is neither the name of a set nor names with histories"
             case.complaints.append(Fault((*path, "library"), f"{message}, e.g. {{gait: [1, 0]}}"))
             return lower, upper
         loads_of_sets = (

@@ -417,7 +417,7 @@ add_quantity(
     _interface("area_damaged", "mm^2", digits=1, label="damaged area", step_record=True),
     _interface("area_broken", "mm^2", digits=1, label="broken area", step_record=True),
     _interface("damage_mean", "-", digits=4, label="damage, mean", order=MOTION, step_record=True),
-    _interface("pressure_by_facets", "MPa", label="pressure by facets, max", exact=True),
+    _interface("pressure_by_facets", "MPa", label="pressure caused by facets, max", exact=True),
     _interface("pressure_mean_max", "MPa", label="pressure, largest mean at a point"),
     _interface("zone_length", "mm", digits=1, label="length of the process zone", step_record=True),
     _interface("zone_elements", "-", digits=1, label="elements in the process zone"),

@@ -148,7 +148,9 @@ def run(
     """
     if isinstance(case, Mapping):
         if mesh is None or output is None:
-            raise InputError("a case of mappings needs a mesh and an output: run(..., mesh=...)")
+            raise InputError(
+                "a case given as a dict needs an output and a mesh: run(..., mesh=...)"
+            )
         with stack_needed():
             from app.simulation.given_mesh import case_on
         case = case_on(mesh, case, Path(output))

@@ -77,7 +77,7 @@ class Cure(OfRegion):
         if isinstance(kinetics, Autocatalytic):
             if self.initial == 0.0 and kinetics.m > 0.0:
                 fail(
-                    "cure never starts at 0 where m > 0; expected a small degree, e.g. 1e-3",
+                    "with m > 0 a cure cannot start at 0; expected a small degree, e.g. 1e-3",
                     at=("initial",),
                 )
             largest = 1.0

@@ -167,7 +167,10 @@ class Foundation(Named):
     @model_validator(mode="after")
     def _check_not_empty(self) -> Foundation:
         if not any(self.stiffness):
-            fail("is zero along every axis", at=("stiffness",))
+            fail(
+                "is zero along every axis; expected a stiffness along at least one",
+                at=("stiffness",),
+            )
         return self
 
     @property

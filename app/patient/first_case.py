@@ -143,7 +143,7 @@ def _propose(folder: Path, bone: Structure, canal: Structure | None, ct: Path | 
                 return Proposal(keys, geometry)
     raise InputError(
         f"{bone.path}: no stem of {STEMS[-1][0]:g} to {STEMS[0][0]:g} mm fits into this femur."
-        f" Problem of the smallest, {reasons[len(STEMS) - 1]}. Write a case with your own stem:"
+        f" Reason for the smallest, {reasons[len(STEMS) - 1]}. Write a case with your own stem:"
         " see docs/howto/patient.md"
     )
 

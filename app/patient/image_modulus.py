@@ -69,7 +69,10 @@ class ImageModulus(ModulusField):
         except InputError as error:
             fail(str(error), at=("density",))
         if self.sha256 not in (None, image.sha256):
-            fail(f"{self.density}: has another hash; is it another image?", at=("sha256",))
+            fail(
+                f"{self.density}: has another checksum than in the case; is it another image?",
+                at=("sha256",),
+            )
         self.__dict__["sha256"] = image.sha256
         if not self.modulus_of(-1e9) > 0.0:
             fail(f"gives no positive modulus at {LEAST} g/cm3", at=("law",))

@@ -86,7 +86,7 @@ def _yield(summary: Summary) -> Iterable[Verdict]:
             strain = TABLE["regions"]["insertion_hoop_strain_p99"].text(q)
             text = (
                 f"the insertion strains {name} by {strain} um/m around the stem (p99); bone yields"
-                f" near {1e6 * YIELD:.0f} um/m. Bone is elastic here: in a real one less of the"
-                " interference is left"
+                f" near {1e6 * YIELD:.0f} um/m. Bone is elastic in this model; real bone would"
+                " keep less of the interference"
             )
             yield Verdict(text, "insertion", "reduce the interference", Severity.WARNING)

@@ -184,8 +184,8 @@ def shielding_picture(
 def mantles(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows: thickness and volume of cement mantles, and the thinnest cortex."""
     keys = ("min", "p5", "median", "mean", "p95", "max")
-    head = ["geometry", "mesh (mm)", "key (mm)", *(f"{k} (mm)" for k in keys)]
-    head += ["made thinner by the canal", "cement (cm³)", "least cortex (mm)"]
+    head = ["geometry", "mesh (mm)", "given (mm)", *(f"{k} (mm)" for k in keys)]
+    head += ["made thinner by the canal", "cement (cm³)", "thinnest cortex (mm)"]
     nominal: dict[tuple[str, ...], float] = {}
     for case in cases:
         mantle = case.summary.get("mantle") or {}

@@ -110,7 +110,7 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
             detail = f"99 % of the {surface} moves less, counted from the end of the insertion."
             area = q.get("area_micromotion_over_40um", 0.0)
             if area > NO_BONE:
-                detail += f" {area:,.0f} of {q['area']:,.0f} mm² move more than 40 µm."
+                detail += f" Motion above 40 µm: {area:,.0f} of {q['area']:,.0f} mm²."
             caption = f"micromotion of {moving_body} {preposition} {other_body}"
             yield _number("interfaces", "micromotion_p99", q, caption, detail)
             continue
@@ -124,7 +124,7 @@ def _contacts(summary: Summary) -> Iterator[LargeNumber]:
         detail = f"99 % of the {surface} slips less."
         area = q.get("area_gap_over_30um", 0.0)
         if area > NO_BONE:
-            detail += f" {area:,.0f} of {q['area']:,.0f} mm² are open by more than 30 µm."
+            detail += f" Open by more than 30 µm: {area:,.0f} of {q['area']:,.0f} mm²."
         elif 1e3 * q.get("gap_p99", 0.0) > NOTHING:
             gap = _with_unit("interfaces", "gap_p99", q)
             detail += f" 99 % is open by less than {gap}."

@@ -243,9 +243,9 @@ def _by_facets(name: str, q: Numbers) -> Verdict:
     facet_pressure = TABLE["interfaces"]["pressure_by_facets"].text(q)
     message = (
         f"the maximum on {name}, {largest} MPa, depends on the facets of the mesh: slip over their "
-        f"edges causes up to {facet_pressure} MPa"
+        f"edges may cause up to {facet_pressure} MPa"
     )
-    cure = "reduce `mesh.size`; if cells are straight, use curved ones (`mesh.order: 2`)"
+    cure = "reduce `mesh.size`, or use curved cells (`mesh.order: 2`) if they are straight"
     return Verdict(message, "pressure", cure, Severity.WARNING)
 
 
@@ -295,12 +295,12 @@ def _mesh_and_step(summary: Summary) -> Verdict:
             f"{float(f'{100 * relative_errors[key]:.2g}'):g}" for key in median_and_worst
         )
         message = f"half of the percentiles have errors below ± {median_error} %"
-        message += f", the largest has ± {largest_error} % ({by_error[-1]})"
+        message += f"; the largest error is ± {largest_error} % ({by_error[-1]})"
         share_within_error = estimated.get("share_within_error")
         if share_within_error:
             message += (
                 f". For about {100 * share_within_error:.0f} % of such numbers the true error is"
-                " smaller"
+                " smaller than ±"
             )
     if zero_numbers:
         message += f". Not counted, because close to zero: {', '.join(zero_numbers)}"

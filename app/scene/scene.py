@@ -339,7 +339,7 @@ def build_scene(case: Case) -> Scene:
         if interface.name not in exchanging:
             raise InputError(
                 f"interfaces.{interface.name}.conductance: no package computes the heat between "
-                "sides with finite sliding; expected none"
+                "sides with finite sliding; leave it out"
             )
     changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
     for e in scene.elastic:

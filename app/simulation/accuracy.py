@@ -89,7 +89,9 @@ def numbers_with_errors(
     model = Model(case, comm, options, Timing("choosing"), stop)
     numbers = model.relative(case)
     if add_errors(numbers, case, error_estimate.companions(case), model)["failed"]:
-        raise ConvergenceError("output.accuracy: the errors of cheap runs are unknown")
+        raise ConvergenceError(
+            "output.accuracy: errors of the cheap runs cannot be estimated; set mesh.size instead"
+        )
     return numbers
 
 
@@ -194,4 +196,4 @@ def reached_text(chosen: str, summary: Summary) -> str:
         return f"accuracy: {chosen}; the reached accuracy is unknown"
     error, worst_name, _ = max(errors)
     name_text, _ = in_words(worst_name)
-    return f"accuracy: {chosen}; {percent(error)} reached, the largest error: that of {name_text}"
+    return f"accuracy: {chosen}; {percent(error)} reached (largest error: {name_text})"

@@ -44,7 +44,7 @@ def _mantle(note: MantleNumbers) -> str:
     """A line on the thickness of the cement."""
     t = note["thickness"]
     return (
-        f"cement mantle: {t['min']:.2f} to {t['max']:.2f} mm thick (key: {t['nominal']:.3g} mm), "
+        f"cement mantle: {t['min']:.2f} to {t['max']:.2f} mm thick (given: {t['nominal']:.3g} mm), "
         f"mean {t['mean']:.2f}, median {t['median']:.2f}, 5th and 95th percentile {t['p5']:.2f} "
         f"and {t['p95']:.2f} mm; the canal makes it thinner on "
         f"{100 * t['clipped_fraction']:.0f} % of the stem; {count(note['volume'])} mm³ of cement, "

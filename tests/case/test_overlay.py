@@ -512,7 +512,10 @@ stages: [{name: walk}, {name: rest}, {name: stairs}]
 @pytest.mark.parametrize(
     ("loads", "words"),
     [
-        ("{library: [gait]}", "is not the name of a set, nor names with histories, e.g. {gait: "),
+        (
+            "{library: [gait]}",
+            "is neither the name of a set nor names with histories, e.g. {gait: ",
+        ),
         (
             "{library: gait, history: [1], cycle_table: walking_cycle}",
             "loads.history: the loads have a cycle_table, too; leave one of the two out",

@@ -200,10 +200,13 @@ def test_quality_relaxation_moves_only_free_nodes_of_poor_cells() -> None:
 @pytest.mark.parametrize(
     ("works", "remedy"),
     [
-        (lambda rod, mesh: mesh.size < 4.7, "Set mesh.size: 4.5 mm; all elements are good then."),
+        (
+            lambda rod, mesh: mesh.size < 4.7,
+            "Set mesh.size: 4.5 mm; with it all elements are good.",
+        ),
         (
             lambda rod, mesh: rod.cement_thickness > 5.0,
-            "Set geometry.cement_thickness: 5.4 mm; all elements are good then.",
+            "Set geometry.cement_thickness: 5.4 mm; with it all elements are good.",
         ),
         (
             lambda rod, mesh: False,

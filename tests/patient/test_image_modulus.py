@@ -144,7 +144,7 @@ def test_image_modulus_constant_image_is_a_constant(even: Path) -> None:
             r"E = 0\.\d+ GPa; expected 0.5 to 40",
         ),
         ({"law": line(-1.0)}, "no positive modulus"),
-        ({"sha256": "0" * 64}, "has another hash"),
+        ({"sha256": "0" * 64}, "has another checksum than in the case"),
         ({"density": "none.nii.gz"}, "no such file"),
     ],
 )

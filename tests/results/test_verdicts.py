@@ -53,7 +53,7 @@ def test_verdicts_on_pressure_by_facets() -> None:
     numbers["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
     words, tone = judged(numbers)["pressure"]
     assert words.startswith("the maximum on stem_cement, 9.00 ± 9.00 MPa, depends on the facets")
-    assert "causes up to 4.00 MPa" in words and tone == "warning"
+    assert "may cause up to 4.00 MPa" in words and tone == "warning"
 
 
 def test_verdicts_on_singular_pressure() -> None:
@@ -110,8 +110,9 @@ def test_verdicts_on_errors_exclude_maxima() -> None:
     }
     lines = judged(summary(error=error))
     words = (
-        "half of the percentiles have errors below ± 5 %, the largest has ± 5 % (stem-cement "
-        "pressure, p95). For about 90 % of such numbers the true error is smaller"
+        "half of the percentiles have errors below ± 5 %; the largest error is ± 5 % "
+        "(stem-cement pressure, p95). For about 90 % of such numbers the true error is smaller "
+        "than ±"
     )
     assert lines["mesh and step"] == (words, "plain")
     assert "load step" not in lines
