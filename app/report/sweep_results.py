@@ -219,7 +219,7 @@ def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:
 
 def named(name: str) -> str:
     """Return a name of an interface, region or quantity in words."""
-    return WORDS.get(name, name.replace("_", " "))
+    return WORDS.get(name) or quantities.place_in_words(name)
 
 
 def magnitude(value: object) -> float | None:
