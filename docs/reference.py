@@ -163,8 +163,9 @@ def commands_page() -> str:
     intro = """# Commands and exit codes
 
 `./mantle` is the launcher of a checkout; `mantle` is the same command where the package is
-installed. Both take the same arguments. Three commands are of the launcher alone: `mantle test`
-runs the tests, `mantle shell` opens a shell in the solver stack, `mantle setup` sets the stack up.
+installed. Both take the same arguments. Only the launcher has these three commands: `mantle
+test` runs the tests, `mantle shell` opens a shell in the environment of the solver, and `mantle
+setup` installs this environment.
 """
     actions = parser()._actions
     (commands,) = [a for a in actions if isinstance(a, argparse._SubParsersAction)]
@@ -216,7 +217,7 @@ def _exit_codes() -> Iterator[str]:
     for code, text in sorted((CODES | codes).items()):
         yield f"| {code} | {prose(text)} |"
     yield """
-A message that says why there is no answer ends with a word in brackets, for programs:
+The message of a failed run may end with a word in brackets, which programs can read:
 
 | word | meaning |
 |---|---|"""

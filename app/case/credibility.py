@@ -299,11 +299,11 @@ FACTORS: dict[FactorName, CredibilityFactor] = {
 
 
 class Claim(Section):
-    """Evidence of a person for a credibility factor. It replaces the grade of the program."""
+    """Evidence that a person gives for a factor. Its grade replaces that of the program."""
 
     grade: Grade | Literal["none"] | None = None
-    """Grade on the scale of the factor, or `none` if the evidence is of another subject; without
-    it the program's grade stays."""
+    """Grade on the scale of the factor, or `none` if the evidence belongs to another subject;
+    without it the program's grade stays."""
     text: Text
     """The evidence."""
     missing: Text = ""

@@ -225,8 +225,8 @@ class Femur(_Femur, OperatedHip):
     """A proximal femur with a straight tapered stem, in a cement mantle or without.
 
     Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
-    The sections of the bone are fixed; the keys describe the operation and the implant. Defaults:
-    an Exeter-class 150 mm stem in an average femur.
+    The sections of the bone are fixed; the keys describe the operation and the implant. Defaults: a
+    stem of the Exeter type, 147 mm long, in an average femur.
     """
 
     file_keys: ClassVar[tuple[str, ...]] = ("stem.step",)

@@ -126,8 +126,9 @@ class Insertion(Section):
     """Position of the stem in the femur."""
 
     depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
-    """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: there is cement,
-    or bone, above it. By default 0, and in the parametric femur as `tip_z` says."""
+    """Depth of the lateral edge of the shoulder below the cut, at most 14 mm: the space above it is
+    filled with cement, or with bone. By default 0; in the parametric femur it follows from
+    `tip_z`."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Rotation of the stem (rad) about the point where its axis meets the cut; positive moves the
     tip laterally."""
@@ -190,7 +191,7 @@ class Hip(Shape):
     tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] | None = None
     """Length without cement or bone below the stem's end, as in a hollow centraliser. The end is
     then flat and carries no load. 0, or at least 1 mm and at most 1 mm less than the plug. By
-    default 0 in cement, and 5 mm without cement, where the tip carries no load."""
+    default 0 in cement, and 5 mm without cement."""
 
     if TYPE_CHECKING:
 

@@ -81,7 +81,7 @@ class GradedThickness(Section):
     proximal: _Thickness | None = None
     """Where the stem's axis meets the neck cut, and above."""
     middle: _Thickness | None = None
-    """Half-way between."""
+    """Half-way between `distal` and `proximal`."""
     distal: _Thickness | None = None
     """At the stem's tip, and below."""
     medial: _Thickness | None = None

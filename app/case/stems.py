@@ -78,15 +78,15 @@ class Stem(Section):
     tip_corner_radius: PositiveLength = 2.1
     """Radius of the section's corners at the tip."""
     tip_rounding: TipRounding = 2.0
-    """Height of the stem's rounded end, 1 to 20 mm; 0: it is flat, as it is over a void."""
+    """Height of the stem's rounded end, 1 to 20 mm; 0 means a flat end, as above a void."""
     section_depth: PositiveLength = 14.0
     """Depth below the shoulder of the proximal section that the next three keys describe."""
     half_width: PositiveLength = 8.5
-    """Half the medio-lateral width there."""
+    """Half the medio-lateral width of that section."""
     half_depth: PositiveLength = 5.0
-    """Half the antero-posterior depth there."""
+    """Half the antero-posterior depth of that section."""
     corner_radius: PositiveLength = 3.0
-    """Radius of the section's corners there."""
+    """Radius of the corners of that section."""
     neck_diameter: NeckDiameter = 13.0
     """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
     neck_fillet: NeckFillet = 3.0

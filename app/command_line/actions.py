@@ -125,23 +125,23 @@ def run(
     Args:
         case: As `load` returns it. With a mesh: sections of a case file as mappings and lists.
         output: The folder for the results; ``out/<name of the case file>`` by default. With a mesh
-            it is needed: ``<output>.msh`` and ``<output>.yaml`` are written beside it.
+            it is needed: ``<output>.msh`` and ``<output>.yaml`` are written next to it.
         mesh: A dolfinx mesh with names, of `TaggedMesh.from_tags` or `from_markers`.
         progress: Called on every rank after each accepted step: number, time, row of history.csv.
-        force: Replace results in the folder, which otherwise stay if they are finished with this
-            very configuration; take a checkpoint of another configuration.
-        restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
-        walltime: Stop in time with the state saved [s].
-        signals: The process is ours: signals save the state and stop, option files are ignored.
+        force: Replace results in the folder, and accept a checkpoint of another configuration.
+            Without it, finished results of the same configuration are kept.
+        restart: Continue from a checkpoint: ``auto`` for the newest in the folder, or a file.
+        walltime: Wall time before whose end the state is saved and the run stops [s].
+        signals: Handle signals: save the state and stop. Option files of PETSc are ignored.
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:
         Results, as `read` returns them.
 
     Raises:
-        InputError: The case cannot be solved, or the folder holds something already.
+        InputError: The case has an error, or the folder is not empty.
         GeometryError: The case cannot be meshed.
-        ConvergenceError: It could not be solved; the last converged state is in the folder.
+        ConvergenceError: The run did not converge; the last converged state is in the folder.
         UnusableError: Solved, but the numbers are not to be used; everything is in the folder.
         StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
         EnvironmentProblem: A package, a compiler or MPI is missing or unusable.

@@ -175,7 +175,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "--restart": dict(
         metavar="auto|FILE",
         default="",
-        help="continue from a checkpoint: auto: the newest in the output folder; or FILE",
+        help="continue from the newest checkpoint in the output folder (auto), or from FILE",
     ),
     "--walltime": dict(
         metavar="TIME",
@@ -208,7 +208,9 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="make the case of the femur in a segmentation: NIfTI, NRRD, DICOM, or a folder with "
         "a file for each structure",
     ),
-    "--ct": dict(type=Path, metavar="FILE", help="CT of --labels, by which the canal is known"),
+    "--ct": dict(
+        type=Path, metavar="FILE", help="CT from which the labels were made; it gives the canal"
+    ),
     "--side": dict(choices=("left", "right"), help="side of the femur, if --labels has both"),
     "--label": dict(metavar="NAME", help="name or number of the femur in --labels"),
     "--cores": dict(type=int, metavar="N", help="cores to use (default: all available)"),
