@@ -136,29 +136,37 @@ class AutocatalyticKinetics:
             return self._laws(rows, a=start[rows] + reacted, T=T[rows])[:3]
 
         rows = np.flatnonzero(limit - start > UNREACTED)
-        remaining = limit[rows] - start[rows]
+        remaining_degree = limit[rows] - start[rows]
         mean_rate = self._mean_rate[rows] + self._rate_by_temperature[rows] * (
             T[rows] - self._temperature[rows]
         )
-        share = np.where(self._mean_rate[rows] > 0, h * mean_rate / remaining, 0.0)
+        remaining_fraction = np.where(
+            self._mean_rate[rows] > 0, h * mean_rate / remaining_degree, 0.0
+        )
         lower = np.full(len(rows), _LOWEST_LOG)
-        upper: Floats = np.log((remaining - UNREACTED) / UNREACTED)
+        upper: Floats = np.log((remaining_degree - UNREACTED) / UNREACTED)
         # The ends are evaluated first where the last step says too little.
         unbracketed = np.flatnonzero(
-            ~((share > _LOWEST_SHARE) & (share < _HIGHEST_SHARE) & (start[rows] > 0))
+            ~(
+                (remaining_fraction > _LOWEST_SHARE)
+                & (remaining_fraction < _HIGHEST_SHARE)
+                & (start[rows] > 0)
+            )
         )
         if len(unbracketed):
             rate_at_start = rates(rows[unbracketed], np.zeros(len(unbracketed)))[0]
-            rate_at_limit = rates(rows[unbracketed], remaining[unbracketed] - UNREACTED)[0]
+            rate_at_limit = rates(rows[unbracketed], remaining_degree[unbracketed] - UNREACTED)[0]
             # Rates in between are at least the lower of the two at the ends.
-            lowest_share = h * np.minimum(rate_at_start, rate_at_limit) / remaining[unbracketed]
-            lower[unbracketed] = np.log(np.maximum(lowest_share, _SMALLEST_SHARE)) - 1.0
-            share[unbracketed] = np.where(
-                share[unbracketed] > 0,
-                share[unbracketed],
-                h * rate_at_start / remaining[unbracketed],
+            lowest_share = (
+                h * np.minimum(rate_at_start, rate_at_limit) / remaining_degree[unbracketed]
             )
-            reaches_limit = h * rate_at_limit >= remaining[unbracketed] - UNREACTED
+            lower[unbracketed] = np.log(np.maximum(lowest_share, _SMALLEST_SHARE)) - 1.0
+            remaining_fraction[unbracketed] = np.where(
+                remaining_fraction[unbracketed] > 0,
+                remaining_fraction[unbracketed],
+                h * rate_at_start / remaining_degree[unbracketed],
+            )
+            reaches_limit = h * rate_at_limit >= remaining_degree[unbracketed] - UNREACTED
             finished_rows = rows[unbracketed[reaches_limit & (rate_at_start > 0)]]
             degree[finished_rows], by_T[finished_rows] = (
                 limit[finished_rows] - UNREACTED,
@@ -166,13 +174,15 @@ class AutocatalyticKinetics:
             )
             still_reacts = np.ones(len(rows), dtype=bool)
             still_reacts[unbracketed[reaches_limit | ~(rate_at_start > 0)]] = False
-            rows, remaining, share = (
+            rows, remaining_degree, remaining_fraction = (
                 rows[still_reacts],
-                remaining[still_reacts],
-                share[still_reacts],
+                remaining_degree[still_reacts],
+                remaining_fraction[still_reacts],
             )
             lower, upper = lower[still_reacts], upper[still_reacts]
-        reacted, f, f_a, f_T = self._react(rows, remaining, share, lower, upper, h, rates)
+        reacted, f, f_a, f_T = self._react(
+            rows, remaining_degree, remaining_fraction, lower, upper, h, rates
+        )
         degree[rows] = start[rows] + reacted
         with np.errstate(divide="ignore", invalid="ignore"):
             # The step itself, or the rest of it where the reaction has ended before.
@@ -212,11 +222,9 @@ class AutocatalyticKinetics:
         for _ in range(_ITERATIONS):
             if not len(unconverged):
                 break
-            trial, lower_bound, upper_bound = (
-                unknown[unconverged],
-                lower[unconverged],
-                upper[unconverged],
-            )
+            trial = unknown[unconverged]
+            lower_bound = lower[unconverged]
+            upper_bound = upper[unconverged]
             trial = np.where(
                 (trial > lower_bound) & (trial < upper_bound),
                 trial,
@@ -284,10 +292,10 @@ def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Poi
         "expansion": expansion,
         "shrinkage": cure.shrinkage,
     }
-    names = ("a_old", "T_old", "a", "T", *constants)
+    input_names = ("a_old", "T_old", "a", "T", *constants)
     increment = forms.free_strain_increment
-    sizes = dict.fromkeys(names, 1)
-    law = Pointwise(comm, nodes, sizes, lambda x: [increment(*(x[k] for k in names))])
+    sizes = dict.fromkeys(input_names, 1)
+    law = Pointwise(comm, nodes, sizes, lambda x: [increment(*(x[k] for k in input_names))])
     law.set(**constants)
     return law
 

@@ -131,11 +131,13 @@ class HeatForms:
 
     def conduction_by_body(self, conductors: Sequence[Thermal]) -> list[PETSc.Mat]:
         """Conduction matrix of each body, its whole diagonal in the pattern [N mm/(s K)]."""
-        parts: dict[int, list[PETSc.Mat]] = {}
+        matrices_of_bodies: dict[int, list[PETSc.Mat]] = {}
         for c in conductors:
-            parts.setdefault(self._bodies.of_region[c.region], []).append(self._conduction(c))
+            matrices_of_bodies.setdefault(self._bodies.of_region[c.region], []).append(
+                self._conduction(c)
+            )
         zero = diagonal(self.comm, np.zeros(self.owned))
-        return [matrix_sum((zero, *parts[b])) for b in range(len(self._bodies.names))]
+        return [matrix_sum((zero, *matrices_of_bodies[b])) for b in range(len(self._bodies.names))]
 
     def _conduction(self, conductor: Thermal) -> PETSc.Mat:
         θ, v = fem.Function(self.space), ufl.TestFunction(self.space)

@@ -124,12 +124,12 @@ class MaximumPrinciple:
     def _set_flags(self, flagged: Bools) -> bool:
         """Set the flags (b, n); return whether any matrix changed."""
         differs = (flagged != np.array(self.flagged)).any(axis=1)
-        changed = np.flatnonzero(self._comm.allreduce(differs.astype(int), MPI.SUM))
+        changed_rows = np.flatnonzero(self._comm.allreduce(differs.astype(int), MPI.SUM))
         self.flagged = list(flagged)
-        for b in map(int, changed):
+        for b in map(int, changed_rows):
             self.matrices[b] = self._corrected_matrix(b)
-        self.version += len(changed) > 0
-        return len(changed) > 0
+        self.version += len(changed_rows) > 0
+        return len(changed_rows) > 0
 
     def _corrected_matrix(self, b: int) -> PETSc.Mat:
         """The matrix of a body without the positive edges of its flagged nodes."""
@@ -146,12 +146,12 @@ class MaximumPrinciple:
 
 
 def _positive_entries(comm: MPI.Comm, K: PETSc.Mat) -> PETSc.Mat:
-    begin, end = K.getOwnershipRange()
+    first_owned, after_owned = K.getOwnershipRange()
     start, columns, values = K.getValuesCSR()
-    row = begin + np.repeat(np.arange(end - begin), np.diff(start))
+    row = first_owned + np.repeat(np.arange(after_owned - first_owned), np.diff(start))
     largest = comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
     edge = (values > ROUNDING * largest) & (columns != row)
-    count = np.bincount(row[edge] - begin, minlength=end - begin)
+    count = np.bincount(row[edge] - first_owned, minlength=after_owned - first_owned)
     pointer = np.concatenate([[0], np.cumsum(count)])
-    sizes = (end - begin, end - begin)
+    sizes = (after_owned - first_owned, after_owned - first_owned)
     return from_rows(comm, sizes, pointer, columns[edge], values[edge])

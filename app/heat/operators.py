@@ -118,12 +118,12 @@ class HeatOperators:
 
     def temperature_by_jumps(self, τ: PETSc.Vec | None) -> Floats:
         """Temperature of owned nodes of each body due to jumps (b, n) [K]."""
-        added = self.forms.zeros()
+        added_temperatures = self.forms.zeros()
         if self.jumps is not None:
             for b, B in self.jumps.moves.items():
                 B.mult(τ, self._work)
-                added[b] = self._work.array
-        return added
+                added_temperatures[b] = self._work.array
+        return added_temperatures
 
     def nodal(self, x: Sequence[PETSc.Vec]) -> Floats:
         """Temperature of owned nodes of each body (b, n) [K], meaningless outside the body.

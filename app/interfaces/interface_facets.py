@@ -63,8 +63,8 @@ class InterfaceFacets:
 
 def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
     """Concatenate each array over the ranks, on every rank."""
-    pieces = comm.allgather(arrays)
-    return [np.concatenate([p[k] for p in pieces]) for k in range(len(arrays))]
+    rank_arrays = comm.allgather(arrays)
+    return [np.concatenate([p[k] for p in rank_arrays]) for k in range(len(arrays))]
 
 
 def sorted_facets(
@@ -88,8 +88,8 @@ def sorted_facets(
     order, vertices = np.concatenate([order, order + 3], axis=1)[rows], vertices[rows]
     dofs = np.take_along_axis(dofs[rows], order[:, : dofs.shape[1]], axis=1)
     x = np.take_along_axis(nodes[rows], order[:, : nodes.shape[1], None], axis=1)
-    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave[rows] - x[:, 0]))
+    flat_normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    towards = np.sign(np.einsum("fi,fi->f", flat_normals, inside_slave[rows] - x[:, 0]))
     _, area = surface(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],

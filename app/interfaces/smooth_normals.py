@@ -82,16 +82,16 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
     np.maximum.at(spread, corners, _angle(normals, mean[corners]))
     if (spread < FLAT_ANGLE).all():
         return SmoothNormals(mean, np.zeros(len(x)))
-    joined = _joined(corners, len(x))
-    spread_nearby, (node, neighbour) = spread.copy(), joined.nonzero()
+    joined_nodes = _joined(corners, len(x))
+    spread_nearby, (node, neighbour) = spread.copy(), joined_nodes.nonzero()
     np.maximum.at(spread_nearby, node, _angle(mean[node], mean[neighbour]) + spread[neighbour])
-    inside = np.diff(joined.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
-    flat = (spread < FLAT_ANGLE) & (inside | (spread_nearby < FLAT_ANGLE))
-    fitted, doubt = mean.copy(), np.where(flat, 0.0, spread)
-    rows = np.flatnonzero(~flat)
+    inside = np.diff(joined_nodes.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
+    is_flat = (spread < FLAT_ANGLE) & (inside | (spread_nearby < FLAT_ANGLE))
+    fitted, doubt = mean.copy(), np.where(is_flat, 0.0, spread)
+    rows = np.flatnonzero(~is_flat)
     if len(rows):
         fitted[rows], doubt[rows] = _fitted(
-            x, mean, spread_nearby, doubt, rows, _nodes_near(joined, rows)
+            x, mean, spread_nearby, doubt, rows, _nodes_near(joined_nodes, rows)
         )
     return SmoothNormals(fitted, doubt)
 
@@ -131,9 +131,9 @@ def _nodes_near(joined: csr_matrix, rows: Ints) -> Ints:
     pattern.sort_indices()
     count = np.diff(pattern.indptr)
     row = np.repeat(np.arange(len(rows)), count)
-    filled = np.tile(rows[:, None], (1, int(count.max())))
-    filled[row, np.arange(pattern.nnz) - pattern.indptr[row]] = pattern.indices
-    return filled
+    near_nodes = np.tile(rows[:, None], (1, int(count.max())))
+    near_nodes[row, np.arange(pattern.nnz) - pattern.indptr[row]] = pattern.indices
+    return near_nodes
 
 
 def _fitted(
@@ -145,9 +145,9 @@ def _fitted(
     distance = np.linalg.norm(offsets, axis=2)
     size = distance.max(axis=1, keepdims=True)
     offsets, distance = offsets / size[:, :, None], distance / size
-    others: Bools = distance > 0
+    is_other: Bools = distance > 0
     # Near nodes have more weight: the error of a model grows with the square of the distance.
-    weight = np.where(others, 1 / np.where(others, distance, 1.0) ** 2, 0.0)
+    weight = np.where(is_other, 1 / np.where(is_other, distance, 1.0) ** 2, 0.0)
     a, b = np.einsum("nki,nji->jnk", offsets, tangents)
     h = np.einsum("nki,ni->nk", offsets, n)
     terms = a, b, a * a, np.sqrt(2) * a * b, b * b, a * h, b * h, h * h
@@ -158,7 +158,7 @@ def _fitted(
         inverse = np.linalg.pinv(model, rcond=SINGULAR)
         fit = np.einsum("nck,nk->nc", inverse, height)
         residual = height - np.einsum("nkc,nc->nk", model, fit)
-        spare_nodes = others.sum(axis=1) - coefficients
+        spare_nodes = is_other.sum(axis=1) - coefficients
         variance = (residual**2).sum(axis=1) / np.maximum(spare_nodes, 1)
         slope_error = np.sqrt(variance * (inverse[:, :2] ** 2).sum(axis=(1, 2)))
         fitted_normal = n
@@ -187,20 +187,22 @@ def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Flo
     Returns:
         Unit normals (n, 3). They are unchanged if no motion slides.
     """
-    share, count = weight / weight.sum(), len(x)
-    likely = min(LIKELY_MULTIPLE * float(np.sqrt(share @ doubt**2)), LARGEST_SLOPE)
+    weight_fraction, count = weight / weight.sum(), len(x)
+    likely = min(LIKELY_MULTIPLE * float(np.sqrt(weight_fraction @ doubt**2)), LARGEST_SLOPE)
     if likely < ROUNDING or count < NODES_NEAR:
         return normals
-    offsets = (x - share @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
+    offsets = (x - weight_fraction @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
     rotations = -np.cross(offsets[:, :, None], np.eye(3), axis=1)
     motions = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), rotations], axis=2)
-    gram = np.einsum("p,pik,pil->kl", share, motions, motions)
+    gram = np.einsum("p,pik,pil->kl", weight_fraction, motions, motions)
     scale = np.linalg.inv(np.linalg.cholesky(gram + ROUNDING * np.eye(6))).T
     adjusted, slide_count = normals, 0
     for step in range(MOST_STEPS):
         slopes = np.einsum("pi,pik->pk", adjusted, motions) @ scale
-        mean = np.sqrt(count) * (share @ slopes)
-        sizes, vectors = np.linalg.svd(np.vstack([np.sqrt(share)[:, None] * slopes, mean]))[1:]
+        mean = np.sqrt(count) * (weight_fraction @ slopes)
+        sizes, vectors = np.linalg.svd(
+            np.vstack([np.sqrt(weight_fraction)[:, None] * slopes, mean])
+        )[1:]
         if not step:
             slide_count = int((sizes <= likely).sum())
         if not slide_count or sizes[-slide_count] <= ROUNDING:

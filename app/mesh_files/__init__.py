@@ -104,8 +104,8 @@ def _divide(content: FileContent) -> None:
                 "*SOLID SECTION in an .inp file"
             )
         is_free[rows] = False
-    text = "sets whose cells are all in smaller sets, which are not regions"
-    content.notes += left_out(text, dropped)
+    message = "sets whose cells are all in smaller sets, which are not regions"
+    content.notes += left_out(message, dropped)
     if is_free.all():
         raise ValueError(NO_REGION)
     content.sets = {name: rows for name, rows in content.sets.items() if name not in dropped}
@@ -145,9 +145,11 @@ def _feb(path: Path, _pick: Pick) -> FileContent:
             table = _table(name, corners, 3, np.int64)
             extend(content.triangles, [name], rows_of(number, table, "node"))
         elif part.tag == "NodeSet":
-            words = (part.text or "").replace(",", " ").split() + [n.attrib["id"] for n in part]
-            parts = [numbers_in(*map(int, word.split(":"))) for word in words]
-            extend(content.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
+            node_words = (part.text or "").replace(",", " ").split() + [
+                n.attrib["id"] for n in part
+            ]
+            node_ranges = [numbers_in(*map(int, word.split(":"))) for word in node_words]
+            extend(content.nodes, [name], rows_of(number, np.concatenate(node_ranges), "node"))
         elif part.tag != "Nodes":
             unread.append(f"{part.tag} {name}")
     content.notes += left_out("parts of the file's mesh that are not read", unread)
@@ -161,8 +163,8 @@ def _table(name: str, lines: list[str], width: int, kind: type[Number]) -> NDArr
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     if len(numbers) % width:
-        text = f"{name}: {len(numbers)} numbers do not make rows of {width}: {AGAIN}"
-        raise ValueError(text)
+        message = f"{name}: {len(numbers)} numbers do not make rows of {width}: {AGAIN}"
+        raise ValueError(message)
     return numbers.reshape(-1, width)
 
 

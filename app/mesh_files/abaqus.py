@@ -40,7 +40,7 @@ LONGEST_RANGE = 10**9
 Key = tuple[str, str]
 
 
-def _cartesian(block: Keyword, given: Floats) -> Floats:
+def _cartesian(block: Keyword, coordinates: Floats) -> Floats:
     """Return Cartesian coordinates (n, 3) of nodes in the system of their keyword.
 
     R is Cartesian. C is cylindrical: radius, angle about z from x, z. S is spherical: radius, the
@@ -48,13 +48,13 @@ def _cartesian(block: Keyword, given: Floats) -> Floats:
     """
     system = block.options.get("SYSTEM", "R").upper()
     if system[:1] == "R":
-        return given
+        return coordinates
     if system[:1] not in ("C", "S"):
         raise ValueError(f"{block.place}: SYSTEM={system} is not read; expected R, C or S")
-    radius, longitude = given[:, 0], np.radians(given[:, 1])
-    height = given[:, 2]
+    radius, longitude = coordinates[:, 0], np.radians(coordinates[:, 1])
+    height = coordinates[:, 2]
     if system[:1] == "S":
-        latitude = np.radians(given[:, 2])
+        latitude = np.radians(coordinates[:, 2])
         height = radius * np.sin(latitude)
         radius = radius * np.cos(latitude)
     return np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), height])
@@ -79,30 +79,33 @@ class _Axes:
         numbers: list[float] = []
         number_count = 0
         for (line_number, line), width in zip(block.lines, (6, 3), strict=False):
-            words = block.fields(line.rstrip(", \t"))
-            if len(words) > width:
+            cell_texts = block.fields(line.rstrip(", \t"))
+            if len(cell_texts) > width:
                 raise ValueError(
-                    f"{block.place}: line {line_number}: {len(words)} numbers;"
+                    f"{block.place}: line {line_number}: {len(cell_texts)} numbers;"
                     f" expected at most {width}"
                 )
-            number_count = len(numbers) + len(words)
+            number_count = len(numbers) + len(cell_texts)
             numbers += [
-                block.number(line_number, word, float) for word in [*words, *[""] * width][:width]
+                block.number(line_number, cell_text, float)
+                for cell_text in [*cell_texts, *[""] * width][:width]
             ]
         origin, on_x, in_plane = np.array([*numbers, *[0.0] * 9][:9]).reshape(3, 3)
         if number_count <= 3:
             return cls(origin, np.eye(3))
-        first = on_x - origin
+        first_axis = on_x - origin
         second = in_plane - origin
         if number_count <= 6:
-            first = first * [1, 1, 0]
-            second = np.array([-first[1], first[0], 0.0])
-        third = np.cross(first, second)
-        if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first) * np.linalg.norm(second):
+            first_axis = first_axis * [1, 1, 0]
+            second = np.array([-first_axis[1], first_axis[0], 0.0])
+        third = np.cross(first_axis, second)
+        if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first_axis) * np.linalg.norm(
+            second
+        ):
             raise ValueError(
                 f"{block.place}: its points are on a straight line and give no axes; correct them"
             )
-        axes = np.stack([first, np.cross(third, first), third])
+        axes = np.stack([first_axis, np.cross(third, first_axis), third])
         return cls(origin, axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
     def to_global(self, x: Floats) -> Floats:
@@ -124,12 +127,12 @@ class _Sets:
 
     def key(self, name: str, scope: str) -> Key:
         """Return scope and name of a set. The text before a dot is a scope if it is an instance."""
-        before, dot, after = name.partition(".")
-        while dot and before.upper() not in self.instances:
-            next_part, dot, after = after.partition(".")
-            before += f".{next_part}"
+        instance_name, dot, name_in_instance = name.partition(".")
+        while dot and instance_name.upper() not in self.instances:
+            next_part, dot, name_in_instance = name_in_instance.partition(".")
+            instance_name += f".{next_part}"
         if dot:
-            return before.upper(), after.upper()
+            return instance_name.upper(), name_in_instance.upper()
         return scope, name.upper()
 
     def add(self, kind: str, name: str, scope: str, part: Callable[[], Ints]) -> None:
@@ -147,10 +150,12 @@ class _Sets:
         key = self.key(name, scope)
         if key in self.member_functions[kind]:
             return key
-        others = [other for other in self.member_functions[kind] if other[1] == key[1]]
-        if len(others) != 1 or ("." in name and key[0] != scope):
+        same_named = [
+            other_key for other_key in self.member_functions[kind] if other_key[1] == key[1]
+        ]
+        if len(same_named) != 1 or ("." in name and key[0] != scope):
             raise ValueError(f"{place}: the file has no set {name}")
-        return others[0]
+        return same_named[0]
 
     def get(self, kind: str, name: str, scope: str, place: str) -> Ints:
         """Return the members of a set that a keyword names.
@@ -231,10 +236,12 @@ def _instanced(content: FileContent, all_keywords: list[Keyword]) -> tuple[list[
                 " without instances"
             )
         of_part[part] = name
-    parts = {b.options["NAME"].upper(): b.options["NAME"] for b in all_keywords if b.key == "PART"}
-    unused = {part for part in parts if instance and part not in of_part}
-    missing = [parts[part] for part in parts if part in unused]
-    content.notes += left_out("parts without an instance", missing)
+    part_names = {
+        b.options["NAME"].upper(): b.options["NAME"] for b in all_keywords if b.key == "PART"
+    }
+    unused = {part for part in part_names if instance and part not in of_part}
+    missing_parts = [part_names[part] for part in part_names if part in unused]
+    content.notes += left_out("parts without an instance", missing_parts)
     used_keywords = []
     for b in all_keywords:
         if b.scope not in unused:
@@ -244,7 +251,7 @@ def _instanced(content: FileContent, all_keywords: list[Keyword]) -> tuple[list[
         "keywords of the file that are not read",
         (f"*{b.key}" for b in used_keywords if b.key not in READ),
     )
-    return used_keywords, _Sets({*instance} | {*parts})
+    return used_keywords, _Sets({*instance} | {*part_names})
 
 
 def _add_nodes(content: FileContent, used_keywords: list[Keyword], sets: _Sets) -> Ints:
@@ -287,15 +294,15 @@ def _add_elements(
         kind = b.option("TYPE").upper()
         if "ELSET" in b.options:
             b.option("ELSET")
-        known = SOLID.fullmatch(kind) or FLAT.fullmatch(kind)
-        if not known and OTHER.fullmatch(kind):
+        is_known = SOLID.fullmatch(kind) or FLAT.fullmatch(kind)
+        if not is_known and OTHER.fullmatch(kind):
             raise ValueError(f"{b.place}: the cells are of type {kind}; {ONLY}")
-        if not known:
+        if not is_known:
             unread.append(kind)
-            first = [b.fields(line)[0] for _, line in b.lines]
-            numbers = np.array([int(w) for w in first if w.isdigit()], dtype=np.int64)
+            element_numbers = [b.fields(line)[0] for _, line in b.lines]
+            numbers = np.array([int(w) for w in element_numbers if w.isdigit()], dtype=np.int64)
         else:
-            rows = b.table(int(known[1].replace("65", "6")) + 1)
+            rows = b.table(int(is_known[1].replace("65", "6")) + 1)
             numbers = rows[:, 0]
             if SOLID.fullmatch(kind):
                 content.add(rows_of(node, rows[:, 1:], "node"))
@@ -331,10 +338,10 @@ def _add_sets(content: FileContent, used_keywords: list[Keyword], sets: _Sets, m
 
 def _listed(b: Keyword, kind: str, sets: _Sets) -> Ints:
     """Members of a set: of GENERATE ranges, or listed numbers and named sets."""
-    members: list[Ints] = [np.zeros(0, dtype=np.int64)]
+    member_arrays: list[Ints] = [np.zeros(0, dtype=np.int64)]
     if "GENERATE" in b.options:
         return np.concatenate(
-            [*members, *(_range(b, line_number, line) for line_number, line in b.lines)]
+            [*member_arrays, *(_range(b, line_number, line) for line_number, line in b.lines)]
         )
     single: list[int] = []
     for _, line in b.lines:
@@ -343,13 +350,13 @@ def _listed(b: Keyword, kind: str, sets: _Sets) -> Ints:
             if plain_name.isdigit():
                 single.append(int(plain_name))
             elif name:
-                members.append(sets.get(kind, name, b.scope, b.place))
-    return np.concatenate([*members, np.array(single, dtype=np.int64)])
+                member_arrays.append(sets.get(kind, name, b.scope, b.place))
+    return np.concatenate([*member_arrays, np.array(single, dtype=np.int64)])
 
 
 def _range(b: Keyword, line_number: int, line: str) -> Ints:
     """Numbers of a range: from, to, step."""
-    limits = [b.number(line_number, word, int) for word in b.fields(line.rstrip(", "))]
+    limits = [b.number(line_number, cell_text, int) for cell_text in b.fields(line.rstrip(", "))]
     if not 1 <= len(limits) <= 3 or (len(limits) == 3 and limits[2] < 1):
         raise ValueError(f"{b.place}: line {line_number}: is not a range; expected from, to, step")
     if len(limits) > 1 and limits[1] < limits[0]:
@@ -365,20 +372,20 @@ def _range(b: Keyword, line_number: int, line: str) -> Ints:
 
 def _node_set(b: Keyword, sets: _Sets, mesh: _Mesh) -> Ints:
     """Numbers of the nodes of a set: listed ones, and those of a set of elements."""
-    listed = _listed(b, "NSET", sets)
+    listed_nodes = _listed(b, "NSET", sets)
     if not b.options.get("ELSET"):
-        return listed
-    members = sets.get("ELSET", b.options["ELSET"], b.scope, b.place)
-    inside = mesh.cells[np.isin(mesh.element, members)]
-    return np.concatenate([listed, mesh.node[np.unique(inside)]])
+        return listed_nodes
+    elements = sets.get("ELSET", b.options["ELSET"], b.scope, b.place)
+    inside = mesh.cells[np.isin(mesh.element, elements)]
+    return np.concatenate([listed_nodes, mesh.node[np.unique(inside)]])
 
 
 def _facets(b: Keyword, content: FileContent, sets: _Sets, mesh: _Mesh) -> Ints:
     """Corners of the facets of a surface (n, 3), as rows of the nodes."""
     combine = b.options.get("COMBINE", "").upper()
     if combine:
-        names = [w for _, line in b.lines for w in b.fields(line) if w]
-        surfaces = [sets.get("SURFACE", name, b.scope, b.place) for name in names]
+        set_names = [w for _, line in b.lines for w in b.fields(line) if w]
+        surfaces = [sets.get("SURFACE", name, b.scope, b.place) for name in set_names]
         return _combined(combine, surfaces, b.place)
     facets: list[Ints] = [np.zeros((0, 3), dtype=np.int64)]
     for line_number, line in b.lines:
@@ -394,8 +401,8 @@ def _facets(b: Keyword, content: FileContent, sets: _Sets, mesh: _Mesh) -> Ints:
             rows = rows_of(mesh.element, members[np.isin(members, mesh.element)], "element")
             facets.append(mesh.cells[rows][:, SIDES[side]])
             if len(rows) < len(members):
-                text = "surfaces with elements that are not tetrahedra of the file"
-                content.notes += left_out(text, [b.options["NAME"]])
+                message = "surfaces with elements that are not tetrahedra of the file"
+                content.notes += left_out(message, [b.options["NAME"]])
         elif side in ("SPOS", "SNEG") and not solid.any():
             facets.append(mesh.shells_of(members))
         elif not side:
@@ -418,13 +425,13 @@ def _combined(operation: str, surfaces: list[Ints], place: str) -> Ints:
         )
     if operation == "UNION":
         return np.concatenate(surfaces)
-    first, *others = surfaces
-    keep = np.ones(len(first), dtype=bool)
-    for other in others:
-        known = {tuple(corners) for corners in np.sort(other, axis=1)}
-        inside = [tuple(corners) in known for corners in np.sort(first, axis=1)]
-        keep &= np.array(inside, dtype=bool) == (operation == "INTERSECTION")
-    return first[keep]
+    first_surface, *other_surfaces = surfaces
+    is_kept = np.ones(len(first_surface), dtype=bool)
+    for other_surface in other_surfaces:
+        known_facets = {tuple(corners) for corners in np.sort(other_surface, axis=1)}
+        inside = [tuple(corners) in known_facets for corners in np.sort(first_surface, axis=1)]
+        is_kept &= np.array(inside, dtype=bool) == (operation == "INTERSECTION")
+    return first_surface[is_kept]
 
 
 def _name(content: FileContent, used_keywords: list[Keyword], sets: _Sets, mesh: _Mesh) -> None:
@@ -456,8 +463,8 @@ def _name(content: FileContent, used_keywords: list[Keyword], sets: _Sets, mesh:
             content.notes += left_out("surfaces without a facet", [boundary[key]])
         shells = content.triangles.get(boundary[key], corners)
         if not same_facets(shells, corners):
-            text = "sets of shells that are not read, since surfaces have their names"
-            content.notes += left_out(text, [boundary[key]])
+            message = "sets of shells that are not read, since surfaces have their names"
+            content.notes += left_out(message, [boundary[key]])
         content.triangles[boundary[key]] = corners
     for key in sets.member_functions["NSET"]:
         content.nodes[boundary[key]] = rows_of(mesh.node, sets.members("NSET", key), "node")
@@ -469,6 +476,6 @@ def _titles(content: FileContent, sets: _Sets, *kinds: str) -> dict[Key, str]:
     all_names = [name for _, name in keys]
     repeated = {key for key in keys if all_names.count(key[1]) > 1 and key[0]}
     titles = {k: f"{k[0]}.{sets.spelled[k]}" if k in repeated else sets.spelled[k] for k in keys}
-    text = "sets of one name in several parts have the part before their name"
-    content.notes += left_out(text, [titles[key] for key in keys if key in repeated])
+    message = "sets of one name in several parts have the part before their name"
+    content.notes += left_out(message, [titles[key] for key in keys if key in repeated])
     return titles

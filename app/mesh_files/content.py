@@ -86,8 +86,8 @@ class FileContent:
 def left_out(title: str, names: Iterable[str]) -> list[str]:
     """Return a note with the first names that are left out; none without a name."""
     names = list(dict.fromkeys(names))
-    rest = f" and {len(names) - 10} more" if names[10:] else ""
-    return [f"geometry: {title}: {', '.join(names[:10])}{rest}"] if names else []
+    remainder = f" and {len(names) - 10} more" if names[10:] else ""
+    return [f"geometry: {title}: {', '.join(names[:10])}{remainder}"] if names else []
 
 
 def word(name: str) -> str:
@@ -106,10 +106,10 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
     by_clean: dict[str, str] = {}
     for name in names:
         clean[name] = word(name)
-        other = by_clean.setdefault(clean[name], name)
-        if other != name:
+        other_name = by_clean.setdefault(clean[name], name)
+        if other_name != name:
             raise ValueError(
-                f"its sets {other} and {name} are both called {clean[name]} in a case, "
+                f"its sets {other_name} and {name} are both called {clean[name]} in a case, "
                 "which allows "
                 "letters, digits, _ and -; rename one of them"
             )
@@ -123,23 +123,24 @@ def rows_of(numbers: Ints, requested: Ints, kind: str) -> Ints:
         ValueError: A number occurs twice, or a requested one is missing.
     """
     order = np.argsort(numbers, kind="stable")
-    again = np.flatnonzero(np.diff(numbers[order]) == 0)
-    if len(again):
-        text = f"{kind} {numbers[order][again[0]]} is defined twice"
-        raise ValueError(f"{text}; export the model flat, without parts and instances")
+    repeated_rows = np.flatnonzero(np.diff(numbers[order]) == 0)
+    if len(repeated_rows):
+        message = f"{kind} {numbers[order][repeated_rows[0]]} is defined twice"
+        raise ValueError(f"{message}; export the model flat, without parts and instances")
     rows = order[np.searchsorted(numbers, requested, sorter=order).clip(max=len(order) - 1)]
-    wrong = numbers[rows] != requested
-    if wrong.any():
+    missing_numbers = numbers[rows] != requested
+    if missing_numbers.any():
         raise ValueError(
-            f"{kind} {requested[wrong][0]} is used, but the file does not define it: {AGAIN}"
+            f"{kind} {requested[missing_numbers][0]} is used, but the file does not define it:"
+            f" {AGAIN}"
         )
     return np.asarray(rows)
 
 
 def same_facets(a: Ints, b: Ints) -> bool:
     """Return True if two lists of triangles (n, 3) are the same surface."""
-    first, second = (np.unique(np.sort(block, axis=1), axis=0) for block in (a, b))
-    return np.array_equal(first, second)
+    first_facets, second_facets = (np.unique(np.sort(block, axis=1), axis=0) for block in (a, b))
+    return np.array_equal(first_facets, second_facets)
 
 
 def extend(sets: dict[str, Ints], names: Iterable[str], part: Ints) -> None:

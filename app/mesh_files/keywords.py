@@ -63,8 +63,8 @@ class Keyword:
         """
         if self.options.get(name):
             return self.options[name]
-        present = ", ".join(self.options) or "none"
-        raise ValueError(f"{self.place}: has no option {name}=; its options: {present}")
+        present_options = ", ".join(self.options) or "none"
+        raise ValueError(f"{self.place}: has no option {name}=; its options: {present_options}")
 
     def fields(self, line: str) -> list[str]:
         """Return the fields of a line, separated by commas, or by blanks if it has no comma."""
@@ -72,8 +72,8 @@ class Keyword:
             return line.split() if '"' not in line else [line.strip().strip('"')]
         if '"' in line:
             (row,) = csv.reader([line], skipinitialspace=True)
-            return [word.strip() for word in row]
-        return [word.strip() for word in line.split(",")]
+            return [cell_text.strip() for cell_text in row]
+        return [cell_text.strip() for cell_text in line.split(",")]
 
     def number(self, line_number: int, text: str, kind: Callable[[str], T]) -> T:
         """Return the number in a field of a line, 0 if the field is empty."""
@@ -89,16 +89,16 @@ class Keyword:
         """Return the number and coordinates of each node (n, 4), and the count of empty fields."""
         rows, empty = [], 0
         for line_number, line in self.lines:
-            words = [*self.fields(line), "", "", ""][:4]
-            if len(self.fields(line)) < 2 or not words[0]:
+            cell_texts = [*self.fields(line), "", "", ""][:4]
+            if len(self.fields(line)) < 2 or not cell_texts[0]:
                 raise ValueError(
                     f"{self.place}: line {line_number}: expected a node number and"
                     " coordinates; is the "
                     "file cut short?"
                 )
             self._check_commas(line_number, line)
-            empty += words.count("")
-            rows.append([self.number(line_number, w, float) for w in words])
+            empty += cell_texts.count("")
+            rows.append([self.number(line_number, w, float) for w in cell_texts])
         return np.array(rows, dtype=float).reshape(-1, 4), empty
 
     def _check_commas(self, line_number: int, line: str) -> None:
@@ -106,11 +106,13 @@ class Keyword:
 
         A node may have its normal after its coordinates. Abaqus writes these with points.
         """
-        words = [word for word in self.fields(line) if word]
-        are_integers = all(word.lstrip("+-").isdigit() for word in words)
-        if len(words) > MOST_OF_NODE or (len(words) > LEAST_OF_NODE and are_integers):
-            text = f"line {line_number}: {len(words)} numbers for a node and three coordinates"
-            raise ValueError(f"{self.place}: {text}; write decimal points, not commas")
+        cell_texts = [cell_text for cell_text in self.fields(line) if cell_text]
+        are_integers = all(cell_text.lstrip("+-").isdigit() for cell_text in cell_texts)
+        if len(cell_texts) > MOST_OF_NODE or (len(cell_texts) > LEAST_OF_NODE and are_integers):
+            message = (
+                f"line {line_number}: {len(cell_texts)} numbers for a node and three coordinates"
+            )
+            raise ValueError(f"{self.place}: {message}; write decimal points, not commas")
 
     def table(self, width: int) -> Ints:
         """Return the whole numbers of records, each on one line or several (n, width)."""
@@ -118,10 +120,10 @@ class Keyword:
         record: list[int] = []
         line_number = 0
         for line_number, line in self.lines:
-            words = self.fields(line.rstrip(", \t"))
-            if "" in words:
+            cell_texts = self.fields(line.rstrip(", \t"))
+            if "" in cell_texts:
                 raise ValueError(f"{self.place}: line {line_number}: a node is missing")
-            record += [self.number(line_number, w, int) for w in words]
+            record += [self.number(line_number, w, int) for w in cell_texts]
             if len(record) > width:
                 raise ValueError(
                     f"{self.place}: line {line_number}: {len(record)} numbers instead of {width}"
@@ -130,20 +132,20 @@ class Keyword:
                 rows.append(record)
                 record = []
         if record:
-            text = f"{len(record)} numbers instead of {width}; is the file cut short?"
-            raise ValueError(f"{self.place}: line {line_number}: {text}")
+            message = f"{len(record)} numbers instead of {width}; is the file cut short?"
+            raise ValueError(f"{self.place}: line {line_number}: {message}")
         return np.array(rows, dtype=np.int64).reshape(-1, width)
 
 
 def text_of(path: Path) -> str:
     """Return the text of a file in UTF-8, UTF-16 with a byte-order mark, or Latin-1."""
-    raw = path.read_bytes()
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return raw.decode("utf-16")
+    file_bytes = path.read_bytes()
+    if file_bytes.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return file_bytes.decode("utf-16")
     try:
-        return raw.decode("utf-8-sig")
+        return file_bytes.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return raw.decode("latin-1")
+        return file_bytes.decode("latin-1")
 
 
 def _options(place: str, words: list[str]) -> dict[str, str]:
@@ -163,8 +165,8 @@ def _options(place: str, words: list[str]) -> dict[str, str]:
 
 def _has_options(line: str) -> bool:
     """Return True if a line that follows a keyword has more of its options."""
-    first = line.split(",")[0]
-    return "=" in first or first.strip().upper() in FLAGS
+    first_cell = line.split(",")[0]
+    return "=" in first_cell or first_cell.strip().upper() in FLAGS
 
 
 def keywords(path: Path) -> Iterator[Keyword]:
@@ -181,12 +183,12 @@ def keywords(path: Path) -> Iterator[Keyword]:
         )
     heads = [k for k, (_, text) in enumerate(lines) if text[0] == "*"]
     scope = ""
-    for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
-        number, text = lines[head]
-        first = head + 1
-        while text.endswith(",") and first < end and _has_options(lines[first][1]):
-            text += lines[first][1]
-            first += 1
+    for head_line, next_head in zip(heads, [*heads[1:], len(lines)], strict=True):
+        number, text = lines[head_line]
+        first_line = head_line + 1
+        while text.endswith(",") and first_line < next_head and _has_options(lines[first_line][1]):
+            text += lines[first_line][1]
+            first_line += 1
         (words,) = (
             csv.reader([text[1:]], quoting=csv.QUOTE_NONE)
             if '"' not in text
@@ -194,9 +196,11 @@ def keywords(path: Path) -> Iterator[Keyword]:
         )
         name = " ".join(words[0].split()) if words else ""
         place, key = f"*{name} in line {number}", name.upper().replace(" ", "")
-        block = Keyword(place, key, {}, lines[first:end], scope)
+        block = Keyword(place, key, {}, lines[first_line:next_head], scope)
         if key in READ:
-            block = Keyword(place, key, _options(place, words[1:]), lines[first:end], scope)
+            block = Keyword(
+                place, key, _options(place, words[1:]), lines[first_line:next_head], scope
+            )
         if key in MOVING or (key == "INSTANCE" and (block.lines or "LIBRARY" in block.options)):
             raise ValueError(
                 f"{place}: makes, moves or includes nodes; export the model flat, in one file "

@@ -60,26 +60,28 @@ def read(path: Path, pick: Pick) -> FileContent:
     solid = {
         name: sum(len(b.data) for b in mesh.cells if b.dim == 3) for name, mesh in meshes.items()
     }
-    full = [name for name, count in solid.items() if count]
-    listed = ", ".join(f"{name} ({count:,} tetrahedra)" for name, count in solid.items())
-    missing = [name for name in pick.meshes if name not in meshes]
-    if missing:
-        raise ValueError(f"has no mesh {missing[0]}; it has the meshes {listed}")
-    if len(full) > 1 and not pick.meshes:
-        raise ValueError(f"has the meshes {listed}: set `geometry.meshes` to those of the model")
-    chosen = pick.meshes or full or [*meshes]
+    filled_meshes = [name for name, count in solid.items() if count]
+    mesh_list = ", ".join(f"{name} ({count:,} tetrahedra)" for name, count in solid.items())
+    missing_meshes = [name for name in pick.meshes if name not in meshes]
+    if missing_meshes:
+        raise ValueError(f"has no mesh {missing_meshes[0]}; it has the meshes {mesh_list}")
+    if len(filled_meshes) > 1 and not pick.meshes:
+        raise ValueError(f"has the meshes {mesh_list}: set `geometry.meshes` to those of the model")
+    chosen_meshes = pick.meshes or filled_meshes or [*meshes]
     content = FileContent()
-    content.notes += left_out("meshes that are not read", (n for n in meshes if n not in chosen))
-    groups = [group for name in chosen for group in _groups(meshes[name])]
-    repeated = {group for group in groups if groups.count(group) > 1}
+    content.notes += left_out(
+        "meshes that are not read", (n for n in meshes if n not in chosen_meshes)
+    )
+    group_names = [group for name in chosen_meshes for group in _groups(meshes[name])]
+    repeated = {group for group in group_names if group_names.count(group) > 1}
     shift = 0
-    for name in chosen:
+    for name in chosen_meshes:
         titles = {g: f"{name}.{g}" if g in repeated else g for g in _groups(meshes[name])}
         _add(content, meshes[name], shift, titles)
         shift += len(meshes[name].points)
-    text = "groups of one name in several meshes have the mesh before their name"
-    content.notes += left_out(text, sorted(repeated))
-    content.points = np.concatenate([meshes[name].points for name in chosen])
+    message = "groups of one name in several meshes have the mesh before their name"
+    content.notes += left_out(message, sorted(repeated))
+    content.points = np.concatenate([meshes[name].points for name in chosen_meshes])
     return content
 
 
@@ -92,12 +94,12 @@ def _meshes(path: Path) -> dict[str, MedMesh]:
     with h5py.File(path, "r", locking=False) as file:
         for name in file["ENS_MAA"]:
             only_mesh = BytesIO()
-            with h5py.File(only_mesh, "w") as copy:
+            with h5py.File(only_mesh, "w") as copied_file:
                 for part in ("ENS_MAA", "FAS"):
-                    group = copy.create_group(part)
+                    group = copied_file.create_group(part)
                     if name in file.get(part, ()):
                         file.copy(file[part][name], group, name)
-                copy.visititems(_add_families)
+                copied_file.visititems(_add_families)
             meshes[name] = meshio.med.read(only_mesh)
     if not meshes:
         raise ValueError("has no mesh")
@@ -106,9 +108,9 @@ def _meshes(path: Path) -> dict[str, MedMesh]:
 
 def _add_families(_name: str, group: h5py.Group | h5py.Dataset) -> None:
     """Put nodes and cells without families into the family 0, which has no group."""
-    for content in ("COO", "NOD"):
-        if content in getattr(group, "keys", tuple)() and "FAM" not in group:
-            group["FAM"] = np.zeros(group[content].attrs["NBR"], dtype=np.int64)
+    for entity in ("COO", "NOD"):
+        if entity in getattr(group, "keys", tuple)() and "FAM" not in group:
+            group["FAM"] = np.zeros(group[entity].attrs["NBR"], dtype=np.int64)
 
 
 def _groups(mesh: MedMesh) -> set[str]:
@@ -132,12 +134,12 @@ def _add(content: FileContent, mesh: MedMesh, shift: int, titles: dict[str, str]
             raise ValueError(f"the cells are of type {block.type}; {ONLY}")
         if block.dim < 2:
             continue
-        sets = content.sets if block.dim == 3 else content.triangles
+        target_sets = content.sets if block.dim == 3 else content.triangles
         data = block.data + shift
-        members = content.add(data, ORDER_MED) if block.dim == 3 else data[:, :3]
+        rows_of_block = content.add(data, ORDER_MED) if block.dim == 3 else data[:, :3]
         for family in np.unique(families[k]):
             names = [titles[name] for name in mesh.cell_tags.get(family, ())]
-            extend(sets, names, members[families[k].ravel() == family])
+            extend(target_sets, names, rows_of_block[families[k].ravel() == family])
     for family, groups in mesh.point_tags.items():
         rows = np.flatnonzero(mesh.point_data["point_tags"] == family) + shift
         extend(content.nodes, [titles[name] for name in groups], rows)

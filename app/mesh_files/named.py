@@ -22,12 +22,12 @@ def names(path: Path) -> list[str]:
     for name in names:  # it grows
         if Path(name).suffix.lower() not in NAMES:
             continue
-        for words in _words(folder / name, (folder / name).stat().st_mtime_ns):
-            other = os.path.normpath(Path(name).parent / words)
+        for included_name in _words(folder / name, (folder / name).stat().st_mtime_ns):
+            included_file = os.path.normpath(Path(name).parent / included_name)
             with suppress(OSError, ValueError):  # not a file name
-                inside = (folder / other).resolve().is_relative_to(folder)
-                if inside and other not in names and (folder / other).is_file():
-                    names.append(other)
+                inside = (folder / included_file).resolve().is_relative_to(folder)
+                if inside and included_file not in names and (folder / included_file).is_file():
+                    names.append(included_file)
     return names
 
 

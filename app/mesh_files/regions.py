@@ -55,14 +55,14 @@ def fill(content: FileContent, grid: CellGrid, array: str = "") -> None:
         for numbers_of_block, b in zip(cells, solids, strict=True)
         if keys[tuple(b.arrays)]
     ]
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *tagged])
+    tagged_cells = np.concatenate([np.zeros(0, dtype=np.int64), *tagged])
     for block, numbers in zip(solids, cells, strict=True):
         key = keys[tuple(block.arrays)]
-        rows = np.flatnonzero(bool(key) | ~np.isin(numbers, known))
+        rows = np.flatnonzero(bool(key) | ~np.isin(numbers, tagged_cells))
         if len(rows):
-            members = content.add(block.data[rows])
+            added_cells = content.add(block.data[rows])
             if key:
-                _add_to_sets(content.sets, block.arrays[key], title[key], members)
+                _add_to_sets(content.sets, block.arrays[key], title[key], added_cells)
     for block in flats:
         for key in boundary_arrays[tuple(block.arrays)]:
             _add_to_sets(content.triangles, block.arrays[key], title[key], block.data[:, :3])
@@ -79,27 +79,32 @@ def fill(content: FileContent, grid: CellGrid, array: str = "") -> None:
 
 def _keys(solids: Sequence[CellBlock], cells: Sequence[Ints], array: str) -> dict[Names, str]:
     """Return the array that makes regions, "" for none, by the names of arrays of blocks."""
-    joined = _joined(solids)
+    blocks_by_names = _joined(solids)
     if array:
-        return _given_array(array, joined)
-    keys = {names: choice(arrays) for names, arrays in joined.items()}
+        return _given_array(array, blocks_by_names)
+    keys = {names: choice(arrays) for names, arrays in blocks_by_names.items()}
     dropped = _overruled(solids, cells, keys)
     return {names: "" if key in dropped else key for names, key in keys.items()}
 
 
-def _given_array(array: str, joined: Mapping[Names, Mapping[str, np.ndarray]]) -> dict[Names, str]:
+def _given_array(
+    array: str, blocks_by_names: Mapping[Names, Mapping[str, np.ndarray]]
+) -> dict[Names, str]:
     """Return the array that the case gives, "" where it is missing, by the names of arrays."""
-    if not any(array in names for names in joined):
-        present = ", ".join(dict.fromkeys(name for names in joined for name in names)) or "none"
-        raise ValueError(f"has no array {array} of its cells; its arrays: {present}")
+    if not any(array in names for names in blocks_by_names):
+        present_arrays = (
+            ", ".join(dict.fromkeys(name for names in blocks_by_names for name in names)) or "none"
+        )
+        raise ValueError(f"has no array {array} of its cells; its arrays: {present_arrays}")
     if any(
-        array in names and array not in _integer_arrays(arrays) for names, arrays in joined.items()
+        array in names and array not in _integer_arrays(arrays)
+        for names, arrays in blocks_by_names.items()
     ):
-        text = (
+        message = (
             f"does not number regions; expected whole numbers, at most {MOST_VALUES} different ones"
         )
-        raise ValueError(f"its array {array} {text}")
-    return {names: array if array in names else "" for names in joined}
+        raise ValueError(f"its array {array} {message}")
+    return {names: array if array in names else "" for names in blocks_by_names}
 
 
 def _add_to_sets(
@@ -112,12 +117,12 @@ def _add_to_sets(
 
 def _joined(blocks: Sequence[CellBlock]) -> dict[Names, dict[str, np.ndarray]]:
     """Concatenate the arrays of blocks with the same names of arrays; return them by these."""
-    groups: dict[Names, list[CellBlock]] = {}
+    blocks_of_names: dict[Names, list[CellBlock]] = {}
     for block in blocks:
-        groups.setdefault(tuple(block.arrays), []).append(block)
+        blocks_of_names.setdefault(tuple(block.arrays), []).append(block)
     return {
         names: {name: np.concatenate([b.arrays[name] for b in group]) for name in names}
-        for names, group in groups.items()
+        for names, group in blocks_of_names.items()
     }
 
 
@@ -126,13 +131,13 @@ def _cells(points: np.ndarray, blocks: Sequence[CellBlock]) -> list[Ints]:
 
     If all blocks have arrays of the same names, cells are not compared.
     """
-    ends = np.cumsum([len(block.data) for block in blocks])
+    block_ends = np.cumsum([len(block.data) for block in blocks])
     if len({tuple(block.arrays) for block in blocks}) < 2:
-        return np.split(np.arange(ends[-1]), ends[:-1]) if blocks else []
+        return np.split(np.arange(block_ends[-1]), block_ends[:-1]) if blocks else []
     place = np.unique(points, axis=0, return_inverse=True)[1].ravel()
     corners = np.concatenate([np.sort(place[block.data[:, :4]], axis=1) for block in blocks])
     number = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
-    return np.split(number, ends[:-1])
+    return np.split(number, block_ends[:-1])
 
 
 def _overruled(
@@ -148,8 +153,8 @@ def _overruled(
         for other, (numbers, others) in list(preferred.items()):
             _, i, j = np.intersect1d(own_cells, numbers, return_indices=True)
             if len(i):
-                best = choice({other: others[j], key: values[i]})
-                dropped.add(key if best == other else other)
+                best_key = choice({other: others[j], key: values[i]})
+                dropped.add(key if best_key == other else other)
         preferred[key] = own_cells, values
         preferred = {name: pair for name, pair in preferred.items() if name not in dropped}
     return dropped
@@ -187,8 +192,8 @@ def choice(arrays: Mapping[str, np.ndarray]) -> str:
     pool = named or candidates
     differing = [n for n in pool if len(np.unique(integer_arrays[n])) > 1]
     if named and not differing:
-        others = [n for n in candidates if len(np.unique(integer_arrays[n])) > 1]
-        differing = [*named[:1], *others] if others else []
+        varying_arrays = [n for n in candidates if len(np.unique(integer_arrays[n])) > 1]
+        differing = [*named[:1], *varying_arrays] if varying_arrays else []
     pool = differing or pool
     integers = [n for n in pool if arrays[n].dtype.kind in "iu"]
     pool = integers or pool
@@ -219,5 +224,5 @@ def _title(key: str, blocks: Sequence[CellBlock]) -> Callable[[float], list[str]
 
 def _divides(values: Ints) -> list[int]:
     """Return the first cell with the value of each cell: equal for arrays that divide alike."""
-    _, first, inverse = np.unique(values, return_index=True, return_inverse=True)
-    return list(map(int, first[inverse]))
+    _, first_rows, inverse = np.unique(values, return_index=True, return_inverse=True)
+    return list(map(int, first_rows[inverse]))

@@ -68,14 +68,14 @@ def lz4_decompress(block: bytes) -> bytes:
             position += count
             if position == len(block):
                 break
-            back = block[position] | block[position + 1] << 8
+            distance_back = block[position] | block[position + 1] << 8
             count, position = _lz4_length(block, position + 2, token & LZ4_LONG)
-            if not 0 < back <= len(content):
+            if not 0 < distance_back <= len(content):
                 raise ValueError(f"an array compressed by LZ4 is damaged; {AGAIN}")
             count += LZ4_SHORTEST
-            earlier = bytes(content[-back:])
+            earlier = bytes(content[-distance_back:])
             # A copy may be longer than what it repeats.
-            content += (earlier * (count // back + 1))[:count]
+            content += (earlier * (count // distance_back + 1))[:count]
     except IndexError:
         raise ValueError(f"an array compressed by LZ4 is cut short; {AGAIN}") from None
     return bytes(content)
@@ -102,24 +102,24 @@ class _Source:
     """XML tree of a file, and its appended bytes, which XML parsers may not accept."""
 
     def __init__(self, path: Path) -> None:
-        raw = path.read_bytes()
+        file_bytes = path.read_bytes()
         self.appended = b""
-        opening = re.search(rb"<AppendedData[^>]*>", raw)
-        end = raw.rfind(b"</AppendedData>")
+        opening = re.search(rb"<AppendedData[^>]*>", file_bytes)
+        end = file_bytes.rfind(b"</AppendedData>")
         if opening and end < opening.end():
             raise ValueError(f"its appended data have no end: the file is cut short; {AGAIN}")
         self.raw = False
         if opening:
             self.raw = b"raw" in opening[0]
-            blob = raw[opening.end() : end]
-            mark = blob.find(b"_")
-            if mark < 0:
+            blob = file_bytes[opening.end() : end]
+            data_start = blob.find(b"_")
+            if data_start < 0:
                 raise ValueError(
                     f"its appended data do not begin with _: the file is damaged; {AGAIN}"
                 )
-            self.appended = blob[mark + 1 :]
-            raw = raw[: opening.end()] + raw[end:]
-        self.root = ET.fromstring(raw)
+            self.appended = blob[data_start + 1 :]
+            file_bytes = file_bytes[: opening.end()] + file_bytes[end:]
+        self.root = ET.fromstring(file_bytes)
         order = self.root.get("byte_order", "LittleEndian")
         self.order = ">" if order == "BigEndian" else "<"
         self.header = np.dtype(self.order + TYPES[self.root.get("header_type", "UInt32")])
@@ -141,8 +141,8 @@ class _Source:
         dtype = np.dtype(self.order + TYPES[kind])
         form = item.get("format", "ascii")
         if form == "ascii":
-            words = (item.text or "").split()
-            values = np.array(words, dtype=float if dtype.kind == "f" else np.int64)
+            number_words = (item.text or "").split()
+            values = np.array(number_words, dtype=float if dtype.kind == "f" else np.int64)
         elif form in ("binary", "appended"):
             values = self._binary(item, form, dtype, name)
         else:
@@ -157,18 +157,18 @@ class _Source:
 
     def _binary(self, item: ET.Element, form: str, dtype: np.dtype, name: str) -> np.ndarray:
         if form == "binary":
-            text, raw = "".join((item.text or "").split()).encode(), False
+            encoded, is_raw = "".join((item.text or "").split()).encode(), False
         else:
             offset = int(item.get("offset", 0))
-            text, raw = self.appended[offset:], self.raw
+            encoded, is_raw = self.appended[offset:], self.raw
         size = self.header.itemsize
 
         def take(position: int, count: int) -> bytes:
             """Return bytes from a position; base64 characters count, and are padded by part."""
-            if raw:
-                part = text[position : position + count]
+            if is_raw:
+                part = encoded[position : position + count]
             else:
-                part = base64.b64decode(text[position : position + 4 * -(-count // 3)])[:count]
+                part = base64.b64decode(encoded[position : position + 4 * -(-count // 3)])[:count]
             if len(part) < count:
                 raise ValueError(f"its array {name} is cut short; {AGAIN}")
             return part
@@ -177,23 +177,25 @@ class _Source:
             return [int(n) for n in np.frombuffer(take(position, count * size), self.header)]
 
         def length(count: int) -> int:
-            return count if raw else 4 * -(-count // 3)
+            return count if is_raw else 4 * -(-count // 3)
 
-        (first,) = numbers(0, 1)
-        if first > len(text):
+        (header_length,) = numbers(0, 1)
+        if header_length > len(encoded):
             raise ValueError(f"its array {name} is cut short; {AGAIN}")
         if not self.compressor:
             # The header is padded alone, or together with the data.
-            together = take(0, size + first) if raw or not self._padded(text, size) else b""
-            content = together[size:] or take(length(size), first)
+            together = (
+                take(0, size + header_length) if is_raw or not self._padded(encoded, size) else b""
+            )
+            content = together[size:] or take(length(size), header_length)
         else:
-            sizes = numbers(0, 3 + first)[3:]
-            position = length((3 + first) * size)
+            sizes = numbers(0, 3 + header_length)[3:]
+            position = length((3 + header_length) * size)
             block = take(position, sum(sizes))
-            ends = np.cumsum([0, *sizes])
-            parts = [block[a:b] for a, b in pairwise(ends)]
+            block_ends = np.cumsum([0, *sizes])
+            blocks = [block[a:b] for a, b in pairwise(block_ends)]
             unpack = DECOMPRESS[self.compressor]
-            content = b"".join(unpack(part) for part in parts)
+            content = b"".join(unpack(part) for part in blocks)
         if len(content) % dtype.itemsize:
             raise ValueError(f"its array {name} is cut short; {AGAIN}")
         return np.frombuffer(content, dtype)
@@ -234,19 +236,19 @@ def read_parallel(path: Path) -> CellGrid:
     grid = root.find("PUnstructuredGrid")
     if grid is None:
         raise ValueError(_not_a("PUnstructuredGrid", root))
-    names = [piece.get("Source", "") for piece in grid.findall("Piece")]
+    source_names = [piece.get("Source", "") for piece in grid.findall("Piece")]
     folder = path.parent.resolve()
-    outside = [n for n in names if not (folder / n).resolve().is_relative_to(folder)]
+    outside = [n for n in source_names if not (folder / n).resolve().is_relative_to(folder)]
     if outside:
         raise ValueError(
             f"its pieces {', '.join(outside)} are not in its folder or below; move them there"
         )
-    missing = [n or "(no Source)" for n in names if not (folder / n).is_file()]
-    if missing:
-        count = f"{len(missing)} of its {len(names)} pieces are not there"
-        raise ValueError(f"{count}: {', '.join(missing)}; put them into its folder")
+    missing_sources = [n or "(no Source)" for n in source_names if not (folder / n).is_file()]
+    if missing_sources:
+        count = f"{len(missing_sources)} of its {len(source_names)} pieces are not there"
+        raise ValueError(f"{count}: {', '.join(missing_sources)}; put them into its folder")
     pieces = []
-    for name in names:
+    for name in source_names:
         try:
             pieces += _pieces(folder / name)
         except Exception as error:  # damaged files let readers fail in any way
@@ -266,8 +268,8 @@ def _pieces(path: Path) -> list[_Piece]:
     grid = source.root.find("UnstructuredGrid")
     if grid is None:
         raise ValueError(_not_a("UnstructuredGrid", source.root))
-    full = (piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0)))
-    return [_piece(source, piece) for piece in full]
+    filled_pieces = (piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0)))
+    return [_piece(source, piece) for piece in filled_pieces]
 
 
 def _piece(source: _Source, piece: ET.Element) -> _Piece:
@@ -278,26 +280,27 @@ def _piece(source: _Source, piece: ET.Element) -> _Piece:
     arrays = {a.get("Name", ""): source.array(a) for a in piece.findall("CellData/DataArray")}
     cells = {a.get("Name", ""): source.array(a) for a in piece.findall("Cells/DataArray")}
     count = int(piece.get("NumberOfCells", 0))
-    wrong = [name for name, values in arrays.items() if len(values) != count]
+    wrong_arrays = [name for name, values in arrays.items() if len(values) != count]
     if {*cells} < {"connectivity", "offsets", "types"} or len(cells["types"]) != count:
         raise ValueError(f"its cells do not match NumberOfCells; {AGAIN}")
-    if wrong or len(cells["offsets"]) != count:
+    if wrong_arrays or len(cells["offsets"]) != count:
         raise ValueError(
-            f"its array {(wrong or ['offsets'])[0]} does not have one value per cell; {AGAIN}"
+            f"its array {(wrong_arrays or ['offsets'])[0]} does not have one value per cell;"
+            f" {AGAIN}"
         )
-    names = {*arrays}
+    array_names = {*arrays}
     flag = arrays.pop("vtkGhostType", None)
     level = arrays.pop("vtkGhostLevels", None)
-    keep = np.ones(count, dtype=bool)
+    is_kept = np.ones(count, dtype=bool)
     if flag is not None:
-        keep = (flag.astype(np.int64) & DUPLICATE) == 0
+        is_kept = (flag.astype(np.int64) & DUPLICATE) == 0
     elif level is not None:
-        keep = level == 0
+        is_kept = level == 0
     unread: dict[int, int] = {}
-    blocks = [*_blocks(cells, arrays, keep, unread)]
+    blocks = [*_blocks(cells, arrays, is_kept, unread)]
     if any(block.data.min() < 0 or block.data.max() >= len(x) for block in blocks):
         raise ValueError(f"a cell has a node that is not in the file; {AGAIN}")
-    return _Piece(x, blocks, names, int((~keep).sum()), unread)
+    return _Piece(x, blocks, array_names, int((~is_kept).sum()), unread)
 
 
 def _joined(pieces: Sequence[_Piece]) -> CellGrid:

@@ -55,31 +55,31 @@ def read(path: Path) -> CellGrid:
     unread: Counter[str] = Counter()
     for element in file.grids(grid.notes):
         name = element.get("Name", "without a name")
-        parts: dict[str, list[ET.Element]] = {}
+        elements_by_tag: dict[str, list[ET.Element]] = {}
         for part in file.parts(element):
-            parts.setdefault(part.tag, []).append(part)
-        missing = [tag for tag in ("Topology", "Geometry") if tag not in parts]
-        if missing:
-            raise ValueError(f"its grid {name} has no {missing[0]}; {AGAIN}")
-        geometry = parts["Geometry"][0]
+            elements_by_tag.setdefault(part.tag, []).append(part)
+        missing_tags = [tag for tag in ("Topology", "Geometry") if tag not in elements_by_tag]
+        if missing_tags:
+            raise ValueError(f"its grid {name} has no {missing_tags[0]}; {AGAIN}")
+        geometry = elements_by_tag["Geometry"][0]
         place = "".join(geometry.itertext()).strip()
         if place not in nodes:
             nodes[place] = sum(len(x) for _, x in nodes.values()), file.points(geometry)
         shift, x = nodes[place]
         arrays = {
             part.get("Name", "array"): file.array(_item(part))
-            for part in parts.get("Attribute", ())
+            for part in elements_by_tag.get("Attribute", ())
             if part.get("Center", "Node") == "Cell"
         }
-        for block in file.blocks(parts["Topology"][0], arrays, unread):
+        for block in file.blocks(elements_by_tag["Topology"][0], arrays, unread):
             if block.data.min() < 0 or block.data.max() >= len(x):
                 raise ValueError(
                     f"its grid {name}: a cell has a node that is not in the file; {AGAIN}"
                 )
             grid.blocks.append(replace(block, data=block.data + shift))
     if len(nodes) > 1:
-        text = f"its grids have {len(nodes)} sets of nodes, which are read as one mesh"
-        grid.notes.append(f"geometry: {text}")
+        message = f"its grids have {len(nodes)} sets of nodes, which are read as one mesh"
+        grid.notes.append(f"geometry: {message}")
     if unread:
         kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(unread.items()))
         grid.notes.append(f"{NOT_READ}: {kinds}")
@@ -90,10 +90,10 @@ def read(path: Path) -> CellGrid:
 
 def _item(part: ET.Element) -> ET.Element:
     """Return the only array of a part."""
-    items = part.findall("DataItem")
-    if len(items) != 1:
-        raise ValueError(f"its {part.tag} has {len(items)} arrays; expected one")
-    return items[0]
+    data_items = part.findall("DataItem")
+    if len(data_items) != 1:
+        raise ValueError(f"its {part.tag} has {len(data_items)} arrays; expected one")
+    return data_items[0]
 
 
 def _kind(part: ET.Element) -> str:
@@ -119,8 +119,8 @@ class _File:
             inner = grid.findall("Grid")
             if grid.get("CollectionType", "").lower() == "temporal" and len(inner) > 1:
                 name = grid.get("Name", "without a name")
-                text = f"of the {len(inner)} time steps of the grid {name} the first is read"
-                notes.append(f"geometry: {text}")
+                message = f"of the {len(inner)} time steps of the grid {name} the first is read"
+                notes.append(f"geometry: {message}")
             if grid.get("CollectionType", "").lower() == "temporal":
                 waiting = [*inner[:1], *waiting]
             elif inner or grid.get("GridType", "Uniform").lower() in ("collection", "tree"):
@@ -183,7 +183,7 @@ class _File:
         reference = item.get("Reference")
         if reference:
             item = self.elements_at((item.text or "") if reference == "XML" else reference)[0]
-        name, text = item.get("Name", ""), (item.text or "").strip()
+        name, item_text = item.get("Name", ""), (item.text or "").strip()
         called = f"its array {name}" if name else "an array"
         if item.get("ItemType", "Uniform") != "Uniform":
             raise ValueError(
@@ -198,14 +198,16 @@ class _File:
                 f"{', '.join(KINDS)}"
             )
         if form == "XML":
-            values = np.array(text.split(), dtype=float if kind == "f" else np.int64)
+            values = np.array(item_text.split(), dtype=float if kind == "f" else np.int64)
         elif form == "HDF":
-            values = self._hdf(text, called)
+            values = self._hdf(item_text, called)
         elif form == "Binary":
             order = ORDERS.get(item.get("Endian", "Native").lower(), "=")
             dtype = np.dtype(f"{order}{kind}{item.get('Precision', '4')}")
             count = int(np.prod([int(n) for n in item.get("Dimensions", "0").split()]))
-            values = np.fromfile(self._file(text), dtype, count, offset=int(item.get("Seek", 0)))
+            values = np.fromfile(
+                self._file(item_text), dtype, count, offset=int(item.get("Seek", 0))
+            )
             values = values.astype(dtype.newbyteorder("="))
         else:
             raise ValueError(f"{called} has the format {form}; expected XML, HDF or Binary")
@@ -258,10 +260,10 @@ class _File:
             only_block: Ints = data.reshape(-1, SIMPLICES[kind][1])
             blocks = {kind: (np.arange(len(only_block)), only_block)}
         count = sum(len(rows) for rows, _ in blocks.values())
-        wrong = [name for name, values in arrays.items() if len(values) != count]
-        if wrong:
+        wrong_arrays = [name for name, values in arrays.items() if len(values) != count]
+        if wrong_arrays:
             raise ValueError(
-                f"its array {wrong[0]} does not have one value for each of {count} cells"
+                f"its array {wrong_arrays[0]} does not have one value for each of {count} cells"
             )
         for name, (rows, nodes) in blocks.items():
             if SOLIDS.search(name):
@@ -275,28 +277,35 @@ class _File:
 
 def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
     """Return the cells of each kind: their positions among all cells (n,), and nodes (n, k)."""
-    starts: dict[str, list[tuple[Ints, Ints]]] = {}
+    rows_and_starts: dict[str, list[tuple[Ints, Ints]]] = {}
     position = count = 0
     while position < len(data):
         code = int(data[position])
         if code not in MIXED:
             raise ValueError(f"has a cell of type {code}, which is not a type of XDMF; {AGAIN}")
         name, width = MIXED[code]
-        run, first = 1, position + 1
+        run, first_node = 1, position + 1
         if width:
             codes = data[position : position + RUN * (width + 1) : width + 1]
             run = len(codes) if (codes == code).all() else int(np.argmax(codes != code))
         else:
-            width, first = max(0, int(data[first])) if first < len(data) else 0, position + 2
+            width, first_node = (
+                max(0, int(data[first_node])) if first_node < len(data) else 0,
+                position + 2,
+            )
         cells = np.arange(run)
-        starts.setdefault(name, []).append((count + cells, first + cells * (width + 1)))
-        position = first + run * (width + 1) - 1
+        rows_and_starts.setdefault(name, []).append(
+            (count + cells, first_node + cells * (width + 1))
+        )
+        position = first_node + run * (width + 1) - 1
         count += run
     if position > len(data):
         raise ValueError(f"its mixed cells are cut short; {AGAIN}")
     blocks: dict[str, tuple[Ints, Ints]] = {}
-    for name, places in starts.items():
-        rows, first_nodes = (np.concatenate(parts) for parts in zip(*places, strict=True))
+    for name, rows_and_starts_of_kind in rows_and_starts.items():
+        rows, first_nodes = (
+            np.concatenate(parts) for parts in zip(*rows_and_starts_of_kind, strict=True)
+        )
         width = SIMPLICES[name][1] if name in SIMPLICES else 0
         blocks[name] = rows, data[first_nodes[:, None] + np.arange(width)]
     return blocks

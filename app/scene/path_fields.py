@@ -129,8 +129,17 @@ def path_fields(function: Source) -> Source:
 
 def field_of(name: str) -> PathField | None:
     """The field of a name, None for a field of a law or of another package."""
-    every = (*MECHANICAL, *THERMAL, *DOSES, CURE, *CONTACT, *SMALL_SLIDING, MICROMOTION, FAILURE)
-    return next((field for field in (*every, *TEMPERATURE_JUMP) if field.name == name), None)
+    all_fields = (
+        *MECHANICAL,
+        *THERMAL,
+        *DOSES,
+        CURE,
+        *CONTACT,
+        *SMALL_SLIDING,
+        MICROMOTION,
+        FAILURE,
+    )
+    return next((field for field in (*all_fields, *TEMPERATURE_JUMP) if field.name == name), None)
 
 
 def available(case: Case, scene: Scene, interface: str) -> dict[str, PathField]:
@@ -187,24 +196,26 @@ def columns(case: Case, scene: Scene, name: str) -> list[PathColumn]:
     fields = available(case, scene, path.interface_name)
     if path.fields:
         return [
-            _column(f"output.paths.{name}.fields.{k}", text, fields, path)
-            for k, text in enumerate(path.fields)
+            _column(f"output.paths.{name}.fields.{k}", field_text, fields, path)
+            for k, field_text in enumerate(path.fields)
         ]
-    usual = ON_CONTACT if "pressure" in fields else IN_BODIES
-    return [PathColumn(fields[key]) for key in usual if key in fields]
+    usual_fields = ON_CONTACT if "pressure" in fields else IN_BODIES
+    return [PathColumn(fields[key]) for key in usual_fields if key in fields]
 
 
 def _column(
-    place: str, text: str, fields: Mapping[str, PathField], path: PathOptions
+    place: str, field_text: str, fields: Mapping[str, PathField], path: PathOptions
 ) -> PathColumn:
     """The column that a name stands for."""
-    name, _, axis = text.partition(".")
+    name, _, axis = field_text.partition(".")
     field = fields.get(name)
     if field is None:
-        where = f" on {path.interface_name}" if path.interface_name else ""
+        place_text = f" on {path.interface_name}" if path.interface_name else ""
         hint = did_you_mean(name, [*fields])
-        listed = ", ".join(fields) or "none"
-        raise InputError(f"{place}: this run has no field '{name}'{where}; it has {listed}{hint}")
+        field_list = ", ".join(fields) or "none"
+        raise InputError(
+            f"{place}: this run has no field '{name}'{place_text}; it has {field_list}{hint}"
+        )
     if axis and axis not in field.axes:
         axes = f"has the components {', '.join(field.axes)}" if field.axes else "has no components"
         raise InputError(f"{place}: {name} {axes}; expected {_example(field)}")

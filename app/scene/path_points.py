@@ -27,8 +27,12 @@ def path_points(case: Case, scene: Scene, data: MeshData, path: AnyPath) -> Path
         facets = paths.facets_of_region(data, region)
     else:
         # Contact points of finite sliding lie on the slave, the second boundary.
-        apart = {c.name: (c.between[0], c.between[1]) for c in scene.contacts if c.between}
-        facets = paths.facets_of_interface(data, path.interface, region, apart.get(path.interface))
+        boundaries_of_contact = {
+            c.name: (c.between[0], c.between[1]) for c in scene.contacts if c.between
+        }
+        facets = paths.facets_of_interface(
+            data, path.interface, region, boundaries_of_contact.get(path.interface)
+        )
     if isinstance(path, SectionPath):
         return paths.on_section(data, facets, path.height, path.points)
     geometry = case.geometry

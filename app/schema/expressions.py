@@ -86,13 +86,21 @@ def _value(node: ast.expr, names: Mapping[str, Value]) -> Value:
             if name not in FUNCTIONS:
                 hint = did_you_mean(name, tuple(FUNCTIONS))
                 raise ValueError(f"'{name}' is not one of {', '.join(FUNCTIONS)}{hint}")
-            function, least, most = FUNCTIONS[name]
-            if not least <= len(arguments) <= most:
-                wanted = f"{least} to {most} arguments" if most > least else f"{least} argument(s)"
-                raise ValueError(f"{name} takes {wanted}, got {len(arguments)}")
-            first, *others = (_value(argument, names) for argument in arguments)
+            function, least_arguments, most_arguments = FUNCTIONS[name]
+            if not least_arguments <= len(arguments) <= most_arguments:
+                expected_count = (
+                    f"{least_arguments} to {most_arguments} arguments"
+                    if most_arguments > least_arguments
+                    else f"{least_arguments} argument(s)"
+                )
+                raise ValueError(f"{name} takes {expected_count}, got {len(arguments)}")
+            first_value, *other_values = (_value(argument, names) for argument in arguments)
             function = getattr(np, function)
-            return reduce(function, others, first) if others else function(first)
+            return (
+                reduce(function, other_values, first_value)
+                if other_values
+                else function(first_value)
+            )
         case ast.IfExp() | ast.Compare() | ast.BoolOp():
             raise ValueError(
                 "an expression has no conditions; a step at x = 3 mm is "
@@ -111,18 +119,18 @@ def evaluate(expression: str, x: Floats) -> Floats:
         InputError: The expression is malformed or not finite at a point.
     """
     points = np.asarray(x, dtype=np.float64).reshape(-1, 3)
-    names: dict[str, Value] = dict(zip("xyz", points.T, strict=True))
-    names["pi"] = np.pi
+    value_of_name: dict[str, Value] = dict(zip("xyz", points.T, strict=True))
+    value_of_name["pi"] = np.pi
     try:
-        values = calculate(expression, names)
+        values = calculate(expression, value_of_name)
     except ValueError as error:
         raise InputError(str(error)) from error
-    result = np.broadcast_to(values, len(points)).astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(result))
-    if bad.size:
-        place = ", ".join(f"{c:g}" for c in points[bad[0]])
+    value_at_points = np.broadcast_to(values, len(points)).astype(np.float64)
+    bad_points = np.flatnonzero(~np.isfinite(value_at_points))
+    if bad_points.size:
+        place = ", ".join(f"{c:g}" for c in points[bad_points[0]])
         raise InputError(f"expression {expression!r} is not finite at ({place}) mm")
-    return result
+    return value_at_points
 
 
 @dataclass(frozen=True)

@@ -93,9 +93,9 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
         case "mantle":
             return (*path, *entry["ctx"]["at"]), entry["ctx"]["text"]
         case "missing":
-            text = " ".join(docstrings(model).get(str(path[-1]), "").split())
-            start = text[:1] if NAME_OF_PERSON.match(text) else text[:1].lower()
-            expected = f": {start}{text[1:].rstrip('.')}" if text else ""
+            docstring = " ".join(docstrings(model).get(str(path[-1]), "").split())
+            start = docstring[:1] if NAME_OF_PERSON.match(docstring) else docstring[:1].lower()
+            expected = f": {start}{docstring[1:].rstrip('.')}" if docstring else ""
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
             if str(entry["loc"][-1]).startswith(TAG):  # a key of the file that looks like a mark
@@ -107,35 +107,36 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: object) -> tuple
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
-        case "literal_error" if words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
-            return path, not_one_of(entry["input"], words)
+        case "literal_error" if allowed_words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
+            return path, not_one_of(entry["input"], allowed_words)
         case "union_tag_invalid":
             given, tags = entry["input"], entry["ctx"]["expected_tags"]
             kinds = re.findall(f"'{TAG}(\\w+)'", tags)
             if not isinstance(given, dict):
-                text = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
-                return path, text
+                message = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
+                return path, message
             if not kinds:
                 return path, f"{value} has no known kind; is a package missing?"
-            missing = f"is missing; expected one of {', '.join(kinds)}"
-            text = not_one_of(given["kind"], kinds) if "kind" in given else missing
-            return (*path, "kind"), text
+            message = f"is missing; expected one of {', '.join(kinds)}"
+            if "kind" in given:
+                message = not_one_of(given["kind"], kinds)
+            return (*path, "kind"), message
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
 def _above(key: str | int, model: type[Section], given: Mapping[str, object]) -> str:
     """The section that an unknown key belongs to: an empty one before it, or one that has it."""
-    before = [n for n in takewhile(lambda name: name != key, given) if n in model.model_fields]
-    if before and given[before[-1]] is None:
-        return before[-1]
+    keys_before = [n for n in takewhile(lambda name: name != key, given) if n in model.model_fields]
+    if keys_before and given[keys_before[-1]] is None:
+        return keys_before[-1]
     return next((n for n, f in model.model_fields.items() if _has(f.annotation, key)), "")
 
 
 def _has(kind: object, key: str | int) -> bool:
     """Return True if sections of a type, or of any in it, have a key."""
     kinds = kinds_of(kind) if isinstance(kind, type) and issubclass(kind, Extensible) else ()
-    within = (*get_args(kind), *kinds)
-    return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in within)
+    inner_types = (*get_args(kind), *kinds)
+    return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in inner_types)
 
 
 def docstrings(model: type[BaseModel]) -> dict[str, str]:
@@ -144,17 +145,17 @@ def docstrings(model: type[BaseModel]) -> dict[str, str]:
     Pydantic's ``use_attribute_docstrings`` would read the source of every class at each start. That
     takes 0.085 s, in addition to 0.33 s for the schema.
     """
-    texts: dict[str, str] = {}
+    docstring_of_key: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if base is Section or not issubclass(base, Section):
             continue
         tree = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-        for field, text in pairwise(getattr(tree, "body", ())):
-            match field, text:
+        for field, statement in pairwise(getattr(tree, "body", ())):
+            match field, statement:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(doc))):
-                    texts[name] = inspect.cleandoc(doc)
-    added = ((name, field.description) for name, field in model.model_fields.items())
-    return texts | {name: text for name, text in added if text}
+                    docstring_of_key[name] = inspect.cleandoc(doc)
+    added_keys = ((name, field.description) for name, field in model.model_fields.items())
+    return docstring_of_key | {name: description for name, description in added_keys if description}
 
 
 def _defect(text: str, at: Path) -> PydanticCustomError:
@@ -187,8 +188,8 @@ def show(value: object) -> str:
             return "nothing"
         case int() if value.bit_length() > 200:
             return "a huge number"
-    text = repr(value)
-    return text if len(text) <= 60 else text[:56] + "...'"
+    shown_text = repr(value)
+    return shown_text if len(shown_text) <= 60 else shown_text[:56] + "...'"
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
@@ -196,8 +197,8 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
     folded, lower = {k.lower(): k for k in known}, word.lower()
     begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)][:3]
     close = begun or [folded[w] for w in difflib.get_close_matches(lower, folded, 1)]
-    names = " or ".join(f"'{k}'" for k in close)
-    return f"; did you mean {names}?" if close else ""
+    close_names = " or ".join(f"'{k}'" for k in close)
+    return f"; did you mean {close_names}?" if close else ""
 
 
 def _name(value: object) -> object:
@@ -283,14 +284,14 @@ def spread_unit(value: object) -> object:
 
 def _entries(text: str) -> list[str]:
     """Split at commas outside parentheses."""
-    parts, depth = [""], 0
+    entry_texts, depth = [""], 0
     for character in text:
         depth += (character == "(") - (character == ")")
         if character == "," and depth == 0:
-            parts.append("")
+            entry_texts.append("")
         else:
-            parts[-1] += character
-    return parts
+            entry_texts[-1] += character
+    return entry_texts
 
 
 @dataclass(frozen=True)
@@ -313,14 +314,17 @@ class Triple:
         Raises:
             PydanticCustomError: Not a list, or not of this number of entries.
         """
-        words = {2: "two", 3: "three", 4: "four"}[self.number]
+        number_words = {2: "two", 3: "three", 4: "four"}[self.number]
         value = spread_unit(value) if self.number == 3 else value
         if self.scalar and value is not None and not isinstance(value, list | tuple | dict):
             return (value, value, value)
         if not isinstance(value, list | tuple):
-            fail(f"{show(value)} is not a list of {words} values; expected e.g. {self.example}")
+            fail(
+                f"{show(value)} is not a list of {number_words} values; expected e.g."
+                f" {self.example}"
+            )
         if len(value) != self.number:
-            fail(f"has {len(value)} values; expected {words}, e.g. {self.example}")
+            fail(f"has {len(value)} values; expected {number_words}, e.g. {self.example}")
         return value
 
     def __get_pydantic_core_schema__(
@@ -333,10 +337,12 @@ class Triple:
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, object]:
         """A list, or text where the entries of three are text."""
-        result = handler(schema)
-        if self.number != 3 or result.get("prefixItems", [{}])[0].get("type") != "string":
-            return result
-        return {"anyOf": [result, {"type": "string", "examples": [self.example], "x-value": ""}]}
+        json_schema = handler(schema)
+        if self.number != 3 or json_schema.get("prefixItems", [{}])[0].get("type") != "string":
+            return json_schema
+        return {
+            "anyOf": [json_schema, {"type": "string", "examples": [self.example], "x-value": ""}]
+        }
 
 
 Pair = partial(Triple, number=2)

@@ -71,20 +71,20 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
         LookupError: The unit is unknown.
         ValueError: It has another dimension.
     """
-    text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
-    if not UNIT.fullmatch(text) or TOWER.search(text):
+    unit_text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
+    if not UNIT.fullmatch(unit_text) or TOWER.search(unit_text):
         raise LookupError(unit)
-    key, kept = f"{text} in {internal}", _kept()
+    key, kept_conversions = f"{unit_text} in {internal}", _kept()
     try:
-        slope, offset = map(Fraction, kept[key])
+        slope, offset = map(Fraction, kept_conversions[key])
     except (KeyError, TypeError, ValueError, ArithmeticError):
-        slope, offset = _by_pint(unit, text, internal)
-        kept[key] = [str(slope), str(offset)]
+        slope, offset = _by_pint(unit, unit_text, internal)
+        kept_conversions[key] = [str(slope), str(offset)]
         # Of concurrent additions one may be lost.
         folder = folders.cache("units")
         if folder is not None:
             with suppress(OSError):
-                folders.write_json(folder / KEPT, kept)
+                folders.write_json(folder / KEPT, kept_conversions)
     return slope, offset
 
 
@@ -110,8 +110,8 @@ def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
     target = ureg.parse_units(internal)
     # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
     # `_units`, because pint cannot print rational powers (Python 3.13).
-    plain = source.dimensionless and not ANGLES.search(" ".join(source._units))
-    if source.dimensionality != target.dimensionality or (plain and "radian" in target._units):
+    is_plain = source.dimensionless and not ANGLES.search(" ".join(source._units))
+    if source.dimensionality != target.dimensionality or (is_plain and "radian" in target._units):
         raise ValueError(unit)
     offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
     return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
@@ -119,8 +119,10 @@ def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
 
 def bounds_in_words(schema: dict[str, Any]) -> str:
     """Bounds of a JSON schema; those that only avoid overflow are left out."""
-    words = [f"{w} {schema[n]:g}" for _, w, n in BOUNDS.values() if schema.get(n, HUGE) < HUGE]
-    return f", {' and '.join(words)}" if words else ""
+    bound_texts = [
+        f"{w} {schema[n]:g}" for _, w, n in BOUNDS.values() if schema.get(n, HUGE) < HUGE
+    ]
+    return f", {' and '.join(bound_texts)}" if bound_texts else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,12 +146,12 @@ class _Bounded(Scalar):
         Raises:
             PydanticCustomError: It is beyond one.
         """
-        for key, (holds, words, _) in BOUNDS.items():
+        for key, (holds, relation, _) in BOUNDS.items():
             bound = getattr(self, key)
             if bound is not None and not holds(value, bound):
                 signs = {"above": "must be positive", "at_least": "must not be negative"}
-                text = f"must be {words} {bound:g} {unit}".rstrip()
-                fail(f"{shown} {text if bound else signs.get(key, text)}")
+                message = f"must be {relation} {bound:g} {unit}".rstrip()
+                fail(f"{shown} {message if bound else signs.get(key, message)}")
 
 
 @dataclass(frozen=True)
@@ -175,37 +177,40 @@ class Dimension(_Bounded):
             PydanticCustomError: Not a number with a unit of this dimension, not finite, out of
                 bounds.
         """
-        shown, expected = show(value), f"{self.what} such as '{self.example}'"
-        text = value if isinstance(value, str) else shown
-        match = NUMBER.fullmatch(text) if len(text) <= LONGEST_VALUE else None
+        shown_value, expected_text = show(value), f"{self.what} such as '{self.example}'"
+        value_text = value if isinstance(value, str) else shown_value
+        match = NUMBER.fullmatch(value_text) if len(value_text) <= LONGEST_VALUE else None
         if match is None:
-            fail(f"{shown} is not {expected}")
-        if re.match(r"\s*[+-]?\d+,\d", text):
+            fail(f"{shown_value} is not {expected_text}")
+        if re.match(r"\s*[+-]?\d+,\d", value_text):
             fail(
-                f"{shown} has a comma; write decimals with a point, as '6.5 mm', "
+                f"{shown_value} has a comma; write decimals with a point, as '6.5 mm', "
                 "and thousands without a separator"
             )
         number, unit = match.groups()
         if not unit:
-            fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+            fail(f"{shown_value} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
         try:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
             hint = did_you_mean(unit, SUGGESTIONS)
-            fail(f"{shown}: '{unit}' is not a unit; expected {expected}{hint}")
+            fail(f"{shown_value}: '{unit}' is not a unit; expected {expected_text}{hint}")
         except ValueError:
-            fail(f"{shown} is not {expected}")
+            fail(f"{shown_value} is not {expected_text}")
         if offset and not self.offset:
-            fail(f"{shown} is a temperature; expected {self.what} such as '{number} {self.unit}'")
+            fail(
+                f"{shown_value} is a temperature; expected {self.what} such as '{number}"
+                f" {self.unit}'"
+            )
         if len(number) > LONGEST or not math.isfinite(float(number)):
-            fail(f"{shown} is not finite; expected {expected}")
+            fail(f"{shown_value} is not finite; expected {expected_text}")
         # A number that underflows is zero; as a fraction it could take gigabytes.
         exact = Fraction(number) if float(number) != 0.0 else Fraction(0)
         try:
             result = float(exact * slope + offset)
         except OverflowError:
-            fail(f"{shown} is not finite in {self.unit}")
-        self.check(result, shown, self.unit)
+            fail(f"{shown_value} is not finite in {self.unit}")
+        self.check(result, shown_value, self.unit)
         return result
 
     def write(self, value: float) -> str:
@@ -249,12 +254,12 @@ class AbsoluteTemperature(Dimension):
             PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
         """
         if isinstance(value, str) and "delta" in value:
-            text = "is a difference of temperatures; expected a temperature such as 37 degC"
-            fail(f"{show(value)} {text}")
-        result = super().read(value)
-        if result <= 0.0:
+            message = "is a difference of temperatures; expected a temperature such as 37 degC"
+            fail(f"{show(value)} {message}")
+        temperature = super().read(value)
+        if temperature <= 0.0:
             fail(f"{show(value)} is not above absolute zero, -273.15 degC or 0 K")
-        return result
+        return temperature
 
     def write(self, value: float) -> str:
         """The value in degC where that reads back to the same float, else in K."""
@@ -278,15 +283,15 @@ class Part(Dimension):
         Raises:
             PydanticCustomError: Not a number, or not from 0 to 1.
         """
-        share = _part(value)
-        match = NUMBER.fullmatch(share) if isinstance(share, str) else None
-        if isinstance(share, bool) or not (isinstance(share, int | float) or match):
+        fraction = _part(value)
+        match = NUMBER.fullmatch(fraction) if isinstance(fraction, str) else None
+        if isinstance(fraction, bool) or not (isinstance(fraction, int | float) or match):
             fail(f"{show(value)} is not {self.what} such as '{self.example}'")
         if match and match[2]:
             fail(f"{show(value)}: a share has no unit except %")
-        result = float(match[1]) if match else float(share)  # type: ignore[arg-type]
-        self.check(result, show(value))
-        return result
+        number = float(match[1]) if match else float(fraction)  # type: ignore[arg-type]
+        self.check(number, show(value))
+        return number
 
     def write(self, value: float) -> str:
         """The share as a bare number."""

@@ -167,27 +167,33 @@ class CaseFile:
             verdict = replace(verdict, what=printable(fault.text + change))
         of_key = f": {key}" if key and key != place else ""
         if isinstance(place, str):
-            where = f"{self.option}{path_text((place,))}{of_key}"
-            return LAST, replace(verdict, where=printable(where))
+            location = f"{self.option}{path_text((place,))}{of_key}"
+            return LAST, replace(verdict, where=printable(location))
         file, line, column = place
         order = [self.name, *self.digests].index(file)
-        where = printable(f"{file}:{line}:{column}{of_key}")
-        return (order, line, column), replace(verdict, where=where)
+        location = printable(f"{file}:{line}:{column}{of_key}")
+        return (order, line, column), replace(verdict, where=location)
 
 
 def printable(text: str) -> str:
     """Escape control characters of a message and bound its length."""
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-    return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]} ..."
+    printable_text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return printable_text if len(printable_text) <= LONGEST else f"{printable_text[:LONGEST]} ..."
 
 
 def path_text(path: Path) -> str:
     """``("stages", 0, "name")`` as ``stages[0].name``."""
-    text = ""
-    for item in path:
-        word = str(item) if len(str(item)) <= 100 else f"{str(item)[:96]}..."
-        text += f"[{word}]" if isinstance(item, int) else f".{word}" if text else word
-    return text
+    joined_text = ""
+    for path_part in path:
+        part_text = str(path_part) if len(str(path_part)) <= 100 else f"{str(path_part)[:96]}..."
+        joined_text += (
+            f"[{part_text}]"
+            if isinstance(path_part, int)
+            else f".{part_text}"
+            if joined_text
+            else part_text
+        )
+    return joined_text
 
 
 def key_parts(key: str) -> list[str]:
@@ -206,7 +212,7 @@ def read(path: FilePath) -> CaseFile:
     """
     try:
         with path.open("rb") as file:
-            raw = file.read(LARGEST + 1)
+            file_bytes = file.read(LARGEST + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
@@ -214,15 +220,15 @@ def read(path: FilePath) -> CaseFile:
     except (OSError, ValueError) as error:  # a null character in the name
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
-    if len(raw) > LARGEST:
+    if len(file_bytes) > LARGEST:
         raise InputError(f"{path}: is larger than {LARGEST >> 20} MB, too large for a case file")
-    case = CaseFile(str(path), digests={str(path): hashlib.sha256(raw).hexdigest()})
+    case = CaseFile(str(path), digests={str(path): hashlib.sha256(file_bytes).hexdigest()})
     try:
-        node = compose(raw.decode("utf-8-sig", errors="surrogateescape"))
+        node = compose(file_bytes.decode("utf-8-sig", errors="surrogateescape"))
         if not isinstance(node, MappingNode):
             empty = "" if node else "the file is empty; "
-            text = f"{empty}expected a mapping with geometry, mesh, regions"
-            raise BadYaml(text, _start(node) if node else (1, 1))
+            message = f"{empty}expected a mapping with geometry, mesh, regions"
+            raise BadYaml(message, _start(node) if node else (1, 1))
         case.data = Reader(case).value(node)
     except BadYaml as error:
         case.complaints.clear()  # duplicates before it
@@ -253,11 +259,11 @@ def compose(text: str) -> Node | None:
             problem = 'a list with one unit needs quotes: "[0, 0, -1800] N"'
         raise BadYaml(f"not valid YAML: {problem}", place) from error
     except ReaderError as error:
-        before, code = text[: error.position], ord(text[error.position])
+        text_before, code = text[: error.position], ord(text[error.position])
         reason = "not valid YAML: a control character is not allowed"
         if 0xDC80 <= code <= 0xDCFF:
             reason = f"not UTF-8 text (byte 0x{code - 0xDC00:02x})"
-        place = before.count("\n") + 1, error.position - before.rfind("\n")
+        place = text_before.count("\n") + 1, error.position - text_before.rfind("\n")
         raise BadYaml(reason, place) from error
     except (YAMLError, RecursionError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
@@ -326,10 +332,10 @@ class Reader:
             else:
                 self.file.places.setdefault(inner, place)
                 data[key] = self.value(value_node, inner, depth + 1)
-        for other in merged:
-            if not isinstance(other, MappingNode):
-                raise BadYaml("<< needs a mapping", _start(other))
-            data = self.value(other, path, depth + 1) | data
+        for merged_mapping in merged:
+            if not isinstance(merged_mapping, MappingNode):
+                raise BadYaml("<< needs a mapping", _start(merged_mapping))
+            data = self.value(merged_mapping, path, depth + 1) | data
         return data
 
     def _place(self, node: Node) -> Place:
@@ -346,8 +352,8 @@ def _scalar(node: ScalarNode) -> object:
         return _SCALARS.construct_object(node)
     # A tag can mark any text as a number or a truth value.
     except (ValueError, LookupError, YAMLError) as error:
-        what = "true or false" if kind == "bool" else "a number"
-        raise BadYaml(f"'{_text(node)[:60]}' is not {what}", _start(node)) from error
+        expected_value = "true or false" if kind == "bool" else "a number"
+        raise BadYaml(f"'{_text(node)[:60]}' is not {expected_value}", _start(node)) from error
 
 
 _SCALARS = YAML(typ="safe", pure=True).constructor

@@ -67,9 +67,9 @@ def problems() -> list[str]:
     petsc = _try(_petsc)
     lacking = petsc.partition(", without ")[2]
     slow = next(filter(is_reference_blas, loaded_blas()), "")
-    shared = _try(lambda: str(shutil.disk_usage("/dev/shm").total))
-    room = int(shared) if shared.isdigit() else 0
-    wrong = "" if missing else _try(wrong_blas)
+    shared_memory = _try(lambda: str(shutil.disk_usage("/dev/shm").total))
+    room = int(shared_memory) if shared_memory.isdigit() else 0
+    wrong_sums = "" if missing else _try(wrong_blas)
     checks = {
         f"not installed: {', '.join(missing)}; `./mantle setup` or the packages in packages.txt": (
             bool(missing)
@@ -95,24 +95,24 @@ def problems() -> list[str]:
         f"/dev/shm has only {_size(room)}: give a container --shm-size=2g": (
             0 < room < _SHARED_MEMORY
         ),
-        wrong: bool(wrong),
+        wrong_sums: bool(wrong_sums),
         f"{form_cache()} is not writable: forms are compiled anew; set XDG_CACHE_HOME": (
             not _is_writable(form_cache())
         ),
     }
-    return [text for text, applies in checks.items() if applies]
+    return [message for message, applies in checks.items() if applies]
 
 
 def wrong_blas() -> str:
     """Message that names wrong results of the BLAS, and the cure; empty if all are right."""
     from app.system import blas_check  # which needs numpy and PETSc: they may be missing
 
-    wrong = blas_check.wrong_results()
-    if not wrong:
+    wrong_results = blas_check.wrong_results()
+    if not wrong_results:
         return ""
     return (
         f"the BLAS of this machine ({', '.join(loaded_blas()) or 'unknown'}) computes wrong "
-        f"numbers: {', '.join(wrong)}; choose another (update-alternatives --config "
+        f"numbers: {', '.join(wrong_results)}; choose another (update-alternatives --config "
         "libblas.so.3-x86_64-linux-gnu), or other kernels of OpenBLAS, e.g. "
         "OPENBLAS_CORETYPE=Haswell"
     )
@@ -161,13 +161,13 @@ def _petsc() -> str:
     petsc = import_module("petsc4py.PETSc")
     numbers = ".".join(str(number) for number in petsc.Sys.getVersion())
     kind = petsc.ScalarType.__name__
-    has = {name: petsc.Sys.hasExternalPackage(name.lower()) for name in _SOLVERS}
-    text = f"{numbers}, {kind}"
-    for word, wanted in (("with", True), ("without", False)):
-        names = [name for name in _SOLVERS if has[name] is wanted]
-        if names:
-            text += f", {word} {' and '.join(names)}"
-    return text
+    is_built_in = {name: petsc.Sys.hasExternalPackage(name.lower()) for name in _SOLVERS}
+    petsc_text = f"{numbers}, {kind}"
+    for preposition, expected in (("with", True), ("without", False)):
+        solver_names = [name for name in _SOLVERS if is_built_in[name] is expected]
+        if solver_names:
+            petsc_text += f", {preposition} {' and '.join(solver_names)}"
+    return petsc_text
 
 
 def _h5py_mpi() -> str:
@@ -181,11 +181,13 @@ def _mpi() -> str:
 
 
 def _compiler() -> str:
-    name, *more = os.environ.get("CC", "").split() or ["cc"]
+    name, *arguments = os.environ.get("CC", "").split() or ["cc"]
     path = shutil.which(name)
     if path is None:
         return _MISSING
-    command = partial(subprocess.check_output, [path, *more, "--version"], text=True, timeout=10)
+    command = partial(
+        subprocess.check_output, [path, *arguments, "--version"], text=True, timeout=10
+    )
     return f"{path} ({_try(command).splitlines()[0]})"
 
 

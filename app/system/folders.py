@@ -60,9 +60,9 @@ def settle_cache() -> str:
         files.make_private(form_cache())
         return ""
     except RuntimeError:  # no home
-        why = ""
+        reason = ""
     except OSError as error:
-        why = f"{error.filename}: {error.strerror}" if "XDG_CACHE_HOME" in os.environ else ""
+        reason = f"{error.filename}: {error.strerror}" if "XDG_CACHE_HOME" in os.environ else ""
     private = Path(f"/tmp/mantle-{os.geteuid()}")
     try:
         files.make_private(private)
@@ -72,7 +72,7 @@ def settle_cache() -> str:
         ) from error
     os.environ["XDG_CACHE_HOME"] = str(private)
     os.environ.setdefault("MPLCONFIGDIR", str(private / "matplotlib"))
-    return f"caches are in {private} now: {why}" if why else ""
+    return f"caches are in {private} now: {reason}" if reason else ""
 
 
 def _copy(seed: Path, folder: Path) -> None:
@@ -114,10 +114,11 @@ def prepare_run(folder: Path, force: bool) -> None:
         raise InputError(f"-o {folder}: cannot be made or read: {error.strerror}") from error
     if holds_something and not force:
         # Of variations some may be finished, and one was interrupted.
-        left = saved(folder) or [*folder.glob("*/checkpoint-*.state"), *folder.glob("*/DONE")]
-        again = "--restart auto to continue from its checkpoint, " if left else ""
+        left_over = saved(folder) or [*folder.glob("*/checkpoint-*.state"), *folder.glob("*/DONE")]
+        restart_text = "--restart auto to continue from its checkpoint, " if left_over else ""
         raise InputError(
-            f"-o {folder}: is not empty; choose another folder, {again}or --force to replace the "
+            f"-o {folder}: is not empty; choose another folder, {restart_text}or --force to"
+            " replace the "
             "results"
         )
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -131,10 +132,10 @@ def raise_if_taken(folder: Path) -> None:
     Raises:
         InputError: There are some; names each.
     """
-    taken = [folder / name for name in ("case.yaml", *RESULTS) if (folder / name).is_dir()]
-    if taken:
-        text = "is a folder, but a file of results has this name; move it, or choose another -o"
-        raise InputError([f"{path}: {text}" for path in taken])
+    taken_names = [folder / name for name in ("case.yaml", *RESULTS) if (folder / name).is_dir()]
+    if taken_names:
+        message = "is a folder, but a file of results has this name; move it, or choose another -o"
+        raise InputError([f"{path}: {message}" for path in taken_names])
 
 
 @contextmanager
@@ -145,20 +146,20 @@ def claim(folder: Path) -> Iterator[None]:
         InputError: Another run has locked it.
     """
     try:
-        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be read: {error.strerror}") from error
     try:
         try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            text = "another run writes into it; wait until it ends, or choose another folder"
-            raise InputError(f"-o {folder}: {text}") from None
+            message = "another run writes into it; wait until it ends, or choose another folder"
+            raise InputError(f"-o {folder}: {message}") from None
         except OSError:
             pass  # a file system without locks
         yield
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
 def saved(folder: Path) -> list[Path]:
@@ -191,12 +192,12 @@ def write_text(path: Path, text: str) -> None:
 
 def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
     """Rows as CSV, with a column for every key of any row."""
-    text = io.StringIO()
-    names = dict.fromkeys(name for row in rows for name in row)
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(names)
-    table.writerows([row.get(name, "") for name in names] for row in rows)
-    return text.getvalue()
+    buffer = io.StringIO()
+    column_names = dict.fromkeys(name for row in rows for name in row)
+    table = csv.writer(buffer, lineterminator="\n")
+    table.writerow(column_names)
+    table.writerows([row.get(name, "") for name in column_names] for row in rows)
+    return buffer.getvalue()
 
 
 def write_json(path: Path, content: object) -> None:

@@ -59,8 +59,8 @@ def usable(folder: Path, name: str) -> bool:
     module, source = folder / (name + EXTENSION_SUFFIXES[0]), folder / f"{name}.c"
     try:
         size = (folder / f"{name}.c.cached").read_text(errors="replace")
-        whole = not size.isdigit() or int(size) == module.stat().st_size
-        return whole and source.exists() and module.exists()
+        is_whole = not size.isdigit() or int(size) == module.stat().st_size
+        return is_whole and source.exists() and module.exists()
     except OSError:
         return False
 
@@ -91,11 +91,11 @@ def _mark(compile: Callable[..., T], *arguments: object, **options: object) -> T
     if not _announced:
         log.info("     compiling forms; later runs reuse them")
         _announced.append(name)
-    with captured("compiler") as written:
+    with captured("compiler") as compiler_output:
         try:
             code = compile(*arguments, **options)
         except Exception as error:
-            error.add_note("\n".join(written()))
+            error.add_note("\n".join(compiler_output()))
             raise
     size = (folder / (name + EXTENSION_SUFFIXES[0])).stat().st_size
     (folder / f"{name}.c.cached").write_text(str(size))
@@ -125,11 +125,11 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
     folder = form_cache()
     reason = str(error).strip().partition("\n")[0] or type(error).__name__
     details = "".join(f"  {n}\n" for n in getattr(error, "__notes__", ()) if n)
-    free = ""
+    free_space = ""
     with suppress(OSError):
-        free = f", with {shutil.disk_usage(folder).free / 1e6:.0f} MB free"
+        free_space = f", with {shutil.disk_usage(folder).free / 1e6:.0f} MB free"
     return EnvironmentProblem(
         f"a form cannot be compiled: {reason}\n{details}"
         f"mantle doctor checks the C compiler; compiled forms are kept in {folder}"
-        f"{free} (XDG_CACHE_HOME sets another folder; it can be deleted)"
+        f"{free_space} (XDG_CACHE_HOME sets another folder; it can be deleted)"
     )

@@ -58,14 +58,20 @@ def program() -> str:
 
 def sources() -> dict[str, Path]:
     """Source files of the program, by path relative to the folder that holds ``app``."""
-    top = Path(__file__).resolve().parents[2]
-    files = (p for folder in ("app", "forms", "meshes") for p in (top / folder).rglob("*.py"))
-    return {p.relative_to(top).as_posix(): p for p in files}
+    top_folder = Path(__file__).resolve().parents[2]
+    files = (
+        p for folder in ("app", "forms", "meshes") for p in (top_folder / folder).rglob("*.py")
+    )
+    return {p.relative_to(top_folder).as_posix(): p for p in files}
 
 
 def _version(*packages: str) -> str:
     """Version of the first of some packages that is installed."""
-    versions = (d.version for name in packages for d in metadata.distributions(name=name))
+    versions = (
+        distribution.version
+        for name in packages
+        for distribution in metadata.distributions(name=name)
+    )
     return next(versions, MISSING)
 
 
@@ -94,7 +100,7 @@ def _blas(petsc: ctypes.CDLL) -> str:
         return str(petsc.openblas_get_config().decode())
     address = ctypes.cast(petsc.dgemm_, ctypes.c_void_p).value or 0
     for line in Path("/proc/self/maps").read_text().splitlines():
-        low, high = (int(end, 16) for end in line.split()[0].split("-"))
-        if low <= address < high:
+        low_address, high_address = (int(end, 16) for end in line.split()[0].split("-"))
+        if low_address <= address < high_address:
             return line.split(maxsplit=5)[5]
     return MISSING

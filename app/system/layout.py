@@ -22,8 +22,10 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence
     wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         "  ".join(
-            f"{cell:>{w}}" if right else f"{cell:<{w}}"
-            for cell, w, right in zip(line, wide, numbers or [False] * len(wide), strict=True)
+            f"{cell:>{w}}" if is_right_aligned else f"{cell:<{w}}"
+            for cell, w, is_right_aligned in zip(
+                line, wide, numbers or [False] * len(wide), strict=True
+            )
         ).rstrip()
         for line in lines
     )
@@ -60,14 +62,14 @@ def point_text(x: Iterable[float]) -> str:
 
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
     """Notes of several cases, each once, with the names of its cases."""
-    every = list(cases)
+    all_cases = list(cases)
     cases_of: dict[str, list[str]] = {}
-    for name, notes in every:
+    for name, notes in all_cases:
         for note in notes:
             cases_of.setdefault(note, []).append(name)
     return [
-        f"{note} ({'all cases' if len(names) == len(every) else ', '.join(names)})"
-        for note, names in cases_of.items()
+        f"{note} ({'all cases' if len(case_names) == len(all_cases) else ', '.join(case_names)})"
+        for note, case_names in cases_of.items()
     ]
 
 
@@ -76,22 +78,24 @@ def plain(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{k} {plain(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
-        items = [plain(v) for v in _without_rounding(value)]
-        units = [text.partition(" ")[2] for text in items]
+        item_texts = [plain(v) for v in _without_rounding(value)]
+        units = [value_text.partition(" ")[2] for value_text in item_texts]
         unit = units[0] if units else ""
-        if len(items) > 1 and set(units) == {unit} and unit[:1].isalpha():
-            return f"[{', '.join(text.partition(' ')[0] for text in items)}] {unit}"
-        return f"[{', '.join(items)}]"
+        if len(item_texts) > 1 and set(units) == {unit} and unit[:1].isalpha():
+            return (
+                f"[{', '.join(value_text.partition(' ')[0] for value_text in item_texts)}] {unit}"
+            )
+        return f"[{', '.join(item_texts)}]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
         return f"{value:.6g}"
-    text = str(value)
-    number, space, unit = text.partition(" ")
+    value_text = str(value)
+    number, space, unit = value_text.partition(" ")
     try:
         return f"{float(number):.6g}{space}{unit}"
     except ValueError:
-        return text
+        return value_text
 
 
 def _without_rounding(values: Sequence[object]) -> Sequence[object]:
@@ -99,15 +103,15 @@ def _without_rounding(values: Sequence[object]) -> Sequence[object]:
 
     They are numbers, or numbers with the same unit.
     """
-    words = [str(v).partition(" ") for v in values if isinstance(v, float | str)]
+    split_values = [str(v).partition(" ") for v in values if isinstance(v, float | str)]
     try:
-        sizes = [abs(float(number)) for number, _, _ in words]
+        sizes = [abs(float(number)) for number, _, _ in split_values]
     except ValueError:
         return values
-    if len(words) < len(values) or len({unit for _, _, unit in words}) > 1:
+    if len(split_values) < len(values) or len({unit for _, _, unit in split_values}) > 1:
         return values
     small = ROUNDING * max(sizes, default=0.0)
     return [
         f"0{space}{unit}" if size < small else value
-        for value, size, (_, space, unit) in zip(values, sizes, words, strict=True)
+        for value, size, (_, space, unit) in zip(values, sizes, split_values, strict=True)
     ]

@@ -60,7 +60,7 @@ _FOLDER = str(Path(__file__).resolve().parents[2])
 
 def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
     """Number of ranks of the surrounding ``mpirun`` or Slurm step; 0 if unknown, None outside."""
-    if not any(mark in environ for mark in _WORLD_MARKS):
+    if not any(variable in environ for variable in _WORLD_MARKS):
         return None
     sizes = (environ.get(name, "") for name in _WORLD_SIZES)
     return next((int(size) for size in sizes if size.isdigit()), 0)
@@ -113,8 +113,8 @@ def end_with_parent() -> None:
 def stop_signals() -> list[signal.Signals]:
     """Signals that ask a run to stop; under ``nohup`` SIGHUP is ignored and not among them."""
     heard = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
-    lost = [signal.SIGHUP] if heard else []
-    return [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, *lost]
+    hang_up_signals = [signal.SIGHUP] if heard else []
+    return [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, *hang_up_signals]
 
 
 class _Stop:
@@ -156,8 +156,8 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         EnvironmentProblem: There is no mpirun.
     """
     # That of a virtual environment belongs to its MPI, and need not be in the PATH.
-    places = [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
-    mpirun = shutil.which("mpirun", path=os.pathsep.join(places))
+    search_folders = [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
+    mpirun = shutil.which("mpirun", path=os.pathsep.join(search_folders))
     if mpirun is None:
         raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
     libc = ctypes.CDLL(None)
@@ -198,7 +198,7 @@ def mpi_settings() -> Iterator[None]:
     been started or has other ranks. Open MPI does not search a network if all ranks are on this
     node.
     """
-    before = dict(os.environ)
+    environment_before = dict(os.environ)
     use_one_node()
     if world_size() is None and "mpi4py.MPI" not in sys.modules:
         process = contextlib.ExitStack()
@@ -208,9 +208,9 @@ def mpi_settings() -> Iterator[None]:
         yield
     finally:
         # Libraries that are imported in the block set variables, too.
-        for name in os.environ.keys() - before.keys():
+        for name in os.environ.keys() - environment_before.keys():
             del os.environ[name]
-        os.environ |= before
+        os.environ |= environment_before
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:

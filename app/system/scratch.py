@@ -31,11 +31,11 @@ def variables() -> Iterator[dict[str, str]]:
         yield {}
         return
     place = SHARED if os.access(SHARED, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
-    for old in place.glob(f"{PREFIX}*"):
+    for old_folder in place.glob(f"{PREFIX}*"):
         with suppress(OSError):
-            if old.stat().st_uid == os.geteuid():
-                with _locked(old):
-                    shutil.rmtree(old, ignore_errors=True)
+            if old_folder.stat().st_uid == os.geteuid():
+                with _locked(old_folder):
+                    shutil.rmtree(old_folder, ignore_errors=True)
     with ExitStack() as stack:
         variables = {}
         with suppress(OSError):
@@ -51,9 +51,9 @@ def variables() -> Iterator[dict[str, str]]:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
-        os.close(held)
+        os.close(descriptor)

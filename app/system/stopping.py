@@ -26,8 +26,8 @@ def seconds(text: str) -> float:
     if with_unit := re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|d)", text.strip()):
         total = float(with_unit[1]) * UNITS[with_unit[2]]
     elif clock_time := re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip()):
-        days, hours, minutes, rest = (int(part or 0) for part in clock_time.groups())
-        total = float(((24 * days + hours) * 60 + minutes) * 60 + rest)
+        days, hours, minutes, remaining_seconds = (int(part or 0) for part in clock_time.groups())
+        total = float(((24 * days + hours) * 60 + minutes) * 60 + remaining_seconds)
     if not total:
         raise InputError(f"--walltime {text}: not a duration; allowed: {FORMS}, e.g. 2:00:00")
     return total
@@ -40,18 +40,20 @@ def signals() -> Callable[[], str]:
     the run at once if it comes at least one second after the first.
     """
     received: list[str] = []
-    alone = ranks.world_size() is None
-    first = 0.0
+    is_single = ranks.world_size() is None
+    first_signal = 0.0
 
     def note(number: int, frame: FrameType | None) -> None:
-        nonlocal first
-        now = clock.monotonic()
+        nonlocal first_signal
+        signal_time = clock.monotonic()
         received.append(signal.Signals(number).name)
         if len(received) == 1:
-            first = now
-            if alone:
+            first_signal = signal_time
+            if is_single:
                 ranks.notify("stopping when the state is saved (a second signal stops at once)")
-        elif alone and number == signal.SIGINT and now > first + ranks.SAME_SIGNAL:
+        elif (
+            is_single and number == signal.SIGINT and signal_time > first_signal + ranks.SAME_SIGNAL
+        ):
             ranks.notify(ranks.NOT_SAVED)
             os._exit(130)
 
@@ -85,9 +87,9 @@ class WallTime:
 
     def __call__(self) -> str:
         """Reason to stop now, or ""."""
-        now = clock.perf_counter()
+        current_time = clock.perf_counter()
         if self._last is not None:
-            self._longest = max(self._longest, now - self._last)
-        self._last = now
-        late = now + self._longest >= self._end
+            self._longest = max(self._longest, current_time - self._last)
+        self._last = current_time
+        late = current_time + self._longest >= self._end
         return f"its wall time of {self._limit:.0f} s" if late else ""

@@ -46,13 +46,13 @@ class Timing:
     @contextmanager
     def phase(self, name: str, of: str = "") -> Iterator[None]:
         """Count the time of the block for a phase, one of `DOING`, and log its beginning."""
-        words = f"{DOING[name]}: {of}" if of else DOING[name]
-        expected = self.about.pop(of or name, 0.0)
-        if expected > 1.0:
-            words += f", about {expected:.0f} s"
-        first = name not in self.seconds and name in ANNOUNCED and not self.part
-        where = f"{self.part}: " if self.part else ""
-        log.log(logging.INFO if first else logging.DEBUG, "     %s%s", where, words)
+        phase_text = f"{DOING[name]}: {of}" if of else DOING[name]
+        expected_seconds = self.about.pop(of or name, 0.0)
+        if expected_seconds > 1.0:
+            phase_text += f", about {expected_seconds:.0f} s"
+        is_first = name not in self.seconds and name in ANNOUNCED and not self.part
+        part_text = f"{self.part}: " if self.part else ""
+        log.log(logging.INFO if is_first else logging.DEBUG, "     %s%s", part_text, phase_text)
         wall, cpu = time.perf_counter(), time.process_time()
         self._open.append((0.0, 0.0))
         try:
