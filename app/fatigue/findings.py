@@ -22,11 +22,13 @@ def _stages(case: Case) -> Iterable[Fault]:
     """Activities that are no stages."""
     fatigue = fatigue_of(case)
     assert fatigue
-    names = [stage.name for stage in case.stages]
+    stage_names = [stage.name for stage in case.stages]
     for name in fatigue.spectrum:
-        if name not in names:
-            text = f"'{name}' is not one of {', '.join(names)}{did_you_mean(name, names)}"
-            yield Fault(("fatigue", "spectrum", name), text)
+        if name not in stage_names:
+            message = (
+                f"'{name}' is not one of {', '.join(stage_names)}{did_you_mean(name, stage_names)}"
+            )
+            yield Fault(("fatigue", "spectrum", name), message)
 
 
 @check("fatigue", "regions")
@@ -41,8 +43,8 @@ def _region(case: Case) -> Iterable[Fault]:
     name = fatigue.region
     invalid = name in regions and regions[name] is None
     if name not in elastic and not invalid:
-        text = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
-        yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
+        message = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("fatigue", "region"), message + did_you_mean(name, elastic))
 
 
 @check("stem_test", "regions", "geometry")
@@ -52,8 +54,8 @@ def _stem_test(case: Case) -> Iterable[Fault]:
     assert test
     elastic = [name for name, region in case.regions.items() if region and region.deforms]
     if test.region not in elastic:
-        text = f"'{test.region}' is not one of the elastic regions {', '.join(elastic)}"
-        yield Fault(("stem_test", "region"), text + did_you_mean(test.region, elastic))
+        message = f"'{test.region}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("stem_test", "region"), message + did_you_mean(test.region, elastic))
     if level_of(case) is None:
         yield Fault(("stem_test",), "'level' is missing; this geometry has no neck cut")
 
@@ -63,11 +65,13 @@ def _head(case: Case) -> Iterable[Fault]:
     """Test without a load on the boundary of the head."""
     test = stem_test_of(case)
     assert test
-    places = [load.place[1] for load in case.loads.values() if load]
-    if test.head not in places:
-        known = ", ".join(sorted({place for place in places if place})) or "none"
-        text = f"no load acts on '{test.head}'; boundaries with loads: {known}"
-        yield Fault(("stem_test", "head"), text)
+    loaded_boundaries = [load.place[1] for load in case.loads.values() if load]
+    if test.head not in loaded_boundaries:
+        listed_boundaries = (
+            ", ".join(sorted({place for place in loaded_boundaries if place})) or "none"
+        )
+        message = f"no load acts on '{test.head}'; boundaries with loads: {listed_boundaries}"
+        yield Fault(("stem_test", "head"), message)
 
 
 @warner
@@ -89,10 +93,13 @@ def _beyond_measured(case: Case, numbers: Summary) -> Iterable[Verdict]:
         if law.measured is None:
             continue
         stress = numbers["fatigue"][name]["stress_p99"]
-        low, high = law.measured
-        if not low <= stress <= high:
-            text = f"was measured at {low:g} to {high:g} MPa, and is used at {stress:.2g} MPa (p99)"
-            yield note(text, f"fatigue.laws.{name}")
+        lowest, highest = law.measured
+        if not lowest <= stress <= highest:
+            message = (
+                f"was measured at {lowest:g} to {highest:g} MPa, and is used at {stress:.2g} MPa"
+                " (p99)"
+            )
+            yield note(message, f"fatigue.laws.{name}")
 
 
 @judge
@@ -131,35 +138,41 @@ def _endurance(stem: str, numbers: Numbers) -> str:
 
 def life(laws: Mapping[str, Numbers]) -> str:
     """Band of the life of a region, over laws and errors; no year without it."""
-    known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
-    most, least = max(d + e for d, e in known), min(d - e for d, e in known)
-    mesh = any("damage_p99_error" in q for q in laws.values())
-    text = f"over {', '.join(laws)}"
-    if mesh:
-        text += " and mesh"
-    if len(known) < 2 and not mesh:
+    damages_and_errors = [
+        (q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()
+    ]
+    largest_damage = max(damage + damage_error for damage, damage_error in damages_and_errors)
+    smallest_damage = min(damage - damage_error for damage, damage_error in damages_and_errors)
+    has_mesh_error = any("damage_p99_error" in q for q in laws.values())
+    causes = f"over {', '.join(laws)}"
+    if has_mesh_error:
+        causes += " and mesh"
+    if len(damages_and_errors) < 2 and not has_mesh_error:
         remedy = "add another law, or run with --error"
-        return f"the life is not shown without an uncertainty ({text}): {remedy}"
-    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
-    life = f"99 % of the volume lasts {short} to {long} years, {text}"
+        return f"the life is not shown without an uncertainty ({causes}): {remedy}"
+    shortest_life, longest_life = (
+        f"{float(f'{1 / damage:.2g}'):g}" if damage > 0 else "endless"
+        for damage in (largest_damage, smallest_damage)
+    )
+    life = f"99 % of the volume lasts {shortest_life} to {longest_life} years, {causes}"
     return f"{life}: for comparison, not for prediction"
 
 
 def _strength(name: str, q: Numbers, unsettled: Mapping[str, list[list[float]]]) -> Verdict:
     """Probability that a region and its parts fail, and where it grows with every mesh."""
-    texts = []
+    probabilities = []
     severity = Severity.PLAIN
     for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
         numbers = q[part] if part else q
         key = f"{name}_{part}" if part else name
-        text = f"{100 * numbers['failure_probability']:.2g} %"
+        probability = f"{100 * numbers['failure_probability']:.2g} %"
         if part:
-            text += f" at its {part}"
+            probability += f" at its {part}"
         (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
         if fine > coarse:
             grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
-            text = f"{text} (failure_risk grows {grown} and may not converge)"
+            probability = f"{probability} (failure_risk grows {grown} and may not converge)"
             severity = Severity.WARNING
-        texts.append(text)
-    text = f"{name} fails with a probability of {', '.join(texts)}"
-    return Verdict(text, "strength", severity=severity)
+        probabilities.append(probability)
+    message = f"{name} fails with a probability of {', '.join(probabilities)}"
+    return Verdict(message, "strength", severity=severity)

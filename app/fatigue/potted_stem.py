@@ -43,8 +43,8 @@ class PottedStem(Record):
         self._head = facet_surface(followed.problem, facets)
         loads = [load for load in case.loads.values() if load.place[1] == test.head]
         self._force = np.sum([getattr(load, "force", (0.0, 0.0, 0.0)) for load in loads], axis=0)
-        given = [getattr(load, "at", None) for load in loads]
-        points = [at for at in given if at is not None]
+        load_points = [getattr(load, "at", None) for load in loads]
+        points = [at for at in load_points if at is not None]
         centre = np.average(self._head.x, axis=0, weights=self._head.area)
         self._centre = np.asarray(points[0]) if points else centre
 
@@ -54,11 +54,11 @@ class PottedStem(Record):
         x, volume = stresses.places(region)
         σ = stresses.evaluate(region).reshape(-1, 3, 3)
         above = x[:, 2] - self._level
-        free = above > self._test.band
-        near = (above > 0) & ~free
-        level_stress = self._level_stress(x, volume.ravel(), σ[:, 2, 2], near)
-        tension = np.linalg.eigvalsh(σ[free])[:, 2]
-        tensions, weight = stresses.gather(np.stack([tension, volume.ravel()[free]]))
+        is_free = above > self._test.band
+        is_near_resin = (above > 0) & ~is_free
+        level_stress = self._level_stress(x, volume.ravel(), σ[:, 2, 2], is_near_resin)
+        tension = np.linalg.eigvalsh(σ[is_free])[:, 2]
+        tensions, weight = stresses.gather(np.stack([tension, volume.ravel()[is_free]]))
         free_tension = percentile(tensions, weight) if len(tensions) else 0.0
         decisive = max(level_stress, free_tension)
         numbers: Numbers = {
@@ -72,15 +72,19 @@ class PottedStem(Record):
         }
         return {"stem_test": {region: numbers}}
 
-    def _level_stress(self, x: Floats, volume: Floats, axial: Floats, near: Bools) -> float:
+    def _level_stress(
+        self, x: Floats, volume: Floats, axial: Floats, is_near_resin: Bools
+    ) -> float:
         """Largest axial stress of the section at the level of the resin; collective [MPa]."""
-        rows = np.column_stack([axial, volume, x])[near].T
+        rows = np.column_stack([axial, volume, x])[is_near_resin].T
         stress, weight, *place = self._stresses.gather(rows)
         centre = np.average(place[:2], axis=1, weights=weight)
-        across = np.column_stack([np.ones(len(stress)), place[0] - centre[0], place[1] - centre[1]])
-        along = (place[2] - self._level)[:, None]
+        section_terms = np.column_stack(
+            [np.ones(len(stress)), place[0] - centre[0], place[1] - centre[1]]
+        )
+        height = (place[2] - self._level)[:, None]
         by_volume = np.sqrt(weight)
-        fit = np.hstack([across, along * across]) * by_volume[:, None]
+        fit = np.hstack([section_terms, height * section_terms]) * by_volume[:, None]
         coefficients = np.linalg.lstsq(fit, stress * by_volume)[0][:3]
         nodes = self._section_nodes()
         section = np.column_stack([np.ones(len(nodes)), nodes[:, :2] - centre])
@@ -93,8 +97,8 @@ class PottedStem(Record):
         dofs = np.unique(problem.space.dofmap.list[cells][:, :4])
         x = problem.space.tabulate_dof_coordinates()[dofs]
         above = x[:, 2] - self._level
-        here = x[(above >= -ROUNDING) & (above <= self._test.band)]
-        return np.concatenate(problem.comm.allgather(here))
+        nodes_in_band = x[(above >= -ROUNDING) & (above <= self._test.band)]
+        return np.concatenate(problem.comm.allgather(nodes_in_band))
 
     def _deflection(self) -> float:
         """Displacement of the centre of the head along the force; collective [mm].

@@ -64,10 +64,16 @@ class CementRisk(Record):
         self._stresses = Stresses(problem, fine={*self._weibull, self._tires} - {""})
         self._parts: dict[str, dict[str, Bools]] = {}
         laws = fatigue.laws if fatigue else ()
-        number = problem.tagged.mesh.topology.original_cell_index
-        at = number[self._stresses.cells[self._tires]] if laws else np.zeros(0, dtype=np.int64)
-        count = len(self._stresses.shares[self._tires]) if laws else 1
-        self.row_keys: Ints = (at[:, None] * count + np.arange(count)).ravel()
+        original_cells = problem.tagged.mesh.topology.original_cell_index
+        cell_numbers = (
+            original_cells[self._stresses.cells[self._tires]]
+            if laws
+            else np.zeros(0, dtype=np.int64)
+        )
+        points_per_cell = len(self._stresses.shares[self._tires]) if laws else 1
+        self.row_keys: Ints = (
+            cell_numbers[:, None] * points_per_cell + np.arange(points_per_cell)
+        ).ravel()
         # Stress at the points in the last valley, or at the end of the stage before [MPa].
         self.valley = np.zeros((len(self.row_keys), 3, 3))
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
@@ -93,20 +99,20 @@ class CementRisk(Record):
                 and reversal
                 and (reversal == stage.load_segments or reversal % 2 == 0)
             ):
-                now = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
+                stress = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
                 cycles = self._fatigue.spectrum.get(stage.name)
                 if reversal == stage.load_segments and cycles:
-                    self._add(cycles, *tensions(now, self.valley))
-                self.valley = now
+                    self._add(cycles, *tensions(stress, self.valley))
+                self.valley = stress
             on_step(done, trial)
 
         return step
 
-    def _add(self, cycles: float, most: Floats, least: Floats) -> None:
+    def _add(self, cycles: float, peak_tensions: Floats, valley_tensions: Floats) -> None:
         """Add the damage of cycles between two tensions at the points (n,)."""
         assert self._fatigue
         for name, law in self._fatigue.laws.items():
-            s = self._fatigue.equivalent(law, most, least)
+            s = self._fatigue.equivalent(law, peak_tensions, valley_tensions)
             self.damage[name][:, 0] += cycles * law.damage(s)
             self.damage[name][:, 1] = np.maximum(self.damage[name][:, 1], s)
 
@@ -117,15 +123,15 @@ class CementRisk(Record):
             for name, damage in self.damage.items()
         }
 
-    def _damaged(self, damage_and_stress: Floats, at: Bools) -> Numbers:
+    def _damaged(self, damage_and_stress: Floats, is_in_part: Bools) -> Numbers:
         """Damage by a law in a part of the points, from rows of damage and stress (n, 2)."""
         x, volume = self._stresses.places(self._tires)
-        rows = np.column_stack([damage_and_stress, volume.ravel(), x])[at].T
-        damage, stress, weight, *places = self._stresses.gather(rows)
+        rows = np.column_stack([damage_and_stress, volume.ravel(), x])[is_in_part].T
+        damage, stress, weight, *coordinates = self._stresses.gather(rows)
         return {
             "damage_p99": percentile(damage, weight),
             "damage_max": float(damage.max()),
-            "damage_max_at": [float(c[damage.argmax()]) for c in places],
+            "damage_max_at": [float(c[damage.argmax()]) for c in coordinates],
             "stress_p99": percentile(stress, weight),
         }
 
@@ -134,8 +140,10 @@ class CementRisk(Record):
         fields: dict[str, Floats] = {}
         for name, damage_and_stress in self.damage.items():
             damage = damage_and_stress[:, 0]
-            mean, shares = np.zeros(cells), self._stresses.shares[self._tires]
-            mean[self._stresses.cells[self._tires]] = damage.reshape(-1, len(shares)) @ shares
+            mean, point_weights = np.zeros(cells), self._stresses.shares[self._tires]
+            mean[self._stresses.cells[self._tires]] = (
+                damage.reshape(-1, len(point_weights)) @ point_weights
+            )
             fields[f"damage_{name}"] = mean
         return fields
 
@@ -153,14 +161,16 @@ class CementRisk(Record):
             by_region[region] = self._by_part(region, partial(self._strength, region, risk))
         return by_region
 
-    def _strength(self, region: str, risk: Floats, at: Bools) -> Numbers:
+    def _strength(self, region: str, risk: Floats, is_in_part: Bools) -> Numbers:
         """Numbers of a part by the risk at points (cells, points), and the place of most of it."""
-        in_part = np.where(at.reshape(risk.shape), risk, 0.0)
+        risk_in_part = np.where(is_in_part.reshape(risk.shape), risk, 0.0)
         x = self._stresses.places(region)[0].reshape(*risk.shape, 3)
-        rows = np.column_stack([in_part.sum(axis=1), np.einsum("cq,cqi->ci", in_part, x)]).T
-        share, *moments = self._stresses.gather(rows)
-        k, total = share.argmax(), float(share.sum())
-        place = {"failure_at": [float(m[k] / share[k]) for m in moments]} if total else {}
+        rows = np.column_stack(
+            [risk_in_part.sum(axis=1), np.einsum("cq,cqi->ci", risk_in_part, x)]
+        ).T
+        cell_risks, *moments = self._stresses.gather(rows)
+        k, total = cell_risks.argmax(), float(cell_risks.sum())
+        place = {"failure_at": [float(m[k] / cell_risks[k]) for m in moments]} if total else {}
         return {"failure_risk": total, "failure_probability": -math.expm1(-total)} | place
 
     def _by_part(self, region: str, numbers_of: Callable[[Bools], Numbers]) -> Numbers:
@@ -173,7 +183,7 @@ class CementRisk(Record):
                 levels["edge"] = distance(x, edges) - NEAR
             parts = divided(np.ones(len(x), dtype=bool), levels)
             self._parts[region] = {p: a for p, a in parts.items() if self._comm.allreduce(a.sum())}
-        numbers = {part: numbers_of(at) for part, at in self._parts[region].items()}
+        numbers = {part: numbers_of(is_in_part) for part, is_in_part in self._parts[region].items()}
         return numbers.pop("", {}) | numbers
 
 
@@ -186,8 +196,8 @@ def tensions(peak: Floats, valley: Floats) -> tuple[Floats, Floats]:
     values, axes = np.linalg.eigh(σ)
     worse = values[..., 2].argmax(axis=0)
     n = axes[worse, np.arange(len(peak)), :, 2]
-    both = np.maximum(np.einsum("ni,snij,nj->sn", n, σ, n), 0.0)
-    return both.max(axis=0), both.min(axis=0)
+    plane_tensions = np.maximum(np.einsum("ni,snij,nj->sn", n, σ, n), 0.0)
+    return plane_tensions.max(axis=0), plane_tensions.min(axis=0)
 
 
 def turning_in(tagged: TaggedMesh, region: str) -> Floats:
@@ -211,9 +221,9 @@ def turning_in(tagged: TaggedMesh, region: str) -> Floats:
     local = angle, mesh.geometry.input_global_indices[ends], mesh.geometry.x[ends]
     angle, pairs, x = (np.concatenate(p) for p in zip(*mesh.comm.allgather(local), strict=True))
     pairs.sort(axis=1)
-    _, first, edge = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
-    turn = np.bincount(edge.ravel(), angle) - math.pi
-    return np.asarray(x[first[(turn > TURN) & (turn < math.pi - 1e-3)]])
+    _, first_rows, edge = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    turning_angle = np.bincount(edge.ravel(), angle) - math.pi
+    return np.asarray(x[first_rows[(turning_angle > TURN) & (turning_angle < math.pi - 1e-3)]])
 
 
 def distance(x: Floats, edges: Floats) -> Floats:

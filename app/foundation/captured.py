@@ -28,8 +28,8 @@ def captured(library: str) -> Iterator[Callable[[], list[str]]]:
 
     def lines() -> list[str]:
         _flush()
-        text = os.pread(caught, os.fstat(caught).st_size, 0)
-        return [line for line in text.decode(errors="replace").splitlines() if line.strip()]
+        content = os.pread(caught, os.fstat(caught).st_size, 0)
+        return [line for line in content.decode(errors="replace").splitlines() if line.strip()]
 
     _flush()
     for stream in STREAMS:
@@ -39,12 +39,12 @@ def captured(library: str) -> Iterator[Callable[[], list[str]]]:
     try:
         yield lines
     finally:
-        written = lines()
+        captured_lines = lines()
         for stream, original in originals.items():
             os.dup2(original, stream)
             os.close(original)
         os.close(caught)
-        for line in written:
+        for line in captured_lines:
             log.debug("%s: %s", library, line)
 
 

@@ -84,8 +84,8 @@ def submesh(domain: mesh.Mesh, dim: int, entities: Entities) -> tuple[Any, Any, 
     parents = cell_map
     if hasattr(cell_map, "sub_topology_to_topology"):
         cells = part.topology.index_map(dim)
-        every = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
-        parents = cell_map.sub_topology_to_topology(every, False)
+        all_cells = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
+        parents = cell_map.sub_topology_to_topology(all_cells, False)
     return part, cell_map, parents, nodes
 
 
@@ -136,6 +136,6 @@ class CompiledExpression:
         """
         values = np.zeros(size)
         kernel = self._code.tabulate_tensor_float64
-        others = [self._ffi.NULL] * (len(self._ffi.typeof(kernel).args) - 1)
-        kernel(self._ffi.cast("double *", values.ctypes.data), *others)
+        unused_arguments = [self._ffi.NULL] * (len(self._ffi.typeof(kernel).args) - 1)
+        kernel(self._ffi.cast("double *", values.ctypes.data), *unused_arguments)
         return values

@@ -28,8 +28,8 @@ class MantleError(Exception):
     exit_code = 70
 
     def __init__(self, findings: str | Verdict | Sequence[str | Verdict]) -> None:
-        listed = [findings] if isinstance(findings, str | Verdict) else findings
-        self.verdicts = [v if isinstance(v, Verdict) else Verdict(v) for v in listed]
+        finding_list = [findings] if isinstance(findings, str | Verdict) else findings
+        self.verdicts = [v if isinstance(v, Verdict) else Verdict(v) for v in finding_list]
         super().__init__(self.message())
 
     def message(self) -> str:
@@ -133,15 +133,17 @@ KINDS = (
 def gravest(codes: Iterable[int], message: str) -> MantleError:
     """Error with the highest of the exit codes of failed runs; unknown codes count as 70."""
     kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS}
-    worst = max((kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code)
-    return worst(message)
+    gravest_kind = max(
+        (kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code
+    )
+    return gravest_kind(message)
 
 
 def together(comm: MPI.Comm) -> bool:
     """Return True if all ranks call this in time; ranks without an error wait elsewhere."""
-    here = comm.Ibarrier()
+    barrier = comm.Ibarrier()
     end = time.monotonic() + PATIENCE
-    while not here.Test():
+    while not barrier.Test():
         if time.monotonic() > end:
             return False
         time.sleep(0.01)
@@ -165,9 +167,9 @@ def everywhere(comm: MPI.Comm, action: Callable[[], T]) -> T:
         result = action()
     except Exception as caught:  # of any kind: the other ranks wait
         error = caught
-    for other in comm.allgather(error):
-        if other is not None:
-            raise error or other
+    for rank_error in comm.allgather(error):
+        if rank_error is not None:
+            raise error or rank_error
     return result
 
 

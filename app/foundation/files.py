@@ -23,9 +23,9 @@ LEFT = re.compile(r"\.[0-9a-f]{16}\.partial$")
 def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL}")
-    new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
-        with open(os.open(temporary, new, mode), "wb") as file:
+        with open(os.open(temporary, flags, mode), "wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -52,9 +52,9 @@ def explain(error: BaseException) -> InputError | None:
     if not isinstance(error, OSError) or error.errno not in REFUSED or error.filename is None:
         return None
     name = os.fsdecode(error.filename)
-    shown = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
+    short_name = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..."
     reason = (error.strerror or "").lower()
-    return InputError(f"{shown}: cannot be opened: {reason}; give another path")
+    return InputError(f"{short_name}: cannot be opened: {reason}; give another path")
 
 
 def clear(folder: Path, name: str = "*") -> None:

@@ -76,14 +76,15 @@ class Implant:
     def section(self, z: float) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius at a level, of a file those of a square."""
         if self.cad is not None:
-            half = float(self.cad["around"]) / 8
-            return half, half, 0.0
-        part = (z - self.tip_z) / (self.section_z - self.tip_z)
-        half, depth, corner = (
-            (1.0 - part) * getattr(self, f"tip_{name}") + part * getattr(self, name)
+            half_width = float(self.cad["around"]) / 8
+            return half_width, half_width, 0.0
+        relative_height = (z - self.tip_z) / (self.section_z - self.tip_z)
+        half_width, depth, corner = (
+            (1.0 - relative_height) * getattr(self, f"tip_{name}")
+            + relative_height * getattr(self, name)
             for name in SECTION
         )
-        return half, depth, corner
+        return half_width, depth, corner
 
     def faults(self, cement: float) -> Iterator[tuple[str, str]]:
         """Fields that cannot be meshed, with the reason; the section's level must be right.
@@ -98,32 +99,34 @@ class Implant:
         if self.cad is not None:
             return
         for end in ("", "tip_"):
-            half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
-            if getattr(self, f"{end}corner_radius") >= half:
-                text = f"is not below the half-width and half-depth, {half:g} mm"
-                yield f"{end}corner_radius", text
+            smaller_half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
+            if getattr(self, f"{end}corner_radius") >= smaller_half:
+                message = f"is not below the half-width and half-depth, {smaller_half:g} mm"
+                yield f"{end}corner_radius", message
         yield from self._degenerate(self.shoulder, "the shoulder", 0.0)
         below = "the end of the plug" if cement else f"{self.plug_length:g} mm below the tip"
         yield from self._degenerate(self.plug, below, cement)
         width = 2.0 * self.section(self.shoulder)[0]
         if self.neck_diameter > width:
-            text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
-            yield "neck_diameter", text
+            message = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
+            yield "neck_diameter", message
 
-    def _degenerate(self, z: float, where: str, offset: float) -> Iterator[tuple[str, str]]:
+    def _degenerate(self, z: float, level_name: str, offset: float) -> Iterator[tuple[str, str]]:
         """Fields of a section, extrapolated to a level, that has no width or no flats there.
 
-        ``where`` is the level in words, ``offset`` the thickness added around the section (mm).
+        ``level_name`` is the level in words, ``offset`` the thickness around the section (mm).
         """
         sizes = {}
         for name, size in zip(SECTION, self.section(z), strict=True):
             rise = getattr(self, name) - getattr(self, f"tip_{name}")
             slope = rise / (self.section_z - self.tip_z)
-            across = 1.0 if name == "corner_radius" else math.hypot(1.0, slope)
-            sizes[name] = size + offset * across
+            offset_factor = 1.0 if name == "corner_radius" else math.hypot(1.0, slope)
+            sizes[name] = size + offset * offset_factor
         radius = sizes["corner_radius"]
         for name, size in sizes.items():
             if size <= 0.0 or (name != "corner_radius" and size <= radius):
-                text = f"at {where}, z = {z:g} mm, it has become {size:.3g} mm"
-                least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
-                yield name, f"{text}; expected sections that stay {least} there"
+                message = f"at {level_name}, z = {z:g} mm, it has become {size:.3g} mm"
+                expected_size = (
+                    "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
+                )
+                yield name, f"{message}; expected sections that stay {expected_size} there"

@@ -79,10 +79,10 @@ class Verdict:
     @property
     def text(self) -> str:
         """Place, finding, remedy and reason in one line."""
-        parts = f"{self.where}: {self.what}" if self.where else self.what
+        text = f"{self.where}: {self.what}" if self.where else self.what
         if self.cure:
-            parts += f"; {self.cure}"
-        return f"{parts} [{self.code}]" if self.code else parts
+            text += f"; {self.cure}"
+        return f"{text} [{self.code}]" if self.code else text
 
     def __str__(self) -> str:
         """The text, marked if it is a note."""
@@ -109,8 +109,8 @@ def recorded(summary: Mapping[str, Any]) -> list[Verdict]:
     for entry in summary.get("verdicts", []):
         severity = Severity(entry["severity"])
         code = Reason(entry["code"]) if "code" in entry else None
-        texts = (entry["what"], entry.get("where", ""), entry.get("cure", ""))
-        verdicts.append(Verdict(*texts, severity, code))
+        what_where_cure = (entry["what"], entry.get("where", ""), entry.get("cure", ""))
+        verdicts.append(Verdict(*what_where_cure, severity, code))
     return verdicts
 
 

@@ -53,8 +53,8 @@ class AfterInsertion(Record):
         problem, zones = self._followed.problem, self._followed.zones
         surface = trial.contact.points.surface
         levels = zones.borders(surface.x) if zones else {}
-        parts = in_parts(surface, [c.name for c in problem.scene.contacts], levels)
-        numbers = ContactSamples(problem, trial, None, parts).numbers
+        surface_parts = in_parts(surface, [c.name for c in problem.scene.contacts], levels)
+        numbers = ContactSamples(problem, trial, None, surface_parts).numbers
         pressed = [c.name for c in problem.scene.contacts if c.press_fit]
         return {
             name: {f"insertion_{key}": numbers[name][key] for key in PRESSURES} for name in pressed

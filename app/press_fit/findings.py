@@ -40,26 +40,31 @@ def _stages(case: Case) -> Iterable[Fault]:
     stages = [stage.name for stage in case.stages]
     example = "`stages: [{name: insertion}, {name: load, increments: 2}]`"
     if settled >= len(stages):
-        text = (
+        message = (
             "the interference grows until the end of the last stage; micromotion is the motion"
             f" after it. Expected a further stage, e.g. {example}, and `loads: {{history: [0, 1]}}`"
         )
-        yield Fault(("stages",), text)
+        yield Fault(("stages",), message)
         return
     growing = [name for name, load in loads.items() if load.history is None]
     if growing:
-        text = (
+        message = (
             "micromotion counts from the end of the insertion, but loads act during it:"
             f" {', '.join(growing)}. Expected `history` with one number for each stage, e.g."
             " `loads: {history: [0, 1]}`"
         )
-        yield Fault(("loads",), text)
+        yield Fault(("loads",), message)
 
 
 def _areas(name: str, q: Numbers) -> str:
     """Shares of the area of an interface or a zone with little and with much micromotion."""
-    little, much = (100 * q[f"area_micromotion_over_{level}um"] / q["area"] for level in (40, 150))
-    return f"{100 - little:.0f} % of {name} moves less than 40 um, {much:.0f} % more than 150 um"
+    below_40um, above_150um = (
+        100 * q[f"area_micromotion_over_{level}um"] / q["area"] for level in (40, 150)
+    )
+    return (
+        f"{100 - below_40um:.0f} % of {name} moves less than 40 um, {above_150um:.0f} % more than"
+        " 150 um"
+    )
 
 
 @judge
@@ -68,14 +73,17 @@ def _ingrowth(summary: Summary) -> Iterable[Verdict]:
     for name, q in summary.get("interfaces", {}).items():
         if name == ON_CUT or not q.get("area") or "area_micromotion_over_40um" not in q:
             continue
-        parts = {name: q} | {f"zone {zone}": part for zone, part in q.get("zones", {}).items()}
-        text = (
-            f"{'; '.join(_areas(*part) for part in parts.items())}. In dogs bone grew in at 20 um,"
+        interface_and_zones = {name: q} | {
+            f"zone {zone}": part for zone, part in q.get("zones", {}).items()
+        }
+        message = (
+            f"{'; '.join(_areas(*part) for part in interface_and_zones.items())}. In dogs bone"
+            " grew in at 20 um,"
             " partly at 40 um, not at 150 um (Jasty 1997)."
             " There is no universal limit: implants integrated at 112 ± 176 um, others did not at"
             " 349 ± 231 um (Kohli 2021)"
         )
-        yield Verdict(in_print(text), "ingrowth", severity=Severity.PLAIN)
+        yield Verdict(in_print(message), "ingrowth", severity=Severity.PLAIN)
 
 
 @judge
@@ -84,9 +92,9 @@ def _yield(summary: Summary) -> Iterable[Verdict]:
     for name, q in summary.get("regions", {}).items():
         if q.get("insertion_hoop_strain_p99", 0.0) > YIELD:
             strain = TABLE["regions"]["insertion_hoop_strain_p99"].text(q)
-            text = (
+            message = (
                 f"the insertion strains {name} by {strain} um/m around the stem (p99); bone yields"
                 f" near {1e6 * YIELD:.0f} um/m. Bone is elastic in this model; real bone would"
                 " keep less of the interference"
             )
-            yield Verdict(text, "insertion", "reduce the interference", Severity.WARNING)
+            yield Verdict(message, "insertion", "reduce the interference", Severity.WARNING)

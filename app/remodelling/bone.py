@@ -46,12 +46,12 @@ class BoneMass(Record):
 
     def integrals(self, density: Callable[[str], Floats | float]) -> Floats:
         """Integrals of a region's density (cells, points) times the hat functions of vertices."""
-        m, s = self.forms, self.stresses
+        forms, stresses = self.forms, self.stresses
         cells = {
-            r: density(r) * s.places(r)[1] @ linear_shape_functions(s.points[r])
-            for r in m.by_density
+            r: density(r) * stresses.places(r)[1] @ linear_shape_functions(stresses.points[r])
+            for r in forms.by_density
         }
-        return np.array([m.vertex_sums(m.vertices(r), sums) for r, sums in cells.items()]).T
+        return np.array([forms.vertex_sums(forms.vertices(r), sums) for r, sums in cells.items()]).T
 
     @property
     def present(self) -> float:
@@ -66,21 +66,27 @@ class BoneMass(Record):
 
     def changes(self) -> dict[int, dict[str, float]]:
         """Relative change of mass since the start by zone, of ``all`` and by region; collective."""
-        m, s, zones = self.forms, self.stresses, self._zones
+        forms, stresses, zones = self.forms, self.stresses, self._zones
         if zones is None:
             return {}
         masses = []
-        for density in (m.density_at_start, m.density):
-            at = {r: m.density_at(r, s.points[r], density) for r in m.by_density}
+        for density in (forms.density_at_start, forms.density):
+            densities = {
+                region: forms.density_at(region, stresses.points[region], density)
+                for region in forms.by_density
+            }
             masses.append(
-                [zone_integrals(self.problem, s, r, zones, rho)[0] for r, rho in at.items()]
+                [
+                    zone_integrals(self.problem, stresses, region, zones, rho)[0]
+                    for region, rho in densities.items()
+                ]
             )
-        rows = [("all", *map(sum, masses)), *zip(m.by_density, *masses, strict=True)]
+        rows = [("all", *map(sum, masses)), *zip(forms.by_density, *masses, strict=True)]
         return {
             zone: {
-                name: float(after[zone] / before[zone] - 1)
-                for name, before, after in rows
-                if before[zone]
+                name: float(masses_after[zone] / masses_before[zone] - 1)
+                for name, masses_before, masses_after in rows
+                if masses_before[zone]
             }
             for zone in zones.numbers
         }

@@ -22,32 +22,39 @@ def _stages_and_regions(case: Case) -> Iterable[Fault]:
     timed = [i for i, stage in enumerate(stages) if stage.other is STAGES]
     if law is None:
         for i in timed:
-            text = "the law of remodelling is missing or wrong; expected a section `remodelling`"
-            yield Fault(("stages", i, "remodels"), text)
+            message = "the law of remodelling is missing or wrong; expected a section `remodelling`"
+            yield Fault(("stages", i, "remodels"), message)
         return
     if stages and not timed:
         yield Fault(("stages",), "no stage has remodelling; expected `remodels: 2 years` in one")
-    before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
+    stages_before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
     for j, name in enumerate(law.load_cases):
-        if stages and name not in before:
-            expected = f"expected one of {', '.join(before)}"
-            text = f"'{name}' is not an earlier stage without duration; {expected}"
-            yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
+        if stages and name not in stages_before:
+            expected = f"expected one of {', '.join(stages_before)}"
+            message = f"'{name}' is not an earlier stage without duration; {expected}"
+            yield Fault(
+                ("remodelling", "load_cases", j), message + did_you_mean(name, stages_before)
+            )
     regions, tissues = case.regions or {}, case.geometry.tissues
     bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
     for name in law.regions or bone:
         region = regions.get(name)
         cures = getattr(getattr(region, "thermal", None), "cure", None)
         if not (region and region.deforms) or region.eigenstrains or cures:
-            text = f"{name} cannot remodel; expected elastic regions without eigenstrains and cure"
-            yield Fault(("remodelling", "regions"), text)
+            message = (
+                f"{name} cannot remodel; expected elastic regions without eigenstrains and cure"
+            )
+            yield Fault(("remodelling", "regions"), message)
         elif not region.modulus_field:
-            E, (low, high) = getattr(region, "youngs_modulus", None), law.density
+            E, (lowest, highest) = getattr(region, "youngs_modulus", None), law.density
             moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
             for rho in density(law.law, moduli):
-                if not low <= rho <= high:
-                    text = f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {low:g} to {high:g}"
-                    yield Fault(("regions", name), text)
+                if not lowest <= rho <= highest:
+                    message = (
+                        f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {lowest:g} to"
+                        f" {highest:g}"
+                    )
+                    yield Fault(("regions", name), message)
 
 
 @warner
@@ -55,8 +62,8 @@ def _no_lazy_zone(case: Case) -> Iterable[Verdict]:
     """Bone that follows every difference of its stimulus."""
     law = remodelling_of(case)
     if law and not law.lazy_zone:
-        text = (
+        message = (
             "remodelling.lazy_zone is 0: if the modulus rises faster than the density, stiffer "
             "bone takes all load from its neighbours, and results depend on the mesh"
         )
-        yield note(text)
+        yield note(message)

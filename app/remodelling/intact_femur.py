@@ -22,8 +22,8 @@ NEAR = 32
 
 def load_cases(law: Remodelling, stages: Sequence[Stage]) -> list[int]:
     """Numbers of the stages that are load cases."""
-    names = [stage.name for stage in stages]
-    return [names.index(name) for name in law.load_cases]
+    stage_names = [stage.name for stage in stages]
+    return [stage_names.index(name) for name in law.load_cases]
 
 
 def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
@@ -35,8 +35,8 @@ def stimulus_before(law: Remodelling, model: Model, ours: BodyForms) -> Floats:
     cases = [(k, k + 1.0) for k in load_cases(law, stages)]
     stimulus = Stimulus(law, bone, loads).of(cases)
     if stimulus is None:
-        text = "a load case of the intact femur does not converge"
-        raise ConvergenceError(f"remodelling.intact: {text}")
+        message = "a load case of the intact femur does not converge"
+        raise ConvergenceError(f"remodelling.intact: {message}")
     return carried(stimulus, bone.forms, ours)
 
 
@@ -48,25 +48,29 @@ def intact_case(law: Remodelling, ours: Case, regions: tuple[str, ...]) -> Case:
     """
     assert law.intact is not None
     case = load(law.intact).config
-    known = {"region": [*case.regions], "stage": [stage.name for stage in case.stages]}
-    for what, wanted in (("region", regions), ("stage", law.load_cases)):
-        missing = [name for name in wanted if name not in known[what]]
+    existing_names = {"region": [*case.regions], "stage": [stage.name for stage in case.stages]}
+    for kind, needed_names in (("region", regions), ("stage", law.load_cases)):
+        missing = [name for name in needed_names if name not in existing_names[kind]]
         if missing:
-            text = f"has no {what} {', '.join(missing)}; it has {', '.join(known[what])}"
-            raise InputError(f"remodelling.intact: {law.intact} {text}")
+            message = (
+                f"has no {kind} {', '.join(missing)}; it has {', '.join(existing_names[kind])}"
+            )
+            raise InputError(f"remodelling.intact: {law.intact} {message}")
     law = law.model_copy(update={"regions": regions})
     return case.model_copy(update={"remodelling": law, "mesh": ours.mesh, "variations": {}})
 
 
 def carried(stimulus: Floats, forms: BodyForms, ours: BodyForms) -> Floats:
     """A stimulus on the mesh of some forms at the vertices of ours (n, r) [J/g]; collective."""
-    x, to = (m.scalars.tabulate_dof_coordinates() for m in (forms, ours))
+    x, our_points = (body_forms.scalars.tabulate_dof_coordinates() for body_forms in (forms, ours))
     columns = []
     for k, region in enumerate(forms.by_density):
         values = stimulus[:, k]
         vertices = forms.vertices(region)
-        corners, known = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
-        columns.append(interpolated(np.concatenate(corners), np.concatenate(known), to))
+        corners, corner_values = (forms.mesh.comm.allgather(v[vertices]) for v in (x, values))
+        columns.append(
+            interpolated(np.concatenate(corners), np.concatenate(corner_values), our_points)
+        )
     return np.column_stack(columns)
 
 
@@ -77,11 +81,13 @@ def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:
     """
     from scipy.spatial import cKDTree  # 0.1 s, which most runs do without
 
-    near = min(NEAR, len(corners))
-    cells = cKDTree(corners.mean(axis=1)).query(x, near)[1].reshape(len(x), near)
+    neighbours = min(NEAR, len(corners))
+    cells = cKDTree(corners.mean(axis=1)).query(x, neighbours)[1].reshape(len(x), neighbours)
     edges = corners[cells, 1:] - corners[cells, :1]
-    across = np.linalg.solve(edges.swapaxes(2, 3), (x[:, None] - corners[cells, 0])[..., None])
-    shares = np.concatenate([1 - across.sum(axis=2), across[..., 0]], axis=2)
-    best = np.arange(len(x)), shares.min(axis=2).argmax(axis=1)
-    share = np.maximum(shares[best], 0.0)
-    return np.asarray((share * values[cells[best]]).sum(axis=1) / share.sum(axis=1))
+    last_three = np.linalg.solve(edges.swapaxes(2, 3), (x[:, None] - corners[cells, 0])[..., None])
+    barycentric = np.concatenate([1 - last_three.sum(axis=2), last_three[..., 0]], axis=2)
+    best_cells = np.arange(len(x)), barycentric.min(axis=2).argmax(axis=1)
+    best_barycentric = np.maximum(barycentric[best_cells], 0.0)
+    return np.asarray(
+        (best_barycentric * values[cells[best_cells]]).sum(axis=1) / best_barycentric.sum(axis=1)
+    )

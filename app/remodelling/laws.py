@@ -64,13 +64,13 @@ class Remodelling(Section):
     @model_validator(mode="after")
     def _sound(self) -> Remodelling:
         if (self.intact is None) == (self.stimulus is None):
-            text = "needs a reference: expected intact (a case of the intact femur)"
-            fail(f"{text} or stimulus (a value)")
-        low, high = self.density
-        if low >= high:
-            text = f"{low:g} is not below {high:g} g/cm3; expected the smaller one first"
-            fail(text, ("density",))
-        E = modulus(self.law, [low + (high - low) * k / 200 for k in range(201)])
+            message = "needs a reference: expected intact (a case of the intact femur)"
+            fail(f"{message} or stimulus (a value)")
+        lowest, highest = self.density
+        if lowest >= highest:
+            message = f"{lowest:g} is not below {highest:g} g/cm3; expected the smaller one first"
+            fail(message, ("density",))
+        E = modulus(self.law, [lowest + (highest - lowest) * k / 200 for k in range(201)])
         if not all(E[1:] > E[:-1]):
             fail("does not rise between the bounds of the density", at=("law",))
         if isinstance(self.stimulus, float) and self.stimulus <= 0:

@@ -86,27 +86,27 @@ class Remodeller:
 
     def _begin(self, k: int) -> None:
         """Find load cases, reference, and the bone that is free to remodel; collective."""
-        problem, m, law = self._problem, self._forms, self._law
+        problem, forms, law = self._problem, self._forms, self._law
         self._cases = [(k, i + 1.0) for i in load_cases(law, problem.scene.stages)]
         K = self._intact()
         if K is None:
-            given = field("remodelling.stimulus", law.stimulus or 0.0)(
-                m.scalars.tabulate_dof_coordinates()
+            given_stimulus = field("remodelling.stimulus", law.stimulus or 0.0)(
+                forms.scalars.tabulate_dof_coordinates()
             )
-            K = np.broadcast_to(given[:, None], self._bone.volume.shape)
+            K = np.broadcast_to(given_stimulus[:, None], self._bone.volume.shape)
         self._reference = K
         smallest = float(K[self._bone.volume > 0].min(initial=np.inf))
         least = problem.comm.allreduce(smallest, MPI.MIN)
         if least <= 0:
-            text = f"the smallest value is {least:g} J/g; expected positive values"
-            raise InputError(f"remodelling.stimulus: {text}")
+            message = f"the smallest value is {least:g} J/g; expected positive values"
+            raise InputError(f"remodelling.stimulus: {message}")
         clamps = [s.boundary for s in problem.scene.supports if s.clamps]
         clamps += [boundary for load in problem.scene.loads for boundary in load.boundaries]
         self._free = self._bone.volume > 0
         for name in clamps if law.frozen is None else law.frozen:
-            f = boundary_facets(problem.tagged, name)
-            nodes = m.scalars.dofmap.list[f.cells[:, None], FACET_NODES[f.local, :3]]
-            self._free &= m.vertex_sums(nodes, 1.0)[:, None] == 0
+            facets = boundary_facets(problem.tagged, name)
+            nodes = forms.scalars.dofmap.list[facets.cells[:, None], FACET_NODES[facets.local, :3]]
+            self._free &= forms.vertex_sums(nodes, 1.0)[:, None] == 0
 
     # Steps
 
@@ -149,15 +149,15 @@ class Remodeller:
 
     def _limit(self, speed: Floats) -> None:
         """Limit the next step to a change of the density by `LARGEST_CHANGE`; collective."""
-        old, (low, high) = self._forms.density, self._law.density
-        far = np.where(speed > 0, high - old, old - low) > LARGEST_CHANGE
-        fastest = max(self._largest(speed[far]) * self._duration, TINY)
+        density, (lowest, highest) = self._forms.density, self._law.density
+        may_change_much = np.where(speed > 0, highest - density, density - lowest) > LARGEST_CHANGE
+        fastest = max(self._largest(speed[may_change_much]) * self._duration, TINY)
         self.progress.step = min(self.progress.step, LARGEST_CHANGE / fastest)
 
     def _failure(self) -> ConvergenceError:
-        p = self.progress
-        why = explain(self._problem, self._stepper.solver, self._stimulus.outcome)
-        return why.error(self._stage.name, p.done, [p.step])
+        progress = self.progress
+        cause = explain(self._problem, self._stepper.solver, self._stimulus.outcome)
+        return cause.error(self._stage.name, progress.done, [progress.step])
 
     # Control of the steps
 
@@ -172,13 +172,13 @@ class Remodeller:
 
     def judge(self, step: Step, error: float) -> bool:
         """Accept a step within its tolerance, and choose the next one."""
-        p, factor = self.progress, GROWTH.factor(error)
+        progress, factor = self.progress, GROWTH.factor(error)
         if error > 1.0:
-            p.step = min(factor, SHORTER) * step.length
+            progress.step = min(factor, SHORTER) * step.length
             return False
         # A step shortened by the end of an increment says little about a longer one.
-        p.step = max(factor * step.length, p.step if step.ends_increment else 0.0)
-        p.done = step.end
+        progress.step = max(factor * step.length, progress.step if step.ends_increment else 0.0)
+        progress.done = step.end
         return True
 
     # One step
@@ -204,9 +204,9 @@ class Remodeller:
 
     def _moved(self, change: Floats) -> Floats:
         """Set the density to that at the start of the step plus a change, within its bounds."""
-        low, high = self._law.density
-        new = np.where(self._free, np.clip(self._old + change, low, high), self._old)
-        self._forms.density[:] = new
+        lowest, highest = self._law.density
+        density = np.where(self._free, np.clip(self._old + change, lowest, highest), self._old)
+        self._forms.density[:] = density
         return self._forms.density.copy()
 
     def refuse(self, step: Step) -> None:
