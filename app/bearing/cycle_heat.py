@@ -55,10 +55,12 @@ class CycleHeat(Record):
         """Keys of the contact points of this rank."""
         return self._contact.row_keys
 
-    def _state(self, part: float, time: float, pressure: Floats, spent: Floats) -> Floats:
-        state = np.zeros((len(spent), 6))
+    def _state(
+        self, cycle_part: float, time: float, pressure: Floats, dissipation: Floats
+    ) -> Floats:
+        state = np.zeros((len(dissipation), 6))
         state[self._finite_sliding.rows, 1:4] = self._finite_sliding.touching(time)
-        state[:, 0], state[:, 4], state[:, 5] = part, pressure, spent
+        state[:, 0], state[:, 4], state[:, 5] = cycle_part, pressure, dissipation
         return state
 
     def before(self, on_step: OnStep) -> OnStep:
@@ -74,17 +76,19 @@ class CycleHeat(Record):
         return taken
 
     def _take(self, stage: Stage, step: LoadStep, trial: TrialState) -> None:
-        pressure, spent = trial.law.pressures[:, 0], self._contact.state.dissipation
+        pressure, dissipation = trial.law.pressures[:, 0], self._contact.state.dissipation
         self._changed = True
         if stage.repeats:
-            begin = max(self.time, math.ceil(step.time) - 1)
-            part, middle = stage.cycles * (step.time - begin), (step.time + begin) / 2
-            self.steps.append(self._state(part, middle, pressure, spent - self.dissipated))
+            start = max(self.time, math.ceil(step.time) - 1)
+            cycle_part, mid_time = stage.cycles * (step.time - start), (step.time + start) / 2
+            self.steps.append(
+                self._state(cycle_part, mid_time, pressure, dissipation - self.dissipated)
+            )
             if step.ends_increment and stage.reversal(step.time):
                 self.cycle, self.steps = self.steps, []
         else:
-            self.cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]
-        self.dissipated = spent.copy()
+            self.cycle = [self._state(1.0, step.time, pressure, 0.0 * dissipation)]
+        self.dissipated = dissipation.copy()
 
     def before_stage(self, on_stage: OnStage) -> OnStage:
         """Return a hook that sets the mean heat before a stage in which heat flows."""
@@ -103,23 +107,23 @@ class CycleHeat(Record):
         forms, of_region = operators.forms, operators.bodies.of_region
         start, end = forms.space.dofmap.index_map.local_range
         body: Ints = np.zeros(forms.owned, dtype=np.int64)
-        parts, slaves = [], {}
+        exchanges, slaves = [], {}
         for c in self._scene.sliding_heat:
             assert c.between is not None
             sides = [Side.of(operators.tagged, forms.space, name) for name in c.between]
             heat, exchange = self._means(c, *sides)
             for side, region in zip(sides, (c.master[0], c.slave[0]), strict=True):
-                here = side.dofs[(side.dofs >= start) & (side.dofs < end)] - start
-                body[here], slaves[c.name] = of_region[region], here
+                own_rows = side.dofs[(side.dofs >= start) & (side.dofs < end)] - start
+                body[own_rows], slaves[c.name] = of_region[region], own_rows
             dofs = np.concatenate([side.dofs for side in sides])
             owned, rows = (dofs >= start) & (dofs < end), dofs - start
-            f = operators.friction
-            if f and f"friction {c.name}" in f.flows:
-                f.nodal[body[rows[owned]], rows[owned]] = heat[owned]
-                f.flows[f"friction {c.name}"] = float(heat.sum())
+            friction = operators.friction
+            if friction and f"friction {c.name}" in friction.flows:
+                friction.nodal[body[rows[owned]], rows[owned]] = heat[owned]
+                friction.flows[f"friction {c.name}"] = float(heat.sum())
             i, j, value = exchange
-            parts.append((rows[i[owned[i]]], dofs[j[owned[i]]], value[owned[i]]))
-        triplets = (np.concatenate(part) for part in zip(*parts, strict=True))
+            exchanges.append((rows[i[owned[i]]], dofs[j[owned[i]]], value[owned[i]]))
+        triplets = (np.concatenate(part) for part in zip(*exchanges, strict=True))
         matrix = from_triplets(comm, forms.owned, forms.owned, *triplets)
         self._step.set_exchange(MeanExchange(matrix, body, slaves))
 
@@ -130,20 +134,21 @@ class CycleHeat(Record):
         from scipy import sparse  # imported late: few runs need it
 
         points, i = self._contact.points, [o.name for o in self._scene.contacts].index(c.name)
-        here = points.interface == i  # in the order of the vertices
-        weight, surface = points.weight[here], self._finite_sliding.followers.sides[i][0].smooth
+        of_interface = points.interface == i  # in the order of the vertices
+        weight = points.weight[of_interface]
+        surface = self._finite_sliding.followers.sides[i][0].smooth
         m, n = len(master.dofs), len(slave.dofs)
-        least, slope, cap = c.law.conductances
+        least, slope, largest = c.law.conductances
         heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))
         for state in self.cycle:
-            part, *place, pressure, spent = self._contact.gather(state)[here].T
+            cycle_part, *place, pressure, dissipation = self._contact.gather(state)[of_interface].T
             pairs = mortar(np.column_stack(place), slave.triangles, surface)
             Π = sparse.csr_array((pairs.values, (pairs.rows, pairs.columns)), shape=(n, m))
             E = sparse.hstack([-Π, sparse.eye_array(n)], format="csr")
-            h = np.minimum(least + slope * np.maximum(pressure, 0.0), cap) * pairs.covered
-            X += E.T @ sparse.diags_array(part * h * weight) @ E
+            h = np.minimum(least + slope * np.maximum(pressure, 0.0), largest) * pairs.covered
+            X += E.T @ sparse.diags_array(cycle_part * h * weight) @ E
             into_master, into_slave = friction_heat(
-                spent / (self._scene.period or 1.0), c.slave_share
+                dissipation / (self._scene.period or 1.0), c.slave_share
             )
             heat += np.concatenate([Π.T @ into_master, into_slave])
         X = X.tocoo()

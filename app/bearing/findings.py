@@ -36,36 +36,37 @@ def _heat(case: Case) -> Iterable[Fault]:
     regions = [region for region in case.regions.values() if region is not None]
     if not sliding or all(region.thermal is None for region in regions):
         return
-    moved: list[Motion | Load | None]
-    moved = [*(case.motions or {}).values(), *(case.loads or {}).values()]
-    cyclic = any(part is not None and part.cycle is not None for part in moved)
+    motions_and_loads: list[Motion | Load | None]
+    motions_and_loads = [*(case.motions or {}).values(), *(case.loads or {}).values()]
+    cyclic = any(part is not None and part.cycle is not None for part in motions_and_loads)
     for name, law in laws.items():
         heats = law.heated_by_friction is not None
         path = ("interfaces", name, "friction_heating" if heats else "conductance")
         if name not in sliding and (heats or law.conducts_by_pressure):
-            text = "heat that depends on contact cannot be combined with finite sliding "
-            text += f"({', '.join(sliding)}); expected a constant conductance"
-            yield Fault(path, text)
+            message = "heat that depends on contact cannot be combined with finite sliding "
+            message += f"({', '.join(sliding)}); expected a constant conductance"
+            yield Fault(path, message)
         elif name in sliding and heats and not cyclic:
-            text = (
+            message = (
                 "friction heat is the mean over a cycle; expected a cycle_table of a motion or load"
             )
-            yield Fault(path, text)
+            yield Fault(path, message)
         if name in sliding and law.conductance is None:
-            text = "the two sides share no nodes; expected a finite conductance, a large one for "
-            yield Fault(("interfaces", name, "conductance"), text + "perfect conduction")
+            message = "the two sides share no nodes; expected a finite conductance, a large one for "
+            message += "perfect conduction"
+            yield Fault(("interfaces", name, "conductance"), message)
 
 
 @judge
 def _last_cycles(summary: Summary) -> Iterable[Verdict]:
     """Difference of the last two cycles of each interface."""
     for numbers in summary.get("cycles", {}).values():
-        for name, by in numbers.get("change", {}).items():
-            of = [
-                f"{100 * by[key]:.2g} % of the {key}"
+        for name, change in numbers.get("change", {}).items():
+            percentages = [
+                f"{100 * change[key]:.2g} % of the {key}"
                 for key in ("torque", "dissipation")
-                if key in by
+                if key in change
             ]
-            parts = ", ".join([*of, f"{1e3 * by['centre']:.2g} um in place"])
-            text = f"the last two cycles of {name} differ by {parts}"
-            yield Verdict(text, "cycles", severity=Severity.PLAIN)
+            differences = ", ".join([*percentages, f"{1e3 * change['centre']:.2g} um in place"])
+            message = f"the last two cycles of {name} differ by {differences}"
+            yield Verdict(message, "cycles", severity=Severity.PLAIN)

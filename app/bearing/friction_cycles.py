@@ -124,14 +124,14 @@ class Bearings(Record):
 
     def numbers(self) -> Summary:
         """Numbers of the interfaces, and the change from cycle to cycle in a stage."""
-        known = {name: b for name, b in self.bearings.items() if b.numbers}
-        changes = {name: bearing.change() for name, bearing in known.items()}
-        changed = {name: change for name, change in changes.items() if change}
+        with_numbers = {name: b for name, b in self.bearings.items() if b.numbers}
+        changes = {name: bearing.change() for name, bearing in with_numbers.items()}
+        nonempty_changes = {name: change for name, change in changes.items() if change}
         numbers: Summary = {
-            "interfaces": {name: {**b.numbers, **b.cycle()} for name, b in known.items()}
+            "interfaces": {name: {**b.numbers, **b.cycle()} for name, b in with_numbers.items()}
         }
-        if changed:
-            numbers["cycles"] = {self.stage: {"change": changed}}
+        if nonempty_changes:
+            numbers["cycles"] = {self.stage: {"change": nonempty_changes}}
         return numbers
 
     def step_record(self) -> dict[str, float]:
@@ -218,22 +218,24 @@ class Bearing:
         scene, rows, motion = self._problem.scene, self._rows, self._motion
         if math.ceil(time) > math.ceil(self.time):
             self.cycle_start, self.cycle_rows, self.last_cycles = 0.0, [], []
-        before, middle, now = (
+        rotation_before, mid_rotation, rotation = (
             scene.rotation(motion, t) for t in (self.time, (self.time + time) / 2, time)
         )
-        arm, rotated = s.arm[rows], rotation_vector(now @ before.T)
+        arm, rotated = s.arm[rows], rotation_vector(rotation @ rotation_before.T)
         torque = np.cross(arm, self._weight[:, None] * s.friction[rows]).sum(axis=0)
         centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
         if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in the axes of the body
-            centre = now @ centre
-        spent = np.column_stack([s.dissipation[rows], self._weight * s.path[rows]])
-        dose = (spent - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
-        places = self._slave.sample_density(dose, SAMPLES, arm @ middle + self._centre)
-        self.master_amounts[:, 0] += self.surface.deposit(*places)
-        feet = arm @ now + self._centre
-        on, at, _ = self.surface.closest(feet)
-        self.uncovered |= ~self.surface.faces(feet, self._slave.normals @ now, on, at)
-        self.slave_amounts[:, 0], self.time = spent, time
+            centre = rotation @ centre
+        dissipation_and_path = np.column_stack([s.dissipation[rows], self._weight * s.path[rows]])
+        dose = (dissipation_and_path - self.slave_amounts[:, 0]) / self._slave.areas[:, None]
+        slave_samples = self._slave.sample_density(dose, SAMPLES, arm @ mid_rotation + self._centre)
+        self.master_amounts[:, 0] += self.surface.deposit(*slave_samples)
+        feet = arm @ rotation + self._centre
+        facet, barycentric, _ = self.surface.closest(feet)
+        self.uncovered |= ~self.surface.faces(
+            feet, self._slave.normals @ rotation, facet, barycentric
+        )
+        self.slave_amounts[:, 0], self.time = dissipation_and_path, time
         self.numbers = {
             "centre": [float(v) for v in centre],
             "eccentricity": float(np.linalg.norm(centre)),
@@ -241,11 +243,11 @@ class Bearing:
             "pressure_max_at": [float(v) for v in s.x[peak]],
         }
         if motion:
-            along = rotated / (np.linalg.norm(rotated) or 1.0)
+            axis = rotated / (np.linalg.norm(rotated) or 1.0)
             self.numbers |= {
                 "torque": [float(v) for v in torque],
                 "torque_size": float(np.linalg.norm(torque)),
-                "torque_along": float(torque @ along),
+                "torque_along": float(torque @ axis),
             }
         phase = stage.load_segments * (time - math.ceil(time) + 1)
         energy = self.master_amounts[:, 0, 0].sum()
@@ -253,8 +255,8 @@ class Bearing:
         self.cycle_rows.append([float(v) for v in row])
         reversal = stage.reversal(time) if whole else 0
         if reversal and (reversal % 2 or stage.load_segments == stage.cycles):
-            self.slave_amounts[:, 2] = spent - self.slave_amounts[:, 1]
-            self.slave_amounts[:, 1] = spent
+            self.slave_amounts[:, 2] = dissipation_and_path - self.slave_amounts[:, 1]
+            self.slave_amounts[:, 1] = dissipation_and_path
             self.master_amounts[:, 1] = self.master_amounts[:, 0]
             self.master_amounts[:, 0] = 0.0
             self.last_cycles = [*self.last_cycles[-1:], self.cycle_rows]
@@ -266,10 +268,10 @@ class Bearing:
         u = self._problem.displacements()[self._body].x.array.reshape(-1, 3)
         start, end = self._problem.space.dofmap.index_map.local_range
         owned = (self.dof >= start) & (self.dof < end)
-        moved = np.zeros((len(self.dof), 3))
-        moved[owned] = u[self.dof[owned] - start]
-        moved = self._problem.comm.allreduce(moved)
-        return np.asarray(self.surface.areas @ moved / self.surface.areas.sum())
+        displacements = np.zeros((len(self.dof), 3))
+        displacements[owned] = u[self.dof[owned] - start]
+        displacements = self._problem.comm.allreduce(displacements)
+        return np.asarray(self.surface.areas @ displacements / self.surface.areas.sum())
 
     # Of a cycle
 
@@ -290,7 +292,7 @@ class Bearing:
 
         Both in mm.
         """
-        (energy, slid), (energy_there, slid_there) = (of.T for of in self._per_area())
+        (energy, slid), (energy_there, slid_there) = (amounts.T for amounts in self._per_area())
         fields, law = {"slid": (slid, slid_there)}, self._interface.law
         k = wear_coefficient_of(law)
         if k is not None:
@@ -313,15 +315,15 @@ class Bearing:
             track = np.array(self.last_cycles[-1] if self.last_cycles else self.cycle_rows)
             numbers["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())
         if "wear" in fields:
-            here, there = fields["wear"]
-            worn = {
-                "wear_volume": float(self._weight @ here),
-                "wear_depth_max": float(here.max()),
-                "wear_depth_p99": percentile(here, self._weight),
-                "wear_depth_max_master": float(there.max()),
-                "wear_depth_p99_master": percentile(there, self.surface.areas),
+            wear_slave, wear_master = fields["wear"]
+            wear = {
+                "wear_volume": float(self._weight @ wear_slave),
+                "wear_depth_max": float(wear_slave.max()),
+                "wear_depth_p99": percentile(wear_slave, self._weight),
+                "wear_depth_max_master": float(wear_master.max()),
+                "wear_depth_p99_master": percentile(wear_master, self.surface.areas),
             }
-            numbers |= worn | {f"{key}_million": MILLION * v for key, v in worn.items()}
+            numbers |= wear | {f"{key}_million": MILLION * v for key, v in wear.items()}
         if self._period:
             numbers["friction_power"] = MILLIWATT * numbers["dissipation_cycle"] / self._period
             if self._effusivity:
@@ -337,19 +339,31 @@ class Bearing:
         """
         if len(self.last_cycles) < 2:
             return {}
-        before, now = map(np.array, self.last_cycles)
-        then = np.column_stack([np.interp(now[:, 0], before[:, 0], v) for v in before.T])
-        torque, off, largest = (
-            float(np.linalg.norm(v, axis=1).max())
-            for v in ((now - then)[:, 1:4], (now - then)[:, 4:7], now[:, 1:4])
+        previous_cycle, last_cycle = map(np.array, self.last_cycles)
+        previous_at_last = np.column_stack(
+            [np.interp(last_cycle[:, 0], previous_cycle[:, 0], v) for v in previous_cycle.T]
         )
-        last, first = float(now[-1, 7]) or 1.0, float(before[-1, 7])
+        torque, offset, largest = (
+            float(np.linalg.norm(v, axis=1).max())
+            for v in (
+                (last_cycle - previous_at_last)[:, 1:4],
+                (last_cycle - previous_at_last)[:, 4:7],
+                last_cycle[:, 1:4],
+            )
+        )
+        last_dissipation = float(last_cycle[-1, 7]) or 1.0
+        previous_dissipation = float(previous_cycle[-1, 7])
         numbers = {"torque": torque / (largest or 1.0)} if self._motion else {}
-        return numbers | {"centre": off, "dissipation": abs(last - first) / last}
+        return numbers | {
+            "centre": offset,
+            "dissipation": abs(last_dissipation - previous_dissipation) / last_dissipation,
+        }
 
 
 def _effusivity(case: Case, sides: Sequence[Sequence[str]]) -> float:
     """Sum of both sides' effusivities [N/(mm K s^1/2)]; 0 where one has no thermal properties."""
-    every = [[case.regions[region].thermal for region in side] for side in sides]
-    known = [[thermal.effusivity for thermal in side if thermal] for side in every]
-    return sum(sum(side) / len(side) for side in known) if all(known) else 0.0
+    thermals_of_sides = [[case.regions[region].thermal for region in side] for side in sides]
+    effusivities = [
+        [thermal.effusivity for thermal in side if thermal] for side in thermals_of_sides
+    ]
+    return sum(sum(side) / len(side) for side in effusivities) if all(effusivities) else 0.0

@@ -64,9 +64,9 @@ class HeadCup(Shape):
             fail("is not within 30 to 120 deg", at=("cover_angle",))
         radius = self.bore_diameter / 2
         if not radius < NEAR * self.head_radius:
-            most = 2 * NEAR * self.head_radius
+            largest_bore = 2 * NEAR * self.head_radius
             fail(
-                f"leaves no material of the head; expected less than {most:.3g} mm",
+                f"leaves no material of the head; expected less than {largest_bore:.3g} mm",
                 at=("bore_diameter",),
             )
         bottom = self.bore_depth - math.sqrt(self.head_radius**2 - radius**2)
@@ -116,8 +116,11 @@ class HeadCup(Shape):
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
         """Diameter of the head; thicknesses of the cup, where chords of two spheres may cross."""
         walls = {"liner_thickness": self.liner_thickness, "shell_thickness": self.shell_thickness}
-        most = {n: (t, math.sqrt(self.head_radius / t)) for n, t in walls.items() if t}
-        return {(n,): v for n, v in (("head_diameter", (self.head_diameter, ROUND)), *most.items())}
+        wall_spans = {n: (t, math.sqrt(self.head_radius / t)) for n, t in walls.items() if t}
+        return {
+            (n,): v
+            for n, v in (("head_diameter", (self.head_diameter, ROUND)), *wall_spans.items())
+        }
 
     @property
     def interface_area(self) -> float:
@@ -130,12 +133,12 @@ class HeadCup(Shape):
         inner, outer = self.cup_radii[0], self.cup_radii[-1]
         solid_angle = 2.0 * math.pi * (1.0 - math.cos(self.cover_angle))
         volume = solid_angle / 3.0 * (outer**3 - inner**3)
-        cup = graded_cells(solid_angle * inner**2, volume, mesh)
-        return self.cells_apart("head", mesh) + cup
+        cup_cells = graded_cells(solid_angle * inner**2, volume, mesh)
+        return self.cells_apart("head", mesh) + cup_cells
 
     def cells_apart(self, region: str, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra of the head, which has its fine cells on one side."""
-        on_head = mesh.model_copy(update={"size": self.head_size * mesh.size})
+        head_options = mesh.model_copy(update={"size": self.head_size * mesh.size})
         area, volume = 2 * math.pi * self.head_radius**2, 4 / 3 * math.pi * self.head_radius**3
-        head = graded_cells(area, volume, on_head)
-        return head if region == "head" else 0
+        head_cells = graded_cells(area, volume, head_options)
+        return head_cells if region == "head" else 0

@@ -31,17 +31,21 @@ def build(geometry: HeadCup, mesh: MeshKeys) -> MeshData:
     """
     radii = geometry.cup_radii
     level = radii[0] * math.cos(geometry.cover_angle)
-    (x, ball, _), (y, cup, layer) = _head(geometry, mesh), _cup(radii, level, mesh)
-    points, cells = np.concatenate([x, y]), np.concatenate([ball, cup + len(x)])
-    tags = np.concatenate([np.ones(len(ball), dtype=np.int64), 2 + layer])
+    head_points, head_cells, _ = _head(geometry, mesh)
+    cup_points, cup_cells, layer = _cup(radii, level, mesh)
+    points = np.concatenate([head_points, cup_points])
+    cells = np.concatenate([head_cells, cup_cells + len(head_points)])
+    tags = np.concatenate([np.ones(len(head_cells), dtype=np.int64), 2 + layer])
     regions, (facets, owner) = number(geometry.region_names), exterior_facets(cells)
-    at, of = points[facets[:, :3]], tags[owner]
-    near, far, on_head = 1e-6 * radii[0], np.linalg.norm(at, axis=2), of == 1
-    sphere = on_head & (np.abs(far - geometry.head_radius) < near).all(axis=1)
-    rim = ~on_head & (np.abs(at[..., 2] - level) < near).all(axis=1)
-    inner = ~on_head & ~rim & (far.mean(axis=1) < (radii[0] + radii[1]) / 2)
+    corners, facet_tags = points[facets[:, :3]], tags[owner]
+    tolerance = 1e-6 * radii[0]
+    radius_of_corners = np.linalg.norm(corners, axis=2)
+    on_head = facet_tags == 1
+    sphere = on_head & (np.abs(radius_of_corners - geometry.head_radius) < tolerance).all(axis=1)
+    rim = ~on_head & (np.abs(corners[..., 2] - level) < tolerance).all(axis=1)
+    inner = ~on_head & ~rim & (radius_of_corners.mean(axis=1) < (radii[0] + radii[1]) / 2)
     masks = {"head_surface": sphere, "head_bore": on_head & ~sphere, "liner_inner": inner}
-    masks |= {f"{name}_rim": rim & (of == t) for name, t in regions.items() if t > 1}
+    masks |= {f"{name}_rim": rim & (facet_tags == t) for name, t in regions.items() if t > 1}
     masks[geometry.boundary_names[-1]] = ~on_head & ~rim & ~inner
     points = points @ _rotation(geometry.inclination, geometry.version).T
     return assemble(points, cells, tags, regions, geometry.interface_sides, masks, facets)
@@ -49,17 +53,22 @@ def build(geometry: HeadCup, mesh: MeshKeys) -> MeshData:
 
 def _head(geometry: HeadCup, mesh: MeshKeys) -> Body:
     """A ball about the origin with a conical bore that opens towards -z."""
-    ball, bore = geometry.head_radius, geometry.bore_diameter / 2
+    head_radius, bore_radius = geometry.head_radius, geometry.bore_diameter / 2
     narrowing, depth = math.tan(geometry.bore_taper), geometry.bore_depth
     # From below the ball, so that the cone meets it in one circle.
-    more = ball - math.sqrt(ball**2 - bore**2) + 0.1 * ball
-    wide, end = bore + more * narrowing, bore - depth * narrowing
+    extra_depth = head_radius - math.sqrt(head_radius**2 - bore_radius**2) + 0.1 * head_radius
+    start_radius = bore_radius + extra_depth * narrowing
+    end_radius = bore_radius - depth * narrowing
     with session("head_cup") as gmsh:
         occ = gmsh.model.occ
-        start = (0, 0, -1.1 * ball, 0, 0, depth + more)
-        hole = occ.addCone(*start, wide, end) if narrowing else occ.addCylinder(*start, bore)
-        occ.cut([(3, occ.addSphere(0, 0, 0, ball))], [(3, hole)])
-        return _meshed(gmsh, ball, geometry.head_size * mesh.size, mesh)
+        start = (0, 0, -1.1 * head_radius, 0, 0, depth + extra_depth)
+        hole = (
+            occ.addCone(*start, start_radius, end_radius)
+            if narrowing
+            else occ.addCylinder(*start, bore_radius)
+        )
+        occ.cut([(3, occ.addSphere(0, 0, 0, head_radius))], [(3, hole)])
+        return _meshed(gmsh, head_radius, geometry.head_size * mesh.size, mesh)
 
 
 def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
@@ -70,11 +79,11 @@ def _cup(radii: tuple[float, ...], level: float, mesh: MeshKeys) -> Body:
             (3, occ.addSphere(0, 0, 0, radius, angle1=math.asin(level / radius)))
             for radius in radii
         )
-        _, parts = occ.fragment(layers[-1:], [*layers[:-1], hollow])
-        occ.remove(parts[-1])
+        _, pieces = occ.fragment(layers[-1:], [*layers[:-1], hollow])
+        occ.remove(pieces[-1])
         points, cells, volume = _meshed(gmsh, radii[0], mesh.size, mesh)
-    within = [sum((3, v) in part for part in parts) for v in range(volume.max() + 1)]
-    return points, cells, len(layers) - np.array(within)[volume]
+    containing_spheres = [sum((3, v) in part for part in pieces) for v in range(volume.max() + 1)]
+    return points, cells, len(layers) - np.array(containing_spheres)[volume]
 
 
 def _meshed(gmsh: ModuleType, radius: float, size: float, mesh: MeshKeys) -> Body:

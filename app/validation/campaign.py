@@ -85,52 +85,56 @@ def run(options: Options, *, record: bool) -> bool:
             malformed, or an experiment has changed since its prediction.
         MantleError: Runs of the conditions failed, or too many samples.
     """
-    chosen = _chosen(options.pattern)
-    known = {} if record else records.predictions()
+    experiments = _chosen(options.pattern)
+    predictions = {} if record else records.predictions()
     if not record:
-        chosen = _predicted(chosen, known, named=bool(options.pattern))
+        experiments = _predicted(experiments, predictions, named=bool(options.pattern))
     parts = (NOMINAL,) if options.tier == "quick" else ()
-    planned = {e.name: e.plan(*parts) for e in chosen}
-    every = [run for runs in planned.values() for run in runs]
+    planned = {e.name: e.plan(*parts) for e in experiments}
+    all_runs = [run for runs in planned.values() for run in runs]
     if options.dry_run:
-        text = f"validate: {len(chosen)} experiments"
-        log.info("%s", batch.plan(text, every, options))
+        heading = f"validate: {len(experiments)} experiments"
+        log.info("%s", batch.plan(heading, all_runs, options))
         return True
     if record:
-        return _record(chosen, planned, options)
-    measured = records.measurements(known)
+        return _record(experiments, planned, options)
+    measurements = records.measurements(predictions)
     results = _results(planned, options)
     comparisons = [
         ComparedQuantity(
             experiment.name,
             name,
             quantity.number(_conditions(results[experiment.name], NOMINAL)),
-            known[experiment.name].quantities[name],
-            measured.get(experiment.name, {}).get(name),
+            predictions[experiment.name].quantities[name],
+            measurements.get(experiment.name, {}).get(name),
         )
-        for experiment in chosen
+        for experiment in experiments
         for name, quantity in experiment.quantities.items()
     ]
     _write(comparisons, options)
     changed = [c for c in comparisons if not c.reproduced]
     if changed:
-        names = ", ".join(f"{c.experiment}.{c.quantity}" for c in changed)
-        log.warning("this version computes other values than the committed predictions: %s", names)
+        changed_names = ", ".join(f"{c.experiment}.{c.quantity}" for c in changed)
+        log.warning(
+            "this version computes other values than the committed predictions: %s", changed_names
+        )
     log.info("results in %s", options.folder)
     return not changed
 
 
 def _chosen(pattern: str) -> list[Experiment]:
     """Experiments with a pattern in their names; InputError if there is none."""
-    chosen = [e for name, e in EXPERIMENTS.items() if pattern in name]
-    if not chosen:
-        known = ", ".join(EXPERIMENTS)
-        raise InputError(f"-k {pattern}: no experiment has this in its name; allowed: {known}")
-    return chosen
+    experiments = [e for name, e in EXPERIMENTS.items() if pattern in name]
+    if not experiments:
+        allowed_names = ", ".join(EXPERIMENTS)
+        raise InputError(
+            f"-k {pattern}: no experiment has this in its name; allowed: {allowed_names}"
+        )
+    return experiments
 
 
 def _predicted(
-    chosen: Sequence[Experiment], known: Predictions, *, named: bool
+    experiments: Sequence[Experiment], predictions: Predictions, *, named: bool
 ) -> list[Experiment]:
     """Return the experiments with a prediction of their present inputs.
 
@@ -140,23 +144,26 @@ def _predicted(
         InputError: One line for each prediction that is missing, incomplete or of other inputs.
     """
     if not named:
-        missing = [e.name for e in chosen if e.name not in known]
+        missing = [e.name for e in experiments if e.name not in predictions]
         if missing:
             advice = "mantle validate -k NAME --record predicts one"
             log.warning("without a prediction: %s; %s", ", ".join(missing), advice)
-        chosen = [e for e in chosen if e.name in known]
+        experiments = [e for e in experiments if e.name in predictions]
     lines = []
-    for experiment in chosen:
+    for experiment in experiments:
         name = experiment.name
         advice = f"mantle validate -k {name} --record predicts it"
-        if name not in known or known[name].quantities.keys() != experiment.quantities.keys():
+        if (
+            name not in predictions
+            or predictions[name].quantities.keys() != experiment.quantities.keys()
+        ):
             lines.append(f"{records.PREDICTIONS}: no complete prediction of {name}; {advice}")
-        elif known[name].inputs != records.hash_of_inputs(experiment):
-            text = f"the case or the ranges of {name} have changed since its prediction"
-            lines.append(f"{records.PREDICTIONS}: {text}; {advice} anew")
+        elif predictions[name].inputs != records.hash_of_inputs(experiment):
+            fault = f"the case or the ranges of {name} have changed since its prediction"
+            lines.append(f"{records.PREDICTIONS}: {fault}; {advice} anew")
     if lines:
         raise InputError("\n".join(lines))
-    return list(chosen)
+    return list(experiments)
 
 
 def _results(
@@ -167,8 +174,8 @@ def _results(
     Raises:
         MantleError: Runs outside of the samples failed, with the gravest exit code.
     """
-    every = [run for runs in planned.values() for run in runs]
-    results = iter(batch.run(every, options.folder, options.cores, options.slurm))
+    all_runs = [run for runs in planned.values() for run in runs]
+    results = iter(batch.run(all_runs, options.folder, options.cores, options.slurm))
     by_name = {name: [next(results) for _ in runs] for name, runs in planned.items()}
     failed = [
         (name, r)
@@ -184,11 +191,11 @@ def _results(
 
 def _conditions(results: Sequence[Result], part: str, sample: int = 0) -> Conditions:
     """Results by condition of a part, of one sample."""
-    places = [(place(r.planned.name), r) for r in results]
+    places_and_results = [(place(r.planned.name), r) for r in results]
     return {
-        at.condition: Results(r.folder)
-        for at, r in places
-        if (at.part, at.sample) == (part, sample) and not r.exit_code
+        place_in_sweep.condition: Results(r.folder)
+        for place_in_sweep, r in places_and_results
+        if (place_in_sweep.part, place_in_sweep.sample) == (part, sample) and not r.exit_code
     }
 
 
@@ -196,7 +203,7 @@ def _conditions(results: Sequence[Result], part: str, sample: int = 0) -> Condit
 
 
 def _record(
-    chosen: Sequence[Experiment], planned: Mapping[str, Sequence[PlannedRun]], options: Options
+    experiments: Sequence[Experiment], planned: Mapping[str, Sequence[PlannedRun]], options: Options
 ) -> bool:
     """Predict experiments and write their predictions into the manual's folder.
 
@@ -208,11 +215,11 @@ def _record(
         raise InputError("--record: a prediction needs all samples; leave out --tier quick")
     commit = _commit()
     results = _results(planned, options)
-    known = records.predictions() if records.PREDICTIONS.exists() else {}
-    for experiment in chosen:
+    predictions = records.predictions() if records.PREDICTIONS.exists() else {}
+    for experiment in experiments:
         ended = results[experiment.name]
         predicted = predict(experiment, ended)
-        known[experiment.name] = ExperimentRecord(
+        predictions[experiment.name] = ExperimentRecord(
             title=experiment.title,
             blind=experiment.blind,
             commit=commit,
@@ -223,7 +230,7 @@ def _record(
             quantities=predicted,
         )
         log.info("%s", _predicted_table(experiment.name, predicted))
-    records.write({name: known[name] for name in EXPERIMENTS if name in known})
+    records.write({name: predictions[name] for name in EXPERIMENTS if name in predictions})
     log.info("the predictions are written in %s", records.PREDICTIONS)
     return True
 
@@ -236,20 +243,22 @@ def _commit() -> str:
     """
     git = ["git", "-C", str(configs.FOLDER.parent)]
     try:
-        changed, head = (
-            subprocess.run([*git, *words], capture_output=True, text=True, check=True).stdout
-            for words in (
+        changes, head = (
+            subprocess.run([*git, *command], capture_output=True, text=True, check=True).stdout
+            for command in (
                 ["status", "--porcelain", "--", *COMMITTED],
                 ["rev-parse", "--short=12", "HEAD"],
             )
         )
     except (OSError, subprocess.CalledProcessError) as error:
-        text = "--record: the commit of the sources is unknown; it needs git and their repository"
-        raise EnvironmentProblem(text) from error
-    if changed.strip():
+        message = (
+            "--record: the commit of the sources is unknown; it needs git and their repository"
+        )
+        raise EnvironmentProblem(message) from error
+    if changes.strip():
         raise EnvironmentProblem(
             "--record: the sources have changes that are not committed; commit them first:\n"
-            + changed.rstrip()
+            + changes.rstrip()
         )
     return head.strip()
 
@@ -274,8 +283,8 @@ def predict(experiment: Experiment, results: Sequence[Result]) -> dict[str, Pred
         runs = [r.planned for r in results if place(r.planned.name).sample == number]
         inputs.append(_inputs(experiment, runs))
     if len(complete) < FEWEST:
-        text = f"only {len(complete)} samples are complete; a prediction needs {FEWEST}"
-        raise InputError(f"{experiment.sweep}: {text}")
+        message = f"only {len(complete)} samples are complete; a prediction needs {FEWEST}"
+        raise InputError(f"{experiment.sweep}: {message}")
     by_key = {key: [of_sample[key] for of_sample in inputs] for key in inputs[0]}
     return {
         name: _prediction(quantity, nominal, coarser, complete, by_key)
@@ -341,15 +350,15 @@ def _write(comparisons: Sequence[ComparedQuantity], options: Options) -> None:
     table = [_row(c) for c in comparisons]
     log.info("%s", layout.table(list(table[0]), [list(row.values()) for row in table]))
     folder = options.folder
-    names = dict.fromkeys(c.experiment for c in comparisons)
-    pictures = {name: folder / f"{name}.png" for name in ("validate", *names)}
+    experiment_names = dict.fromkeys(c.experiment for c in comparisons)
+    pictures = {name: folder / f"{name}.png" for name in ("validate", *experiment_names)}
     remove(pictures.values())
     with batch.writable(folder):
         write_json(folder / "validate.json", [as_json(c) for c in comparisons])
         write_text(folder / "validate.csv", csv_text(table))
         pairs = [(f"{c.experiment}: {c.quantity}", c.prediction, c.measured) for c in comparisons]
         picture.draw_all(pairs, pictures["validate"])
-        for name in names:
+        for name in experiment_names:
             of_one = [
                 (c.quantity, c.prediction, c.measured) for c in comparisons if c.experiment == name
             ]
@@ -386,8 +395,8 @@ def _is_spread(measured: MeasuredQuantity) -> bool:
     return measured.range is not None or measured.uncertainty is not None
 
 
-def _interval(ends: tuple[float, float]) -> str:
-    return f"{ends[0]:.3g} to {ends[1]:.3g}"
+def _interval(interval: tuple[float, float]) -> str:
+    return f"{interval[0]:.3g} to {interval[1]:.3g}"
 
 
 def as_json(c: ComparedQuantity) -> dict[str, object]:

@@ -25,8 +25,8 @@ def setting(run: Results) -> float:
     """Setting time: the centre is halfway from room temperature to its peak (ISO 5833) [s]."""
     centre = run.step_record["centre [degC]"]
     rise = slice(int(np.argmax(centre)) + 1)
-    half = (ROOM + centre.max()) / 2
-    return float(np.interp(half, centre[rise], run.step_record["seconds [s]"][rise]))
+    halfway = (ROOM + centre.max()) / 2
+    return float(np.interp(halfway, centre[rise], run.step_record["seconds [s]"][rise]))
 
 
 def _difference(
@@ -107,8 +107,8 @@ def _elastic(run: Results) -> float:
 def _crept(run: Results) -> float:
     """Growth of the deflection of the middle from the first reading at 8 min to 72 h [mm]."""
     stages = np.floor(run.step_record["time [-]"] + 1e-9)
-    first = _deflection(run)[np.flatnonzero(stages >= 1)[0]]
-    return float(_deflection(run)[-1] - first)
+    first_reading = _deflection(run)[np.flatnonzero(stages >= 1)[0]]
+    return float(_deflection(run)[-1] - first_reading)
 
 
 CREEP_FAILURE = (

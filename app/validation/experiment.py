@@ -133,9 +133,9 @@ class Place:
 def place(name: str) -> Place:
     """Place of a run, from its name such as ``samples_polished/short_sample07``."""
     of_part, _, label = name.partition("/")
-    part, _, first = of_part.partition("_")
+    part, _, condition_start = of_part.partition("_")
     number = "0"
     if part == SAMPLES:
         label, _, number = label.rpartition(SAMPLE)
-    words = (first, label.removesuffix("_"))
-    return Place(part, "_".join(filter(None, words)), int(number))
+    condition_parts = (condition_start, label.removesuffix("_"))
+    return Place(part, "_".join(filter(None, condition_parts)), int(number))

@@ -22,8 +22,8 @@ def strain(run: Results, gauge: str) -> float:
     """Strain of a gauge by the force alone: zeroed after the insertion of the stem [um/m]."""
     record = run.step_record
     column = record[f"{gauge} strain [-]"]
-    before = column[record["time [-]"] <= INSERTED] if _inserted(run) else np.zeros(1)
-    return float(MICRO * (column[-1] - before[-1]))
+    inserted_strains = column[record["time [-]"] <= INSERTED] if _inserted(run) else np.zeros(1)
+    return float(MICRO * (column[-1] - inserted_strains[-1]))
 
 
 def _inserted(run: Results) -> bool:
@@ -33,8 +33,8 @@ def _inserted(run: Results) -> bool:
 
 def stiffness(run: Results) -> float:
     """Force on the head over the displacement of the head along it [N/mm]."""
-    written = run.case["loads"]["head"]["force"]
-    force = np.array([float(str(component).split()[0]) for component in written])
+    components = run.case["loads"]["head"]["force"]
+    force = np.array([float(str(component).split()[0]) for component in components])
     return float(force @ force / (force @ run.summary["femur"]["head_displacement"]))
 
 
@@ -134,9 +134,9 @@ def cement_strain(run: Results, z: float) -> float:
     By Hooke's law from the stress on the path along the stem.
     """
     table = run.paths["medial_cement"]
-    last = table["step"] == table["step"].max()
-    near = last & (np.abs(table["z [mm]"] - z) <= GAUGE / 2)
-    xx, yy, zz = (_mean(table[f"stress.{axis} [MPa]"][near]) for axis in ("xx", "yy", "zz"))
+    is_last_step = table["step"] == table["step"].max()
+    is_in_gauge = is_last_step & (np.abs(table["z [mm]"] - z) <= GAUGE / 2)
+    xx, yy, zz = (_mean(table[f"stress.{axis} [MPa]"][is_in_gauge]) for axis in ("xx", "yy", "zz"))
     cement = run.case["regions"]["cement"]
     E, ν = (float(str(cement[key]).split()[0]) for key in ("youngs_modulus", "poisson_ratio"))
     return MICRO * (zz - ν * (xx + yy)) / E

@@ -155,13 +155,13 @@ def failure_shares(run: Results) -> dict[str, float]:
     """Stress over strength in the case, by what fails: shell, cement, or the plug's bond."""
     summary = run.summary
     bonds = summary["bonds"]
-    shares = {
+    stress_over_strength = {
         "shell": bonds["cement_shell"]["shear_mean"] / SHELL_BOND,
         "cement": summary["regions"]["cement"]["von_mises_p99"] / YIELD,
     }
     if "plug_cement" in bonds:
-        shares["plug"] = bonds["plug_cement"]["shear_mean"] / PLUG_BOND
-    return {name: float(share) for name, share in shares.items()}
+        stress_over_strength["plug"] = bonds["plug_cement"]["shear_mean"] / PLUG_BOND
+    return {name: float(ratio) for name, ratio in stress_over_strength.items()}
 
 
 def plug_load(run: Results) -> float:

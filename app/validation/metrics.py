@@ -17,23 +17,23 @@ EXPANDED = 2.0
 
 def band(prediction: Prediction) -> tuple[float, float]:
     """Predicted band: 5th to 95th percentile of the samples, widened by the discretization."""
-    low, high = prediction.band
-    return low - prediction.discretization, high + prediction.discretization
+    lowest, highest = prediction.band
+    return lowest - prediction.discretization, highest + prediction.discretization
 
 
 def measured_range(measured: MeasuredQuantity) -> tuple[float, float]:
     """Measured range; without one the value and two standard uncertainties on either side."""
     if measured.range is not None:
         return measured.range
-    around = EXPANDED * (measured.uncertainty or 0.0)
-    return measured.middle - around, measured.middle + around
+    half_width = EXPANDED * (measured.uncertainty or 0.0)
+    return measured.middle - half_width, measured.middle + half_width
 
 
 def inside(prediction: Prediction, measured: MeasuredQuantity) -> bool:
     """Return True if the predicted band and the measured range overlap."""
-    low, high = band(prediction)
-    least, largest = measured_range(measured)
-    return low <= largest and least <= high
+    lowest_predicted, highest_predicted = band(prediction)
+    lowest_measured, highest_measured = measured_range(measured)
+    return lowest_predicted <= highest_measured and lowest_measured <= highest_predicted
 
 
 def standard_uncertainty(measured: MeasuredQuantity) -> float:
@@ -41,8 +41,8 @@ def standard_uncertainty(measured: MeasuredQuantity) -> float:
     if measured.uncertainty is not None:
         return measured.uncertainty
     if measured.range is not None:
-        low, high = measured.range
-        return (high - low) / math.sqrt(12.0)
+        lowest, highest = measured.range
+        return (highest - lowest) / math.sqrt(12.0)
     return 0.0
 
 
@@ -69,12 +69,12 @@ def area_metric(prediction: Prediction, measured: MeasuredQuantity) -> float:
     """
     probability = (np.arange(PROBABILITIES) + 0.5) / PROBABILITIES
     samples = np.sort(prediction.samples)
-    predicted = samples[np.floor(probability * len(samples)).astype(int)]
+    predicted_quantiles = samples[np.floor(probability * len(samples)).astype(int)]
     if measured.uncertainty is not None:
-        other = norm.ppf(probability, measured.middle, measured.uncertainty)
+        measured_quantiles = norm.ppf(probability, measured.middle, measured.uncertainty)
     elif measured.range is not None:
-        low, high = measured.range
-        other = low + (high - low) * probability
+        lowest, highest = measured.range
+        measured_quantiles = lowest + (highest - lowest) * probability
     else:
-        other = np.full(PROBABILITIES, measured.middle)
-    return float(np.abs(predicted - other).mean())
+        measured_quantiles = np.full(PROBABILITIES, measured.middle)
+    return float(np.abs(predicted_quantiles - measured_quantiles).mean())

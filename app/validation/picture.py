@@ -35,41 +35,54 @@ def draw_all(pairs: Sequence[Pair], path: Path) -> None:
     """
     figure = figures.new(6.8, 6.4)
     axes = figure.add_subplot()
-    places: list[tuple[str, float, float]] = []
+    points: list[tuple[str, float, float]] = []
     left_out = 0
     for name, prediction, measured in pairs:
         if measured is None:
             continue
-        low, high = metrics.band(prediction)
-        least, largest = metrics.measured_range(measured)
+        lowest_predicted, highest_predicted = metrics.band(prediction)
+        lowest_measured, highest_measured = metrics.measured_range(measured)
         if min(measured.middle, prediction.value) <= 0:
             left_out += 1
             continue
-        low = max(low, LEAST * prediction.value)
-        least = max(least, LEAST * measured.middle)
+        lowest_predicted = max(lowest_predicted, LEAST * prediction.value)
+        lowest_measured = max(lowest_measured, LEAST * measured.middle)
         colour = figures.colour(PREDICTED if metrics.inside(prediction, measured) else MEASURED)
-        axes.plot([least, largest], [prediction.value] * 2, color=colour, linewidth=1.2)
-        axes.plot([measured.middle] * 2, [low, high], color=colour, linewidth=1.2)
+        axes.plot(
+            [lowest_measured, highest_measured], [prediction.value] * 2, color=colour, linewidth=1.2
+        )
+        axes.plot(
+            [measured.middle] * 2,
+            [lowest_predicted, highest_predicted],
+            color=colour,
+            linewidth=1.2,
+        )
         axes.plot(measured.middle, prediction.value, "o", color=colour, markersize=5)
-        places.append((name, measured.middle, prediction.value))
+        points.append((name, measured.middle, prediction.value))
     axes.set(xscale="log", yscale="log")
     axes.set_xlabel("measured, with its range")
     axes.set_ylabel("predicted, 5th to 95th percentile of the inputs ± mesh")
-    if places:
-        ends = [*axes.get_xlim(), *axes.get_ylim()]
-        diagonal = [min(ends), max(ends)]
+    if points:
+        limits = [*axes.get_xlim(), *axes.get_ylim()]
+        diagonal = [min(limits), max(limits)]
         axes.plot(diagonal, diagonal, color="0.3", linewidth=0.8)
         axes.set(xlim=diagonal, ylim=diagonal)
-    for name, x, y in places:
+    for name, x, y in points:
         # A name near the right end stands to the left of its point.
-        right = axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0] > NEAR_END
-        axes.annotate(
-            f" {name} ", (x, y), fontsize=WORDS - 1, va="bottom", ha="right" if right else "left"
+        is_near_end = (
+            axes.transAxes.inverted().transform(axes.transData.transform((x, y)))[0] > NEAR_END
         )
-    text = f"{len(places)} quantities with a measurement; blue: inside, orange: outside"
+        axes.annotate(
+            f" {name} ",
+            (x, y),
+            fontsize=WORDS - 1,
+            va="bottom",
+            ha="right" if is_near_end else "left",
+        )
+    title = f"{len(points)} quantities with a measurement; blue: inside, orange: outside"
     if left_out:
-        text += f"; {left_out} not positive"
-    figures.title(axes, text)
+        title += f"; {left_out} not positive"
+    figures.title(axes, title)
     figures.grid(axes)
     figures.save(figure, path, 110, PNG)
 
@@ -83,14 +96,14 @@ def draw_one(title: str, pairs: Sequence[Pair], path: Path) -> None:
     axes.axvline(1.0, color="0.3", linewidth=0.8)
     units = {"-": ""}
     values = [f"{p.value:.3g} {units.get(p.unit, p.unit)}".rstrip() for _, p, _ in pairs]
-    names = [f"{name}\n{value}" for (name, *_), value in zip(pairs, values, strict=True)]
-    axes.set_yticks(range(len(pairs)), names, fontsize=WORDS)
+    row_labels = [f"{name}\n{value}" for (name, *_), value in zip(pairs, values, strict=True)]
+    axes.set_yticks(range(len(pairs)), row_labels, fontsize=WORDS)
     axes.set_ylim(len(pairs) - 0.4, -0.6)
     axes.set_xlabel("over the predicted value")
-    shown = [(PREDICTED, "predicted")]
+    legend_entries = [(PREDICTED, "predicted")]
     if any(measured for *_, measured in pairs):
-        shown.append((MEASURED, "measured"))
-    for k, label in shown:
+        legend_entries.append((MEASURED, "measured"))
+    for k, label in legend_entries:
         axes.plot([], [], "o-", color=figures.colour(k), label=label)
     axes.legend(fontsize=WORDS, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     axes.set_title(title, loc="right", fontsize=WORDS)
@@ -104,7 +117,7 @@ def _row(axes: Axes, row: int, prediction: Prediction, measured: MeasuredQuantit
     bands = [(PREDICTED, -0.12, prediction.value, metrics.band(prediction))]
     if measured is not None:
         bands.append((MEASURED, 0.12, measured.middle, metrics.measured_range(measured)))
-    for k, shift, middle, ends in bands:
+    for k, shift, middle, interval in bands:
         colour = figures.colour(k)
-        axes.plot([end / scale for end in ends], [row + shift] * 2, color=colour, linewidth=3)
+        axes.plot([end / scale for end in interval], [row + shift] * 2, color=colour, linewidth=3)
         axes.plot(middle / scale, row + shift, "o", color=colour, markersize=5)

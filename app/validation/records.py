@@ -133,19 +133,19 @@ def measurements(known: Predictions) -> Measurements:
     """
     if not MEASURED.exists():
         return {}
-    measured = _read(MEASURED, TypeAdapter(Measurements))
-    faults = list(_faults(measured, known))
+    measurements = _read(MEASURED, TypeAdapter(Measurements))
+    faults = list(_faults(measurements, known))
     if faults:
-        raise InputError("\n".join(f"{MEASURED}: {text}" for text in faults))
-    return measured
+        raise InputError("\n".join(f"{MEASURED}: {fault}" for fault in faults))
+    return measurements
 
 
-def _faults(measured: Measurements, known: Predictions) -> Iterator[str]:
-    for name, quantities in measured.items():
-        if name not in known:
+def _faults(measurements: Measurements, predictions: Predictions) -> Iterator[str]:
+    for name, quantities in measurements.items():
+        if name not in predictions:
             yield f"{name}: there is no prediction of this experiment"
             continue
-        predicted = known[name].quantities
+        predicted = predictions[name].quantities
         for key, quantity in quantities.items():
             if key not in predicted:
                 yield f"{name}.{key}: there is no prediction of this quantity"
@@ -164,8 +164,8 @@ def _read(path: Path, adapter: TypeAdapter[Content]) -> Content:
     try:
         return adapter.validate_python(json.loads(path.read_text(encoding="utf-8")))
     except FileNotFoundError:
-        text = "does not exist; mantle validate needs the manual's folder of the sources"
-        raise InputError(f"{path}: {text}") from None
+        message = "does not exist; mantle validate needs the manual's folder of the sources"
+        raise InputError(f"{path}: {message}") from None
     except ValueError as error:
         if isinstance(error, ValidationError):
             lines = [
@@ -190,8 +190,10 @@ def hash_of_inputs(experiment: Experiment) -> str:
     bases = {sweep["base"], *(part.get("base", sweep["base"]) for part in sweep["parts"].values())}
     cases = [overlay.base_file(experiment.sweep.parent, base) for base in sorted(bases)]
     contents = [sweep, *(overlay.read(path).data for path in cases)]
-    text = json.dumps(contents, sort_keys=True, default=str).replace(f"{configs.FOLDER}/", "")
-    digest = hashlib.sha256(text.encode())
-    for script in sorted(set(re.findall(r'([^"/]+\.geo)"', text))):
+    inputs_json = json.dumps(contents, sort_keys=True, default=str).replace(
+        f"{configs.FOLDER}/", ""
+    )
+    digest = hashlib.sha256(inputs_json.encode())
+    for script in sorted(set(re.findall(r'([^"/]+\.geo)"', inputs_json))):
         digest.update((cases[0].parent / script).read_bytes())
     return digest.hexdigest()[:DIGITS]
