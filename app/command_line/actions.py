@@ -85,8 +85,8 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         size = cost.exact_size(case.config, data, memory.available())
         room = case.config.geometry.room_details()
         size += f"\n  room around the stem: {room}" if room else ""
-    text = preview.describe(case.config, case.file.data)
-    return CheckedCase(text, size, tuple(n for n in notes if n.text not in text))
+    description = preview.describe(case.config, case.file.data)
+    return CheckedCase(description, size, tuple(n for n in notes if n.text not in description))
 
 
 def mesh(case: LoadedCase) -> MeshData:

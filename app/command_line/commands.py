@@ -75,8 +75,8 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
         print(f"starting {count} ranks", flush=True)
         cores = len(os.sched_getaffinity(0))
         if count > cores:
-            text = f"note: {count} ranks share {cores} cores, which is slower than -n {cores}"
-            print(painted(text, "doubtful", sys.stderr), file=sys.stderr, flush=True)
+            message = f"note: {count} ranks share {cores} cores, which is slower than -n {cores}"
+            print(painted(message, "doubtful", sys.stderr), file=sys.stderr, flush=True)
         pass_colours()
         return ranks.launch(count, [sys.executable, "-m", "mantle", *arguments])
     if size is not None and count not in (1, size) and rank() == 0:
@@ -116,8 +116,8 @@ def _load(options: argparse.Namespace) -> LoadedCase:
 
 def _init(options: argparse.Namespace) -> int:
     if options.labels:
-        given = options.labels, options.ct, options.side, options.label
-        path, assumed = new_case.from_labels(options.name, *given)
+        label_options = options.labels, options.ct, options.side, options.label
+        path, assumed = new_case.from_labels(options.name, *label_options)
         for line in assumed:
             print(f"- {line}")
     else:
@@ -213,7 +213,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
     module, path = (sweep, options.sweep) if options.command == "sweep" else (study, options.case)
     folder = Path("out") / f"{path.stem}-{options.command}"
-    module.run(path, options.overrides, _many(options, folder))
+    module.run(path, options.overrides, _batch_options(options, folder))
     return 0
 
 
@@ -222,10 +222,10 @@ def _fit(options: argparse.Namespace) -> int:
     from app.campaigns import fit, fit_verdicts
     from app.report import fit_report
 
-    many = _many(options, Path("out") / f"{options.fit.stem}-fit")
-    record = fit.run(options.fit, options.overrides, many)
+    batch_options = _batch_options(options, Path("out") / f"{options.fit.stem}-fit")
+    record = fit.run(options.fit, options.overrides, batch_options)
     if record is not None:
-        print(fit_report.write(many.folder))
+        print(fit_report.write(batch_options.folder))
         fit_verdicts.raise_faults(record)
     return 0
 
@@ -240,8 +240,8 @@ def _suite(options: argparse.Namespace) -> int:
             problem = doctor.wrong_blas()
         if problem:
             raise EnvironmentProblem(problem)
-    many = _many(options, Path("out") / options.command)
-    return 0 if suite.run(options.command, many) else CHECK_FAILED
+    batch_options = _batch_options(options, Path("out") / options.command)
+    return 0 if suite.run(options.command, batch_options) else CHECK_FAILED
 
 
 def _validate(options: argparse.Namespace) -> int:
@@ -249,11 +249,11 @@ def _validate(options: argparse.Namespace) -> int:
     configure_log("info")
     from app.validation import campaign
 
-    many = _many(options, Path("out") / "validate")
-    return 0 if campaign.run(many, record=options.record) else CHECK_FAILED
+    batch_options = _batch_options(options, Path("out") / "validate")
+    return 0 if campaign.run(batch_options, record=options.record) else CHECK_FAILED
 
 
-def _many(options: argparse.Namespace, folder: Path) -> Options:
+def _batch_options(options: argparse.Namespace, folder: Path) -> Options:
     from app.campaigns.batch import Options
 
     return Options(
@@ -271,14 +271,14 @@ def _report(options: argparse.Namespace) -> int:
     with stack_needed():
         from app.report import compare, evidence, fit_report, motion, run_report, sweep_report
 
-    folder, *others = options.folders
-    many = others and not options.evidence
-    if options.spread and (many or not (folder / "case.yaml").exists()):
+    folder, *further_folders = options.folders
+    several_folders = further_folders and not options.evidence
+    if options.spread and (several_folders or not (folder / "case.yaml").exists()):
         raise InputError("--spread: expected one DIR, the folder of a run")
     if options.field and not options.gif:
         raise InputError("--field: is the field of a film; expected --gif FILE with it")
     if options.gif:
-        if others:
+        if further_folders:
             raise InputError("--gif: expected one DIR, the folder of a run")
         print(motion.write(folder, options.gif, options.field or ""))
         return 0
@@ -287,7 +287,7 @@ def _report(options: argparse.Namespace) -> int:
         files += [evidence.methods(folder)] if options.methods else []
         print(*files, sep="\n")
         return 0
-    if others:
+    if further_folders:
         page = options.output or Path("out")
         prepare_run(page, force=True)
         print(compare.write(options.folders, page / "compare.html"))

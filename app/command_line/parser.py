@@ -256,9 +256,9 @@ def options_of_commands() -> dict[str, str]:
     """Meaning of each option of each command, by ``mantle run --restart``."""
     meanings = {}
     for command, (_, arguments) in COMMANDS.items():
-        for word in arguments.split():
-            if word.startswith("--"):
-                meanings[f"mantle {command} {word}"] = ARGUMENTS[word]["help"]
+        for argument in arguments.split():
+            if argument.startswith("--"):
+                meanings[f"mantle {command} {argument}"] = ARGUMENTS[argument]["help"]
     return meanings
 
 
@@ -267,19 +267,19 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, and raise InputError with the command whose arguments are unknown."""
-        options, unknown = self.parse_known_args(args, namespace)
-        if unknown:
+        options, unknown_arguments = self.parse_known_args(args, namespace)
+        if unknown_arguments:
             command = Parser(prog=f"{self.prog} {options.command}")
-            command.error(f"unrecognized arguments: {' '.join(unknown)}")
+            command.error(f"unrecognized arguments: {' '.join(unknown_arguments)}")
         return options
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError for a wrong command line."""
         if message.startswith("unrecognized arguments: -n"):
             message += "; only mantle run starts ranks, --cores N uses N cores"
-        unknown = re.search(r"COMMAND: invalid choice: '(.*?)'", message)
-        if unknown:
-            message += did_you_mean(unknown[1], list(COMMANDS))
+        unknown_command = re.search(r"COMMAND: invalid choice: '(.*?)'", message)
+        if unknown_command:
+            message += did_you_mean(unknown_command[1], list(COMMANDS))
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
@@ -289,15 +289,15 @@ class Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """The commands and their options."""
-    top = Parser(
+    main_parser = Parser(
         prog="mantle",
         description="Finite elements for cemented joint replacements: contact, heat, setting.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    top.add_argument("--version", action="version", version=f"mantle {__version__}")
-    commands = top.add_subparsers(
+    main_parser.add_argument("--version", action="version", version=f"mantle {__version__}")
+    commands = main_parser.add_subparsers(
         dest="command", required=True, metavar="COMMAND", parser_class=Parser
     )
     for name, (summary, arguments) in COMMANDS.items():
@@ -307,18 +307,20 @@ def parser() -> argparse.ArgumentParser:
             description=f"{summary[0].upper()}{summary[1:]}.",
             allow_abbrev=False,
         )
-        for word in arguments.split():
-            options = ARGUMENTS[word]
-            if word == "-o":
+        for argument in arguments.split():
+            options = ARGUMENTS[argument]
+            if argument == "-o":
                 options = options | {
                     "help": OUTPUTS.get(name, f"folder of the results, default: out/{name}")
                 }
                 if name == "place":
                     options["type"] = Path
-            elif word == "--cores":
+            elif argument == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
-            command.add_argument(*[word, LONG[word]] if word in LONG else [word], **options)
+            command.add_argument(
+                *[argument, LONG[argument]] if argument in LONG else [argument], **options
+            )
     commands.choices[
         "run"
     ].epilog = "Options after -- are passed to PETSc, e.g. -- -ksp_monitor -ksp_view"
-    return top
+    return main_parser

@@ -122,13 +122,13 @@ def draw(
         size: Width and height of a panel [inch].
         suffixes: Formats.
     """
-    figure, every = figures.panels(len(panels), columns, *size)
-    for axes, panel in zip(every, panels, strict=True):
+    figure, all_axes = figures.panels(len(panels), columns, *size)
+    for axes, panel in zip(all_axes, panels, strict=True):
         draw_panel(axes, panel)
-    longest = max((len(label) for label in figures.handles(every)), default=0)
-    if len(figures.handles(every)) > 1:
-        wide = LETTERS * min(columns, len(panels))
-        figures.legend_below(figure, wide // (longest + 8))
+    longest = max((len(label) for label in figures.handles(all_axes)), default=0)
+    if len(figures.handles(all_axes)) > 1:
+        letters = LETTERS * min(columns, len(panels))
+        figures.legend_below(figure, letters // (longest + 8))
     return figures.save(figure, path, DPI, suffixes)
 
 
@@ -138,23 +138,23 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     figures.grid(axes)
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)
-    xs = sorted({x for line in panel.lines for x in line.x})
+    abscissas = sorted({x for line in panel.lines for x in line.x})
     # Side by side, so that bars of equal numbers can both be seen.
     styles = sorted({line.style for line in panel.lines})
-    barred = any(map(any, (line.errors for line in panel.lines)))
-    apart = APART * (xs[-1] - xs[0]) if barred else 0.0
+    has_errors = any(map(any, (line.errors for line in panel.lines)))
+    spacing = APART * (abscissas[-1] - abscissas[0]) if has_errors else 0.0
     for line in panel.lines:
-        shift = apart * (styles.index(line.style) - 0.5 * (len(styles) - 1))
+        shift = spacing * (styles.index(line.style) - 0.5 * (len(styles) - 1))
         draw_line(axes, line, shift)
     _scale(axes, panel)
     if panel.from_rest:
         axes.set_xlim(left=0.0)
     if panel.ticks:
         axes.set_xticks(list(panel.ticks), list(panel.ticks.values()), fontsize=8)
-    elif not xs:
+    elif not abscissas:
         remark(axes, "no results")
-    elif len(xs) <= TICKS:
-        axes.set_xticks(xs, [f"{x:.3g}" for x in xs])
+    elif len(abscissas) <= TICKS:
+        axes.set_xticks(abscissas, [f"{x:.3g}" for x in abscissas])
         axes.xaxis.minorticks_off()
 
 
@@ -237,27 +237,27 @@ class Drawing:
 
 def drawing(panel: Panel) -> Drawing:
     """Return a panel for a page; ordinates begin at zero, except temperatures in degrees."""
-    xs = [x for line in panel.lines for x in line.x]
-    ys = []
+    abscissas = [x for line in panel.lines for x in line.x]
+    ordinates = []
     for line in panel.lines:
-        ys += [y + sign * e for _, y, e in _points(line) for sign in (-1, 1)]
+        ordinates += [y + sign * e for _, y, e in _points(line) for sign in (-1, 1)]
     if panel.y != CELSIUS:
-        ys.append(0.0)
+        ordinates.append(0.0)
     if panel.from_rest:
-        xs.append(0.0)
-    across = ticks(min(xs), max(xs))
-    up = ticks(min(ys), max(ys))
+        abscissas.append(0.0)
+    across = ticks(min(abscissas), max(abscissas))
+    up = ticks(min(ordinates), max(ordinates))
 
-    def part(v: float, of: Sequence[float]) -> float:
-        return (v - of[0]) / (of[-1] - of[0])
+    def part(v: float, axis_ticks: Sequence[float]) -> float:
+        return (v - axis_ticks[0]) / (axis_ticks[-1] - axis_ticks[0])
 
     lines = []
     for line in panel.lines:
-        places = [
+        points = [
             (part(x, across), part(y, up), part(y - e, up), part(y + e, up))
             for x, y, e in sparse(_points(line))
         ]
-        lines.append(DrawnLine(line.label, figures.colour(line.style), places))
+        lines.append(DrawnLine(line.label, figures.colour(line.style), points))
     return Drawing(
         title=textwrap.wrap(f"{panel.title} ({panel.y})" if panel.y else panel.title, TITLE),
         x=panel.x,
@@ -284,9 +284,12 @@ def ticks(low: float, high: float) -> list[float]:
     span = high - low if high - low > 1e-9 * max(abs(low), abs(high)) else max(abs(high), 1.0)
     size = 10.0 ** math.floor(math.log10(span / 4))
     step = next(size * k for k in (1, 2, 5, 10) if span / (size * k) <= 6)
-    first = math.floor(low / step + 1e-9)
-    last = math.ceil(high / step - 1e-9)
-    return [float(f"{step * k:.12g}") for k in range(first, max(last, first + 1) + 1)]
+    first_multiple = math.floor(low / step + 1e-9)
+    last_multiple = math.ceil(high / step - 1e-9)
+    return [
+        float(f"{step * k:.12g}")
+        for k in range(first_multiple, max(last_multiple, first_multiple + 1) + 1)
+    ]
 
 
 # Additions to axes

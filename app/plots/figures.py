@@ -60,10 +60,10 @@ def panels(
     columns = min(columns, number)
     rows = math.ceil(number / columns)
     figure = new(width * columns, height * rows + legend)
-    every = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in every[number:]:
+    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in all_axes[number:]:
         axes.set_visible(False)
-    return figure, list(every[:number])
+    return figure, list(all_axes[:number])
 
 
 def title(axes: Axes, text: str) -> None:

@@ -26,10 +26,10 @@ MARKER = 5.0
 def label(axes: Axes, texts: Sequence[str], x: Sequence[float], y: Sequence[float], k: int) -> None:
     """Label the points of the k-th curve; `place` puts the labels where they cover nothing."""
     halo = [withStroke(linewidth=2.0, foreground="white")]
-    for text, *at in zip(texts, x, y, strict=True):
+    for text, *position in zip(texts, x, y, strict=True):
         axes.annotate(
             text,
-            (at[0], at[1]),
+            (position[0], position[1]),
             xytext=(APART, APART),
             textcoords="offset points",
             color=figures.colour(k),
@@ -46,21 +46,21 @@ def place(axes: Axes) -> None:
     The figure has been drawn, so that its axes have their places.
     """
     curves = [line.get_transform().transform_path(line.get_path()) for line in axes.lines]
-    notes = [text for text in axes.texts if isinstance(text, Annotation)]
-    taken = [text.get_window_extent() for text in axes.texts if text not in notes]
-    for note in notes:
-        at = axes.transData.transform(note.xy)
-        taken.append(Bbox.from_extents(*(at - MARKER), *(at + MARKER)))
-    for note in notes:
-        places = []
+    labels = [text for text in axes.texts if isinstance(text, Annotation)]
+    taken_boxes = [text.get_window_extent() for text in axes.texts if text not in labels]
+    for point_label in labels:
+        centre = axes.transData.transform(point_label.xy)
+        taken_boxes.append(Bbox.from_extents(*(centre - MARKER), *(centre + MARKER)))
+    for point_label in labels:
+        candidates = []
         for side, (x, y) in enumerate(SIDES):
-            note.set(position=(APART * x, APART * y), ha=ACROSS[x], va=ALONG[y])
-            box = note.get_window_extent()
+            point_label.set(position=(APART * x, APART * y), ha=ACROSS[x], va=ALONG[y])
+            box = point_label.get_window_extent()
             outside = len(box.corners()) - axes.bbox.count_contains(box.corners())
             crossed = sum(path.intersects_bbox(box, filled=False) for path in curves)
-            places.append((box.count_overlaps(taken) + outside, crossed, side, box))
-        covered, _, side, box = min(places)
+            candidates.append((box.count_overlaps(taken_boxes) + outside, crossed, side, box))
+        overlaps, _, side, box = min(candidates)
         x, y = SIDES[side]
         position = (APART * x, APART * y)
-        note.set(position=position, ha=ACROSS[x], va=ALONG[y], visible=not covered)
-        taken.append(box)
+        point_label.set(position=position, ha=ACROSS[x], va=ALONG[y], visible=not overlaps)
+        taken_boxes.append(box)

@@ -35,14 +35,14 @@ class Interpolation:
     def __init__(self, x: Floats, values: Floats) -> None:
         a = x[:, 1] - x[:, 0]
         b = x[:, 2] - x[:, 0]
-        doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        solid = np.abs(doubled) > 1e-9
-        self.corners = np.where(doubled[:, None, None] < 0, x[:, ::-1], x)[solid]
-        places = np.round(x[solid].reshape(-1, 2), DIGITS)
-        self.places, first = np.unique(places, axis=0, return_index=True)
+        doubled_area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        has_area = np.abs(doubled_area) > 1e-9
+        self.corners = np.where(doubled_area[:, None, None] < 0, x[:, ::-1], x)[has_area]
+        corner_places = np.round(x[has_area].reshape(-1, 2), DIGITS)
+        self.places, first_rows = np.unique(corner_places, axis=0, return_index=True)
         edges = self.corners - np.roll(self.corners, 1, axis=1)
         self.unit = np.abs(edges).mean(axis=(0, 1))
-        at_places = values[solid].reshape(-1, *values.shape[2:])[first]
+        at_places = values[has_area].reshape(-1, *values.shape[2:])[first_rows]
         self._between = LinearNDInterpolator(self.places / self.unit, at_places)
 
     def __call__(self, places: Floats) -> Floats:
@@ -64,16 +64,16 @@ def shaded(
     matplotlib's shading of triangles draws streaks.
     """
     surface = Interpolation(x, values)
-    low = surface.places.min(axis=0)
-    high = surface.places.max(axis=0)
+    lowest = surface.places.min(axis=0)
+    highest = surface.places.max(axis=0)
     pixels = (np.arange(PIXELS) + 0.5) / PIXELS
-    across, up = (low + pixels[:, None] * (high - low)).T
+    x_pixels, y_pixels = (lowest + pixels[:, None] * (highest - lowest)).T
     image = axes.imshow(
-        surface(np.stack(np.meshgrid(across, up), axis=-1)),
+        surface(np.stack(np.meshgrid(x_pixels, y_pixels), axis=-1)),
         cmap=colours,
         vmin=limits[0],
         vmax=limits[1],
-        extent=(low[0], high[0], low[1], high[1]),
+        extent=(lowest[0], highest[0], lowest[1], highest[1]),
         origin="lower",
         aspect=axes.get_aspect(),
         interpolation="bilinear",
@@ -90,10 +90,10 @@ def joined(polygons: Sequence[Floats]) -> Outline:
     """
     outlines = []
     for x in polygons:
-        after = np.roll(x, -1, axis=1)
-        area = (x[..., 0] * after[..., 1] - x[..., 1] * after[..., 0]).sum(axis=1)
-        turned = np.where(area[:, None, None] < 0, x[:, ::-1], x)
-        closed = np.concatenate([turned, turned[:, :1]], axis=1)
-        codes = [Outline.MOVETO, *[Outline.LINETO] * (x.shape[1] - 1), Outline.CLOSEPOLY]
-        outlines.append(Outline(closed.reshape(-1, 2), codes * len(x)))
+        next_corner = np.roll(x, -1, axis=1)
+        area = (x[..., 0] * next_corner[..., 1] - x[..., 1] * next_corner[..., 0]).sum(axis=1)
+        counterclockwise = np.where(area[:, None, None] < 0, x[:, ::-1], x)
+        closed = np.concatenate([counterclockwise, counterclockwise[:, :1]], axis=1)
+        path_codes = [Outline.MOVETO, *[Outline.LINETO] * (x.shape[1] - 1), Outline.CLOSEPOLY]
+        outlines.append(Outline(closed.reshape(-1, 2), path_codes * len(x)))
     return Outline.make_compound_path(*outlines)

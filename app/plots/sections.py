@@ -80,15 +80,17 @@ def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats,
     code = (height >= 0) @ (1 << np.arange(4))
     sections: dict[int, list[tuple[Floats, Ints]]] = {3: [], 4: []}
     for signs, ring in _RINGS.items():
-        hit = np.flatnonzero((code == signs) | (code == 15 - signs))
-        ends = np.array(EDGES)[list(ring)]
-        h = height[hit][:, ends]
-        x = points[cells[hit][:, ends]]
-        share = (h[..., 0] / (h[..., 0] - h[..., 1]))[..., None]
-        sections[len(ring)].append((x[:, :, 0] * (1 - share) + x[:, :, 1] * share, hit))
+        cut_cells = np.flatnonzero((code == signs) | (code == 15 - signs))
+        end_vertices = np.array(EDGES)[list(ring)]
+        h = height[cut_cells][:, end_vertices]
+        x = points[cells[cut_cells][:, end_vertices]]
+        part_of_edge = (h[..., 0] / (h[..., 0] - h[..., 1]))[..., None]
+        sections[len(ring)].append(
+            (x[:, :, 0] * (1 - part_of_edge) + x[:, :, 1] * part_of_edge, cut_cells)
+        )
     return [
-        (np.concatenate([c for c, _ in parts]), np.concatenate([o for _, o in parts]))
-        for parts in sections.values()
+        (np.concatenate([c for c, _ in polygons]), np.concatenate([o for _, o in polygons]))
+        for polygons in sections.values()
     ]
 
 
@@ -99,47 +101,47 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
         Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
         of each (n,).
     """
-    parts = np.array(PARTS if data.curved else [(0, 1, 2, 3)])
-    cut_parts = cut(data.points, data.cells[:, parts].reshape(-1, 4), axis, at)
-    polygons = [(corners, part // len(parts)) for corners, part in cut_parts]
+    straight_cells = np.array(PARTS if data.curved else [(0, 1, 2, 3)])
+    cut_polygons = cut(data.points, data.cells[:, straight_cells].reshape(-1, 4), axis, at)
+    polygons = [(corners, part // len(straight_cells)) for corners, part in cut_polygons]
     return polygons, *outlines(polygons)
 
 
 def outlines(polygons: Iterable[tuple[Floats, Ints]]) -> tuple[Floats, Ints]:
     """Edges (n, 2, 3) around the polygons (k, corners, 3) of each owner (k,), and their owners."""
     edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
-    ends = np.concatenate(edges)
-    owner = np.concatenate([np.repeat(of, x.shape[1]) for x, of in polygons])
+    edge_ends = np.concatenate(edges)
+    owner = np.concatenate([np.repeat(polygon_owner, x.shape[1]) for x, polygon_owner in polygons])
     # An edge that two polygons share is inside.
-    span = np.abs(ends[:, 1] - ends[:, 0])
-    keys = np.column_stack([owner, np.round(ends.sum(axis=1), 6), np.round(span, 6)])
-    _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
-    outer = first[times == 1]
-    return ends[outer], owner[outer]
+    span = np.abs(edge_ends[:, 1] - edge_ends[:, 0])
+    keys = np.column_stack([owner, np.round(edge_ends.sum(axis=1), 6), np.round(span, 6)])
+    _, first_rows, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
+    outer_rows = first_rows[times == 1]
+    return edge_ends[outer_rows], owner[outer_rows]
 
 
 def section_lines(x: Floats, axis: int, at: float) -> Floats:
     """Lines (n, 2, 3) in which the plane x_axis = at [mm] cuts triangles (m, 3, 3)."""
     height = x[:, :, axis] - at
-    after = np.roll(height, -1, axis=1)
-    crossed = (height >= 0) != (after >= 0)
-    share = (height[crossed] / (height[crossed] - after[crossed]))[:, None]
-    ends = (1 - share) * x[crossed] + share * np.roll(x, -1, axis=1)[crossed]
-    return ends.reshape(-1, 2, 3)
+    next_height = np.roll(height, -1, axis=1)
+    crossed = (height >= 0) != (next_height >= 0)
+    part_of_edge = (height[crossed] / (height[crossed] - next_height[crossed]))[:, None]
+    line_ends = (1 - part_of_edge) * x[crossed] + part_of_edge * np.roll(x, -1, axis=1)[crossed]
+    return line_ends.reshape(-1, 2, 3)
 
 
 def sections(data: MeshData, path: Path) -> None:
     """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
-    around = next(name for name in AROUND_STEM if name in data.interfaces)
-    stem = data.points[interface_facets(data, around)[0], 2]
-    top = stem.max()
+    interface_name = next(name for name in AROUND_STEM if name in data.interfaces)
+    stem = data.points[interface_facets(data, interface_name)[0], 2]
+    top_level = stem.max()
     if "resection" in data.boundaries:
-        top = data.points[boundary_facets(data, "resection"), 2].min()
-    high, low = top - INSIDE, stem.min() + INSIDE
+        top_level = data.points[boundary_facets(data, "resection"), 2].min()
+    upper_plane, lower_plane = top_level - INSIDE, stem.min() + INSIDE
     planes = {
-        "near the neck cut": float(np.floor(high)),
-        "middle of the stem": float(np.round(0.5 * (high + low))),
-        "above the tip": float(np.ceil(low)),
+        "near the neck cut": float(np.floor(upper_plane)),
+        "middle of the stem": float(np.round(0.5 * (upper_plane + lower_plane))),
+        "above the tip": float(np.ceil(lower_plane)),
     }
     figure = figures.new(12.0, 4.0)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -157,15 +159,17 @@ def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
     u, v = (i for i in range(3) if i != axis)
     polygons, edges, _ = section(data, axis, at)
     for name, colour in colours_of(data.regions).items():
-        filled = [
+        region_polygons = [
             x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons
         ]
-        area = PathCollection([joined(filled)], color=colour, linewidths=0)
+        area = PathCollection([joined(region_polygons)], color=colour, linewidths=0)
         ax.add_collection(area, autolim=False)
     ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
     tags = data.cell_tags.astype(np.int64)
-    around, _ = outlines([(x, tags[cell]) for x, cell in polygons])
-    ax.add_collection(LineCollection(list(around[..., [u, v]]), colors="#1d2429", lw=OUTLINE))
+    region_outlines, _ = outlines([(x, tags[cell]) for x, cell in polygons])
+    ax.add_collection(
+        LineCollection(list(region_outlines[..., [u, v]]), colors="#1d2429", lw=OUTLINE)
+    )
     ax.autoscale_view()
 
 
@@ -178,8 +182,8 @@ def middle_plane(low: float, high: float) -> float:
 
 def colours_of(names: Iterable[str]) -> dict[str, str]:
     """Colour of each region."""
-    free = (c for _ in names for c in OTHERS)
-    return {name: COLOURS.get(name) or next(free) for name in names}
+    other_colours = (c for _ in names for c in OTHERS)
+    return {name: COLOURS.get(name) or next(other_colours) for name in names}
 
 
 def interfaces(data: MeshData, path: Path) -> None:
@@ -196,14 +200,17 @@ def interfaces(data: MeshData, path: Path) -> None:
     patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
     middle = patches[1].mean(axis=1)
     thickness = distance(middle, patches[0])
-    around = middle[:, 2] > patches[0][:, :, 2].min()
-    shown = ScalarMappable(
-        Normalize(np.floor(thickness.min()), np.ceil(thickness[around].max())), colormaps["viridis"]
+    is_around_stem = middle[:, 2] > patches[0][:, :, 2].min()
+    colour_map = ScalarMappable(
+        Normalize(np.floor(thickness.min()), np.ceil(thickness[is_around_stem].max())),
+        colormaps["viridis"],
     )
-    grey = np.tile(to_rgb(METAL), (len(patches[0]), 1))
-    tinted = np.where(around[:, None], shown.to_rgba(thickness)[:, :3], to_rgb(PLUG))
-    cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
-    edges = (np.full(len(stem[0]), "k"), np.where(cortex, CORTEX, "k"))
+    stem_colours = np.tile(to_rgb(METAL), (len(patches[0]), 1))
+    bone_colours = np.where(
+        is_around_stem[:, None], colour_map.to_rgba(thickness)[:, :3], to_rgb(PLUG)
+    )
+    on_cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
+    edges = (np.full(len(stem[0]), "k"), np.where(on_cortex, CORTEX, "k"))
 
     widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in FRONT_AND_SIDE]
     figure = figures.new(8.5, 10.5)
@@ -211,10 +218,12 @@ def interfaces(data: MeshData, path: Path) -> None:
     for k, facets in enumerate((stem[0], bone[0])):
         for view in FRONT_AND_SIDE:
             ax = next(axes)
-            surface(ax, data.points[facets], patches[k], (grey, tinted)[k], edges[k], view)
+            surface(
+                ax, data.points[facets], patches[k], (stem_colours, bone_colours)[k], edges[k], view
+            )
             ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
-    figure.colorbar(shown, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
+    figure.colorbar(colour_map, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
     figures.save(figure, path, 95, PNG)
 
 
@@ -223,21 +232,21 @@ def _stem_in_bone(data: MeshData, path: Path) -> None:
     facets, _, cells = interface_facets(data, "stem_bone")
     pieces = triangles(data.points, facets)
     outside = triangles(data.points, boundary_facets(data, "bone_surface"))
-    left = distance(pieces.mean(axis=1), outside)
-    shown = ScalarMappable(Normalize(0.0, np.ceil(left.max())), colormaps["viridis"])
-    cortex = data.cell_tags[cells] == data.regions.get("cortical_bone")
-    edges = np.where(cortex, CORTEX, "k")
+    thickness = distance(pieces.mean(axis=1), outside)
+    colour_map = ScalarMappable(Normalize(0.0, np.ceil(thickness.max())), colormaps["viridis"])
+    on_cortex = data.cell_tags[cells] == data.regions.get("cortical_bone")
+    edges = np.where(on_cortex, CORTEX, "k")
     widths = [np.ptp(pieces[:, :, VIEWS[view][0]]) for view in FRONT_AND_SIDE]
     figure = figures.new(6.0, 10.5)
     for ax, view in zip(
         figure.subplots(1, 2, sharey=True, width_ratios=widths), FRONT_AND_SIDE, strict=True
     ):
-        colours = shown.to_rgba(left)[:, :3]
+        colours = colour_map.to_rgba(thickness)[:, :3]
         surface(ax, data.points[facets], pieces, np.asarray(colours), edges, view)
         ax.set_title(f"stem_bone\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     label = "bone between the stem and the outer surface (mm)"
-    figure.colorbar(shown, ax=figure.axes, label=label, shrink=0.5)
+    figure.colorbar(colour_map, ax=figure.axes, label=label, shrink=0.5)
     figures.save(figure, path, 95, PNG)
 
 
@@ -259,28 +268,34 @@ def surface(
         edges: Colour of the edges of each facet (k,) or (k, 3); None draws none.
         view: One of `VIEWS`.
     """
-    across, leftward, toward = VIEWS[view]
-    eye = 1 if leftward == (toward == 1) else -1
+    horizontal_axis, leftward, viewing_axis = VIEWS[view]
+    eye = 1 if leftward == (viewing_axis == 1) else -1
 
     def normals(x: Floats) -> Floats:
         normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
 
     normal = normals(pieces)
-    normal[eye * normal[:, toward] < 0] *= -1  # seen from inside, through the open top
-    right = -normal[:, across] if leftward else normal[:, across]
-    light = np.stack([right, normal[:, 2], eye * normal[:, toward]], axis=1) @ LIGHT
-    lit = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
-    order = np.argsort(eye * pieces[:, :, toward].mean(axis=1))
+    normal[eye * normal[:, viewing_axis] < 0] *= -1  # seen from inside, through the open top
+    horizontal = -normal[:, horizontal_axis] if leftward else normal[:, horizontal_axis]
+    light = np.stack([horizontal, normal[:, 2], eye * normal[:, viewing_axis]], axis=1) @ LIGHT
+    lit_colours = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
+    order = np.argsort(eye * pieces[:, :, viewing_axis].mean(axis=1))
     # Arrays, of which matplotlib makes paths in half the time of lists; its types do not know them.
-    flat: Any = pieces[order][:, :, [across, 2]]
-    ax.add_collection(PolyCollection(flat, color=lit[order], linewidths=0.3, rasterized=True))
+    projected_triangles: Any = pieces[order][:, :, [horizontal_axis, 2]]
+    ax.add_collection(
+        PolyCollection(
+            projected_triangles, color=lit_colours[order], linewidths=0.3, rasterized=True
+        )
+    )
     if edges is not None:
-        near = eye * normals(facets)[:, toward] > 0
-        ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
-        rings: Any = facets[near][:, ring][:, :, [across, 2]]
-        ax.add_collection(PolyCollection(rings, fc="none", ec=edges[near], linewidths=0.2))
+        faces_viewer = eye * normals(facets)[:, viewing_axis] > 0
+        corner_order = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
+        projected_facets: Any = facets[faces_viewer][:, corner_order][:, :, [horizontal_axis, 2]]
+        ax.add_collection(
+            PolyCollection(projected_facets, fc="none", ec=edges[faces_viewer], linewidths=0.2)
+        )
     ax.autoscale_view()
-    ax.set(aspect="equal", xlabel=f"{AXES[across]} (mm)")
+    ax.set(aspect="equal", xlabel=f"{AXES[horizontal_axis]} (mm)")
     if leftward:
         ax.invert_xaxis()

@@ -46,18 +46,18 @@ def dots(
         limits: Values beyond which a dot stands at the margin.
         bound: Value of a line through all rows.
     """
-    low, high = limits
+    lowest, highest = limits
     counts: dict[Kind, int] = {}
-    for k, members in enumerate(rows.values()):
-        for i, dot in enumerate(members):
-            x = min(max(dot.value, low), high)
-            y = k + SPREAD * ((i + 0.5) / len(members) - 0.5)
+    for k, row_dots in enumerate(rows.values()):
+        for i, dot in enumerate(row_dots):
+            x = min(max(dot.value, lowest), highest)
+            y = k + SPREAD * ((i + 0.5) / len(row_dots) - 0.5)
             axes.plot(x, y, dot.kind.marker, color=dot.kind.colour, markersize=4.5, alpha=0.8)
             counts[dot.kind] = counts.get(dot.kind, 0) + 1
             if dot.name:
                 axes.annotate(f"{dot.name} ", (x, y), ha="right", va="center", fontsize=NAMES)
     axes.axvline(bound, color="0.27", linewidth=1)
-    axes.set(xscale="log", xlim=(low / 1.5, 1.7 * high), ylim=(len(rows) - 0.4, -0.6))
+    axes.set(xscale="log", xlim=(lowest / 1.5, 1.7 * highest), ylim=(len(rows) - 0.4, -0.6))
     axes.set_yticks(range(len(rows)), list(rows), fontsize=WORDS)
     for kind, count in counts.items():
         label = f"{kind.name} ({count})"
