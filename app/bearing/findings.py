@@ -52,8 +52,10 @@ def _heat(case: Case) -> Iterable[Fault]:
             )
             yield Fault(path, message)
         if name in sliding and law.conductance is None:
-            message = "the two sides share no nodes; expected a finite conductance, a large one for "
-            message += "perfect conduction"
+            message = (
+                "the two sides share no nodes; expected a finite conductance, a large one for"
+                " perfect conduction"
+            )
             yield Fault(("interfaces", name, "conductance"), message)
 
 
