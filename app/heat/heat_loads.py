@@ -148,7 +148,7 @@ class FixedTemperatures:
 
     def blocks(self, values: Floats, jumps: TemperatureJumps | None) -> list[Floats]:
         """Given continuous temperature (n,) and jumps [K], zero elsewhere."""
-        given_temperatures = [values[self.base, self._nodes]]
+        given = [values[self.base, self._nodes]]
         if jumps is not None:
             master, slave = (values[jumps.prescribing_condition[:, k], jumps.dof] for k in (0, 1))
             given.append(slave - master)

@@ -124,11 +124,8 @@ class ImplicitStep(System):
         if is_direct(linear, self._blocks.matrix[0][0].getSize()[0]):
             # Low conductance couples the jumps strongly: block Gauss-Seidel takes many iterations.
             return {"": KEPT_FACTORS}
-        options_of_blocks: dict[str, Options] = {
-            "temperature": MULTIGRID,
-            "temperature_jump": INTERFACE,
-        }
-        return {name: options_of_blocks[name] for name in self.blocks()}
+        every: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
+        return {name: every[name] for name in self.blocks()}
 
     def initial(self) -> list[PETSc.Vec]:
         """The state at the start."""
@@ -181,15 +178,11 @@ class ImplicitStep(System):
         for i, c in enumerate(operators.scene.thermal_contacts):
             if operators.jumps and max(c.law.conductances[:2]) > 0:
                 points = operators.jumps.points
-                for first_body, second_body in np.unique(
-                    points.bodies[points.interface == i], axis=0
-                ):
-                    group[group == group[second_body]] = group[first_body]
+                for first, second in np.unique(points.bodies[points.interface == i], axis=0):
+                    group[group == group[second]] = group[first]
         for c in operators.scene.sliding_heat:
-            first_body, second_body = (
-                operators.bodies.of_region[side[0]] for side in (c.master, c.slave)
-            )
-            group[group == group[second_body]] = group[first_body]
+            first, second = (operators.bodies.of_region[side[0]] for side in (c.master, c.slave))
+            group[group == group[second]] = group[first]
         unset_bodies = np.flatnonzero(~np.isin(group, group[is_set]))
         if len(unset_bodies):
             raise InputError(
@@ -217,8 +210,8 @@ class ImplicitStep(System):
         fixed = self.operators.fixed
         values = fixed.values(seconds)
         self._given_values = fixed.blocks(values, self.operators.jumps)
-        given_temperatures = fixed.by_body(values)[fixed.of_body >= 0]
-        self.operators.principle.include_data(given_temperatures, self._source_heat)
+        given = fixed.by_body(values)[fixed.of_body >= 0]
+        self.operators.principle.include_data(given, self._source_heat)
 
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
         """Set given temperatures and jumps in a state."""
@@ -239,8 +232,8 @@ class ImplicitStep(System):
             if self.comm.allreduce(is_same, MPI.LAND):
                 return self._last_evaluation
         T = operators.nodal(x)
-        stored_heat = self._inverse_length * operators.capacity * (T - self._start_temperatures)
-        terms = [operators.loads.exchanged(T), stored_heat, -self._source_heat]
+        stored = self._inverse_length * operators.capacity * (T - self._start_temperatures)
+        terms = [operators.loads.exchanged(T), stored, -self._source_heat]
         terms += [-operators.cure.heat_into_nodes(T)] if operators.cure else []
         terms += [-operators.friction.nodal] if operators.friction else []
         terms += (
@@ -256,12 +249,12 @@ class ImplicitStep(System):
             residual_heat[b] = heat_flow.array_r
         for term in terms:
             residual_heat += term
-        terms_of_bodies = [of_body for term in terms for of_body in term]
+        parts = [of_body for term in terms for of_body in term]
         flux = operators.jumps.flux(inputs[1]) if operators.jumps else None
         if operators.jumps and flux:
-            terms_of_bodies.append(operators.jumps.weight * flux[0])
+            parts.append(operators.jumps.weight * flux[0])
         self._last_evaluation = HeatEvaluation(
-            [a.copy() for a in inputs], T, residual_heat, terms_of_bodies, flux
+            [a.copy() for a in inputs], T, residual_heat, parts, flux
         )
         return self._last_evaluation
 
@@ -296,15 +289,15 @@ class ImplicitStep(System):
         large and cancels in a state that hardly changes.
         """
         evaluation = self.evaluate(x)
-        measures = [
+        parts = [
             np.where(self._is_held, evaluation.residual_heat.sum(axis=0), 0.0),
             *evaluation.parts,
         ]
         diagonal_terms = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
-        local = np.array([float(a @ a) for a in (*measures, *diagonal_terms)])
+        local = np.array([float(a @ a) for a in (*parts, *diagonal_terms)])
         norms = np.sqrt(np.array(self.comm.allreduce(local, MPI.SUM)))
-        scale = float(norms[: len(measures)].sum())
-        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(measures) :].sum())
+        scale = float(norms[: len(parts)].sum())
+        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
         return [Measure(block_norm(list(f)), RELATIVE_TOLERANCE * scale, rounding, lasting=False)]
 
     def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:

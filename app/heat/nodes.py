@@ -84,10 +84,8 @@ class InterfaceNodes:
         interface: tuple[Sequence[str], Sequence[str]],
         faces: tuple[Ints, Ints] | None = None,
     ) -> None:
-        first_nodes, second_nodes = (
-            np.concatenate([nodes[r].dof for r in side]) for side in interface
-        )
-        self._dof, self.apart = np.intersect1d(first_nodes, second_nodes), faces is not None
+        first, second = (np.concatenate([nodes[r].dof for r in side]) for side in interface)
+        self._dof, self.apart = np.intersect1d(first, second), faces is not None
         self.sides: list[Side] = [
             {r: np.flatnonzero(np.isin(nodes[r].dof, nodes_of_side)) for r in side}
             for side, nodes_of_side in zip(interface, faces or (self._dof, self._dof), strict=True)
@@ -104,8 +102,8 @@ class InterfaceNodes:
         Empty for bodies meshed separately.
         """
         table = np.stack([t.x.array[self._dof] for t in temperatures])
-        first_temperatures, second_temperatures = table[self._bodies, np.arange(len(self._dof))]
-        return np.asarray(second_temperatures - first_temperatures)
+        first, second = table[self._bodies, np.arange(len(self._dof))]
+        return np.asarray(second - first)
 
 
 class Probes:
@@ -128,9 +126,9 @@ class Probes:
         for k, (name, probe) in enumerate(probes.items()):
             location = _locate(tagged, name, probe)
             if location is not None:
-                cell, region, barycentric = location
+                cell, region, share = location
                 dofs = space.dofmap.list[cell].astype(np.int64)
-                table = space.element.basix_element.tabulate(0, barycentric[None, 1:])
+                table = space.element.basix_element.tabulate(0, share[None, 1:])
                 self._local_probes.append((k, of_region[region], dofs, table.ravel()[: len(dofs)]))
         self._components = space.dofmap.bs
 
@@ -152,27 +150,24 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
     """
     comm, geometry = tagged.mesh.comm, tagged.mesh.geometry
     tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
-    position, region = probe
+    at, region = probe
     cells = np.flatnonzero(tags == tagged.regions[region]) if region else np.arange(len(tags))
     # Columns in the order of gmsh.
     nodes: Ints = np.empty((len(cells), geometry.dofmap.shape[1]), dtype=np.int64)
     nodes[:, cell_perm_array(CellType.tetrahedron, nodes.shape[1])] = geometry.dofmap[cells]
-    located = place(np.asarray(geometry.x, np.float64), nodes, np.array([position]))
+    located = place(np.asarray(geometry.x, np.float64), nodes, np.array([at]))
     inside_margin, rank = comm.allreduce((located.inside[0], -comm.rank), MPI.MAX)
     if inside_margin == -np.inf:
         raise InputError(outside_text(probed, probe))
     if rank != -comm.rank:
         return None
-    name_of_tag = {tag: name for name, tag in tagged.regions.items()}
+    names = {tag: name for name, tag in tagged.regions.items()}
     cell = int(cells[located.cell[0]])
-    return cell, name_of_tag[int(tags[cell])], located.share[0]
+    return cell, names[int(tags[cell])], located.share[0]
 
 
 def outside_text(name: str, probe: Probe) -> str:
     """Return the message on a probe that is not in its region."""
-    position, region = probe
-    region_text = f"region '{region}'" if region else "the model"
-    return (
-        f"output.probes.{name}: {list(position)} mm is not in {region_text}; allowed: a point"
-        " inside"
-    )
+    at, region = probe
+    where = f"region '{region}'" if region else "the model"
+    return f"output.probes.{name}: {list(at)} mm is not in {where}; allowed: a point inside"

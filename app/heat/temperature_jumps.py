@@ -65,21 +65,17 @@ class TemperatureJumps:
         names = [c.name for c in contacts]
         self.points, entries = contact_points(facets, holds, names, {}, by_face=False)
         self.owned_rows, number_of_point = owners(comm, index_map, self.points.dof)
-        first_owned, after_owned = index_map.local_range
+        begin, end = index_map.local_range
         n = len(self.owned_rows)
-        self.dof = self.points.dof[self.owned_rows] - first_owned
+        self.dof = self.points.dof[self.owned_rows] - begin
         self.interface = self.points.interface[self.owned_rows]
         self.bodies = self.points.bodies[self.owned_rows]
         self.weight = self.points.weight[self.owned_rows]
         self.prescribing_condition = self.points.prescribing_support[self.owned_rows, 0]
         self.prescribed = self.prescribing_condition[:, 0] >= 0
         # Temperature has one component where displacement has three.
-        owned = (
-            (entries.column % 3 == 0)
-            & (entries.row >= 3 * first_owned)
-            & (entries.row < 3 * after_owned)
-        )
-        row, column = entries.row[owned] // 3 - first_owned, entries.column[owned] // 3
+        owned = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
+        row, column = entries.row[owned] // 3 - begin, entries.column[owned] // 3
         body, value = entries.body[owned], entries.value[owned]
         self.moves: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
@@ -88,8 +84,8 @@ class TemperatureJumps:
             self.moves[b] = from_triplets(comm, forms.owned, n, row[i], columns, value[i])
         self.pressure: Floats = np.zeros(n)
         self.friction: Floats = np.zeros(n)
-        slave_shares = {f.name: f.slave_share for f in scene.friction_heat}
-        self.share = np.array([slave_shares.get(c.name, 0.0) for c in contacts])[self.interface]
+        shares = {f.name: f.slave_share for f in scene.friction_heat}
+        self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
         with forms.compiling():
             inputs = ("p", "τ", "open", "per_pressure", "cap")
             self._law = Pointwise(
@@ -112,7 +108,7 @@ def _held_vertices(
 ) -> VertexConstraints:
     """Given temperatures at the vertices of interfaces, as supports hold displacement."""
     start = forms.space.dofmap.index_map.local_range[0]
-    dof, first_rows = np.unique(facets.dofs[:, :3], return_index=True)
+    dof, first = np.unique(facets.dofs[:, :3], return_index=True)
     owned = (dof >= start) & (dof < start + forms.owned)
     node, vertex = dof[owned] - start, facets.vertices.ravel()[first[owned]]
     body, row = np.nonzero(prescribed[:, node] >= 0)

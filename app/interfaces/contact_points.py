@@ -128,7 +128,7 @@ def _surface(
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
-    all_corners, first_rows, corner_numbers = np.unique(
+    all_corners, first, corner_numbers = np.unique(
         keys, axis=0, return_index=True, return_inverse=True
     )
     corner_numbers = corner_numbers.ravel()
@@ -144,8 +144,8 @@ def _surface(
     surface = ContactSurface(
         interface=all_corners[order, 0],
         vertex=all_corners[order, 1],
-        dof=facets.dofs[:, :3].ravel()[first_rows[order]],
-        x=facets.x.reshape(-1, 3)[first_rows[order]],
+        dof=facets.dofs[:, :3].ravel()[first[order]],
+        x=facets.x.reshape(-1, 3)[first[order]],
         bodies=all_corners[order, 2:],
         normals=normals[order],
         faces=faces[order],
@@ -200,9 +200,9 @@ def _forest(
         normals: Unit normals of the corners (m, 3, 3).
         names: Names of the interfaces.
     """
-    edges_of_vertices = shared(all_corners[:, 1])
+    groups = shared(all_corners[:, 1])
     crowded = np.zeros(len(all_corners), dtype=bool)
-    for rows in edges_of_vertices:
+    for rows in groups:
         crowded[rows] = len(rows) >= len(np.unique(all_corners[rows, 2:]))
     corners = corner_numbers.reshape(-1, 3)
     has_point = (~crowded[corners]).any(axis=1)
@@ -211,7 +211,7 @@ def _forest(
     sides = np.unique(all_corners[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
     size = np.bincount(sides[corner_numbers], facets.area.ravel())
     total = float(size.sum())
-    is_needed = np.zeros(len(size), dtype=bool)
+    needed = np.zeros(len(size), dtype=bool)
 
     def rank(p: int, rows: Ints) -> tuple[bool, bool, bool, float, float, str, int, int]:
         other_points = rows[rows != p]
@@ -231,7 +231,7 @@ def _forest(
 
     while True:
         is_point = np.ones(len(all_corners), dtype=bool)
-        for rows in edges_of_vertices:
+        for rows in groups:
             if not crowded[rows[0]]:
                 continue
             group = {int(body): int(body) for body in all_corners[rows, 2:].ravel()}
@@ -239,10 +239,10 @@ def _forest(
                 a, b = (group[int(body)] for body in all_corners[p, 2:])
                 is_point[p] = a != b
                 group = {body: a if g == b else g for body, g in group.items()}
-        without_point = (np.bincount(sides, is_point) == 0) & ~is_needed
+        without_point = (np.bincount(sides, is_point) == 0) & ~needed
         if not without_point.any():
             return is_point
-        is_needed |= without_point
+        needed |= without_point
 
 
 def _jumps_at_vertices(
@@ -386,10 +386,10 @@ def _at_edges(
     of_sides = [
         np.column_stack([edges.reshape(-1, 3), np.repeat(side, 3)]) for side in facets.bodies.T
     ]
-    rows, first_rows = np.unique(np.concatenate(of_sides), axis=0, return_index=True)
+    rows, first = np.unique(np.concatenate(of_sides), axis=0, return_index=True)
     bend: Floats = np.zeros((len(rows), 3, 3))
     if facets.nodes.shape[1] == 6:
-        corner = first_rows % (3 * len(edges))
+        corner = first % (3 * len(edges))
         start, end = (facets.x[:, k].reshape(-1, 3)[corner] for k in (a, b))
         bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[corner])
     # A jump prescribed at both ends may be constrained in the middle too.
@@ -408,9 +408,9 @@ def _at_edges(
     key = body * stride + points.vertex[point]
     needed_keys = (rows[:, 3] * stride + rows[:, 1:3].T).ravel()
     order = np.argsort(key, kind="stable")
-    first_entries = np.searchsorted(key, needed_keys, "left", order)
-    after_entries = np.searchsorted(key, needed_keys, "right", order)
-    end = np.repeat(np.arange(len(needed_keys)), after_entries - first_entries)
-    inside = np.arange(len(end)) + (after_entries - np.cumsum(after_entries - first_entries))[end]
+    low = np.searchsorted(key, needed_keys, "left", order)
+    high = np.searchsorted(key, needed_keys, "right", order)
+    end = np.repeat(np.arange(len(needed_keys)), high - low)
+    inside = np.arange(len(end)) + (high - np.cumsum(high - low))[end]
     edge, move = rows[end % len(rows)], order[inside]
     return edge[:, 3], edge[:, 0], point[move], middles[end] @ blocks[move]

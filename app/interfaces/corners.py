@@ -84,8 +84,8 @@ class ContactSurface(Corners):
         """Values at the corners (m, ...) from those at the points (n, ...), by area."""
         if self.dependence is None:
             return values
-        spread_rows = self.dependence.values @ values.reshape(len(values), -1)
-        return np.asarray(spread_rows.reshape(-1, *values.shape[1:]))
+        flat = self.dependence.values @ values.reshape(len(values), -1)
+        return np.asarray(flat.reshape(-1, *values.shape[1:]))
 
     def spread_forces(self, forces: Floats) -> Floats:
         """Forces per area of the corners (m, 3) from those per area of the points (n, 3) [MPa]."""

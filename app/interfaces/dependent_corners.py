@@ -187,7 +187,7 @@ def in_means(
     np.add.at(handed_share, handed.point, share)
 
     shape = len(surface.vertex) - n, n
-    to_corners = _blocks(handed_share, handed.corner - n, handed.point, shape)
+    to_corners = _blocks(share, handed.corner - n, handed.point, shape)
     A = _three(_dependent_jumps(surface, n))
     identity = eye_array(3 * n, format="csr")
     free_directions = _diagonal(np.eye(3) - projectors(points.axes, points.held))
@@ -233,27 +233,27 @@ def _inverse(G: csr_array, surface: ContactSurface, names: Sequence[str]) -> csr
         InputError: The matrix is singular.
     """
     affected = np.flatnonzero(np.diff(G.indptr) != 1)
-    changed_rows = np.unique(np.concatenate([affected, G[affected].indices]))
-    part = csc_array(G[changed_rows][:, changed_rows])
+    changed = np.unique(np.concatenate([affected, G[affected].indices]))
+    part = csc_array(G[changed][:, changed])
     try:
         local = csr_array(inv(part)).tocoo()
     except RuntimeError:  # exactly singular
         local = None
     if local is None or not np.abs(local.data).max(initial=0.0) < LARGEST_INVERSE:
         direction = np.linalg.svd(part.toarray())[2][-1]
-        p = int(changed_rows[np.abs(direction).argmax()] // 3)
+        p = int(changed[np.abs(direction).argmax()] // 3)
         x, y, z = surface.x[p]
         raise InputError(
             f"interfaces.{names[int(surface.interface[p])]}: too few of its nodes near "
             f"({x:.4g}, {y:.4g}, {z:.4g}) mm are beside the lines where interfaces meet, so its "
             "pressure there is not determined; use a finer mesh"
         )
-    unchanged = np.setdiff1d(np.arange(G.shape[0]), changed_rows)
-    row = np.concatenate([unchanged, changed_rows[local.row]])
-    column = np.concatenate([unchanged, changed_rows[local.col]])
+    unchanged = np.setdiff1d(np.arange(G.shape[0]), changed)
+    row = np.concatenate([unchanged, changed[local.row]])
+    column = np.concatenate([unchanged, changed[local.col]])
     value = np.concatenate([np.ones(len(unchanged)), local.data])
-    is_kept = np.abs(value) > ROUNDING
-    return csr_array((value[is_kept], (row[is_kept], column[is_kept])), shape=G.shape)
+    keep = np.abs(value) > ROUNDING
+    return csr_array((value[keep], (row[keep], column[keep])), shape=G.shape)
 
 
 def _pressures(

@@ -39,14 +39,14 @@ def faces_around(
     of_corner, doubt_of_corner = _normals_of_surface(facets, label)
     is_used = point >= 0
     pairs = np.stack([point[is_used], label[is_used]], axis=1)
-    groups, first_rows, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    groups, first, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     corner_area, corner_normal = facets.area.ravel()[is_used], of_corner[is_used]
     area, normal = np.zeros(len(groups)), np.zeros((len(groups), 3))
     np.add.at(area, group, corner_area)
     np.add.at(normal, group, corner_area[:, None] * corner_normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     # A body slides on all of an interface at once.
-    corner = np.flatnonzero(is_used)[first_rows]
+    corner = np.flatnonzero(is_used)[first]
     sides = np.column_stack([facets.interface, facets.bodies])[corner // 3]
     x, doubt_of_group = facets.x.reshape(-1, 3)[corner], doubt_of_corner[corner]
     for side in np.unique(sides[facets.straight[corner // 3]], axis=0):
@@ -59,9 +59,9 @@ def faces_around(
     normals[owner, 0] = normal
     np.add.at(weight, owner, area)
     for rows in shared(owner):
-        point_normals = _distinct(normal[rows], area[rows])
-        p, faces[p] = owner[rows[0]], len(point_normals)
-        normals[p, : len(point_normals)] = point_normals
+        ns = _distinct(normal[rows], area[rows])
+        p, faces[p] = owner[rows[0]], len(ns)
+        normals[p, : len(ns)] = ns
     doubt = np.zeros(n)
     np.maximum.at(doubt, point[is_used], doubt_of_corner[is_used])
     return normals, faces, weight, doubt
@@ -73,8 +73,8 @@ def _normals_of_surface(facets: InterfaceFacets, label: Ints) -> tuple[Floats, F
     Straight facets have the normals of the smooth surface that they approximate. Curved ones have
     the mean of their normals; its doubt is the angle between the means by area and by number.
     """
-    _, first_rows, node = np.unique(label, return_index=True, return_inverse=True)
-    corners, x = node.reshape(-1, 3), facets.x.reshape(-1, 3)[first_rows]
+    _, first, node = np.unique(label, return_index=True, return_inverse=True)
+    corners, x = node.reshape(-1, 3), facets.x.reshape(-1, 3)[first]
     normal = unit_sums(facets.normal, facets.area, corners, len(x))
     by_number = unit_sums(facets.normal, np.ones_like(facets.area), corners, len(x))
     doubt = np.linalg.norm(normal - by_number, axis=1)
@@ -108,8 +108,10 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     ends /= np.linalg.norm(ends, axis=1, keepdims=True)
     cosine = np.einsum("ei,ei->e", ends[a], ends[b])
     # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
-    corners_of_one = 3 * (a // 3)[:, None] + local[a % 3]
-    corners_of_other = 3 * (b // 3)[:, None] + local[b % 3]
+    corners_of_one, corners_of_other = (
+        3 * (a // 3)[:, None] + local[a % 3],
+        3 * (b // 3)[:, None] + local[b % 3],
+    )
 
     def joined_by(smooth: Bools) -> Ints:
         return connected(
@@ -152,14 +154,12 @@ def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
     ``held`` are projectors on the constrained directions of each point (n, 3, 3).
     """
     for p in np.flatnonzero(held.any(axis=(1, 2))):
-        free_normals = normals[p, : faces[p]] @ (np.eye(3) - held[p])
-        size = np.linalg.norm(free_normals, axis=1)
-        is_remaining = size > INDEPENDENT
+        ns = normals[p, : faces[p]] @ (np.eye(3) - held[p])
+        size = np.linalg.norm(ns, axis=1)
+        remaining = size > INDEPENDENT
         normals[p], faces[p] = 0, 0
-        if is_remaining.any():
-            distinct = _distinct(
-                free_normals[is_remaining] / size[is_remaining, None], np.ones(is_remaining.sum())
-            )
+        if remaining.any():
+            distinct = _distinct(ns[remaining] / size[remaining, None], np.ones(remaining.sum()))
             normals[p, : len(distinct)], faces[p] = distinct, len(distinct)
 
 
@@ -179,8 +179,8 @@ def projectors(axes: Floats, weights: Bools | Floats) -> Floats:
 def shared(vertex: Ints) -> list[Ints]:
     """Rows of each vertex that occurs in more than one row."""
     order = np.argsort(vertex, kind="stable")
-    row_groups = np.split(order, np.flatnonzero(np.diff(vertex[order])) + 1)
-    return [rows for rows in row_groups if len(rows) > 1]
+    parts = np.split(order, np.flatnonzero(np.diff(vertex[order])) + 1)
+    return [rows for rows in parts if len(rows) > 1]
 
 
 def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> Floats:
@@ -197,10 +197,8 @@ def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> 
         n = n / size[:, None]
         for corner in corners.T:
             cosines = np.einsum("fki,fi->fk", normals[corner], n)
-            rows, nearest_face = np.arange(len(n)), np.abs(cosines).argmax(axis=1)
-            deviation = (
-                n * np.sign(cosines[rows, nearest_face])[:, None] - normals[corner, nearest_face]
-            )
+            rows, best = np.arange(len(n)), np.abs(cosines).argmax(axis=1)
+            deviation = n * np.sign(cosines[rows, best])[:, None] - normals[corner, best]
             np.add.at(
                 total, corner, size[:, None, None] * deviation[:, :, None] * deviation[:, None, :]
             )

@@ -78,9 +78,9 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
     Raises:
         InputError: The sides of a contact interface are joined elsewhere.
     """
-    name_of_tag = {tag: name for name, tag in tagged.regions.items()}
+    names = {tag: name for name, tag in tagged.regions.items()}
     separated = _separated(tagged, contacts)
-    group = {tag: tag for tag in name_of_tag}
+    group = {tag: tag for tag in names}
     for a, b in _touching(tagged):
         if frozenset((a, b)) not in separated:
             group = _joined(group, a, b)
@@ -92,16 +92,16 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
 
     labels = sorted(set(group.values()), key=rigid_first)
     number = {g: k for k, g in enumerate(labels)}
-    of_region = {name: number[group[tag]] for tag, name in sorted(name_of_tag.items())}
+    of_region = {name: number[group[tag]] for tag, name in sorted(names.items())}
     for c in contacts:
-        shared_bodies = {of_region[r] for r in c.master} & {of_region[r] for r in c.slave}
-        if shared_bodies:
+        shared = {of_region[r] for r in c.master} & {of_region[r] for r in c.slave}
+        if shared:
             raise InputError(
                 f"interfaces.{c.name}: its two sides are joined by other regions that are bonded "
                 "to both; allowed: an interface that separates two bodies"
             )
-    of_tag = np.full(max(name_of_tag) + 1, -1, dtype=np.int64)
-    for tag, name in name_of_tag.items():
+    of_tag = np.full(max(names) + 1, -1, dtype=np.int64)
+    for tag, name in names.items():
         of_tag[tag] = of_region[name]
     return Bodies(
         tuple(" + ".join(r for r, b in of_region.items() if b == k) for k in range(len(labels))),
@@ -119,29 +119,29 @@ def pieces_of(
         The bodies, without names, and pairs of regions that touch without an interface but belong
         to two bodies. Together they would join the two sides of an interface.
     """
-    name_of_tag = {tag: name for name, tag in tagged.regions.items()}
+    names = {tag: name for name, tag in tagged.regions.items()}
     separated = _separated(tagged, interfaces)
-    group, other_pieces = {tag: tag for tag in name_of_tag}, []
+    group, others = {tag: tag for tag in names}, []
     for a, b in _touching(tagged):
         if frozenset((a, b)) in separated:
             continue
-        joined_tags = _joined(group, a, b)
-        if any(len({joined_tags[tag] for tag in pair}) == 1 for pair in separated):
-            other_pieces.append((name_of_tag[a], name_of_tag[b]))
+        joined = _joined(group, a, b)
+        if any(len({joined[tag] for tag in pair}) == 1 for pair in separated):
+            others.append((names[a], names[b]))
         else:
-            group = joined_tags
+            group = joined
     labels = sorted(set(group.values()))
-    of_tag = np.full(max(name_of_tag) + 1, -1, dtype=np.int64)
+    of_tag = np.full(max(names) + 1, -1, dtype=np.int64)
     for tag, label in group.items():
         of_tag[tag] = labels.index(label)
-    of_region = {name: int(of_tag[tag]) for tag, name in name_of_tag.items()}
-    return Bodies(("",) * len(labels), of_region, of_tag), other_pieces
+    of_region = {name: int(of_tag[tag]) for tag, name in names.items()}
+    return Bodies(("",) * len(labels), of_region, of_tag), others
 
 
 def _touching(tagged: TaggedMesh) -> list[tuple[int, int]]:
     """Pairs of tags of regions that share facets, rising; collective."""
-    tag_pairs = np.sort(cell_tags(tagged)[_interior(tagged)[1]], axis=1)
-    pairs = {(int(a), int(b)) for a, b in np.unique(tag_pairs, axis=0) if a != b}
+    between = np.sort(cell_tags(tagged)[_interior(tagged)[1]], axis=1)
+    pairs = {(int(a), int(b)) for a, b in np.unique(between, axis=0) if a != b}
     return sorted(set().union(*tagged.mesh.comm.allgather(pairs)))
 
 
@@ -186,8 +186,8 @@ def facets_by_body(
     """Owned facets of a boundary by body, the same bodies on all ranks; collective."""
     f = boundary_facets(tagged, boundary)
     body = bodies.of_tag[cell_tags(tagged)[f.cells]]
-    present_bodies = set().union(*tagged.mesh.comm.allgather({int(b) for b in np.unique(body)}))
-    return {b: f.facets[body == b].astype(np.int32) for b in sorted(present_bodies)}
+    present = set().union(*tagged.mesh.comm.allgather({int(b) for b in np.unique(body)}))
+    return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
 
 
 def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints]:
@@ -262,10 +262,8 @@ def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[
     """Facets between regions, with the cell inside, which this rank owns."""
     facets, pairs = _interior(tagged)
     tags = cell_tags(tagged)[pairs]
-    is_inside, is_outside = (
-        np.isin(tags, [tagged.regions[r] for r in side]) for side in (inside, outside)
-    )
-    owned = is_inside & is_outside[:, ::-1] & (pairs < tagged.mesh.topology.index_map(3).size_local)
+    near, far = (np.isin(tags, [tagged.regions[r] for r in side]) for side in (inside, outside))
+    owned = near & far[:, ::-1] & (pairs < tagged.mesh.topology.index_map(3).size_local)
     rows, side = np.nonzero(owned)
     facets, cells = facets[rows], pairs[rows, side]
     return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), pairs[rows, 1 - side])
@@ -286,7 +284,7 @@ def nodes_on(tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Int
 
 def touched_nodes(space: fem.FunctionSpace, cells: Bools) -> Bools:
     """Mask of the owned nodes that belong to such cells of any rank (n,); collective."""
-    marker = fem.Function(space)
-    marker.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[np.flatnonzero(cells)])] = 1
-    marker.x.scatter_reverse(la.InsertMode.add)
-    return np.asarray(marker.x.array[: 3 * space.dofmap.index_map.size_local : 3] > 0)
+    marks = fem.Function(space)
+    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[np.flatnonzero(cells)])] = 1
+    marks.x.scatter_reverse(la.InsertMode.add)
+    return np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local : 3] > 0)

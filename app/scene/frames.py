@@ -49,9 +49,9 @@ class Frames:
 
     def owned(self, index_map: IndexMap) -> tuple[Ints, Ints]:
         """Local numbers of owned nodes, and their indices here."""
-        first_owned, after_owned = index_map.local_range
-        owned_rows = np.flatnonzero((self.node >= first_owned) & (self.node < after_owned))
-        return self.node[owned_rows] - first_owned, owned_rows
+        low, high = index_map.local_range
+        places = np.flatnonzero((self.node >= low) & (self.node < high))
+        return self.node[places] - low, places
 
     def support(self, places: Ints, bodies: Ints | int, order: Sequence[int]) -> Ints:
         """Support that constrains each axis of bodies at nodes, -1 where none does (m, 3).
@@ -77,15 +77,15 @@ def held_at(
 ) -> tuple[VertexConstraints, dict[int, Floats]]:
     """Supports at vertices of interfaces, by body, and local axes by vertex; collective."""
     tags = cell_tags(tagged)
-    vertices, first_rows = np.unique(facets.vertices, return_index=True)
-    no_rows = np.zeros(0, dtype=np.int64)
-    entries: list[tuple[Ints, Ints, Ints]] = [(no_rows, no_rows, no_rows)]
+    vertices, first = np.unique(facets.vertices, return_index=True)
+    none = np.zeros(0, dtype=np.int64)
+    entries: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
     for s, support in enumerate(supports):
         f = boundary_facets(tagged, support.boundary)
         corners = facet_nodes(tagged, space, f)[0].ravel()
-        is_near = np.isin(corners, vertices)
-        owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)[is_near]
-        entries.append((corners[is_near], owners, np.full(len(owners), s)))
+        near = np.isin(corners, vertices)
+        owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)[near]
+        entries.append((corners[near], owners, np.full(len(owners), s)))
     columns = map(np.concatenate, zip(*entries, strict=True))
     number, body, support_of = gather(tagged.mesh.comm, *columns)
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
@@ -121,17 +121,17 @@ def frames_of(
     if not any(s.normal for s in supports):
         return None
     comm, tags = tagged.mesh.comm, cell_tags(tagged)
-    corner_points = NODES[: 3 + 3 * (scene.order > 1)]
+    at = NODES[: 3 + 3 * (scene.order > 1)]
     facets = []
     for s in supports:
         f = boundary_facets(tagged, s.boundary)
         _, dofs, x, inside = facet_nodes(tagged, space, f)
         body = np.broadcast_to(bodies.of_tag[tags[f.cells]][:, None], dofs.shape)
-        place = np.einsum("qn,fni->fqi", shape_functions(corner_points, x.shape[1]), x)
-        n = nodal_normals(x, inside, corner_points)
+        place = np.einsum("qn,fni->fqi", shape_functions(at, x.shape[1]), x)
+        n = nodal_normals(x, inside, at)
         facets.append((dofs.ravel(), body.ravel(), place.reshape(-1, 3), n.reshape(-1, 3)))
-    near_nodes = np.concatenate([f[0] for f, s in zip(facets, supports, strict=True) if s.normal])
-    node = np.unique(gather(comm, near_nodes)[0])
+    near = np.concatenate([f[0] for f, s in zip(facets, supports, strict=True) if s.normal])
+    node = np.unique(gather(comm, near)[0])
     acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
     places = np.zeros((len(node), 3))
     support_projectors = np.zeros((len(node), len(supports), 3, 3))
@@ -176,11 +176,11 @@ def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Flo
     np.add.at(sums, node, normals)
     sizes = np.linalg.norm(sums, axis=1, keepdims=True)
     mean = np.divide(sums, sizes, out=np.zeros(sums.shape), where=sizes > 0)
-    is_flat = np.einsum("mi,mi->m", normals, mean[node]) < SMOOTH * np.linalg.norm(normals, axis=1)
-    if is_flat.any():
+    flat = np.einsum("mi,mi->m", normals, mean[node]) < SMOOTH * np.linalg.norm(normals, axis=1)
+    if flat.any():
         raise InputError(
             f"supports.{support.name}: boundary '{support.boundary}' has an edge at "
-            f"{point_text(places[node[np.argmax(is_flat)]])}, where it has no unique normal; "
+            f"{point_text(places[node[np.argmax(flat)]])}, where it has no unique normal; "
             "`normal: face` needs a smooth boundary, so use a separate support for each face"
         )
     return mean
@@ -230,14 +230,13 @@ def _axes(
     golden = (1 + np.sqrt(5)) / 2
     total = sum((1 + (k * golden) % 1) * part for k, part in enumerate(parts, 1))
     _, axes = np.linalg.eigh(total)
-    support_names = "supports." + ", ".join(supports[s].name for s in used_supports)
+    names = "supports." + ", ".join(supports[s].name for s in used)
     for span in spans:
         inside = np.einsum("nic,nij,njd->ncd", axes, span, axes) * (1 - np.eye(3))
-        is_wrong = np.abs(inside).max(axis=(1, 2)) > np.sqrt(ONE)
-        if is_wrong.any():
+        wrong = np.abs(inside).max(axis=(1, 2)) > np.sqrt(ONE)
+        if wrong.any():
             raise InputError(
-                f"{support_names}: at {point_text(x[np.argmax(is_wrong)])} they hold several"
-                " bodies, or one "
+                f"{names}: at {point_text(x[np.argmax(wrong)])} they hold several bodies, or one "
                 "in several stages, along directions that are neither the same nor at right "
                 "angles; use the same directions"
             )
@@ -274,8 +273,7 @@ def _refuse_unlike(
                 )
                 if (wrong > ONE * size).any():
                     raise InputError(
-                        f"{names}: contradict each other at"
-                        f" {point_text(x[np.argmax(deviation_size)])}; "
+                        f"{names}: contradict each other at {point_text(x[np.argmax(wrong)])}; "
                         "prescribe equal displacements, and zero where the directions are not at "
                         "right angles"
                     )

@@ -160,10 +160,10 @@ class Scene:
         A load with a cycle table or a motion has three parts, one along each axis.
         """
         forces: dict[str, Floats] = {}
-        load_times = [self.load_time(float(time)) for time in times]
+        at = [self.load_time(float(time)) for time in times]
         for load in self.loads:
             if load.resultant is not None:
-                factors = [load.amplitude(time) for time in load_times]
+                factors = [load.amplitude(time) for time in at]
                 part = np.outer(factors, load.resultant)
                 forces[load.name] = forces.get(load.name, 0.0) + part
         return {name: np.linalg.norm(force, axis=1) for name, force in forces.items()}
@@ -188,12 +188,12 @@ class Scene:
     def rotation_substeps(self, k: int, part: float) -> int:
         """Sub-steps per increment of stage k that keep every rotation below `largest_step`."""
         times = [k + i * part for i in range(round(1 / part) + 1)]
-        most_substeps = 1
+        most = 1
         for m in self.motions:
             R = [self.rotation(m, t) for t in times]
             angles = (float(np.linalg.norm(rotation_vector(b @ a.T))) for a, b in pairwise(R))
-            most_substeps = max(most_substeps, math.ceil(max(angles) / m.largest_step - 1e-9))
-        return most_substeps
+            most = max(most, math.ceil(max(angles) / m.largest_step - 1e-9))
+        return most
 
     def last_reversal(self, time: float) -> float:
         """The last time before a time at which loads reverse or a stage begins."""
@@ -264,9 +264,9 @@ def scene_of(
     Raises:
         InputError: The sides of an interface are unknown.
     """
-    unknown_names = [name for name in interfaces if name not in sides]
-    if unknown_names:
-        raise InputError(f"interfaces.{unknown_names[0]}: expected the regions on its two sides")
+    unknown = [name for name in interfaces if name not in sides]
+    if unknown:
+        raise InputError(f"interfaces.{unknown[0]}: expected the regions on its two sides")
     tables = _cycle_tables(motions, loads)
     stages = _with_cycle_tables(stages, tables)
     elastic = tuple(r.named(n) for n, r in regions.items() if r.deforms)
@@ -339,15 +339,15 @@ def build_scene(case: Case) -> Scene:
         if interface.name not in exchanging:
             raise InputError(
                 f"interfaces.{interface.name}.conductance: no package computes the heat between "
-                "sides with finite sliding; leave it out"
+                "sides with finite sliding; expected none"
             )
-    changing = {region: density for find in _DENSITIES for region, density in find(case).items()}
+    changing = {region: d for find in _DENSITIES for region, d in find(case).items()}
     for e in scene.elastic:
         e._geometry = case.geometry
         e._density = changing.get(e.region)
-    stage_names = [stage.name for stage in case.stages]
+    names = [stage.name for stage in case.stages]
     loads_of = {
-        k: stage_names.index(stage.other.loads(case))
+        k: names.index(stage.other.loads(case))
         for k, stage in enumerate(case.stages)
         if stage.other
     }
@@ -364,16 +364,16 @@ def cycle_phase(stages: Sequence[Stage], time: float) -> tuple[float, float]:
     The ramp is over the first stage, to the values at the beginning of the cycle. After the stage
     of the cycles, the values stay constant.
     """
-    last_cyclic = next((k for k, s in enumerate(stages) if s.repeats), len(stages) - 1)
-    if time <= last_cyclic:
+    last = next((k for k, s in enumerate(stages) if s.repeats), len(stages) - 1)
+    if time <= last:
         return 0.0, min(time, 1.0)
-    cycles_done = min(time - last_cyclic, 1.0) * stages[last_cyclic].cycles
-    return cycles_done - math.ceil(cycles_done - 1e-9) + 1, 1.0
+    passed = min(time - last, 1.0) * stages[last].cycles
+    return passed - math.ceil(passed - 1e-9) + 1, 1.0
 
 
 def _cycle_tables(motions: Mapping[str, Motion], loads: Mapping[str, Load]) -> list[CycleTable]:
-    moving_parts: list[Motion | Load] = [*motions.values(), *loads.values()]
-    return [part.cycle for part in moving_parts if part.cycle is not None]
+    parts: list[Motion | Load] = [*motions.values(), *loads.values()]
+    return [part.cycle for part in parts if part.cycle is not None]
 
 
 def _with_cycle_tables(stages: Sequence[Stage], tables: Sequence[CycleTable]) -> tuple[Stage, ...]:
@@ -402,12 +402,12 @@ def _loads(
         in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))
         return float((local.rotation_at(s, part).T @ in_space if local else in_space)[k])
 
-    component_loads = []
+    parts = []
     for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
         part = force.named(name, force=axis, cycle_table=None, follows=None, history=None)
         part._value = partial(component, k)
-        component_loads.append(part)
-    return tuple(component_loads)
+        parts.append(part)
+    return tuple(parts)
 
 
 def _thermal(region: Material, name: str) -> Thermal:
@@ -420,12 +420,12 @@ def _thermal(region: Material, name: str) -> Thermal:
 
 
 def _support(name: str, support: Support, stages: Sequence[Stage]) -> Support:
-    stage_names = {stage.name for stage in stages}
-    always = support.stages is None or stage_names <= set(support.stages)
-    changed_fields: dict[str, Any] = {"stages": None} if always else {}
+    names = {stage.name for stage in stages}
+    always = support.stages is None or names <= set(support.stages)
+    changes: dict[str, Any] = {"stages": None} if always else {}
     if "history" in type(support).model_fields:
-        changed_fields["history"] = support.history or (1.0,) * len(stages)
-    return support.named(name, **changed_fields)
+        changes["history"] = support.history or (1.0,) * len(stages)
+    return support.named(name, **changes)
 
 
 def _interface(
@@ -438,9 +438,9 @@ def _interface(
     stem: StemPlaces,
 ) -> Interface:
     """Interface with the stiffer side as master: the softer side carries the jumps."""
-    first_side, second_side = (tuple(side) for side in sides)
-    swapped = _stiffness(first_side, moduli) < _stiffness(second_side, moduli)
-    master, slave = (second_side, first_side) if swapped else (first_side, second_side)
+    first, second = (tuple(side) for side in sides)
+    swapped = _stiffness(first, moduli) < _stiffness(second, moduli)
+    master, slave = (second, first) if swapped else (first, second)
     faces = faces or law.sliding_boundaries
     share = law.heated_by_friction
     if isinstance(share, str):
@@ -461,17 +461,14 @@ def _interface(
         constants=law.constants_at_points(name, stem),
         between=(faces[::-1] if swapped else faces) if faces else None,
         press_fit=law.is_press_fit,
-        zones={
-            zone: partial(_beyond, zone_heights, stem)
-            for zone, zone_heights in law.zone_heights.items()
-        },
+        zones={zone: partial(_beyond, ends, stem) for zone, ends in law.zone_heights.items()},
     )
 
 
 def _beyond(ends: tuple[float, float], stem: StemPlaces, x: Floats) -> Floats:
     """Distance of points (n, 3) along a stem beyond the nearer end of a zone (n,) [mm]."""
-    height, (lower_height, upper_height) = stem.height_on_stem(x), ends
-    return np.maximum(lower_height - height, height - upper_height)
+    height, (low, high) = stem.height_on_stem(x), ends
+    return np.maximum(low - height, height - high)
 
 
 def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:
