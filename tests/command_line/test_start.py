@@ -212,8 +212,8 @@ FEMUR = """\
 geometry.cement_thickness  (kind femur)
 geometry.cement_thickness  (kind intact_femur)
 geometry.cement_thickness  (kind patient)
-  Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side. 0 mm:
-  no cement. The stem is then in contact with the bone (interface stem_bone).
+  Thickness of the mantle where the canal has room, 1 to 8 mm: one value, or values by height
+  and side. 0 mm: no cement. The stem is then in contact with the bone (interface stem_bone).
   value    length, at least 0 and at most 8, e.g. 4 mm; or section
   unit     mm
   default  4.0 mm

@@ -166,7 +166,7 @@ def test_conduction_jump_where_both_sides_are_prescribed() -> None:
     j = s.operators.jumps
     assert j is not None
     edge = s.operators.forms.space.tabulate_dof_coordinates()[j.dof, 0] < 1e-9
-    assert (j.held == edge).all() and edge.any()
+    assert (j.prescribed == edge).all() and edge.any()
     assert s.x[1].array[edge] == pytest.approx(20.0, abs=1e-10)
     for region, given in (("cement", 60.0), ("bone", 40.0)):
         x, T = s.celsius(region)
@@ -299,7 +299,7 @@ def test_conduction_jacobian_is_the_derivative() -> None:
     for v in x:
         v.array[:] += rng.uniform(-5.0, 5.0, v.getLocalSize())
     c.impose(x)
-    for v, held in zip(d, (operators.fixed.base >= 0, j.held), strict=True):
+    for v, held in zip(d, (operators.fixed.base >= 0, j.prescribed), strict=True):
         v.array[:] = np.where(held, 0.0, rng.uniform(-1.0, 1.0, v.getLocalSize()))
     c.jacobian(x)
     f0 = c.vectors()

@@ -100,7 +100,7 @@ def test_given_mesh_refuses(change: dict[str, Any], words: str, tmp_path: Path) 
 
 
 def test_given_mesh_goes_with_a_case_of_mappings_alone(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs a mesh and an output"):
+    with pytest.raises(InputError, match="needs an output and a mesh"):
         mantle.run(CASE, tmp_path / "box")
     loaded = mantle.load(CONFIGS / "blocks.yaml")
     with pytest.raises(InputError, match="a loaded case already has a mesh"):

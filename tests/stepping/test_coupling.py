@@ -54,7 +54,7 @@ def test_coupled_system_taylor_remainder_is_of_second_order(
     operators, j = c.model.thermal.operators, problem.contact
     held = [
         operators.fixed.base >= 0,
-        *([operators.jumps.held] if operators.jumps else []),
+        *([operators.jumps.prescribed] if operators.jumps else []),
         problem.stiffness.constraints.constrained,
         j.points.held[j.local.rows].ravel(),
     ]

@@ -232,8 +232,8 @@ def moved(scene: Scene, Q: Floats) -> Scene:
         return lambda x: one(x @ Q)
 
     def interface(one: Interface) -> Interface:
-        values = {name: field(value) for name, value in one.values.items()}
-        return replace(one, gap=field(one.gap), values=values)
+        constants = {name: field(value) for name, value in one.constants.items()}
+        return replace(one, gap=field(one.gap), constants=constants)
 
     return replace(
         scene,
