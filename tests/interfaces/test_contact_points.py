@@ -485,7 +485,7 @@ from mpi4py import MPI
 sys.path.insert(0, {root!r})
 from tests.interfaces.test_contact_points import cylinder_points
 p = cylinder_points(size=2.5, taper=2, sector="half")
-names = ("interface", "vertex", "x", "bodies", "faces", "normals", "weight", "given")
+names = ("interface", "vertex", "x", "bodies", "faces", "normals", "weight", "prescribing_support")
 arrays = {{name: getattr(p, name) for name in names}}
 arrays |= {{f"triangles{{i}}": t for i, t in enumerate(p.triangles)}}
 everywhere = MPI.COMM_WORLD.allgather({{k: v.tobytes() for k, v in arrays.items()}})
