@@ -90,7 +90,7 @@ def describe(
         centres: A point on the axis of each body's rotations (n, 3) [mm].
         origin: Origin of the motions (3,) [mm].
         size: Length that scales rotations to translations [mm].
-        verb: Begin of each sentence, before the bodies.
+        verb: Words that begin each sentence, before the bodies.
     """
     if not free_motions.shape[1]:
         return []

@@ -61,8 +61,9 @@ def loads(case: SweptCase, summary: Summary) -> str:
     all_loads = case.data.get("loads", {})
     for name, load in all_loads.items():
         if load.get("cycle_table"):
-            continue  # it has no one size
-        components = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
+            continue  # its size changes over the cycle
+        magnitudes = map(magnitude, load.get("force") or ())
+        components = [component for component in magnitudes if component is not None]
         last_factor = (load.get("history") or [1.0])[-1]
         if len(components) == 3 and isinstance(last_factor, int | float):
             forces[name] = [last_factor * component for component in components]

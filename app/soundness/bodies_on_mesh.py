@@ -30,7 +30,7 @@ from meshes.pieces import Parts, Piece
 SLOPE = 3.0
 # The same limit for slopes that cancel in the mean, as a part of the angle between facets.
 FACETS = 0.4
-# A time just after the begin of a stage.
+# Time after the start of a stage at which gaps are judged, as a fraction of the stage.
 JUST_AFTER = 1e-3
 
 

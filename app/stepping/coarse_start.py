@@ -84,9 +84,10 @@ class CoarseModelStart:
             self._interpolation = interpolation(source.points, contact.points, contact.local.rows)
             self._computed_jumps = [(0.0, np.zeros((len(contact.local), 3)))]
         for target in [*self._passed_times, time]:
-            while target > (computed_time := self._computed_jumps[-1][0]):
+            while target > self._computed_jumps[-1][0]:
                 # The cheaper model of a resumed run has not solved earlier stages.
-                self._advance(self._coarse, min(target, math.floor(computed_time) + 1.0))
+                end_of_stage = math.floor(self._computed_jumps[-1][0]) + 1.0
+                self._advance(self._coarse, min(target, end_of_stage))
         self._passed_times = []
         return interpolate_in_time(self._computed_jumps, time)
 
