@@ -168,10 +168,6 @@ class Scene:
                 forces[load.name] = forces.get(load.name, 0.0) + part
         return {name: np.linalg.norm(force, axis=1) for name, force in forces.items()}
 
-    def is_rigid(self, interface: Interface) -> bool:
-        """Return True if the master of an interface is a rigid region."""
-        return any(r.region in interface.master for r in self.rigid)
-
     @property
     def driven(self) -> tuple[Motion, ...]:
         """Motions that drive a boundary of an elastic region."""
