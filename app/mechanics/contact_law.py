@@ -46,10 +46,8 @@ SLIP_ROUNDING = 1e-13
 REST_TOLERANCE = 1e-11
 # The force along a prescribed jump has converged within this part of the trial force.
 FORCE_TOLERANCE = 1e-12
-# Start of the local Newton iterations for that force, as a multiple of the trial force.
-START_FACTOR = 1e3
-# Most local Newton iterations. In 1e5 random points of one face it took at most 34.
-LOCAL_ITERATIONS = 50
+# Upper bound of such a force over the trial force [-]. It is above the limit of friction.
+UPPER_BOUND = 1e3
 # The modules that define a law, together with the module of its class. If their text changes, the
 # law is compiled again.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
@@ -363,11 +361,14 @@ class PointLaw:
         the jump changes in the step, Newton's method solves for F_h at each point. Where the jump
         is at rest, F_h is the friction of the last converged state.
 
-        At a point of one face Newton's method always converges. Along one direction H P - F_h is a
-        decreasing function of F_h, concave on the side of the start, so that the iterates approach
-        the root from one side. They are slowest where the force across the direction equals the
-        limit of friction: a triple root, at which each iteration leaves 2/3 of the error. If both
-        tangential directions are prescribed, the force is along the slip.
+        F_h is along the prescribed slip, so its size is one unknown per point. The residual
+        H P - F_h is not negative without F_h and negative for a large one: Newton's method stays
+        between these bounds, and halves them where it leaves them or does not halve the residual.
+        At a point of one face the residual decreases and is concave on the side of the start, so
+        that the iterates approach the root from one side. They are slowest where the force across
+        the slip equals the limit of friction: a triple root, at which each iteration leaves 2/3 of
+        the error. At an edge, the set of touching faces can change with F_h. Where the force jumps
+        across zero there, no root exists, and the bounds close at the jump.
 
         Args:
             rows: Local points of the law (n,).
@@ -382,27 +383,36 @@ class PointLaw:
         if not H.any():
             return kernel.named(**inputs)
         M = self.multiplier_share[rows]
-        is_sliding, scale, F_h = _start_of_prescribed_force(H, inputs, last_friction)
-        for _ in range(LOCAL_ITERATIONS):
+        is_sliding, direction, scale, last = _prescribed_slip(H, inputs, last_friction)
+        lower, upper = np.zeros(len(rows)), UPPER_BOUND * scale
+        size, last_residual = upper.copy(), np.full(len(rows), np.inf)
+        tolerance = FORCE_TOLERANCE * scale
+        while True:
+            F_h = np.where(is_sliding[:, None], size[:, None] * direction, last)
             force = inputs["force"] + np.einsum("pij,pj->pi", M, F_h)
             response = kernel.named(**(inputs | {"force": force}))
             if "by_jump" in response:
                 # A traction that depends on the jump alone.
                 return response
             P_F = response["by_multiplier"]
-            jacobian = np.eye(3) - np.where(is_sliding[:, None, None], H @ P_F @ M @ H, 0.0)
-            residual = np.einsum("pij,pj->pi", H, response["force"]) - F_h
+            residual = np.einsum("pi,pi->p", direction, response["force"]) - size
+            slope = 1 - np.einsum("pi,pij,pjk,pk->p", direction, P_F, M, direction)
             # A point that has converged stays: rounding could move it from slip to stick.
-            is_unfinished = is_sliding & (np.abs(residual).max(axis=1) > FORCE_TOLERANCE * scale)
+            is_unfinished = is_sliding & (np.abs(residual) > tolerance)
+            is_unfinished &= upper - lower > tolerance
             if not is_unfinished.any():
                 break
-            rows_left = np.flatnonzero(is_unfinished)
-            F_h[rows_left] += np.linalg.solve(jacobian[rows_left], residual[rows_left, :, None])[
-                :, :, 0
-            ]
+            lower = np.where(residual > 0, size, lower)
+            upper = np.where(residual < 0, size, upper)
+            newton = size + np.divide(residual, slope, out=upper.copy(), where=slope > 0)
+            is_newton = (newton >= lower) & (newton <= upper)
+            is_newton &= np.abs(residual) <= last_residual / 2
+            new_size = np.where(is_newton, newton, (lower + upper) / 2)
+            size = np.where(is_unfinished, new_size, size)
+            last_residual = np.abs(residual)
         # Implicit derivative of F_h by the multiplier F.
-        derivative = np.linalg.solve(jacobian, H @ P_F)
-        F_h_by_F = np.where(is_sliding[:, None, None], derivative, 0.0)
+        factor = np.divide(1.0, slope, out=np.zeros(len(rows)), where=is_sliding & (slope != 0))
+        F_h_by_F = np.einsum("p,pi,pk,pkj->pij", factor, direction, direction, P_F)
         return response | {"by_multiplier": P_F + P_F @ M @ F_h_by_F}
 
     def _add_debonded_contact(
@@ -473,12 +483,10 @@ class PointLaw:
         point_forces.status[constrained] = STICK
 
 
-def _start_of_prescribed_force(
+def _prescribed_slip(
     H: Floats, inputs: Mapping[str, Floats], last_friction: Floats
-) -> tuple[Bools, Floats, Floats]:
-    """Start of Newton's method for the force along prescribed tangential jumps.
-
-    It is far along the slip: all iterates then slip, without an elastic layer.
+) -> tuple[Bools, Floats, Floats, Floats]:
+    """Prescribed slip of the step at each point.
 
     Args:
         H: Projectors on the prescribed directions (n, 3, 3).
@@ -486,8 +494,8 @@ def _start_of_prescribed_force(
         last_friction: Friction in the last converged state (n, 3) [MPa].
 
     Returns:
-        Mask of the points whose prescribed jump changes (n,), size of the trial force (n,) [MPa],
-        and first force (n, 3) [MPa]. At points at rest this is the last friction.
+        Mask of the points whose prescribed jump changes (n,), direction of the change (n, 3), size
+        of the trial force (n,) [MPa], and last friction along prescribed directions (n, 3) [MPa].
     """
     jump, old_jump = inputs["jump"], inputs["old"]
     slip = np.einsum("pij,pj->pi", H, jump - old_jump)
@@ -497,9 +505,7 @@ def _start_of_prescribed_force(
     scale = np.linalg.norm(inputs["force"], axis=1) + inputs["r"] * opening
     is_sliding = (size > SLIP_ROUNDING * jump_sizes) & (inputs["r"] * size > REST_TOLERANCE * scale)
     direction = slip / np.where(is_sliding, size, 1.0)[:, None]
-    start = START_FACTOR * scale[:, None] * direction
-    last = np.einsum("pij,pj->pi", H, last_friction)
-    return is_sliding, scale, np.where(is_sliding[:, None], start, last)
+    return is_sliding, direction, scale, np.einsum("pij,pj->pi", H, last_friction)
 
 
 def _compile_law(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:

@@ -123,17 +123,16 @@ def derived(p: Points, friction: bool, *wanted: str) -> list[Floats]:
     return Pointwise(MPI.COMM_SELF, len(p.μ), sizes, build)(**values)
 
 
-def law_of(p: Points, friction: bool) -> PointLaw:
-    """The compiled law, as the application uses it."""
+def law_of(p: Points, friction: bool, prescribed: Floats | None = None) -> PointLaw:
+    """The compiled law, as the application uses it, with tangential directions (n, 3, 3) held."""
     n = len(p.μ)
     normals = np.zeros((n, 3, 3))
     normals[:, : p.faces] = p.normals
     faces = np.full(n, p.faces)
     none, tensors = np.zeros((n, 3)), np.zeros((n, 3, 3))
     number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
-    local_points = LocalPoints(
-        number, number, none, sides, faces, normals, np.ones(n), tensors, tensors
-    )
+    held = tensors if prescribed is None else prescribed
+    local_points = LocalPoints(number, number, none, sides, faces, normals, np.ones(n), held, held)
     law = PointLaw(MPI.COMM_SELF, local_points, Timing())
     laws = [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ]
     law.begin(laws, {"μ": p.μ * friction}, 1.0, tensors + np.eye(3))
@@ -394,6 +393,36 @@ def test_contact_law_along_prescribed_jumps_has_coulomb_friction(directions: int
     expected = R * (x + a) / np.hypot(x + a, b)
     assert (x[slides] > 0).all()
     assert (np.abs(x - expected)[slides] < 3e-12 * scale[slides]).all()
+
+
+def test_contact_law_along_a_prescribed_edge() -> None:
+    """The force along an edge of two faces is the one that the law without supports returns.
+
+    Where the set of touching faces changes, that force can jump, and no value may fit.
+    """
+    n = 20_000
+    p = sample(n, 2, seed=3)
+    edge = unit(np.cross(p.normals[:, 0], p.normals[:, 1]))
+    along = edge[:, :, None] * edge[:, None, :]
+    F = p.F - dot(p.F, edge)[:, None] * edge
+    free, held = law_of(p, True), law_of(p, True, along)
+    out = force_of(held, p, F)
+    assert np.isfinite(out.force).all() and np.isfinite(out.by_multiplier).all()
+    scale = np.linalg.norm(F, axis=1) + p.r * np.linalg.norm(p.jump + p.gap, axis=1)
+    f = dot(out.force, edge)
+    returned = force_of(free, p, F + f[:, None] * edge).force
+    fits = np.linalg.norm(returned - out.force, axis=1) < 1e-10 * scale
+    assert 0.99 < fits.mean() < 1.0
+
+    slides = fits & (out.status == SLIP) & (dot(p.jump - p.old, edge) > 0)
+    assert slides.mean() > 0.1
+    change = 1e-7 * scale[:, None] * unit(np.cross(edge, F))
+    shifted = [force_of(held, p, F + sign * change).force for sign in (1, -1)]
+    differences = np.linalg.norm(
+        shifted[0] - shifted[1] - 2 * np.einsum("nij,nj->ni", out.by_multiplier, change), axis=1
+    )
+    smooth = differences < 1e-4 * np.linalg.norm(2 * change, axis=1)
+    assert smooth[slides].mean() > 0.98
 
 
 @cache

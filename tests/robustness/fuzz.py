@@ -40,6 +40,8 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SECONDS = 2.0
 # A study or a sweep is as many cases as it has points.
 SECONDS_OF_MANY = 20.0
+# Folders of files of many cases.
+MANY = ("experiments", "fits", "sweeps", "studies")
 MEMORY = 2 << 30
 RANDOM = random.Random
 
@@ -278,7 +280,7 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
         raw = (of_text, of_text, of_tree, of_tree)[rng.randrange(4)](rng, text)
         path.write_bytes(raw)
         overrides = options(rng, text) if rng.random() < 0.3 else []
-        many = name.parent.name in ("fits", "sweeps", "studies") or b"variations" in raw
+        many = name.parent.name in MANY or b"variations" in raw
         limit = SECONDS_OF_MANY if many else SECONDS
         # A base by its name is a shipped file.
         places = (f"{folder}", f"{CONFIGS}", "--set ")
