@@ -402,13 +402,13 @@ class PointLaw:
             is_unfinished &= upper - lower > tolerance
             if not is_unfinished.any():
                 break
-            lower = np.where(residual > 0, size, lower)
-            upper = np.where(residual < 0, size, upper)
+            np.copyto(lower, size, where=residual > 0)
+            np.copyto(upper, size, where=residual < 0)
             newton = size + np.divide(residual, slope, out=upper.copy(), where=slope > 0)
             is_newton = (newton >= lower) & (newton <= upper)
             is_newton &= np.abs(residual) <= last_residual / 2
             new_size = np.where(is_newton, newton, (lower + upper) / 2)
-            size = np.where(is_unfinished, new_size, size)
+            np.copyto(size, new_size, where=is_unfinished)
             last_residual = np.abs(residual)
         # Implicit derivative of F_h by the multiplier F.
         factor = np.divide(1.0, slope, out=np.zeros(len(rows)), where=is_sliding & (slope != 0))
