@@ -22,7 +22,7 @@ from app.case.shapes import Shape
 from app.laws.densities import ModulusField
 from app.schema import yaml_file
 from app.schema.section import did_you_mean, kinds_of, show
-from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Reader, key_parts, path_text
+from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Place, Reader, key_parts, path_text
 
 MOST_BASES = 10
 # Key that names an entry of the library, by section.
@@ -68,10 +68,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _merged(case, below, upper, ())
         case.places |= file.places
-        for key in TIME_KEYS:
-            place = file.places.get(("loads", key))
-            if place:
-                _place_in_time(case, key, place, file.places)
+        _place_in_time(case, file.places)
     if len(case.complaints) > complaints_before:
         case.raise_all([])  # what they leave incomplete has other errors
     apply(case, overrides)
@@ -204,14 +201,16 @@ def _merged(case: CaseFile, lower: object, upper: object, path: Path) -> Any:
     return merged_values
 
 
-def _place_in_time(
-    case: CaseFile, key: str, place: Any, given_places: Mapping[Path, object]
-) -> None:
-    """Give the history or cycle table of each load the place in the file of the common one."""
-    for name in case.data.get("loads") or {}:
-        path = ("loads", name, key)
-        if path not in given_places:
-            case.places[path] = place
+def _place_in_time(case: CaseFile, given_places: Mapping[Path, Place]) -> None:
+    """Give the history or cycle table of each load the place of the common one, if given."""
+    for key in TIME_KEYS:
+        place = given_places.get(("loads", key))
+        if place is None:
+            continue
+        for name in case.data.get("loads") or {}:
+            path = ("loads", name, key)
+            if path not in given_places:
+                case.places[path] = place
 
 
 # -------------------------------------------------------------------------------- overrides
@@ -330,3 +329,4 @@ def _put(case: CaseFile, holder: Any, path: Path, value: object) -> None:
     else:
         holder.clear()
         holder.update(new_values)
+    _place_in_time(case, given_here)

@@ -429,14 +429,17 @@ def test_library_body_weight_and_tilt_change_forces(tmp_path: Path) -> None:
 def test_library_history_of_all_loads(tmp_path: Path) -> None:
     case = tmp_path / "two.yaml"
     stages = "stages: [{name: rest}, {name: stand}, {name: walk}]\n"
-    load = "loads: {library: one_leg_stance, history: [0, 1, 0.5], hip: {history: [1, 1, 1]}}\n"
-    case.write_text(f"base: stance\n{load}{stages}")
+    text = "loads: {library: one_leg_stance, history: [0, 1, 0.5], hip: {history: [1, 1, 1]}}\n"
+    case.write_text(f"base: stance\n{text}{stages}")
     loads = mantle.load(case).config.loads
     assert loads["hip"].history == (1.0, 1.0, 1.0) and len(loads) > 2
     assert {a.history for n, a in loads.items() if n != "hip"} == {(0.0, 1.0, 0.5)}
     changed = mantle.load(CONFIGS / "stance.yaml", **{"loads.history": [0.25]}).config.loads
     assert {a.history for a in changed.values()} == {(0.25,)}
     case.write_text(f"base: stance\nloads:\n  history: [0, 1]\n{stages}")
+    option = "loads={library: one_leg_stance, history: [0, 1]}"
+    with pytest.raises(InputError, match=r"--set loads: loads.hip.history: has 2 values"):
+        load(CONFIGS / "stance.yaml", [option])
     with pytest.raises(InputError, match=r"two.yaml:3:3: .*history: has 2 values; expected 3"):
         mantle.load(case)
 
